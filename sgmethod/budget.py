@@ -1,0 +1,47 @@
+"""What an encode may spend: one number and its unit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from sgmethod.errors import BudgetError
+
+BudgetKind = Literal["bpp", "bytes", "psnr", "gaussians"]
+BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
+
+MAX_PSNR_DB = 60.0  # 8-bit rounding alone leaves 58.9 dB; asking for more has no meaning
+
+
+@dataclass(frozen=True)
+class Budget:
+    """A target for an encode.
+
+    kind "bpp" (file bits per pixel) and "bytes" (file size) are upper limits that the file never
+    exceeds; "psnr" (dB, whole picture, 8-bit RGB) is the quality to reach with as few bytes as the
+    profile manages; "gaussians" is the number of Gaussians.
+
+    Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
+    """
+
+    kind: BudgetKind
+    value: float
+
+    def __post_init__(self) -> None:
+        if self.kind not in BUDGET_KINDS:
+            raise BudgetError(f"unknown budget {self.kind!r}; use one of {', '.join(BUDGET_KINDS)}")
+        if not math.isfinite(self.value) or self.value <= 0:
+            raise BudgetError(f"{self.kind} must be a positive number, got {self.value}")
+        if self.kind in ("bytes", "gaussians") and self.value != int(self.value):
+            raise BudgetError(f"{self.kind} must be a whole number, got {self.value}")
+        if self.kind == "psnr" and self.value > MAX_PSNR_DB:
+            raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {self.value}")
+
+    def max_bytes(self, width: int, height: int) -> int | None:
+        """Largest file size in bytes this budget allows for an image, or None where it sets no size."""
+        if self.kind == "bytes":
+            return int(self.value)
+        if self.kind == "bpp":
+            return int(min(self.value, 1e6) * width * height / 8)
+        return None

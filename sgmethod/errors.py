@@ -1,0 +1,28 @@
+"""The errors a caller can expect.
+
+    SgError                 anything this package refuses, with one clear sentence
+    ├── ImageError          an input that is not an image we can read, or beyond the limits
+    ├── BitstreamError      bytes that are not a whole, intact .sg file
+    ├── BudgetError         a budget that is not a positive number, or too small for any file
+    └── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
+"""
+
+
+class SgError(Exception):
+    """Base of every error this package raises on purpose."""
+
+
+class ImageError(SgError):
+    """The input image cannot be read, or exceeds the stated limits."""
+
+
+class BitstreamError(SgError):
+    """The bytes are not a valid bitstream."""
+
+
+class BudgetError(SgError):
+    """The budget is not a positive finite number, or no file fits in it."""
+
+
+class NativeModuleError(SgError):
+    """The compiled kernels are not installed."""
