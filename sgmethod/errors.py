@@ -1,10 +1,10 @@
 """The errors a caller can expect.
 
-    SgError                 anything this package refuses, with one clear sentence
-    ├── ImageError          an input that is not an image we can read, or beyond the limits
-    ├── BitstreamError      bytes that are not a whole, intact .sg file
-    ├── BudgetError         a budget that is not a positive number, or too small for any file
-    └── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
+SgError                 anything this package refuses, with one clear sentence
+├── ImageError          an input that is not an image we can read, or beyond the limits
+├── BitstreamError      bytes that are not a whole, intact .sg file
+├── BudgetError         a budget that is not a positive number, or too small for any file
+└── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
 """
 
 

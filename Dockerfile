@@ -1,0 +1,38 @@
+# syntax=docker/dockerfile:1
+ARG PYTHON_IMAGE=python:3.12-slim-bookworm
+
+FROM ${PYTHON_IMAGE} AS build
+# The compiler's version follows the base image's.
+# hadolint ignore=DL3008
+RUN apt-get update \
+    && apt-get install --yes --no-install-recommends cmake g++ ninja-build \
+    && rm -rf /var/lib/apt/lists/*
+RUN python -m venv /opt/sgmethod
+# The CPU build of torch by default; for another one: --build-arg TORCH_INDEX=https://pypi.org/simple
+ARG TORCH="torch>=2.6"
+ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
+RUN /opt/sgmethod/bin/pip install --no-cache-dir --index-url "${TORCH_INDEX}" "${TORCH}"
+WORKDIR /source
+COPY pyproject.toml README.md LICENSE ./
+COPY sgmethod sgmethod
+COPY service service
+RUN /opt/sgmethod/bin/pip wheel --no-cache-dir --no-deps --wheel-dir /wheels . \
+    && /opt/sgmethod/bin/pip install --no-cache-dir "$(ls /wheels/*.whl)[service]"
+
+FROM ${PYTHON_IMAGE}
+RUN groupadd --system --gid 10001 sgmethod \
+    && useradd --system --uid 10001 --gid 10001 --no-create-home sgmethod \
+    && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
+COPY --from=build /opt/sgmethod /opt/sgmethod
+ENV PATH=/opt/sgmethod/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    SG_HOST=0.0.0.0 \
+    SG_PORT=8000 \
+    SG_DATA_DIR=/data
+USER 10001:10001
+WORKDIR /data
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=10s --timeout=5s --start-period=20s --retries=3 \
+    CMD ["python", "-c", "import os, urllib.request as r; r.urlopen('http://127.0.0.1:' + os.environ['SG_PORT'] + '/healthz', timeout=4)"]
+CMD ["python", "-m", "service", "serve"]

@@ -1,0 +1,54 @@
+# make serve   set up .venv, then start the service on http://127.0.0.1:8000 with its data in ./data
+# make test    set up .venv, then check lint, format and types, and run every test
+#
+# The set-up is done again only when pyproject.toml or a source of the compiled part changes. Edits to Python
+# files take effect at once.
+
+# The interpreter for .venv, 3.11 or later: make PYTHON=python3.12 test
+PYTHON ?= python3
+# Installed first, so that you choose the build: make TORCH=torch==2.6.0 serve
+TORCH ?= torch==2.13.0
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+COMPILED := $(shell find sgmethod/native -type f)
+# The quick tests of single modules first, those of whole processes after them.
+TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py)))
+
+.PHONY: serve test
+
+serve: $(STAMP)
+	$(BIN)/python -m service serve
+
+test: $(STAMP)
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy
+	$(BIN)/python -m pytest $(TESTS)
+
+# The stamp is written last: a set-up that was interrupted is taken up again by the next call.
+$(STAMP): pyproject.toml $(COMPILED)
+	@$(CHECK)
+	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	$(BIN)/python -m pip install '$(TORCH)'
+	$(BIN)/python -m pip install --editable '.[encode,service,test]'
+	touch $@
+
+# Says in one sentence which Debian or Ubuntu packages are missing, before anything is downloaded or built.
+PACKAGE := $(notdir $(PYTHON))
+define CHECK
+missing=; \
+if ! command -v $(PYTHON) >/dev/null; then missing="$(PACKAGE) $(PACKAGE)-venv $(PACKAGE)-dev "; \
+elif ! $(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then \
+  echo "Python 3.11 or later is needed, and $(PYTHON) is older: sudo apt install python3.11 python3.11-venv" \
+    "python3.11-dev, then: make PYTHON=python3.11 $(MAKECMDGOALS)" >&2; exit 1; \
+else \
+  $(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || missing="$(PACKAGE)-venv "; \
+  $(PYTHON) -c 'import pathlib, sys, sysconfig; \
+    sys.exit(not pathlib.Path(sysconfig.get_path("include"), "Python.h").exists())' \
+    || missing="$${missing}$(PACKAGE)-dev "; \
+fi; \
+command -v $(CXX) >/dev/null || missing="$${missing}g++"; \
+if [ -n "$$missing" ]; then echo "The set-up needs packages that are missing: sudo apt install $$missing" >&2; exit 1; fi
+endef

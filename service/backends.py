@@ -1,0 +1,19 @@
+"""Opens the job table and the storage that the settings name; the only place that knows which they are."""
+
+from __future__ import annotations
+
+from service.jobs import JobBackend
+from service.settings import Settings
+from service.sqlite_jobs import SqliteJobs
+from service.storage import DiskStorage, Storage
+
+
+def open_backend(settings: Settings) -> JobBackend:
+    """The job table, made if there is none yet. Raises BackendError, OSError."""
+    settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return SqliteJobs(settings.database_path, lease_s=settings.lease_s, max_attempts=settings.max_attempts)
+
+
+def open_storage(settings: Settings) -> Storage:
+    """The storage of sources and bitstreams, made if there is none yet. Raises OSError."""
+    return DiskStorage(settings.data_dir)

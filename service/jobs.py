@@ -1,0 +1,206 @@
+"""What a job is, and what a queue of jobs must do, whatever stores it.
+
+    queued --claim--> running --finish--> done
+      ^                  |-----fail-----> failed
+      '--crash, release, lease over--'
+
+A claim raises the job's `attempt`, the fencing token: heartbeat, finish, fail and release change the row
+only while it is still running at that attempt. A worker that was taken for dead and wakes up again finds
+its token stale, so a job may run twice but is never published twice.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from sgmethod.budget import BudgetKind
+
+JobState = Literal["queued", "running", "done", "failed"]
+FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
+JsonObject = Mapping[str, Any]
+
+_JOB_ID = re.compile(r"[0-9a-f]{32}")
+
+
+def new_job_id() -> str:
+    """128 random bits: who holds an id may read the job, so ids cannot be guessed."""
+    return secrets.token_hex(16)
+
+
+def is_job_id(text: str) -> bool:
+    """Whether text has the form of an id; nothing else ever reaches the table or the disk."""
+    return _JOB_ID.fullmatch(text) is not None
+
+
+class BackendError(Exception):
+    """The job table cannot be read or written just now; trying again later may succeed."""
+
+
+class QueueFullError(Exception):
+    """As many jobs wait as the settings allow."""
+
+
+class KeyReusedError(Exception):
+    """An idempotency key came again with another request."""
+
+
+@dataclass(frozen=True)
+class EncodeRequest:
+    """What the client asked for; the names are sgmethod's."""
+
+    budget_kind: BudgetKind
+    budget_value: float
+    profile: str
+    time_limit_s: float
+
+
+@dataclass(frozen=True)
+class SourceImage:
+    """What the image's header says; width and height in pixels, size in bytes."""
+
+    format: str
+    width: int
+    height: int
+    size_bytes: int
+
+
+@dataclass(frozen=True)
+class NewJob:
+    """A job to accept. fingerprint: digest of the whole request, compared when a key comes again."""
+
+    id: str
+    request: EncodeRequest
+    image: SourceImage
+    fingerprint: str
+    idempotency_key: str | None = None
+
+
+@dataclass(frozen=True)
+class JobError:
+    """Why a job failed. code: "refused" by the codec, "crashed" or "timed_out"; detail: one sentence."""
+
+    code: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class EncodeResult:
+    """A finished encode: where its bitstream lies, the bytes' SHA-256 (hex) and the codec's figures."""
+
+    bitstream_key: str
+    sha256: str
+    stats: JsonObject
+
+
+@dataclass(frozen=True)
+class Claim:
+    """The right of one worker to run a job, until its lease is over. attempt is the fencing token."""
+
+    job_id: str
+    attempt: int
+    request: EncodeRequest
+
+
+@dataclass(frozen=True)
+class Job:
+    """A row of the table. Times are seconds since 1970 (UTC).
+
+    number: place in the order of acceptance; position: place in the queue from 1, None unless queued;
+    crashes: attempts that ended without a word, which is what the limit of attempts counts.
+    """
+
+    number: int
+    id: str
+    state: JobState
+    position: int | None
+    request: EncodeRequest
+    image: SourceImage
+    attempt: int
+    crashes: int
+    created_at: float
+    started_at: float | None
+    finished_at: float | None
+    result: EncodeResult | None
+    error: JobError | None
+
+
+class JobBackend(Protocol):
+    """A durable queue of jobs. Every method may raise BackendError; all are safe to call from any
+    thread. What a method has returned has reached the disk."""
+
+    def submit(self, job: NewJob, queue_length: int) -> tuple[Job, bool]:
+        """Accept a job; returns it and True, or the job that came first under the same key and False.
+
+        Raises QueueFullError if queue_length jobs wait already, KeyReusedError if the key stands for
+        another request.
+        """
+        ...
+
+    def find_key(self, idempotency_key: str) -> Job | None:
+        """The job that was accepted under the key."""
+        ...
+
+    def queued(self) -> int:
+        """How many jobs wait."""
+        ...
+
+    def get(self, job_id: str) -> Job | None:
+        """The job, or None if there is none of that id."""
+        ...
+
+    def page(self, limit: int, before: int | None = None) -> list[Job]:
+        """The newest jobs, newest first, of those with a number below `before`."""
+        ...
+
+    def trace(self, job_id: str) -> list[JsonObject]:
+        """The trace points of the job's latest attempt, oldest first."""
+        ...
+
+    def remove(self, job_id: str) -> Job | None:
+        """Forget a job in whatever state, and return it. A worker that runs it loses its claim."""
+        ...
+
+    def reconcile(self) -> list[Job]:
+        """Put running jobs whose lease is over back into the queue; those that crashed too often fail.
+
+        Returns the jobs that failed.
+        """
+        ...
+
+    def claim(self, worker: str) -> Claim | None:
+        """Take the oldest queued job for a worker (a name for operators), or None if none waits."""
+        ...
+
+    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
+        """Renew the lease and append trace points, `first` being the index of the first of them.
+
+        False: the job is no longer this worker's.
+        """
+        ...
+
+    def finish(self, claim: Claim, result: EncodeResult) -> bool:
+        """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
+        ...
+
+    def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
+        """End an attempt in failure: with retry as a crash, of which a job may have a few, else for good.
+
+        False: the job is no longer this worker's.
+        """
+        ...
+
+    def release(self, claim: Claim) -> bool:
+        """Hand the job back unharmed, at its old place in the queue. False: it was no longer ours."""
+        ...
+
+    def live_keys(self) -> set[str]:
+        """Storage keys that some job still needs."""
+        ...
+
+    def close(self) -> None:
+        """Let go of connections."""
+        ...

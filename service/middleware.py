@@ -1,0 +1,133 @@
+"""What stands before the application: limits on request bodies, and headers on every answer.
+
+No server limits how large or how slow a body may be, and a framework reads the whole of it before it
+looks at anything else; so both limits hold here, while the bytes come in.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.problems import ProblemError
+
+# A connection that is closed while its client still writes is reset, and the client never sees the
+# answer. So after an early answer the rest of the body is read and dropped, for a while.
+LINGER_S = 2.0
+
+STRICT_POLICY = "default-src 'none'; frame-ancestors 'none'"
+RESPONSE_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": STRICT_POLICY,
+}
+
+
+@dataclass(frozen=True)
+class BodyLimits:
+    """Of one request body: bytes, seconds between two chunks, seconds for all."""
+
+    max_bytes: int
+    chunk_timeout_s: float
+    timeout_s: float
+
+
+class BodyGuard:
+    """Middleware: reading a body beyond the limits raises ProblemError 413 or 408 in the application."""
+
+    def __init__(self, app: ASGIApp, limits: BodyLimits) -> None:
+        self._app = app
+        self._limits = limits
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        exchange = _Exchange(Headers(scope=scope), self._limits, receive, send)
+        await self._app(scope, exchange.receive, exchange.send)
+
+
+class _Exchange:
+    """One request and its answer."""
+
+    def __init__(self, headers: Headers, limits: BodyLimits, receive: Receive, send: Send) -> None:
+        length = headers.get("content-length", "0")
+        self._declared = int(length) if length.isdecimal() else 0
+        self._unread = self._declared > 0 or "transfer-encoding" in headers
+        self._limits = limits
+        self._receive = receive
+        self._send = send
+        self._bytes = 0
+        self._deadline: float | None = None
+
+    async def receive(self) -> Message:
+        if not self._unread:
+            return await self._receive()
+        if self._declared > self._limits.max_bytes:
+            raise self._too_large()
+        message = await self._in_time()
+        self._bytes += len(message.get("body", b""))
+        self._unread = message.get("more_body", False)
+        if self._bytes > self._limits.max_bytes:
+            raise self._too_large()
+        return message
+
+    async def _in_time(self) -> Message:
+        now = time.monotonic()
+        if self._deadline is None:
+            self._deadline = now + self._limits.timeout_s
+        timeout_s = min(self._limits.chunk_timeout_s, self._deadline - now)
+        try:
+            return await asyncio.wait_for(self._receive(), timeout_s)
+        except TimeoutError:
+            raise ProblemError(408, "the body came too slowly") from None
+
+    def _too_large(self) -> ProblemError:
+        limit = self._limits.max_bytes
+        return ProblemError(413, f"the body is larger than {limit} bytes", max_bytes=limit)
+
+    async def send(self, message: Message) -> None:
+        if not self._unread:
+            await self._send(message)
+            return
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(raw=list(message["headers"]))
+            headers["Connection"] = "close"
+            await self._send({**message, "headers": headers.raw})
+        elif message.get("more_body", False):
+            await self._send(message)
+        else:
+            await self._send({**message, "more_body": True})
+            await self._linger()
+            await self._send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _linger(self) -> None:
+        try:
+            async with asyncio.timeout(LINGER_S):
+                while self._unread:
+                    message = await self._receive()
+                    self._unread = message.get("more_body", False)
+        except TimeoutError:
+            return
+
+
+class ResponseHeaders:
+    """Middleware: RESPONSE_HEADERS on every answer that does not set them itself."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(raw=list(message["headers"]))
+                for name, value in RESPONSE_HEADERS.items():
+                    headers.setdefault(name, value)
+                message = {**message, "headers": headers.raw}
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)

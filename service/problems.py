@@ -1,0 +1,89 @@
+"""Every error answer is an RFC 9457 problem document."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import JSONResponse, Response
+
+from service.jobs import BackendError
+
+log = logging.getLogger(__name__)
+
+MEDIA_TYPE = "application/problem+json"
+RETRY_SOON_S = "5"
+
+
+class ProblemError(Exception):
+    """An answer other than the wished one: HTTP status, one sentence, extra members and headers."""
+
+    def __init__(
+        self, status: int, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.detail = detail
+        self.headers = dict(headers or {})
+        self.members = members
+
+
+def problem_response(problem: ProblemError) -> JSONResponse:
+    """The problem as an answer; extra members stand beside the standard ones."""
+    document = {
+        "type": "about:blank",
+        "title": HTTPStatus(problem.status).phrase,
+        "status": problem.status,
+        "detail": problem.detail,
+        **problem.members,
+    }
+    headers = {"Cache-Control": "no-store", **problem.headers}
+    return JSONResponse(document, problem.status, headers, media_type=MEDIA_TYPE)
+
+
+async def _on_problem(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, ProblemError)
+    return problem_response(error)
+
+
+async def _on_http_exception(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return problem_response(ProblemError(error.status_code, error.detail, headers=error.headers))
+
+
+async def _on_invalid_parameters(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    errors = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
+    detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
+    return problem_response(ProblemError(422, detail, errors=errors))
+
+
+async def _on_backend_unavailable(_request: Request, error: Exception) -> Response:
+    log.error("the job table cannot be reached: %s", error)
+    detail = "the job table cannot be reached just now"
+    return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
+
+
+async def _on_disconnect(_request: Request, _error: Exception) -> Response:
+    return problem_response(ProblemError(400, "the request ended before its body did"))
+
+
+async def _on_anything(_request: Request, _error: Exception) -> Response:
+    # The server logs the traceback; the client learns nothing of the inside.
+    return problem_response(ProblemError(500, "an error of the service; it has been logged"))
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Make every error of the application a problem document."""
+    app.add_exception_handler(ProblemError, _on_problem)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
+    app.add_exception_handler(BackendError, _on_backend_unavailable)
+    app.add_exception_handler(ClientDisconnect, _on_disconnect)
+    app.add_exception_handler(Exception, _on_anything)

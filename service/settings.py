@@ -1,0 +1,95 @@
+"""Every setting of the service: its unit, its default, its range.
+
+Settings come from environment variables named SG_ and the field's name in capitals. service/README.md
+holds the same table; a test compares the two.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pydantic import Field, model_validator
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+CGROUP_CPU_LIMIT = Path("/sys/fs/cgroup/cpu.max")
+
+
+def available_cores() -> int:
+    """Cores this process may use: its affinity, cut by the container's processor quota if there is one."""
+    cores = len(os.sched_getaffinity(0))
+    try:
+        quota, period = CGROUP_CPU_LIMIT.read_text().split()
+    except (OSError, ValueError):
+        return cores
+    return cores if quota == "max" else max(1, min(cores, int(quota) // int(period)))
+
+
+def default_workers() -> int:
+    """One encoder for every four cores: an encode gains little beyond four threads."""
+    return max(1, available_cores() // 4)
+
+
+class Settings(BaseSettings):
+    """What the operator may set; every value is checked once, at start."""
+
+    model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True)
+
+    host: str = Field(default="127.0.0.1", description="address to listen on")
+    port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
+    data_dir: Path = Field(
+        default=Path("data"), description="folder of the job table, sources and bitstreams"
+    )
+
+    workers: int = Field(default_factory=default_workers, ge=1, description="encodes that run at once")
+    threads: int = Field(
+        default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers"
+    )
+    queue_length: int = Field(default=100, ge=1, description="jobs waiting before new ones get 429")
+
+    max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="bytes of one image file")
+    # The upper bounds are those of sgmethod.image: the encoder reads nothing larger.
+    max_pixels: int = Field(
+        default=50_000_000, ge=1, le=100_000_000, description="pixels (width x height) of one image"
+    )
+    max_side: int = Field(default=16_384, ge=1, le=65_535, description="pixels of an image's longer side")
+    body_chunk_timeout_s: float = Field(
+        default=5.0, gt=0, description="seconds without a byte of an upload before 408"
+    )
+    body_timeout_s: float = Field(default=120.0, gt=0, description="seconds for a whole upload before 408")
+
+    max_time_limit_s: float = Field(
+        default=300.0,
+        gt=0,
+        description="seconds, the longest time limit of an encode, and the one it has unasked",
+    )
+    job_timeout_s: float = Field(
+        default=600.0, gt=0, description="seconds after which a running encode is ended"
+    )
+    job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, description="bytes of memory of one encode")
+    lease_s: float = Field(
+        default=15.0, ge=1, description="seconds after which a lost worker's job goes to another"
+    )
+    max_attempts: int = Field(default=4, ge=1, description="crashes after which a job has failed")
+
+    max_decodes: int = Field(default=2, ge=1, description="pictures decoded at once")
+    max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
+    stop_grace_s: float = Field(
+        default=10.0, gt=0, description="seconds to stop in before processes are killed"
+    )
+
+    @model_validator(mode="after")
+    def _limit_before_timeout(self) -> Settings:
+        if self.max_time_limit_s >= self.job_timeout_s:
+            raise ValueError("max_time_limit_s must be less than job_timeout_s, or no encode could use it")
+        return self
+
+    @property
+    def encode_threads(self) -> int:
+        """Threads of one encode, such that all workers together stay within the cores."""
+        return self.threads or max(1, available_cores() // self.workers)
+
+    @property
+    def database_path(self) -> Path:
+        """The file of the job table."""
+        return self.data_dir / "jobs.sqlite3"

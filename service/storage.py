@@ -1,0 +1,116 @@
+"""Source images and bitstreams on disk, whole or absent.
+
+A file appears under its key only when every byte is safe: temporary file, fsync, rename, fsync of the
+folder. Keys are ours (job id and attempt); nothing a client names ever becomes a path.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+_KEY = re.compile(r"sources/[0-9a-f]{32}|bitstreams/[0-9a-f]{32}\.[0-9]{1,9}\.sg")
+_FOLDERS = ("sources", "bitstreams")
+_UNFINISHED = "unfinished"
+
+
+def source_key(job_id: str) -> str:
+    """Where a job's source image lies."""
+    return f"sources/{job_id}"
+
+
+def bitstream_key(job_id: str, attempt: int) -> str:
+    """Where an attempt puts its bitstream; two attempts at one job never share a file."""
+    return f"bitstreams/{job_id}.{attempt}.sg"
+
+
+class Storage(Protocol):
+    """Files under keys."""
+
+    def put(self, key: str, data: bytes) -> None:
+        """Store data; when this returns it survives a power cut. Raises OSError."""
+        ...
+
+    def get(self, key: str) -> bytes:
+        """The stored bytes. Raises FileNotFoundError."""
+        ...
+
+    def open(self, key: str) -> BinaryIO:
+        """The stored bytes as an open file. Raises FileNotFoundError."""
+        ...
+
+    def delete(self, key: str) -> None:
+        """Remove the file; one that is not there is no error."""
+        ...
+
+    def sweep(self, keep: set[str], older_than_s: float) -> int:
+        """Remove what is older than that (seconds) and not in keep; returns how many files went."""
+        ...
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+class DiskStorage:
+    """Storage in a local folder, which is created if need be, readable by its owner alone."""
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        for folder in (*_FOLDERS, _UNFINISHED):
+            (root / folder).mkdir(mode=0o700, parents=True, exist_ok=True)
+        _sync_folder(root)
+
+    def _path(self, key: str) -> Path:
+        if _KEY.fullmatch(key) is None:
+            raise ValueError(f"not a storage key: {key!r}")
+        return self._root / key
+
+    def put(self, key: str, data: bytes) -> None:
+        path = self._path(key)
+        unfinished = self._root / _UNFINISHED / secrets.token_hex(16)
+        try:
+            with unfinished.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            unfinished.replace(path)
+        except BaseException:
+            unfinished.unlink(missing_ok=True)
+            raise
+        _sync_folder(path.parent)
+
+    def get(self, key: str) -> bytes:
+        return self._path(key).read_bytes()
+
+    def open(self, key: str) -> BinaryIO:
+        return self._path(key).open("rb")
+
+    def delete(self, key: str) -> None:
+        self._path(key).unlink(missing_ok=True)
+
+    def sweep(self, keep: set[str], older_than_s: float) -> int:
+        oldest = time.time() - older_than_s
+        orphans = [path for path in self._files() if str(path.relative_to(self._root)) not in keep]
+        removed = 0
+        for path in orphans:
+            try:
+                if path.stat().st_mtime < oldest:
+                    path.unlink()
+                    removed += 1
+            except FileNotFoundError:  # another process finished with it meanwhile
+                continue
+        return removed
+
+    def _files(self) -> Iterator[Path]:
+        for folder in (*_FOLDERS, _UNFINISHED):
+            yield from (self._root / folder).iterdir()

@@ -1,0 +1,136 @@
+"""Jobs as clients see them: the JSON of every answer, and with it the OpenAPI document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from pydantic import BaseModel, Field
+
+from service.jobs import Job, JobState, JsonObject
+
+Figure = float | int | str | None
+
+
+class AcceptedView(BaseModel):
+    """The answer to POST /encode."""
+
+    id: str = Field(description="32 hexadecimal digits; who knows them may read the job")
+    status_url: str
+    decode_url: str
+    bitstream_url: str
+
+
+class BudgetView(BaseModel):
+    """What the encode may spend."""
+
+    kind: str = Field(description='"bpp", "bytes", "psnr" or "gaussians"')
+    value: float
+
+
+class ImageView(BaseModel):
+    """What the source image's header says."""
+
+    format: str
+    width: int = Field(description="pixels")
+    height: int = Field(description="pixels")
+    bytes: int
+
+
+class ErrorView(BaseModel):
+    """Why a job failed."""
+
+    code: str = Field(description='"refused" by the codec, "crashed" or "timed_out"')
+    detail: str
+
+
+class JobSummary(AcceptedView):
+    """A job without its trace."""
+
+    state: JobState
+    position: int | None = Field(description="place in the queue from 1, while queued")
+    budget: BudgetView
+    profile: str
+    time_limit_s: float
+    image: ImageView
+    attempt: int = Field(description="how often the job was started")
+    created_at: datetime
+    started_at: datetime | None = Field(description="of the latest attempt")
+    finished_at: datetime | None
+    result: dict[str, Figure] | None = Field(description="the codec's figures, once done")
+    error: ErrorView | None = Field(description="once failed")
+
+
+class JobView(JobSummary):
+    """A job with its trace."""
+
+    progress: float = Field(description="share of the planned optimiser steps that is done, 0 to 1")
+    trace: list[dict[str, Figure]] = Field(
+        description="seconds, step, steps, psnr (dB), bits, gaussians and phase, oldest first"
+    )
+
+
+class JobPage(BaseModel):
+    """Jobs, newest first."""
+
+    jobs: list[JobSummary]
+    next: str | None = Field(description="where older jobs are, if there are any")
+
+
+class HealthView(BaseModel):
+    """The web process answers."""
+
+    status: str
+    version: str
+
+
+def _time(seconds: float | None) -> datetime | None:
+    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
+
+
+def urls(job_id: str) -> dict[str, str]:
+    """Where a job's resources are, relative to the service."""
+    return {
+        "status_url": f"/jobs/{job_id}",
+        "decode_url": f"/decode/{job_id}.png",
+        "bitstream_url": f"/bitstreams/{job_id}.sg",
+    }
+
+
+def accepted(job: Job) -> AcceptedView:
+    """The answer to an accepted job."""
+    return AcceptedView(id=job.id, **urls(job.id))
+
+
+def summary(job: Job) -> JobSummary:
+    """The job without its trace."""
+    request, image = job.request, job.image
+    return JobSummary(
+        id=job.id,
+        **urls(job.id),
+        state=job.state,
+        position=job.position,
+        budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
+        profile=request.profile,
+        time_limit_s=request.time_limit_s,
+        image=ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),
+        attempt=job.attempt,
+        created_at=datetime.fromtimestamp(job.created_at, UTC),
+        started_at=_time(job.started_at),
+        finished_at=_time(job.finished_at),
+        result=dict(job.result.stats) if job.result else None,
+        # A queued job can carry the error of its last crash, which is no concern of the client's yet.
+        error=ErrorView(code=job.error.code, detail=job.error.detail)
+        if job.error and job.state == "failed"
+        else None,
+    )
+
+
+def with_trace(job: Job, trace: Sequence[JsonObject]) -> JobView:
+    """The job and how its fit went so far."""
+    progress = 0.0
+    if job.state == "done":
+        progress = 1.0
+    elif trace and trace[-1]["steps"]:
+        progress = min(1.0, trace[-1]["step"] / trace[-1]["steps"])
+    return JobView(**summary(job).model_dump(), progress=progress, trace=[dict(point) for point in trace])

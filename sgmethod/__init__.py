@@ -1,0 +1,68 @@
+"""sgmethod: photographs as small sets of 2D Gaussians.
+
+The pipeline, in the order in which it runs; each module imports only from those above it:
+
+    errors      the tree of errors
+    budget      what an encode may spend
+    trace       what a fit reports while it runs
+    image       files <-> arrays
+    profiles    every number of the method
+    gaussians   the set of Gaussians
+    native_module, native/   compiled kernels: rendering, its gradients, the loss
+    reference   the renderer's definition, slow on purpose
+    render      the differentiable renderer for torch
+    structure   gradients, regions, complexity of a picture
+    placement   structure-guided start
+    bitstream   syntax elements <-> bytes
+    decode      bytes -> Gaussians -> pixels
+    fit         the optimiser and its trace
+    quantise/   quantisation-aware fine-tuning -> syntax elements
+    metrics     PSNR, MS-SSIM
+    codec       encode(): all of it in order
+    cli         the command line
+
+Decoding needs numpy and the compiled kernels only; torch is imported by encode() alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from sgmethod.budget import Budget
+from sgmethod.decode import decode, info
+from sgmethod.errors import BitstreamError, BudgetError, ImageError, NativeModuleError, SgError
+from sgmethod.native_module import native
+from sgmethod.trace import TracePoint
+
+if TYPE_CHECKING:
+    from sgmethod.codec import Encoded, Stats, encode
+
+__all__ = [
+    "BitstreamError",
+    "Budget",
+    "BudgetError",
+    "Encoded",
+    "ImageError",
+    "NativeModuleError",
+    "SgError",
+    "Stats",
+    "TracePoint",
+    "decode",
+    "encode",
+    "info",
+    "set_threads",
+]
+
+
+def set_threads(count: int) -> None:
+    """Threads that rendering and fitting use in this process, at least 1; SG_THREADS sets it at the start,
+    else it is the number of cores this process may run on."""
+    native.set_thread_count(count)
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("encode", "Encoded", "Stats"):
+        from sgmethod import codec
+
+        return getattr(codec, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,36 @@
+"""Types of the compiled module (sgmethod/native/bindings.cpp). Arrays are C-contiguous float32 on the CPU,
+numpy or torch."""
+
+from typing import Any
+
+CUTOFF: float
+TILE_WIDTH: int
+TILE_HEIGHT: int
+
+def best_isa() -> int:
+    """0 baseline x86-64, 1 AVX2, 2 AVX-512: the best this processor has."""
+
+def thread_count() -> int: ...
+def set_thread_count(count: int) -> None: ...
+
+class Rasterization:
+    """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""
+
+    def __init__(
+        self, means: Any, factors: Any, width: int, height: int, isa: int = -1, max_pairs: int = 2**31
+    ) -> None: ...
+    def render(self, colors: Any, image: Any) -> None:
+        """Fill image [3, height, width]."""
+
+    def render_bytes(self, colors: Any, image: Any) -> None:
+        """Fill image [height, width, 3], uint8."""
+
+    def backward(self, colors: Any, grad: Any, means: Any, factors: Any, out_colors: Any) -> None:
+        """Fill the gradients by means [N, 2], factors [N, 3] and colours [N, 3], given that by the image."""
+
+class ReconstructionLoss:
+    """MSE + lambda_g L_g against a target [3, height, width]."""
+
+    def __init__(self, target: Any, lambda_g: float) -> None: ...
+    def __call__(self, image: Any, grad: Any) -> tuple[float, float]:
+        """(MSE, L_g); fills grad with the gradient by the image."""

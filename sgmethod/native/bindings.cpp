@@ -1,0 +1,98 @@
+// Translation between Python arrays and the kernels; no arithmetic here.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/tuple.h>
+
+#include <algorithm>
+
+#include "kernels.h"
+#include "loss.h"
+#include "rasterization.h"
+#include "thread_pool.h"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+template <int Columns>
+using Rows = nb::ndarray<const float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
+template <int Columns>
+using RowsOut = nb::ndarray<float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
+using Image = nb::ndarray<const float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
+using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
+using BytesOut = nb::ndarray<uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
+
+constexpr int64_t kNoLimit = int64_t{1} << 31;
+
+void require(bool condition, const char* message) {
+  if (!condition) throw nb::value_error(message);
+}
+
+template <typename Array>
+void require_size(const Array& image, int width, int height) {
+  require(image.shape(1) == static_cast<size_t>(height) && image.shape(2) == static_cast<size_t>(width), "image has another size");
+}
+
+sg::Rasterization* make(Rows<2> means, Rows<3> factors, int width, int height, int isa, int64_t max_pairs) {
+  require(means.shape(0) == factors.shape(0), "means and factors differ in number");
+  require(width > 0 && height > 0, "the image must have pixels");
+  const int n = static_cast<int>(means.shape(0));
+  const int best = sg::best_isa();
+  require(isa <= best, "this processor lacks the instruction set");
+  nb::gil_scoped_release release;
+  return new sg::Rasterization(means.data(), factors.data(), n, width, height, isa < 0 ? best : isa, max_pairs);
+}
+
+}  // namespace
+
+NB_MODULE(_native, m) {
+  m.doc() = "Compiled kernels; see sgmethod.render for their meaning.";
+  m.attr("CUTOFF") = sg::kCutoff;
+  m.attr("TILE_WIDTH") = sg::kTileWidth;
+  m.attr("TILE_HEIGHT") = sg::kTileHeight;
+  m.def("best_isa", &sg::best_isa);
+  m.def("thread_count", &sg::thread_count);
+  m.def("set_thread_count", &sg::set_thread_count, "count"_a);
+
+  nb::class_<sg::Rasterization>(m, "Rasterization")
+      .def(nb::new_(&make), "means"_a, "factors"_a, "width"_a, "height"_a, "isa"_a = -1, "max_pairs"_a = kNoLimit)
+      .def("render",
+           [](const sg::Rasterization& r, Rows<3> colors, ImageOut image) {
+             require(colors.shape(0) == static_cast<size_t>(r.gaussians()), "one colour per Gaussian");
+             require_size(image, r.width(), r.height());
+             nb::gil_scoped_release release;
+             r.render(colors.data(), image.data());
+           })
+      .def("render_bytes",
+           [](const sg::Rasterization& r, Rows<3> colors, BytesOut image) {
+             require(colors.shape(0) == static_cast<size_t>(r.gaussians()), "one colour per Gaussian");
+             require(image.shape(0) == static_cast<size_t>(r.height()) && image.shape(1) == static_cast<size_t>(r.width()),
+                     "image has another size");
+             nb::gil_scoped_release release;
+             r.render_bytes(colors.data(), image.data());
+           })
+      .def("backward", [](const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> out) {
+        const auto n = static_cast<size_t>(r.gaussians());
+        require(colors.shape(0) == n && means.shape(0) == n && factors.shape(0) == n && out.shape(0) == n, "one row per Gaussian");
+        require_size(grad, r.width(), r.height());
+        nb::gil_scoped_release release;
+        r.backward(colors.data(), grad.data(), {means.data(), factors.data(), out.data()});
+      });
+
+  nb::class_<sg::ReconstructionLoss>(m, "ReconstructionLoss")
+      .def(nb::new_([](Image target, float lambda_g) {
+             return new sg::ReconstructionLoss(target.data(), static_cast<int>(target.shape(2)), static_cast<int>(target.shape(1)), lambda_g);
+           }),
+           "target"_a, "lambda_g"_a)
+      .def("__call__", [](sg::ReconstructionLoss& loss, Image image, ImageOut grad) {
+        require_size(image, loss.width(), loss.height());
+        require_size(grad, loss.width(), loss.height());
+        sg::Loss value;
+        {
+          nb::gil_scoped_release release;
+          value = loss(image.data(), grad.data());
+        }
+        return std::make_tuple(value.mse, value.geometry);
+      });
+}

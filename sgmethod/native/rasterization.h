@@ -1,0 +1,82 @@
+// The geometry of a set of Gaussians laid over a pixel grid: which of them touch which tile, and in which
+// rows. Built once per geometry; rendering with any colours, and the gradients, start from it.
+//
+// A tile is one strip of kTileWidth columns and kTileHeight rows. A lane of a vector owns a column, so a
+// Gaussian's value down a column is a recurrence of two multiplications (see kernels.h).
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+namespace sg {
+
+constexpr int kTileWidth = 16;
+constexpr int kTileHeight = 64;
+
+// docs/format.md: the ellipse sigma <= kCutoff carries the Gaussian, and the weight is exp(-sigma) - kFloor
+// there, so that it meets zero at the rim.
+constexpr float kCutoff = 5.5f;
+constexpr float kFloor = 0.004086771438464067f;  // exp(-5.5)
+
+// One Gaussian prepared for the kernels. z1 = dx / l1, z2 = (dy - shear dx) / l3, sigma = (z1^2 + z2^2) / 2.
+struct Footprint {
+  float x, y;              // mean, pixels; pixel (row, column) has its centre at (column + 0.5, row + 0.5)
+  float inv_l1, inv_l3;    // 1 / l1, 1 / l3
+  float shear;             // l2 / l1
+  float decay;             // exp(-1 / l3^2): what the ratio of two neighbouring rows loses per row
+  int segment;             // rows after which the recurrence starts anew
+};
+
+struct Pair {
+  int32_t gaussian;
+  int16_t first_row, last_row;  // within the tile, inclusive
+};
+
+struct Gradients {
+  float* means;    // [n, 2]
+  float* factors;  // [n, 3]
+  float* colors;   // [n, 3]
+};
+
+class Rasterization {
+ public:
+  // means [n, 2] in pixels, factors [n, 3] = (l1, l2, l3) in pixels. Gaussians that are not finite or have
+  // l1 or l3 <= 0 contribute nothing. Throws std::overflow_error if more than max_pairs (Gaussian, tile) pairs
+  // would be needed: memory and time follow that number.
+  Rasterization(const float* means, const float* factors, int n, int width, int height, int isa, int64_t max_pairs);
+
+  // image [3, height, width] = sum of colours times weights.
+  void render(const float* colors, float* image) const;
+  // image [height, width, 3], clamped to [0, 1] and rounded to 8 bits.
+  void render_bytes(const float* colors, uint8_t* image) const;
+  // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
+  void backward(const float* colors, const float* image_grad, const Gradients& out) const;
+
+  int gaussians() const { return n_; }
+  int width() const { return width_; }
+  int height() const { return height_; }
+
+  const Footprint& footprint(int gaussian) const { return footprints_[gaussian]; }
+  int strips() const { return strips_; }
+  const Pair* tile_begin(int tile) const { return pairs_.data() + tile_start_[tile]; }
+  const Pair* tile_end(int tile) const { return pairs_.data() + tile_start_[tile + 1]; }
+  int64_t tile_offset(int tile) const { return tile_start_[tile]; }
+
+ private:
+  struct Bin {
+    std::vector<Pair> pairs;
+    std::vector<int32_t> tiles;  // the tile of each pair
+  };
+  Footprint prepare(const float* mean, const float* factor) const;
+  void bin(int gaussian, Bin& bin) const;
+
+  int n_, width_, height_, strips_, blocks_, isa_;
+  std::vector<Footprint> footprints_;
+  std::vector<float> factors_;
+  std::vector<Pair> pairs_;           // sorted by tile, then by Gaussian
+  std::vector<int64_t> tile_start_;   // [tiles + 1]
+  std::vector<int64_t> pair_places_;  // for each Gaussian, its pairs' places in pairs_, in order of tile
+  std::vector<int64_t> pair_start_;   // [n + 1]
+};
+
+}  // namespace sg

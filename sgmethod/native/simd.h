@@ -1,0 +1,74 @@
+// Portable vectors of W floats (compiler vector extensions) and the few functions the kernels need.
+#pragma once
+
+#include <cstdint>
+#include <cstring>
+
+#define SG_INLINE inline __attribute__((always_inline))
+
+namespace sg {
+
+template <int W>
+struct Lanes;  // named one by one: GCC does not see through a vector_size that depends on a parameter
+template <>
+struct Lanes<4> {
+  typedef float F __attribute__((vector_size(16)));
+  typedef int32_t I __attribute__((vector_size(16)));
+};
+template <>
+struct Lanes<8> {
+  typedef float F __attribute__((vector_size(32)));
+  typedef int32_t I __attribute__((vector_size(32)));
+};
+template <>
+struct Lanes<16> {
+  typedef float F __attribute__((vector_size(64)));
+  typedef int32_t I __attribute__((vector_size(64)));
+};
+
+template <int W>
+struct Simd {
+  using F = typename Lanes<W>::F;
+  using I = typename Lanes<W>::I;
+
+  static SG_INLINE F load(const float* p) {
+    F v;
+    std::memcpy(&v, p, sizeof v);
+    return v;
+  }
+  static SG_INLINE void store(float* p, F v) { std::memcpy(p, &v, sizeof v); }
+  static SG_INLINE F all(float x) { return x - F{}; }
+  static SG_INLINE F max0(F v) { return v > 0.0f ? v : F{}; }
+  static SG_INLINE F min(F a, F b) { return a < b ? a : b; }
+  static SG_INLINE F max(F a, F b) { return a > b ? a : b; }
+  static SG_INLINE float sum(F v) {
+    float total = 0.0f;
+    for (int i = 0; i < W; ++i) total += v[i];
+    return total;
+  }
+
+  // exp(x) for -87 <= x <= 87, relative error below 3e-7 (measured against double).
+  // exp(x) = 2^n exp(r), r = x - n ln 2 in two parts (Cody and Waite), |r| <= 0.35, Taylor to degree 6.
+  static SG_INLINE F exp(F x) {
+    const float magic = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer in the low bits
+    const F shifted = x * 1.44269504f + magic;
+    const F n = shifted - magic;
+    const F r = (x - n * 0.693359375f) - n * -2.12194440e-4f;
+    F p = r * (1.0f / 720.0f) + (1.0f / 120.0f);
+    p = p * r + (1.0f / 24.0f);
+    p = p * r + (1.0f / 6.0f);
+    p = p * r + 0.5f;
+    p = p * r + 1.0f;
+    p = p * r + 1.0f;
+    I bits;
+    std::memcpy(&bits, &p, sizeof bits);
+    I exponent;
+    std::memcpy(&exponent, &shifted, sizeof exponent);
+    bits += exponent << 23;  // the low bits of `shifted` hold n; higher bits fall out of the shift
+    F result;
+    std::memcpy(&result, &bits, sizeof result);
+    return result;
+  }
+};
+
+}  // namespace sg

@@ -1,0 +1,17 @@
+// One small thread pool for all kernels. Tasks are handed out by an atomic counter, so which thread runs
+// which task is not fixed; kernels therefore write only to memory that belongs to their task.
+#pragma once
+
+#include <functional>
+
+namespace sg {
+
+// Number of threads that parallel_for uses, the calling one included. Starts as SG_THREADS from the
+// environment, else as the number of cores this process may run on.
+int thread_count();
+void set_thread_count(int count);
+
+// Runs task(0) ... task(count - 1) and returns when all are done. Calls from several threads take turns.
+void parallel_for(int count, const std::function<void(int)>& task);
+
+}  // namespace sg

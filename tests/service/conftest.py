@@ -1,0 +1,51 @@
+"""Services for the tests: one of a test's own, or one shared by a module."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from service_process import Service, StartService
+
+
+@pytest.fixture
+def start_service(tmp_path: Path) -> Iterator[StartService]:
+    """Starts services with settings of the test's own; they are gone after the test."""
+    started: list[Service] = []
+
+    def start(command: str = "serve", **settings: Any) -> Service:
+        started.append(Service(tmp_path / f"data{len(started)}", command, **settings))
+        return started[-1]
+
+    yield start
+    for service in started:
+        service.client.close()
+        if service.process.poll() is None:
+            service.stop()
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A whole service with its defaults, shared by the tests of a module."""
+    service = Service(tmp_path_factory.mktemp("service") / "data")
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.fixture(scope="module")
+def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process without any worker, with small limits, shared by the tests of a module."""
+    service = Service(
+        tmp_path_factory.mktemp("web") / "data",
+        "web",
+        max_upload_bytes=200_000,
+        max_side=3000,
+        max_pixels=1_000_000,
+        queue_length=10_000,
+        body_chunk_timeout_s=0.5,
+        body_timeout_s=2,
+    )
+    yield service
+    assert service.stop() == 0

@@ -1,0 +1,179 @@
+"""A real service in processes of its own, with its own data folder, and real requests to it."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+import numpy as np
+from PIL import Image
+
+T = TypeVar("T")
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 60.0  # far more than anything takes; a test that needs it fails
+
+
+def wait_until(what: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
+    """The first true value of what(); fails if there is none in time."""
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline:
+        value = what()
+        if value:
+            return value
+        time.sleep(0.02)
+    raise AssertionError("nothing happened in time")
+
+
+def png(width: int, height: int, seed: int = 0) -> bytes:
+    """A picture with some structure: a gradient, a disc and a little noise."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    disc = (np.hypot(x - width / 2, y - height / 2) < min(width, height) / 4) * 90.0
+    noise = np.random.default_rng(seed).normal(0, 8, (height, width, 3))
+    pixels = np.stack([x / width * 160, y / height * 160, disc], axis=2) + noise + 40
+    file = io.BytesIO()
+    Image.fromarray(pixels.clip(0, 255).astype(np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+SMALL = png(64, 48)
+SLOW = png(768, 768)
+
+
+def parent_of(process: int) -> int:
+    """The number of the process that started this one. Raises OSError if there is no such process."""
+    return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[1])
+
+
+def processes() -> dict[int, str]:
+    """Process numbers and command lines, of those that are alive."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            with contextlib.suppress(OSError):
+                state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
+                if state != "Z":
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+    return found
+
+
+def encoder_of(job_id: str) -> int | None:
+    """The process that encodes a job, if there is one."""
+    for number, command in processes().items():
+        if "service.encode_child" in command and job_id in command:
+            return number
+    return None
+
+
+class Service:
+    """One `python -m service` and a client that talks to it.
+
+    Give settings by name, such as queue_length=2. With command "web" nothing is ever encoded.
+    """
+
+    def __init__(self, data_dir: Path, command: str = "serve", **settings: Any) -> None:
+        self.data_dir = data_dir
+        chosen = {"port": 0, "data_dir": data_dir, "workers": 1, "lease_s": 1, **settings}
+        self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}}
+        self._command = [sys.executable, "-m", "service", command]
+        self.log = data_dir.with_name(data_dir.name + ".log")
+        self.start()
+
+    def start(self) -> None:
+        """Start the processes, again after a stop or kill."""
+        with self.log.open("a") as log:
+            self.process = subprocess.Popen(
+                self._command, cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert self.process.stdout is not None
+        with self.process.stdout as output:
+            announcement = output.readline()
+        assert announcement.startswith("sgmethod service on http"), self.log.read_text()
+        self.url = announcement.split()[3].rstrip(",")
+        self.client = httpx.Client(base_url=self.url, timeout=PATIENCE_S)
+
+    def children(self, command: str) -> list[int]:
+        """The supervisor's processes of that command ("web" or "worker")."""
+        found = []
+        for number, line in processes().items():
+            with contextlib.suppress(OSError):
+                if f"-m service {command}" in line and parent_of(number) == self.process.pid:
+                    found.append(number)
+        return found
+
+    def stop(self) -> int:
+        """Stop as an operator does; the exit status."""
+        self.client.close()
+        self.process.send_signal(signal.SIGTERM)
+        return self.process.wait(PATIENCE_S)
+
+    def kill_all(self) -> None:
+        """End every process at once, without a chance to say anything."""
+        self.client.close()
+        victims = [self.process.pid, *self.children("web"), *self.children("worker")]
+        victims += [n for n, line in processes().items() if "service.encode_child" in line]
+        for number in victims:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        self.process.wait(PATIENCE_S)
+        wait_until(lambda: not set(victims) & set(processes()))
+
+    def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
+        """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
+        form = {name: str(value) for name, value in {"time_limit_s": 0.5, **(fields or {"bpp": 1})}.items()}
+        headers = {"Idempotency-Key": key} if key else {}
+        return self.client.post("/encode", files={"image": ("any.png", image)}, data=form, headers=headers)
+
+    def accepted(self, image: bytes = SMALL, **fields: Any) -> str:
+        """The id of a new job."""
+        answer = self.post(image, **fields)
+        assert answer.status_code == 202, answer.text
+        return str(answer.json()["id"])
+
+    def accepted_slow(self) -> str:
+        """The id of a new job that takes far longer than any test waits."""
+        return self.accepted(SLOW, bpp=1, time_limit_s=100)
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """The status of a job."""
+        answer = self.client.get(f"/jobs/{job_id}")
+        assert answer.status_code == 200, answer.text
+        job: dict[str, Any] = answer.json()
+        return job
+
+    def wait(self, job_id: str, *states: str) -> dict[str, Any]:
+        """The job's status once it is in one of the states; done or failed unless named."""
+        wanted = states or ("done", "failed")
+        job = wait_until(lambda: (job := self.job(job_id))["state"] in wanted and job)
+        assert job
+        return job
+
+    def files(self) -> list[str]:
+        """What lies in the storage."""
+        folders = ("sources", "bitstreams", "unfinished")
+        return sorted(f"{f}/{path.name}" for f in folders for path in (self.data_dir / f).iterdir())
+
+
+StartService = Callable[..., Service]
+
+
+def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:
+    """The answer is a problem document of that status whose detail holds the words."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem: dict[str, Any] = answer.json()
+    assert problem["status"] == status
+    assert problem["title"]
+    assert problem["type"] == "about:blank"
+    for word in words:
+        assert word in problem["detail"]
+    return problem

@@ -1,0 +1,164 @@
+"""What a worker does with outcomes, where the real road cannot be made to go wrong at will."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from service import worker as worker_module
+from service.encode_process import Encoded
+from service.jobs import (
+    BackendError,
+    Claim,
+    EncodeRequest,
+    EncodeResult,
+    JsonObject,
+    NewJob,
+    SourceImage,
+    new_job_id,
+)
+from service.settings import Settings
+from service.sqlite_jobs import SqliteJobs
+from service.stopping import StopSignal
+from service.storage import DiskStorage, bitstream_key, source_key
+from service.worker import ClaimLostError, Pulse, Worker
+
+LONG_S = 60.0
+
+
+class Unsteady(SqliteJobs):
+    """A table whose answers get lost: that many calls succeed, and report failure."""
+
+    lost_answers = 0
+
+    def _lose(self) -> None:
+        if self.lost_answers:
+            self.lost_answers -= 1
+            raise BackendError("the answer was lost")
+
+    def finish(self, claim: Claim, result: EncodeResult) -> bool:
+        finished = super().finish(claim, result)
+        self._lose()
+        return finished
+
+    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
+        alive = super().heartbeat(claim, points, first)
+        self._lose()
+        return alive
+
+
+@pytest.fixture
+def backend(tmp_path: Path) -> Iterator[Unsteady]:
+    backend = Unsteady(tmp_path / "jobs.sqlite3", lease_s=LONG_S, max_attempts=4)
+    yield backend
+    backend.close()
+
+
+@pytest.fixture
+def storage(tmp_path: Path) -> DiskStorage:
+    return DiskStorage(tmp_path)
+
+
+@pytest.fixture
+def worker(backend: Unsteady, storage: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> Worker:
+    monkeypatch.setattr(worker_module, "PAUSE_AFTER_TROUBLE_S", 0.0)
+    return Worker(Settings(), backend, storage, StopSignal())
+
+
+@pytest.fixture
+def claim(backend: Unsteady, storage: DiskStorage) -> Claim:
+    request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
+    job, _ = backend.submit(NewJob(new_job_id(), request, image, "f"), 10)
+    storage.put(source_key(job.id), b"image")
+    claim = backend.claim("w")
+    assert claim is not None
+    return claim
+
+
+def result_of(backend: Unsteady, claim: Claim) -> str | None:
+    job = backend.get(claim.job_id)
+    return job.result.bitstream_key if job and job.result else None
+
+
+def bitstreams(tmp_path: Path) -> list[str]:
+    return sorted(f"bitstreams/{path.name}" for path in (tmp_path / "bitstreams").iterdir())
+
+
+def test_two_attempts_and_one_result(backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path) -> None:
+    """Rule 3: the attempt that lost its claim publishes nothing and leaves nothing."""
+    assert backend.release(claim)
+    second = backend.claim("other")
+    assert second is not None
+    with pytest.raises(ClaimLostError):
+        worker._conclude(claim, Encoded({}, b"of the first"))
+    assert bitstreams(tmp_path) == []
+    worker._conclude(second, Encoded({}, b"of the second"))
+    with pytest.raises(ClaimLostError):
+        worker._conclude(claim, Encoded({}, b"of the first, later"))
+    key = bitstream_key(claim.job_id, 2)
+    assert bitstreams(tmp_path) == [key]
+    assert result_of(backend, claim) == key
+    assert (tmp_path / key).read_bytes() == b"of the second"
+
+
+def test_a_lost_answer_loses_no_result(
+    backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path
+) -> None:
+    """Rule 7: publishing is tried again, and an update that had happened all the same counts."""
+    backend.lost_answers = 2
+    worker._conclude(claim, Encoded({"bytes": 4}, b"data"))
+    assert result_of(backend, claim) == bitstream_key(claim.job_id, 1)
+    assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
+
+
+def test_a_table_out_of_reach_leaves_the_bitstream_for_the_sweep(
+    backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path
+) -> None:
+    backend.lost_answers = 100
+    with pytest.raises(BackendError):
+        worker._conclude(claim, Encoded({}, b"data"))
+    assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]  # it may have been published
+
+
+def test_a_pulse_sends_each_point_once(backend: Unsteady, claim: Claim) -> None:
+    pulse = Pulse(backend, claim, LONG_S)
+    pulse.add({"step": 0})
+    pulse.beat()  # too early
+    assert backend.trace(claim.job_id) == []
+    pulse.beat(now=True)
+    backend.lost_answers = 1
+    pulse.add({"step": 1})
+    pulse.beat(now=True)  # written, but reported as failed, so it is sent again
+    pulse.add({"step": 2})
+    pulse.beat(now=True)
+    assert backend.trace(claim.job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
+
+
+def test_a_pulse_that_nobody_hears_gives_up_with_the_lease(backend: Unsteady, claim: Claim) -> None:
+    backend.lost_answers = 100
+    patient, hasty = Pulse(backend, claim, LONG_S), Pulse(backend, claim, 0.01)
+    time.sleep(0.02)
+    patient.beat(now=True)
+    with pytest.raises(ClaimLostError):
+        hasty.beat(now=True)
+
+
+def test_a_pulse_notices_a_removed_job(backend: Unsteady, claim: Claim) -> None:
+    backend.remove(claim.job_id)
+    with pytest.raises(ClaimLostError):
+        Pulse(backend, claim, LONG_S).beat(now=True)
+
+
+def test_a_source_that_is_gone(backend: Unsteady, storage: DiskStorage, worker: Worker, claim: Claim) -> None:
+    assert backend.release(claim)
+    storage.delete(source_key(claim.job_id))
+    for _ in range(4):
+        assert worker.run_one()
+    job = backend.get(claim.job_id)
+    assert job is not None
+    assert job.error is not None
+    assert (job.state, job.error.detail) == ("failed", "the source image is gone")
+    assert not worker.run_one()
