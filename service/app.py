@@ -48,6 +48,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     parts.backend.close()
 
 
+def _body_limits(settings: Settings) -> BodyLimits:
+    return BodyLimits(
+        settings.max_upload_bytes + MULTIPART_OVERHEAD_BYTES,
+        settings.body_chunk_timeout_s,
+        settings.body_timeout_s,
+    )
+
+
 def create_app(settings: Settings) -> ASGIApp:
     """The application with its middleware, ready for a server. Raises BackendError, OSError."""
     app = FastAPI(
@@ -82,10 +90,5 @@ def create_app(settings: Settings) -> ASGIApp:
         """The page on which a person can try the service."""
         return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": PAGE_POLICY})
 
-    limits = BodyLimits(
-        settings.max_upload_bytes + MULTIPART_OVERHEAD_BYTES,
-        settings.body_chunk_timeout_s,
-        settings.body_timeout_s,
-    )
     # Outside of FastAPI, whose answer to an unexpected error passes by its own middleware.
-    return ResponseHeaders(BodyGuard(app, limits))
+    return ResponseHeaders(BodyGuard(app, _body_limits(settings)))

@@ -7,7 +7,7 @@ from anyio import to_thread
 
 import sgmethod
 from service.problems import ProblemError
-from sgmethod.image import encode_png
+from sgmethod.files import encode_png
 
 RETRY_AFTER_S = "1"
 

@@ -54,9 +54,7 @@ class EncodeProcess:
     lifeline: the descriptor to hand down.
     """
 
-    def __init__(
-        self, command: Sequence[str], source: BinaryIO, environment: Mapping[str, str], lifeline: int
-    ) -> None:
+    def __init__(self, command: Sequence[str], source: BinaryIO, environment: Mapping[str, str], lifeline: int) -> None:
         self._process = subprocess.Popen(
             command,
             stdin=source,

@@ -24,9 +24,7 @@ RETRY_SOON_S = "5"
 class ProblemError(Exception):
     """An answer other than the wished one: HTTP status, one sentence, extra members and headers."""
 
-    def __init__(
-        self, status: int, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any
-    ) -> None:
+    def __init__(self, status: int, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any) -> None:
         super().__init__(detail)
         self.status = status
         self.detail = detail

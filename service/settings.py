@@ -37,14 +37,10 @@ class Settings(BaseSettings):
 
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
-    data_dir: Path = Field(
-        default=Path("data"), description="folder of the job table, sources and bitstreams"
-    )
+    data_dir: Path = Field(default=Path("data"), description="folder of the job table, sources and bitstreams")
 
     workers: int = Field(default_factory=default_workers, ge=1, description="encodes that run at once")
-    threads: int = Field(
-        default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers"
-    )
+    threads: int = Field(default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers")
     queue_length: int = Field(default=100, ge=1, description="jobs waiting before new ones get 429")
 
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="bytes of one image file")
@@ -53,9 +49,7 @@ class Settings(BaseSettings):
         default=50_000_000, ge=1, le=100_000_000, description="pixels (width x height) of one image"
     )
     max_side: int = Field(default=16_384, ge=1, le=65_535, description="pixels of an image's longer side")
-    body_chunk_timeout_s: float = Field(
-        default=5.0, gt=0, description="seconds without a byte of an upload before 408"
-    )
+    body_chunk_timeout_s: float = Field(default=5.0, gt=0, description="seconds without a byte of an upload before 408")
     body_timeout_s: float = Field(default=120.0, gt=0, description="seconds for a whole upload before 408")
 
     max_time_limit_s: float = Field(
@@ -63,20 +57,14 @@ class Settings(BaseSettings):
         gt=0,
         description="seconds, the longest time limit of an encode, and the one it has unasked",
     )
-    job_timeout_s: float = Field(
-        default=600.0, gt=0, description="seconds after which a running encode is ended"
-    )
+    job_timeout_s: float = Field(default=600.0, gt=0, description="seconds after which a running encode is ended")
     job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, description="bytes of memory of one encode")
-    lease_s: float = Field(
-        default=15.0, ge=1, description="seconds after which a lost worker's job goes to another"
-    )
+    lease_s: float = Field(default=15.0, ge=1, description="seconds after which a lost worker's job goes to another")
     max_attempts: int = Field(default=4, ge=1, description="crashes after which a job has failed")
 
     max_decodes: int = Field(default=2, ge=1, description="pictures decoded at once")
     max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
-    stop_grace_s: float = Field(
-        default=10.0, gt=0, description="seconds to stop in before processes are killed"
-    )
+    stop_grace_s: float = Field(default=10.0, gt=0, description="seconds to stop in before processes are killed")
 
     @model_validator(mode="after")
     def _limit_before_timeout(self) -> Settings:

@@ -243,9 +243,7 @@ class SqliteJobs:
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
         text = json.dumps(asdict(result))
         with self._transaction() as db:
-            if self._change(
-                db, claim, "state = 'done', result = ?, error = NULL, finished_at = ?", text, time.time()
-            ):
+            if self._change(db, claim, "state = 'done', result = ?, error = NULL, finished_at = ?", text, time.time()):
                 return True
             # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()

@@ -45,9 +45,7 @@ def check_content_type(request: Request) -> None:
     """Raises ProblemError 415 unless the body is multipart/form-data."""
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type != "multipart/form-data":
-        raise ProblemError(
-            415, "the body must be multipart/form-data", headers={"Accept": "multipart/form-data"}
-        )
+        raise ProblemError(415, "the body must be multipart/form-data", headers={"Accept": "multipart/form-data"})
 
 
 def open_form(request: Request) -> AbstractAsyncContextManager[FormData]:
@@ -95,9 +93,7 @@ def _text_fields(form: FormData) -> dict[str, str]:
         if name == IMAGE_FIELD:
             continue
         if name not in FIELDS:
-            raise ProblemError(
-                422, f"unknown field {name!r}; the fields are {IMAGE_FIELD}, {', '.join(FIELDS)}"
-            )
+            raise ProblemError(422, f"unknown field {name!r}; the fields are {IMAGE_FIELD}, {', '.join(FIELDS)}")
         if name in fields:
             raise ProblemError(422, f"the field {name} is given twice")
         if not isinstance(value, str):

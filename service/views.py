@@ -9,6 +9,10 @@ from pydantic import BaseModel, Field
 
 from service.jobs import Job, JobState, JsonObject
 
+# Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
+PHASES = {"start": (0.0, 0.0), "fit": (0.0, 0.6), "tune": (0.6, 1.0), "done": (1.0, 1.0)}
+MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches again and again
+
 Figure = float | int | str | None
 
 
@@ -64,9 +68,10 @@ class JobSummary(AcceptedView):
 class JobView(JobSummary):
     """A job with its trace."""
 
-    progress: float = Field(description="share of the planned optimiser steps that is done, 0 to 1")
+    progress: float = Field(description="estimated share of the work that is done, 0 to 1; never falls")
     trace: list[dict[str, Figure]] = Field(
-        description="seconds, step, steps, psnr (dB), bits, gaussians and phase, oldest first"
+        description="seconds, step, steps, psnr (dB), bits, gaussians and phase, oldest first; "
+        f"{MAX_TRACE_POINTS} of them at most, evenly spread"
     )
 
 
@@ -120,17 +125,28 @@ def summary(job: Job) -> JobSummary:
         finished_at=_time(job.finished_at),
         result=dict(job.result.stats) if job.result else None,
         # A queued job can carry the error of its last crash, which is no concern of the client's yet.
-        error=ErrorView(code=job.error.code, detail=job.error.detail)
-        if job.error and job.state == "failed"
-        else None,
+        error=ErrorView(code=job.error.code, detail=job.error.detail) if job.error and job.state == "failed" else None,
     )
 
 
 def with_trace(job: Job, trace: Sequence[JsonObject]) -> JobView:
     """The job and how its fit went so far."""
-    progress = 0.0
-    if job.state == "done":
-        progress = 1.0
-    elif trace and trace[-1]["steps"]:
-        progress = min(1.0, trace[-1]["step"] / trace[-1]["steps"])
-    return JobView(**summary(job).model_dump(), progress=progress, trace=[dict(point) for point in trace])
+    return JobView(
+        **summary(job).model_dump(),
+        progress=1.0 if job.state == "done" else max(map(_progress, trace), default=0.0),
+        trace=[dict(point) for point in _thinned(trace)],
+    )
+
+
+def _progress(point: JsonObject) -> float:
+    begin, end = PHASES.get(point["phase"], (0.0, 0.0))
+    share = float(point["step"] / max(1, point["steps"]))
+    return begin + (end - begin) * min(1.0, share)
+
+
+def _thinned(trace: Sequence[JsonObject]) -> Sequence[JsonObject]:
+    """At most MAX_TRACE_POINTS of the points, evenly spread, with the first and the last."""
+    last = len(trace) - 1
+    if last < MAX_TRACE_POINTS:
+        return trace
+    return [trace[last * place // (MAX_TRACE_POINTS - 1)] for place in range(MAX_TRACE_POINTS)]

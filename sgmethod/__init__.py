@@ -5,7 +5,8 @@ The pipeline, in the order in which it runs; each module imports only from those
     errors      the tree of errors
     budget      what an encode may spend
     trace       what a fit reports while it runs
-    image       files <-> arrays
+    image       image files -> arrays
+    files       PNG and other results -> files, whole or absent
     profiles    every number of the method
     gaussians   the set of Gaussians
     native_module, native/   compiled kernels: rendering, its gradients, the loss
@@ -13,12 +14,16 @@ The pipeline, in the order in which it runs; each module imports only from those
     render      the differentiable renderer for torch
     structure   gradients, regions, complexity of a picture
     placement   structure-guided start
-    bitstream   syntax elements <-> bytes
+    bitstream   version 1 of the file (profiles paper, baseline): syntax elements <-> bytes
+    bitstream_rd  version 2 (profile rd)
     decode      bytes -> Gaussians -> pixels
-    fit         the optimiser and its trace
-    quantise/   quantisation-aware fine-tuning -> syntax elements
     metrics     PSNR, MS-SSIM
-    codec       encode(): all of it in order
+    fit         the optimiser, its schedule and its trace
+    quantise/   quantisers: lattice, codebook and paper (LSQ, ABQ, RVQ), rd (steps from sensitivity, noise, rate)
+    growth      where another Gaussian would pay
+    paper       profiles paper and baseline
+    rd          profile rd: how many Gaussians, where and how fine
+    codec       encode(): a profile, then the measured result
     cli         the command line
 
 Decoding needs numpy and the compiled kernels only; torch is imported by encode() alone.

@@ -3,6 +3,9 @@ numpy or torch."""
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 CUTOFF: float
 TILE_WIDTH: int
 TILE_HEIGHT: int
@@ -22,8 +25,8 @@ class Rasterization:
     def render(self, colors: Any, image: Any) -> None:
         """Fill image [3, height, width]."""
 
-    def render_bytes(self, colors: Any, image: Any) -> None:
-        """Fill image [height, width, 3], uint8."""
+    def render_bytes(self, colors: Any, image: Any, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        """Fill image [height, width, 3], uint8: background plus Gaussians."""
 
     def backward(self, colors: Any, grad: Any, means: Any, factors: Any, out_colors: Any) -> None:
         """Fill the gradients by means [N, 2], factors [N, 3] and colours [N, 3], given that by the image."""
@@ -34,3 +37,19 @@ class ReconstructionLoss:
     def __init__(self, target: Any, lambda_g: float) -> None: ...
     def __call__(self, image: Any, grad: Any) -> tuple[float, float]:
         """(MSE, L_g); fills grad with the gradient by the image."""
+
+class RdParameters:
+    """What the stream of profile rd needs to know before its first Gaussian."""
+
+    def __init__(self, width: int, height: int, quantum: float, grey: bool = False, upright: bool = False) -> None: ...
+
+def rd_quantise(
+    parameters: RdParameters, means: Any, factors: Any, colors: Any, out_means: Any, out_factors: Any, out_colors: Any
+) -> None:
+    """Fill out_* with what decoding an encoding would give; colour 0 where nothing of a Gaussian is left."""
+
+def rd_encode(parameters: RdParameters, means: Any, factors: Any, colors: Any) -> bytes: ...
+def rd_decode(
+    parameters: RdParameters, data: bytes, prefix: bool = False
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """(means, factors, colors); raises RuntimeError on data no encoder writes. prefix: data may be cut anywhere."""

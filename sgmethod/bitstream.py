@@ -49,6 +49,7 @@ POSITION_TABLE_BYTES, FACTOR_TABLE_BYTES = 2 * 2 * 4, 3 * 2 * 4
 CODEBOOK_BYTES = CODEBOOK_STAGES * CODEBOOK_ENTRIES * 3 * 2
 TABLE_BYTES = POSITION_TABLE_BYTES + FACTOR_TABLE_BYTES + CODEBOOK_BYTES
 GROUP_BYTES = sum(f.bytes for f in GROUP)
+BLOCK_RECORDS = 1 << 16  # unpacked at a time: a bit takes a byte then
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,12 @@ def serialise(stream: Stream) -> bytes:
     return MAGIC + bytes([VERSION]) + struct.pack(">I", zlib.crc32(body)) + bytes(body)
 
 
-def parse(data: bytes) -> Stream:
-    """The syntax elements of a file. Raises BitstreamError for anything but a whole, intact file."""
+def parse(data: bytes, max_pixels: int | None = None) -> Stream:
+    """The syntax elements of a file.
+
+    Raises BitstreamError for anything but a whole, intact file, and for a picture of more than max_pixels
+    before anything behind the header is read.
+    """
     if len(data) < HEADER_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
     if data[:3] != MAGIC:
@@ -150,6 +155,9 @@ def parse(data: bytes) -> Stream:
     at = sum(f.bytes for f in HEADER)
     profile = next(name for name, code in PROFILE_CODES.items() if code == header["profile"])
     size = header["width"], header["height"], header["position_bits"]
+    pixels = header["width"] * header["height"]
+    if max_pixels is not None and pixels > max_pixels:
+        raise BitstreamError(f"{size[0]} x {size[1]} pixels are more than the limit of {max_pixels}")
     if header["groups"] == 0:
         if len(body) != at:
             raise BitstreamError("the file has bytes after its end")
@@ -162,6 +170,8 @@ def parse(data: bytes) -> Stream:
         group = _read_fields(GROUP, body[at : at + GROUP_BYTES])
         counts.append((group["bitwidth"], group["gaussians"]))
         at += GROUP_BYTES
+    if sum(n for _, n in counts) > pixels:
+        raise BitstreamError(f"the file claims more Gaussians than its picture's {pixels} pixels")
     return Stream(profile, *size, *tables, _read_groups(body[at:], header["position_bits"], counts))
 
 
@@ -215,19 +225,27 @@ def _read_groups(data: memoryview, position_bits: int, counts: list[tuple[int, i
     total = sum(n * _record_bits(position_bits, bitwidth) for bitwidth, n in counts)
     if len(data) != -(-total // 8):
         raise BitstreamError(f"the file holds {len(data)} bytes of records, its header says {-(-total // 8)}")
-    bits = np.unpackbits(np.frombuffer(data, np.uint8))
-    if bits[total:].any():
+    if total % 8 and data[-1] & 0xFF >> total % 8:
         raise BitstreamError("the file's padding is not zero")
     groups, at = [], 0
     for bitwidth, n in counts:
+        table = np.empty((n, 7), np.uint16)
         length = _record_bits(position_bits, bitwidth)
-        rows = bits[at : at + n * length].reshape(n, length)
-        columns, start = [], 0
-        for width in _widths(position_bits, bitwidth):
-            weights = (1 << np.arange(width)[::-1]).astype(np.float32)  # float: a fast product, exact to 2^24
-            columns.append(rows[:, start : start + width] @ weights)
-            start += width
-        table = np.stack(columns, axis=1).astype(np.uint16)
+        for first in range(0, n, BLOCK_RECORDS):
+            block = table[first : first + BLOCK_RECORDS]
+            _read_records(data, at + first * length, _widths(position_bits, bitwidth), block)
         groups.append(Group(bitwidth, table[:, :2], table[:, 2:5], table[:, 5:].astype(np.uint8)))
         at += n * length
     return tuple(groups)
+
+
+def _read_records(data: memoryview, at: int, widths: tuple[int, ...], out: NDArray[np.uint16]) -> None:
+    """Fill out [n, 7] with the elements of the records that begin at bit `at`."""
+    end = at + len(out) * sum(widths)
+    bits = np.unpackbits(np.frombuffer(data[at // 8 : -(-end // 8)], np.uint8))
+    rows = bits[at % 8 :][: end - at].reshape(len(out), -1)
+    start = 0
+    for column, width in enumerate(widths):
+        weights = (1 << np.arange(width)[::-1]).astype(np.float32)  # float: a fast product, exact to 2^24
+        out[:, column] = rows[:, start : start + width] @ weights
+        start += width

@@ -8,10 +8,12 @@ from typing import Literal, get_args
 
 from sgmethod.errors import BudgetError
 
-BudgetKind = Literal["bpp", "bytes", "psnr", "gaussians"]
+BudgetKind = Literal["bpp", "bytes", "psnr", "quality", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 
 MAX_PSNR_DB = 60.0  # 8-bit rounding alone leaves 58.9 dB; asking for more has no meaning
+
+MAX_QUALITY = 100.0
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,8 @@ class Budget:
 
     kind "bpp" (file bits per pixel) and "bytes" (file size) are upper limits that the file never
     exceeds; "psnr" (dB, whole picture, 8-bit RGB) is the quality to reach with as few bytes as the
-    profile manages; "gaussians" is the number of Gaussians.
+    profile manages; "quality" (above 0 to 100, profile rd) sets how fine everything is quantised, and with it
+    what a Gaussian has to gain to be kept; "gaussians" is the number of Gaussians, with profile rd at most.
 
     Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
     """
@@ -35,13 +38,15 @@ class Budget:
             raise BudgetError(f"{self.kind} must be a positive number, got {self.value}")
         if self.kind in ("bytes", "gaussians") and self.value != int(self.value):
             raise BudgetError(f"{self.kind} must be a whole number, got {self.value}")
+        if self.kind == "quality" and self.value > MAX_QUALITY:
+            raise BudgetError(f"quality must be at most {MAX_QUALITY:g}, got {self.value}")
         if self.kind == "psnr" and self.value > MAX_PSNR_DB:
             raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {self.value}")
 
     def max_bytes(self, width: int, height: int) -> int | None:
         """Largest file size in bytes this budget allows for an image, or None where it sets no size."""
         if self.kind == "bytes":
-            return int(self.value)
+            return int(min(self.value, 1e15))  # no file is as large; a whole number of 300 digits fits no float
         if self.kind == "bpp":
             return int(min(self.value, 1e6) * width * height / 8)
         return None

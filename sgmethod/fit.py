@@ -14,15 +14,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from sgmethod.budget import Budget
+from sgmethod.errors import BudgetError
 from sgmethod.gaussians import FloatArray, Gaussians
 from sgmethod.native_module import native
-from sgmethod.profiles import Settings
+from sgmethod.profiles import OptimiserSettings, Settings
 from sgmethod.trace import Progress, TracePoint
 
 REPORT_INTERVAL_S = 0.1
-PATIENCE = 0.3  # part of the planned steps without progress after which a fit has converged
+PERFECT_MSE = 1e-9  # 90 dB: nothing is left to fit
 PROGRESS_DB = 0.01  # what counts as progress
 
 
@@ -56,6 +59,41 @@ class Recorder:
         self.points.append(point)
         if self.on_progress:
             self.on_progress(point)
+
+
+RESERVE_S = 0.1  # plus RESERVE_S_PER_MEGAPIXEL, kept back of a time limit for writing and measuring the file
+RESERVE_S_PER_MEGAPIXEL = 0.4
+
+
+@dataclass(frozen=True)
+class Task:
+    """One encode as asked for: pixels [H, W, 3] in [0, 1], and what encode() was given with them."""
+
+    pixels: FloatArray
+    budget: Budget
+    profile: str
+    seed: int
+    recorder: Recorder
+
+    def until_s(self) -> float | None:
+        """The second, on the recorder's clock, at which fitting must be over; None without a time limit."""
+        limit = self.recorder.clock.limit_s
+        if limit is None:
+            return None
+        megapixels = float(self.pixels.shape[0] * self.pixels.shape[1]) / 1e6
+        return limit - RESERVE_S - RESERVE_S_PER_MEGAPIXEL * megapixels
+
+    def source(self) -> NDArray[np.uint8]:
+        """The picture at 8 bits, against which a result is measured."""
+        levels: NDArray[np.uint8] = np.round(self.pixels * 255).astype(np.uint8)
+        return levels
+
+    def gaussians_asked(self) -> int:
+        """The budget as a number of Gaussians. Raises BudgetError if it is more than pixels."""
+        pixels = self.pixels.shape[0] * self.pixels.shape[1]
+        if self.budget.value > pixels:
+            raise BudgetError(f"{int(self.budget.value)} Gaussians are more than the image's {pixels} pixels")
+        return int(self.budget.value)
 
 
 @dataclass
@@ -103,6 +141,12 @@ class Picture:
         raster.backward(colors, self._grad, out.means, out.factors, out.colors)
         return mse, out
 
+    def residual(self, p: Parameters) -> Tensor:
+        """Target minus picture [3, H, W]."""
+        image = torch.empty_like(self.target)
+        self.rasterise(p.means, p.factors).render(p.colors.contiguous(), image)
+        return self.target - image
+
     def solve_colors(self, means: Tensor, factors: Tensor, steps: int, damping: float = 1e-2) -> Tensor:
         """Colours [N, 3] near the least-squares solution for fixed geometry: the image is linear in them.
 
@@ -134,14 +178,35 @@ class Picture:
         return colors
 
 
+def add_energy_gradient(p: Parameters, grad: Parameters, weight: float) -> None:
+    """Add the gradient of weight * sum |c|^2 pi l1 l3: what an error proportional to each colour would cost, and
+    so a price on large colours that cancel each other."""
+    area = math.pi * weight * p.factors[:, 0] * p.factors[:, 2]
+    energy = p.colors.square().sum(1) * area
+    grad.colors += 2 * p.colors * area[:, None]
+    grad.factors[:, 0] += energy / p.factors[:, 0]
+    grad.factors[:, 2] += energy / p.factors[:, 2]
+
+
 class FrameAdam:
     """Adam on (d, S, colour), 8 numbers a Gaussian (see the module's text)."""
 
-    def __init__(self, n: int, settings: Settings) -> None:
+    def __init__(self, n: int, settings: OptimiserSettings) -> None:
         s = settings
         self.rates = torch.tensor([s.mean_rate] * 2 + [s.factor_rate] * 3 + [s.color_rate] * 3)
         self.beta1, self.beta2, self.min_scale = s.beta1, s.beta2, s.min_scale_px
-        self.first, self.second, self.age = torch.zeros(n, 8), torch.zeros(n, 8), 0
+        self.first, self.second = torch.zeros(n, 8), torch.zeros(n, 8)
+        self.age = torch.zeros(n, 1)  # steps of each Gaussian: those that come later start their averages anew
+
+    def select(self, index: Tensor) -> None:
+        """Keep the Gaussians of these rows."""
+        self.first, self.second, self.age = self.first[index], self.second[index], self.age[index]
+
+    def extend(self, count: int) -> None:
+        """Append new Gaussians."""
+        self.first = torch.cat([self.first, torch.zeros(count, 8)])
+        self.second = torch.cat([self.second, torch.zeros(count, 8)])
+        self.age = torch.cat([self.age, torch.zeros(count, 1)])
 
     def step(self, p: Parameters, grad: Parameters, rate: float) -> None:
         """Move p, in place, against its gradients; rate scales all rates."""
@@ -154,7 +219,7 @@ class FrameAdam:
         self.first.mul_(self.beta1).add_(g, alpha=1 - self.beta1)
         self.second.mul_(self.beta2).addcmul_(g, g, value=1 - self.beta2)
         scale = (self.second / (1 - self.beta2**self.age)).sqrt_().add_(1e-15)
-        move = self.first / scale * (self.rates * (-rate / (1 - self.beta1**self.age)))
+        move = self.first / scale * (self.rates * -rate) / (1 - self.beta1**self.age)
         p.means = p.means + torch.stack([l1 * move[:, 0], l2 * move[:, 0] + l3 * move[:, 1]], 1)
         grow1, grow3 = torch.exp(move[:, 2]), torch.exp(move[:, 4])
         l1, l2, l3 = l1 * grow1, l2 * grow1 + l3 * move[:, 3], l3 * grow3
@@ -164,17 +229,19 @@ class FrameAdam:
 
 @dataclass(frozen=True)
 class Plan:
-    """One phase of an encode: its name in the trace, its steps, and the second at which it must be over."""
+    """One phase of an encode: its name in the trace, its steps, the second at which it must be over, and the part
+    of it without progress after which it has converged."""
 
     phase: str
     steps: int
     until_s: float | None = None
+    patience: float = 0.3
 
 
 def run(
-    plan: Plan, recorder: Recorder, step: Callable[[float], tuple[float, tuple[int, int]]], final_rate: float
+    plan: Plan, recorder: Recorder, step: Callable[[float, float], tuple[float, tuple[int, int]]], final_rate: float
 ) -> int:
-    """Repeat step(rate) -> (mse, counts) while the rate falls along a cosine from 1 to final_rate.
+    """Repeat step(rate, progress) -> (mse, counts); the rate falls along a cosine from 1 to final_rate.
 
     The schedule follows the steps or the time, whichever is further, so that a time limit shortens the
     schedule instead of cutting it off. Ends early when the error has stopped falling. Returns the steps done.
@@ -184,7 +251,7 @@ def run(
     progress = 0.0
     while progress < 1:
         rate = final_rate + (1 - final_rate) * 0.5 * (1 + math.cos(math.pi * progress))
-        mse, counts = step(rate)
+        mse, counts = step(rate, progress)
         done += 1
         progress = done / plan.steps
         if plan.until_s is not None:
@@ -192,7 +259,9 @@ def run(
         recorder.report(plan.phase, done if progress < 1 else plan.steps, plan.steps, mse, counts)
         if mse < best * 10 ** (-PROGRESS_DB / 10):
             best, best_at = mse, progress
-        elif progress - best_at > PATIENCE:
+        elif progress - best_at > plan.patience:
+            break
+        if mse < PERFECT_MSE:
             break
     return done
 
@@ -205,8 +274,9 @@ def fit(
     p.colors = picture.solve_colors(p.means, p.factors, settings.color_solve_steps)
     adam = FrameAdam(len(start), settings)
 
-    def step(rate: float) -> tuple[float, tuple[int, int]]:
+    def step(rate: float, _: float) -> tuple[float, tuple[int, int]]:
         mse, grad = picture.gradients(p)
+        add_energy_gradient(p, grad, settings.lambda_e / picture.target.numel())
         adam.step(p, grad, rate)
         return mse, (len(start), 0)
 

@@ -1,4 +1,4 @@
-"""Image files to arrays, and arrays to PNG.
+"""Image files to arrays.
 
 read_header looks at a file without decoding a pixel of it; read_image decodes it. The same rules hold for
 both, and whatever they refuse is an ImageError with one clear sentence:
@@ -24,15 +24,12 @@ from __future__ import annotations
 
 import io
 import logging
-import os
-import secrets
 import sys
 import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -55,9 +52,6 @@ TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # TIFF tags, and two of their values
 NEW_SUBFILE_TYPE, BITS_PER_SAMPLE, PHOTOMETRIC, ORIENTATION, PLANAR = 254, 258, 262, 274, 284
 WHITE_IS_ZERO, APART = 0, 2
-
-# Level 4 writes kodim23 in 42 ms and is 2 % larger than Pillow's default, level 6, which takes 102 ms.
-PNG_COMPRESS_LEVEL = 4
 
 # Pillow's classes are called directly: Image.open would try its other formats, follow a JPEG into its second
 # picture, and apply a pixel limit of its own through a global and a warning.
@@ -141,42 +135,6 @@ def read_image(data: bytes, limits: ImageLimits = DEFAULT_LIMITS) -> Float32Arra
     pixels = _over_white(samples)
     # Pillow's TIFF reader has already turned the picture.
     return pixels if isinstance(reader, TiffImageFile) else _turn(pixels, orientation)
-
-
-def encode_png(pixels: npt.NDArray[np.uint8]) -> bytes:
-    """The bytes of an 8-bit RGB PNG file of pixels, uint8 [H, W, 3]; ValueError on another shape or type."""
-    if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
-        raise ValueError(f"pixels must be uint8 [H, W, 3], got {pixels.dtype} {list(pixels.shape)}")
-    file = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(file, "PNG", compress_level=PNG_COMPRESS_LEVEL)
-    return file.getvalue()
-
-
-def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write data to path, which then holds all of it or, after any failure, what it held before.
-
-    The bytes go to a new file beside the target and to the disk, and only then take its name. A link is
-    followed; a device or pipe is written directly. Raises OSError, having removed the new file.
-    """
-    target = Path(path).resolve()
-    if target.exists() and not target.is_file():
-        target.write_bytes(data)
-        return
-    temporary = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
-    try:
-        with temporary.open("xb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    directory = os.open(target.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)  # the new name reaches the disk too
-    finally:
-        os.close(directory)
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import struct
 import time
 import zlib
@@ -18,7 +17,8 @@ from PIL import Image
 
 from sgmethod import image
 from sgmethod.errors import ImageError
-from sgmethod.image import ImageHeader, ImageLimits, encode_png, read_header, read_image, write_atomically
+from sgmethod.files import encode_png
+from sgmethod.image import ImageHeader, ImageLimits, read_header, read_image
 
 DATA = Path(__file__).parent / "data"
 PHOTO = Image.open(DATA / "kodim05-crop.png").convert("RGB").crop((20, 30, 68, 62))  # 48 x 32
@@ -38,8 +38,7 @@ def png(width: int, height: int, depth: int, colour: int, rows: bytes, *extra: t
     chunks = [(b"IHDR", header), *(c for c in extra if c[0] != b"eXIf"), (b"IDAT", zlib.compress(rows))]
     chunks += [*(c for c in extra if c[0] == b"eXIf"), (b"IEND", b"")]
     return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
-        for name, body in chunks
+        struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body)) for name, body in chunks
     )
 
 
@@ -296,9 +295,7 @@ REFUSED = {
     "huge tiff": tiff(4_000_000_000, 4_000_000_000, 8, b""),
     "huge tiff, compressed": tiff(60_000, 60_000, 8, b"\0" * 99, t259=5),
     "huge jpeg": KINDS["jpeg"].replace(struct.pack(">HH", 32, 48), b"\xff\xff\xff\xff"),
-    "huge webp": saved("WEBP", exif=exif_with(6)).replace(
-        bytes([47, 0, 0, 31, 0, 0]), b"\xff\xff\0\xff\xff\0"
-    ),
+    "huge webp": saved("WEBP", exif=exif_with(6)).replace(bytes([47, 0, 0, 31, 0, 0]), b"\xff\xff\0\xff\xff\0"),
     "huge bmp": bmp(2_000_000_000, 2_000_000_000),
     "negative width": bmp(-48, 32, bytes(4608)),
     "most negative": bmp(-(2**31), -(2**31)),
@@ -362,41 +359,3 @@ def test_flipped_bits_raise_only_image_errors(kind: str, flips: list[tuple[float
     assert np.all((pixels >= 0) & (pixels <= 1))
     if kind.startswith("png") and bytes(data) != KINDS[kind]:
         assert np.array_equal(pixels, read_image(KINDS[kind]))
-
-
-def test_encode_png_refuses_other_arrays() -> None:
-    for pixels in (np.zeros((2, 2, 4), np.uint8), np.zeros((2, 2), np.uint8), np.zeros((0, 2, 3), np.uint8)):
-        with pytest.raises(ValueError, match="uint8"):
-            encode_png(pixels)
-    with pytest.raises(ValueError, match="float64"):
-        encode_png(np.zeros((2, 2, 3)))  # type: ignore[arg-type]
-
-
-def test_write_atomically(tmp_path: Path) -> None:
-    target = tmp_path / "out.png"
-    for data in (b"first", b"second"):
-        write_atomically(target, data)
-        assert target.read_bytes() == data
-    link = tmp_path / "link.png"
-    link.symlink_to(target)
-    write_atomically(link, b"third")
-    assert link.is_symlink()
-    assert target.read_bytes() == b"third"
-    write_atomically(os.devnull, b"gone")
-    assert not Path(os.devnull).is_file()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.png", "out.png"]
-
-
-def test_a_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full_disk(_: int) -> None:
-        raise OSError("no space left")
-
-    target = tmp_path / "out.png"
-    target.write_bytes(b"before")
-    monkeypatch.setattr(os, "fsync", full_disk)
-    with pytest.raises(OSError, match="no space"):
-        write_atomically(target, b"after")
-    assert target.read_bytes() == b"before"
-    assert list(tmp_path.iterdir()) == [target]
-    with pytest.raises(OSError, match="missing"):
-        write_atomically(tmp_path / "missing" / "out.png", b"x")

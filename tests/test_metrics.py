@@ -43,17 +43,13 @@ def disturbed(pixels: np.ndarray, strength: int) -> np.ndarray:
         (330, 171, 5, 0.998592977),
     ],
 )
-def test_ms_ssim_agrees_with_the_published_package(
-    height: int, width: int, strength: int, expected: float
-) -> None:
+def test_ms_ssim_agrees_with_the_published_package(height: int, width: int, strength: int, expected: float) -> None:
     a = picture(height, width)
     b = disturbed(a, strength)
     assert ms_ssim(a, b) == pytest.approx(expected, abs=AGREEMENT)
     assert ms_ssim(b, a) == pytest.approx(expected, abs=AGREEMENT)
     assert ms_ssim(a / 255, b / 255) == pytest.approx(expected, abs=AGREEMENT)
-    assert ms_ssim((a / 255).astype(np.float32), (b / 255).astype(np.float32)) == pytest.approx(
-        expected, abs=AGREEMENT
-    )
+    assert ms_ssim((a / 255).astype(np.float32), (b / 255).astype(np.float32)) == pytest.approx(expected, abs=AGREEMENT)
 
 
 def test_ms_ssim_of_equal_pictures_is_one() -> None:

@@ -50,7 +50,7 @@ function report(job) {
   const last = job.trace.at(-1);
   if (!last) return say("starting the encoder");
   const psnr = last.psnr === null ? "" : `, ${last.psnr.toFixed(2)} dB`;
-  return say(`step ${last.step} of ${last.steps}${psnr}, ${last.seconds.toFixed(1)} s`);
+  return say(`${last.phase}, step ${last.step} of ${last.steps}${psnr}, ${last.seconds.toFixed(1)} s`);
 }
 
 function show(job) {

@@ -1,6 +1,7 @@
 // Translation between Python arrays and the kernels; no arithmetic here.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 
 #include <algorithm>
@@ -8,6 +9,7 @@
 #include "kernels.h"
 #include "loss.h"
 #include "rasterization.h"
+#include "rd_codec.h"
 #include "thread_pool.h"
 
 namespace nb = nanobind;
@@ -32,6 +34,13 @@ void require(bool condition, const char* message) {
 template <typename Array>
 void require_size(const Array& image, int width, int height) {
   require(image.shape(1) == static_cast<size_t>(height) && image.shape(2) == static_cast<size_t>(width), "image has another size");
+}
+
+template <size_t Columns>
+nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>> own(const std::vector<float>& values) {
+  auto* copy = new std::vector<float>(values);
+  nb::capsule owner(copy, [](void* p) noexcept { delete static_cast<std::vector<float>*>(p); });
+  return nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>(copy->data(), {copy->size() / Columns, Columns}, owner);
 }
 
 sg::Rasterization* make(Rows<2> means, Rows<3> factors, int width, int height, int isa, int64_t max_pairs) {
@@ -64,14 +73,17 @@ NB_MODULE(_native, m) {
              nb::gil_scoped_release release;
              r.render(colors.data(), image.data());
            })
-      .def("render_bytes",
-           [](const sg::Rasterization& r, Rows<3> colors, BytesOut image) {
+      .def(
+          "render_bytes",
+          [](const sg::Rasterization& r, Rows<3> colors, BytesOut image, std::tuple<float, float, float> background) {
              require(colors.shape(0) == static_cast<size_t>(r.gaussians()), "one colour per Gaussian");
              require(image.shape(0) == static_cast<size_t>(r.height()) && image.shape(1) == static_cast<size_t>(r.width()),
                      "image has another size");
+             const float below[3] = {std::get<0>(background), std::get<1>(background), std::get<2>(background)};
              nb::gil_scoped_release release;
-             r.render_bytes(colors.data(), image.data());
-           })
+             r.render_bytes(colors.data(), below, image.data());
+           },
+          "colors"_a, "image"_a, "background"_a = std::make_tuple(0.0f, 0.0f, 0.0f))
       .def("backward", [](const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> out) {
         const auto n = static_cast<size_t>(r.gaussians());
         require(colors.shape(0) == n && means.shape(0) == n && factors.shape(0) == n && out.shape(0) == n, "one row per Gaussian");
@@ -95,4 +107,32 @@ NB_MODULE(_native, m) {
         }
         return std::make_tuple(value.mse, value.geometry);
       });
+
+  nb::class_<sg::RdParameters>(m, "RdParameters")
+      .def(
+          "__init__",
+          [](sg::RdParameters* p, int width, int height, double quantum, bool grey, bool upright) {
+            require(width > 0 && height > 0 && quantum > 0, "parameters must be positive");
+            new (p) sg::RdParameters{width, height, quantum, grey, upright};
+          },
+          "width"_a, "height"_a, "quantum"_a, "grey"_a = false, "upright"_a = false);
+  m.def("rd_quantise", [](const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,
+                          RowsOut<3> out_factors, RowsOut<3> out_colors) {
+    const auto n = means.shape(0);
+    require(factors.shape(0) == n && colors.shape(0) == n && out_means.shape(0) == n && out_factors.shape(0) == n &&
+                out_colors.shape(0) == n, "one row per Gaussian");
+    nb::gil_scoped_release release;
+    sg::rd_quantise(p, means.data(), factors.data(), colors.data(), static_cast<int>(n), out_means.data(), out_factors.data(),
+                    out_colors.data());
+  });
+  m.def("rd_encode", [](const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors) {
+    const auto n = means.shape(0);
+    require(factors.shape(0) == n && colors.shape(0) == n, "one row per Gaussian");
+    const std::vector<uint8_t> bytes = sg::rd_encode(p, means.data(), factors.data(), colors.data(), static_cast<int>(n));
+    return nb::bytes(bytes.data(), bytes.size());
+  });
+  m.def("rd_decode", [](const sg::RdParameters& p, nb::bytes data, bool prefix) {
+    const sg::GaussianArrays decoded = sg::rd_decode(p, static_cast<const uint8_t*>(data.data()), data.size(), prefix);
+    return std::make_tuple(own<2>(decoded.means), own<3>(decoded.factors), own<3>(decoded.colors));
+  }, "parameters"_a, "data"_a, "prefix"_a = false);
 }

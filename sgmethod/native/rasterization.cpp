@@ -17,6 +17,7 @@ constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;
 constexpr int kChunk = 256;       // Gaussians per binning task
 constexpr int kMaxSegment = 16;   // rows; the recurrence's relative error stays below 16^2 / 2 * 6e-8
 constexpr float kMargin = 0.01f;  // pixels by which a footprint is widened: far more than its rounding error
+constexpr float kReach = 3.31662479f;  // sqrt(2 kCutoff): the ellipse in units of its own axes
 constexpr double kMaxDecay = 80.0;  // exp(-80): a neighbouring row is far outside the ellipse by then
 
 // A lane with sigma <= kCutoff somewhere in a segment of `rows` has |z2| < sqrt(2 kCutoff) + rows / l3 at its
@@ -39,6 +40,12 @@ bool drawable(const float* mean, const float* factor) {
          std::isfinite(1.0f / (factor[2] * factor[2])) && std::isfinite(factor[1] / factor[0]);
 }
 
+// At least the number of tiles that the box around an ellipse touches; not a number where it overflows.
+float box_tiles(const float* l) {
+  const float width = 2.0f * kReach * l[0], height = 2.0f * kReach * std::sqrt(l[1] * l[1] + l[2] * l[2]);
+  return (width / kTileWidth + 2.1f) * (height / kTileHeight + 2.1f);
+}
+
 // Splits [0, count) into tasks of `chunk`.
 template <typename Body>
 void parallel_chunks(int count, int chunk, const Body& body) {
@@ -46,8 +53,10 @@ void parallel_chunks(int count, int chunk, const Body& body) {
                [&](int i) { body(i * chunk, std::min(count, (i + 1) * chunk), i); });
 }
 
+// A value that is not a number, which geometry beyond single precision can come to, gives low.
 int clamp_to_int(float v, int low, int high) {
-  return static_cast<int>(std::clamp(v, static_cast<float>(low), static_cast<float>(high)));
+  if (!(v > static_cast<float>(low))) return low;
+  return v < static_cast<float>(high) ? static_cast<int>(v) : high;
 }
 
 }  // namespace
@@ -58,17 +67,23 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, in
       blocks_((height + kTileHeight - 1) / kTileHeight), isa_(isa), footprints_(n), factors_(factors, factors + 3 * static_cast<int64_t>(n)) {
   const int chunks = (n + kChunk - 1) / kChunk;
   const int tiles = strips_ * blocks_;
-  std::vector<Bin> bins(chunks);
-  std::atomic<int64_t> total{0};
-  parallel_chunks(n, kChunk, [&](int first, int last, int chunk) {
-    for (int i = first; i < last && total.load(std::memory_order_relaxed) <= max_pairs; ++i) {
-      footprints_[i] = prepare(means + 2 * static_cast<int64_t>(i), factors + 3 * static_cast<int64_t>(i));
-      const size_t before = bins[chunk].pairs.size();
-      if (footprints_[i].segment != 0) bin(i, bins[chunk]);
-      total.fetch_add(static_cast<int64_t>(bins[chunk].pairs.size() - before), std::memory_order_relaxed);
+  std::atomic<int64_t> at_most{0};
+  parallel_chunks(n, kChunk, [&](int first, int last, int) {
+    int64_t sum = 0;
+    for (int i = first; i < last; ++i) {
+      const float* factor = factors + 3 * static_cast<int64_t>(i);
+      footprints_[i] = prepare(means + 2 * static_cast<int64_t>(i), factor);
+      if (footprints_[i].segment != 0)
+        sum += static_cast<int64_t>(std::min(static_cast<float>(tiles), box_tiles(factor)));
     }
+    at_most.fetch_add(sum, std::memory_order_relaxed);
   });
-  if (total > max_pairs) throw std::overflow_error("too many pairs of Gaussian and tile");
+  if (at_most > max_pairs && pairs_up_to(max_pairs) > max_pairs)
+    throw std::overflow_error("too many pairs of Gaussian and tile");
+  std::vector<Bin> bins(chunks);
+  parallel_chunks(n, kChunk, [&](int first, int last, int chunk) {
+    for (int i = first; i < last; ++i) bin(i, bins[chunk]);
+  });
 
   // Counting sort by tile; chunks in order, so that each tile's Gaussians come in order of index.
   tile_start_.assign(tiles + 1, 0);
@@ -80,8 +95,8 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, in
     }
   for (int t = 0; t < tiles; ++t) tile_start_[t + 1] += tile_start_[t];
   for (int i = 0; i < n; ++i) pair_start_[i + 1] += pair_start_[i];
-  pairs_.resize(total);
-  pair_places_.resize(total);
+  pairs_.resize(tile_start_[tiles]);
+  pair_places_.resize(tile_start_[tiles]);
   std::vector<int64_t> next(tile_start_.begin(), tile_start_.end() - 1);
   int64_t place = 0;
   for (const Bin& bin : bins)
@@ -105,17 +120,22 @@ Footprint Rasterization::prepare(const float* mean, const float* factor) const {
   return f;
 }
 
-// The rows an ellipse covers within one strip: with half = sqrt(2 kCutoff), the edge above dx is
-// shear dx + l3 sqrt(half^2 - (dx / l1)^2), concave, with its summit at dx = half l1 l2 / sqrt(l2^2 + l3^2).
-void Rasterization::bin(int gaussian, Bin& bin) const {
+// The rows an ellipse covers within one strip: the edge above dx is
+// shear dx + l3 sqrt(kReach^2 - (dx / l1)^2), concave, with its summit at dx = kReach l1 l2 / sqrt(l2^2 + l3^2).
+// Calls visit(strip, first row, last row) for each strip in which there are any; returns the strips looked at.
+template <typename Visit>
+int Rasterization::spans(int gaussian, const Visit& visit) const {
   const Footprint& f = footprints_[gaussian];
+  if (f.segment == 0) return 0;
   const float* l = factors_.data() + 3 * static_cast<int64_t>(gaussian);
-  const float half = std::sqrt(2.0f * kCutoff);
-  const float reach = half * l[0];
-  const float summit = reach * l[1] / std::sqrt(l[1] * l[1] + l[2] * l[2]);
+  const float reach = kReach * l[0];
+  const float height = std::sqrt(l[1] * l[1] + l[2] * l[2]);
+  const float summit = reach * l[1] / height;
+  const float beyond = kReach * 1.001f * height + 1.0f;  // far more than any rounding error
+  if (f.y + beyond < 0.0f || f.y - beyond > static_cast<float>(height_)) return 0;
   const auto edge = [&](float dx) {
     const float z = dx * f.inv_l1;
-    return l[2] * std::sqrt(std::max(half * half - z * z, 0.0f));
+    return l[2] * std::sqrt(std::max(kReach * kReach - z * z, 0.0f));
   };
   const int s0 = clamp_to_int(std::floor((f.x - reach - kMargin - 0.5f) / kTileWidth), 0, strips_);
   const int s1 = clamp_to_int(std::floor((f.x + reach + kMargin) / kTileWidth), -1, strips_ - 1);
@@ -127,12 +147,32 @@ void Rasterization::bin(int gaussian, Bin& bin) const {
     const float bottom = f.y + f.shear * bottom_dx + edge(bottom_dx) + kMargin;
     const int row0 = clamp_to_int(std::ceil(top - 0.5f), 0, height_);
     const int row1 = clamp_to_int(std::floor(bottom - 0.5f), -1, height_ - 1);
+    if (row0 <= row1) visit(strip, row0, row1);
+  }
+  return std::max(s1 - s0 + 1, 0);
+}
+
+int64_t Rasterization::pairs_up_to(int64_t limit) const {
+  std::atomic<int64_t> total{0};
+  parallel_chunks(n_, kChunk, [&](int first, int last, int) {
+    for (int i = first; i < last && total.load(std::memory_order_relaxed) <= limit; ++i) {
+      int64_t pairs = 0;
+      const int strips =
+          spans(i, [&](int, int row0, int row1) { pairs += row1 / kTileHeight - row0 / kTileHeight + 1; });
+      total.fetch_add(std::max<int64_t>(pairs, strips), std::memory_order_relaxed);
+    }
+  });
+  return total;
+}
+
+void Rasterization::bin(int gaussian, Bin& bin) const {
+  spans(gaussian, [&](int strip, int row0, int row1) {
     for (int base = row0 / kTileHeight * kTileHeight; base <= row1; base += kTileHeight) {
       bin.pairs.push_back({gaussian, static_cast<int16_t>(std::max(row0 - base, 0)),
                            static_cast<int16_t>(std::min(row1 - base, kTileHeight - 1))});
       bin.tiles.push_back(base / kTileHeight * strips_ + strip);
     }
-  }
+  });
 }
 
 void Rasterization::render(const float* colors, float* image) const {
@@ -149,9 +189,10 @@ void Rasterization::render(const float* colors, float* image) const {
   });
 }
 
-void Rasterization::render_bytes(const float* colors, uint8_t* image) const {
+void Rasterization::render_bytes(const float* colors, const float* background, uint8_t* image) const {
   parallel_for(strips_ * blocks_, [&](int tile) {
-    alignas(64) float acc[kTileFloats] = {};
+    alignas(64) float acc[kTileFloats];
+    for (int i = 0; i < kTileFloats; ++i) acc[i] = background[i / kTileWidth % 3];
     kernels(isa_).forward(*this, tile, colors, acc);
     const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
     const int columns = std::min(kTileWidth, width_ - x0), rows = std::min(kTileHeight, height_ - y0);

@@ -47,8 +47,8 @@ class Rasterization {
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;
-  // image [height, width, 3], clamped to [0, 1] and rounded to 8 bits.
-  void render_bytes(const float* colors, uint8_t* image) const;
+  // image [height, width, 3]: background [3] plus the Gaussians, clamped to [0, 1] and rounded to 8 bits.
+  void render_bytes(const float* colors, const float* background, uint8_t* image) const;
   // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
   void backward(const float* colors, const float* image_grad, const Gradients& out) const;
 
@@ -68,7 +68,12 @@ class Rasterization {
     std::vector<int32_t> tiles;  // the tile of each pair
   };
   Footprint prepare(const float* mean, const float* factor) const;
+  template <typename Visit>
+  int spans(int gaussian, const Visit& visit) const;
   void bin(int gaussian, Bin& bin) const;
+  // What all Gaussians come to, counted until it exceeds the limit: each its pairs, or the strips looked at for
+  // them where those are more. Takes no memory.
+  int64_t pairs_up_to(int64_t limit) const;
 
   int n_, width_, height_, strips_, blocks_, isa_;
   std::vector<Footprint> footprints_;

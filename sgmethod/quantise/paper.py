@@ -64,16 +64,18 @@ class Tuner:
             seed=job.seed,
         )
         self.position_bits = torch.tensor([float(s.position_bits)])
+        tail = s.range_quantile
         self.ranges = [
             self.p.means.amin(0),
             self.p.means.amax(0),
-            self.p.factors.amin(0),
-            self.p.factors.amax(0),
+            self.p.factors.quantile(tail, dim=0),
+            self.p.factors.quantile(1 - tail, dim=0),
         ]
         self.soft_bits = (
             self._sensitivity_bits() if s.adaptive_bitwidth else torch.full((self.n, 1), float(s.min_bitwidth))
         )
         self.shift = 0.0
+        self.steps = 0
         rates = [
             r.abs().amax().item() * s.range_rate for r in (self._span(0), self._span(0), self._span(2), self._span(2))
         ]
@@ -122,10 +124,11 @@ class Tuner:
         index = self.book.assign(self.p.colors)
         return Parameters(means, factors, self.book.lookup(index)), index
 
-    def step(self, rate: float) -> tuple[float, tuple[int, int]]:
+    def step(self, rate: float, _progress: float = 0.0) -> tuple[float, tuple[int, int]]:
         """One step of all parameters; returns the quantised picture's error and (Gaussians, record bits)."""
-        if self.adam.age % FIT_BUDGET_EVERY == 0:
+        if self.steps % FIT_BUDGET_EVERY == 0:
             self.fit_budget()
+        self.steps += 1
         leaves = [self.p.means, self.p.factors, *self.ranges, self.soft_bits]
         for leaf in leaves:
             leaf.requires_grad_()

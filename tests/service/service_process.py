@@ -97,7 +97,10 @@ class Service:
         assert self.process.stdout is not None
         with self.process.stdout as output:
             announcement = output.readline()
-        assert announcement.startswith("sgmethod service on http"), self.log.read_text()
+        if not announcement.startswith("sgmethod service on http"):
+            self.process.kill()
+            self.process.wait()
+            raise AssertionError(self.log.read_text())
         self.url = announcement.split()[3].rstrip(",")
         self.client = httpx.Client(base_url=self.url, timeout=PATIENCE_S)
 

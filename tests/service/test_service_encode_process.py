@@ -79,9 +79,7 @@ def test_last_words(script: str, words: str) -> None:
         assert process.last_words() == words
 
 
-@pytest.mark.parametrize(
-    "frame", ["b'Z' + bytes(4)", "b'T' + bytes([255] * 4)", "b'T' + bytes([0, 0, 0, 1]) + b'{'"]
-)
+@pytest.mark.parametrize("frame", ["b'Z' + bytes(4)", "b'T' + bytes([255] * 4)", "b'T' + bytes([0, 0, 0, 1]) + b'{'"])
 def test_nonsense(frame: str) -> None:
     with child(f"out.write({frame})") as process, pytest.raises(ValueError, match=r"frame|Expecting"):
         messages_of(process)

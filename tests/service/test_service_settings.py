@@ -30,9 +30,7 @@ def no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
 def run(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "service", *arguments]
     everything = {**os.environ, **environment}
-    return subprocess.run(
-        command, cwd=ROOT, env=everything, capture_output=True, text=True, timeout=60, check=False
-    )
+    return subprocess.run(command, cwd=ROOT, env=everything, capture_output=True, text=True, timeout=60, check=False)
 
 
 def expected_row(name: str, field: Any) -> str:
@@ -73,9 +71,7 @@ def test_threads_can_be_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Settings().encode_threads == 7
 
 
-@pytest.mark.parametrize(
-    ("text", "cores"), [("max 100000", 8), ("250000 100000", 2), ("50000 100000", 1), ("?", 8)]
-)
+@pytest.mark.parametrize(("text", "cores"), [("max 100000", 8), ("250000 100000", 2), ("50000 100000", 1), ("?", 8)])
 def test_a_containers_processor_quota_counts(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, cores: int
 ) -> None:

@@ -58,9 +58,7 @@ def test_a_failed_write_leaves_nothing(storage: DiskStorage, monkeypatch: pytest
     assert files(storage) == []
 
 
-def test_everything_is_synced_before_put_returns(
-    storage: DiskStorage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_everything_is_synced_before_put_returns(storage: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rule 1: the file's bytes before the rename, the folder after it."""
     steps: list[str] = []
     sync, rename = os.fsync, Path.replace

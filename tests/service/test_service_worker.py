@@ -104,9 +104,7 @@ def test_two_attempts_and_one_result(backend: Unsteady, worker: Worker, claim: C
     assert (tmp_path / key).read_bytes() == b"of the second"
 
 
-def test_a_lost_answer_loses_no_result(
-    backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path
-) -> None:
+def test_a_lost_answer_loses_no_result(backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path) -> None:
     """Rule 7: publishing is tried again, and an update that had happened all the same counts."""
     backend.lost_answers = 2
     worker._conclude(claim, Encoded({"bytes": 4}, b"data"))

@@ -1,0 +1,34 @@
+// Profile rd: Gaussians <-> bytes. The model of the stream is written once, for both directions (rd_codec.cpp).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace sg {
+
+struct RdParameters {
+  int width, height;
+  double quantum;   // error energy of one step of any parameter, square-rooted; image in [0, 1]
+  bool grey;        // no chroma in the stream
+  bool upright;     // no shear in the stream
+};
+
+struct GaussianArrays {
+  std::vector<float> means, factors, colors;  // [n, 2], [n, 3], [n, 3]
+};
+
+// The values that decoding an encoding of the given Gaussians would give, in the order given; Gaussians whose
+// colour rounds to nothing get colour 0. means [n, 2], factors [n, 3], colors [n, 3].
+void rd_quantise(const RdParameters& parameters, const float* means, const float* factors, const float* colors, int n,
+                 float* out_means, float* out_factors, float* out_colors);
+
+// The payload's bytes. Gaussians whose colour rounds to nothing are left out.
+std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* means, const float* factors, const float* colors,
+                               int n);
+
+// Throws std::runtime_error on data that no encoder writes. With prefix = true, data may be cut anywhere: the
+// Gaussians up to there are returned.
+GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix);
+
+}  // namespace sg

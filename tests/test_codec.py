@@ -1,0 +1,349 @@
+"""encode(): budgets kept, figures true, odd pictures and bad budgets met, the same seed giving the same file."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+
+import sgmethod
+from sgmethod import Budget, BudgetError, Encoded, ImageError, TracePoint, codec, decode, encode, info
+from sgmethod.budget import BudgetKind
+from sgmethod.fit import Clock
+from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.profiles import BASELINE, PAPER, PROFILES
+
+FloatArray = NDArray[np.float32]
+DATA = Path(__file__).parent / "data"
+BOTH = ("paper", "baseline")
+
+
+@pytest.fixture(autouse=True)
+def short_profiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Encodes of a fraction of a second: what is tested here does not hang on quality."""
+    for name, settings in zip(BOTH, (PAPER, BASELINE), strict=True):
+        monkeypatch.setitem(PROFILES, name, replace(settings, fit_steps=120, tune_steps=80))
+
+
+@cache
+def photo(name: str = "kodim23-crop") -> FloatArray:
+    return np.asarray(Image.open(DATA / f"{name}.png").convert("RGB"), np.float32) / 255
+
+
+def small() -> FloatArray:
+    return photo()[20:52, 40:88]
+
+
+def source(pixels: FloatArray) -> NDArray[np.uint8]:
+    return np.round(pixels * 255).astype(np.uint8)
+
+
+def noise(height: int, width: int) -> FloatArray:
+    return np.random.default_rng(0).random((height, width, 3)).astype(np.float32)
+
+
+def assert_true_figures(encoded: Encoded, pixels: FloatArray) -> None:
+    """What the result says of itself is what its bytes come to."""
+    stats, decoded = encoded.stats, decode(encoded.data)
+    height, width = pixels.shape[:2]
+    assert decoded.shape == pixels.shape
+    assert stats.bytes == len(encoded.data) == info(encoded.data)["bytes"]
+    assert stats.bpp == 8 * len(encoded.data) / (width * height)
+    assert (stats.width, stats.height) == (width, height)
+    assert stats.psnr == psnr(decoded, source(pixels))
+    assert stats.ms_ssim == ms_ssim(decoded, source(pixels))
+    assert stats.gaussians == info(encoded.data)["gaussians"]
+    assert stats.profile == info(encoded.data)["profile"]
+
+
+# --- budgets
+
+
+@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("picture", ["kodim23-crop", "kodim05-crop", "kodim04-crop"])
+def test_a_rate_is_kept_and_used(picture: str, profile: str) -> None:
+    encoded = encode(photo(picture), Budget("bpp", 1.0), profile)
+    assert_true_figures(encoded, photo(picture))
+    assert 0.95 <= encoded.stats.bpp <= 1.0
+
+
+@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("size", [300, 500, 901, 2000])
+def test_a_size_is_kept_and_used(size: int, profile: str) -> None:
+    encoded = encode(photo(), Budget("bytes", size), profile)
+    assert_true_figures(encoded, photo())
+    assert 0.95 * size <= len(encoded.data) <= size
+
+
+@pytest.mark.parametrize("profile", BOTH)
+def test_more_bytes_give_a_better_picture(profile: str) -> None:
+    quality = [encode(photo(), Budget("bytes", size), profile).stats.psnr for size in (300, 700, 1600)]
+    assert quality[0] + 1 < quality[1] < quality[2] - 1
+
+
+@pytest.mark.parametrize("profile", BOTH)
+def test_a_number_of_gaussians_is_met(profile: str) -> None:
+    for n in (1, 2, 50):
+        encoded = encode(small(), Budget("gaussians", n), profile)
+        assert_true_figures(encoded, small())
+        assert encoded.stats.gaussians == n
+
+
+def test_as_many_gaussians_as_pixels() -> None:
+    pixels = noise(5, 7)
+    assert encode(pixels, Budget("gaussians", 35), "paper").stats.gaussians == 35
+    encoded = encode(pixels, Budget("bytes", 100_000), "paper")
+    assert_true_figures(encoded, pixels)
+    assert encoded.stats.gaussians <= 35
+
+
+@pytest.mark.parametrize("profile", BOTH)
+def test_a_quality_is_reached_with_a_file_to_match(profile: str) -> None:
+    encoded = [encode(photo(), Budget("psnr", db), profile) for db in (20, 26)]
+    for db, each in zip((20, 26), encoded, strict=True):
+        assert_true_figures(each, photo())
+        assert each.stats.psnr >= db
+    assert len(encoded[0].data) < 0.5 * len(encoded[1].data)  # 0.12 and 0.22 seen
+
+
+def test_a_quality_out_of_reach_gives_the_best_found() -> None:
+    pixels = noise(12, 16)
+    encoded = encode(pixels, Budget("psnr", 60), "paper")
+    assert_true_figures(encoded, pixels)
+    assert encoded.stats.psnr < 60
+    ends = [a.psnr for a, b in pairwise(encoded.trace) if a.phase == "tune" and b.phase != "tune"]
+    assert len(ends) > 1
+    assert encoded.stats.psnr > max(ends) - 0.5
+
+
+@pytest.mark.parametrize("kind", ["bpp", "bytes", "psnr", "gaussians"])
+@pytest.mark.parametrize("value", [0, -1, -0.0, math.nan, math.inf, -math.inf])
+def test_a_budget_is_a_positive_number(kind: str, value: float) -> None:
+    with pytest.raises(BudgetError, match="positive"):
+        Budget(kind, value)  # type: ignore[arg-type]
+
+
+def test_budgets_that_no_file_can_meet() -> None:
+    for kind, value in (("bytes", 1.5), ("gaussians", 2.5), ("psnr", 61), ("dollars", 1)):
+        with pytest.raises(BudgetError):
+            Budget(kind, value)  # type: ignore[arg-type]
+    for budget in (Budget("bytes", 1), Budget("bytes", 20), Budget("bytes", 150), Budget("bpp", 1e-9)):
+        for profile in BOTH:
+            with pytest.raises(BudgetError, match="takes at least"):
+                encode(small(), budget, profile)
+    with pytest.raises(BudgetError, match="more than the image's 35 pixels"):
+        encode(noise(5, 7), Budget("gaussians", 36), "paper")
+
+
+@pytest.mark.parametrize("profile", BOTH)
+def test_the_smallest_size_named_is_possible(profile: str) -> None:
+    with pytest.raises(BudgetError) as refused:
+        encode(small(), Budget("bytes", 30), profile)
+    named = re.search(r"at least (\d+) bytes", str(refused.value))
+    assert named
+    least = int(named[1])
+    encoded = encode(small(), Budget("bytes", least), profile)
+    assert_true_figures(encoded, small())
+    assert len(encoded.data) <= least
+    with pytest.raises(BudgetError):
+        encode(small(), Budget("bytes", least - 1), profile)
+
+
+def test_other_bad_arguments() -> None:
+    for limit in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(BudgetError, match="time limit"):
+            encode(small(), Budget("bpp", 1), "paper", time_limit_s=limit)
+    with pytest.raises(BudgetError, match="unknown profile"):
+        encode(small(), Budget("bpp", 1), "poster")
+
+
+# --- pictures
+
+ODD = {
+    "one pixel": lambda: np.full((1, 1, 3), 0.3, np.float32),
+    "one white pixel": lambda: np.ones((1, 1, 3), np.float32),
+    "two pixels": lambda: np.float32([[[0, 0.5, 1]], [[1, 0.5, 0]]]),
+    "row of 4096": lambda: noise(1, 4096),
+    "column of 4096": lambda: np.tile(np.float32(0.5), (4096, 1, 3)),
+    "black": lambda: np.zeros((40, 30, 3), np.float32),
+    "grey": lambda: np.full((40, 30, 3), 0.5, np.float32),
+    "white": lambda: np.ones((40, 30, 3), np.float32),
+    "noise": lambda: noise(40, 30),
+    "checkerboard": lambda: np.repeat(np.indices((40, 30)).sum(0) % 2, 3).reshape(40, 30, 3).astype(np.float32),
+}
+
+
+@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("name", ODD)
+def test_odd_pictures(name: str, profile: str) -> None:
+    pixels = ODD[name]()
+    single = encode(pixels, Budget("gaussians", 1), profile)
+    assert_true_figures(single, pixels)
+    assert single.stats.gaussians == 1
+    encoded = encode(pixels, Budget("bytes", 600), profile)
+    assert_true_figures(encoded, pixels)
+    assert len(encoded.data) <= 600
+    flat = -10 * math.log10(max(float(pixels.var((0, 1)).mean()), 1e-3))  # dB of the mean colour alone, at most 30
+    assert encoded.stats.psnr > flat - 1  # worst seen 0.0 above it, on the checkerboard
+
+
+def test_black_is_black() -> None:
+    encoded = encode(np.zeros((40, 30, 3), np.float32), Budget("bytes", 400), "paper")
+    assert not decode(encoded.data).any()
+    assert encoded.stats.psnr == math.inf
+    assert json.loads(json.dumps(encoded.stats.to_dict(), allow_nan=False))["psnr"] is None
+
+
+def test_ms_ssim_is_that_of_the_file_where_it_is_defined() -> None:
+    pixels = np.repeat(np.repeat(photo(), 2, 0), 2, 1)[:170, :180]
+    encoded = encode(pixels, Budget("bytes", 600), "paper")
+    assert_true_figures(encoded, pixels)
+    assert encoded.stats.ms_ssim is not None
+
+
+def test_arrays_of_other_types_hold_the_same_picture() -> None:
+    budget = Budget("bytes", 400)
+    expected = encode(small(), budget, "paper").data
+    for same in (small().astype(np.float64), np.asfortranarray(small()), small()[::-1][::-1]):
+        assert encode(same, budget, "paper").data == expected
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        np.zeros((4, 5)),
+        np.zeros((4, 5, 1)),
+        np.zeros((4, 5, 4)),
+        np.zeros((2, 4, 5, 3)),
+        np.zeros((0, 5, 3)),
+        np.zeros((4, 0, 3)),
+        np.zeros((1, 65_536, 3)),
+        np.full((4, 5, 3), -1e-3),
+        np.full((4, 5, 3), 1.001),
+        np.full((4, 5, 3), np.nan),
+        np.full((4, 5, 3), np.inf),
+        np.full((4, 5, 3), 255, np.uint8),
+        np.full((4, 5, 3), 0.5 + 0.5j),
+        np.full((4, 5, 3), "0.5"),
+        np.full((4, 5, 3), None),
+    ],
+    ids=lambda a: f"{a.dtype} {a.shape} {a.flat[0] if a.size else ''}",
+)
+def test_arrays_that_are_no_image(wrong: NDArray[np.float32]) -> None:
+    with pytest.raises(ImageError):
+        encode(wrong, Budget("bytes", 400), "paper")
+
+
+# --- trace, time, seed, abandoning
+
+
+@pytest.mark.parametrize("profile", BOTH)
+def test_the_trace_runs_through_all_phases(profile: str) -> None:
+    seen: list[TracePoint] = []
+    encoded = encode(small(), Budget("bytes", 400), profile, on_progress=seen.append)
+    assert encoded.trace == seen
+    phases = [p.phase for p in seen]
+    assert list(dict.fromkeys(phases)) == ["fit", "tune", "done"]
+    assert phases.count("done") == 1
+    for a, b in pairwise(seen):
+        assert b.seconds >= a.seconds
+        assert b.step > a.step or b.phase != a.phase
+    last = seen[-1]
+    assert last.bits == 8 * len(encoded.data)
+    assert last.gaussians == encoded.stats.gaussians
+    assert last.psnr == pytest.approx(encoded.stats.psnr, abs=1e-3)
+    assert last.step == last.steps == encoded.stats.steps
+    assert encoded.stats.seconds >= last.seconds - 1e-4  # the trace rounds to that
+
+
+@pytest.mark.parametrize(("kind", "value"), [("bytes", 400), ("psnr", 60)])
+def test_a_time_limit_shortens_the_encode(kind: BudgetKind, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    clocks: list[SlowClock] = []
+
+    class SlowClock(Clock):
+        """Each look at it takes a hundredth of a second."""
+
+        def __init__(self, limit_s: float | None = None) -> None:
+            super().__init__(limit_s)
+            self.now = 0.0
+            clocks.append(self)
+
+        def seconds(self) -> float:
+            self.now += 0.01
+            return self.now
+
+    monkeypatch.setattr(codec, "Clock", SlowClock)
+    encoded = encode(small(), Budget(kind, value), "paper", time_limit_s=2.0)
+    assert_true_figures(encoded, small())
+    assert 10 < encoded.stats.steps < 100
+    assert {p.phase for p in encoded.trace} == {"fit", "tune", "done"}
+    (clock,) = clocks
+    assert clock.now < 2.2
+
+
+def test_a_limit_too_short_for_anything_still_gives_a_file() -> None:
+    for budget in (Budget("bytes", 400), Budget("psnr", 30)):
+        encoded = encode(small(), budget, "paper", time_limit_s=1e-6)
+        assert_true_figures(encoded, small())
+        assert encoded.stats.steps <= 8
+
+
+@pytest.mark.parametrize("profile", BOTH)
+def test_the_seed_decides(profile: str) -> None:
+    budget = Budget("bytes", 400)
+    one, same, other = (encode(small(), budget, profile, seed=seed).data for seed in (3, 3, 4))
+    assert one == same
+    assert one != other
+
+
+def test_the_file_does_not_depend_on_threads() -> None:
+    before = sgmethod.native_module.native.thread_count()
+    files = []
+    try:
+        for threads in (1, 3):
+            sgmethod.set_threads(threads)
+            files.append(encode(small(), Budget("bytes", 400), "paper").data)
+    finally:
+        sgmethod.set_threads(before)
+    assert files[0] == files[1]
+
+
+def test_the_picture_is_left_as_it_was() -> None:
+    pixels = small().copy()
+    pixels.setflags(write=False)
+    encode(pixels, Budget("bytes", 300), "paper")
+    assert np.array_equal(pixels, small())
+
+
+@pytest.fixture
+def torch_threads() -> Iterator[int]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    yield 3
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("phase", ["fit", "tune", "done"])
+def test_an_encode_can_be_abandoned(phase: str, torch_threads: int) -> None:
+    def abandon(point: TracePoint) -> None:
+        if point.phase == phase:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        encode(small(), Budget("bytes", 400), "paper", on_progress=abandon)
+    assert torch.get_num_threads() == torch_threads
+    assert torch.is_grad_enabled()
+    fresh = encode(small(), Budget("bytes", 400), "paper").data
+    assert fresh == encode(small(), Budget("bytes", 400), "paper").data
+    assert torch.get_num_threads() == torch_threads

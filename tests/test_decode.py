@@ -1,0 +1,215 @@
+"""Bytes to pixels: golden pixels, the same on every instruction set and for every number of threads; limits."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sgmethod import BitstreamError, decode, info, set_threads
+from sgmethod.bitstream import PROFILE_CODES, Group, Stream, parse, serialise
+from sgmethod.decode import dequantise, render_pixels
+from sgmethod.gaussians import Gaussians
+from sgmethod.native_module import native
+
+DATA = Path(__file__).parent / "data"
+GOLDEN = sorted(path.stem for path in DATA.glob("v1-*.sg"))
+ISAS = range(native.best_isa() + 1)
+
+
+def golden(name: str) -> bytes:
+    return (DATA / f"{name}.sg").read_bytes()
+
+
+def scattered(n: int, width: int, height: int) -> Gaussians:
+    """Gaussians of all sizes, shapes and signs in and around a picture."""
+    rng = np.random.default_rng(n)
+    means = rng.uniform(-0.2, 1.2, (n, 2)) * (width, height)
+    factors = np.exp(rng.uniform(-1.5, 3.5, (n, 3))) * (1, 0.5, 1) * rng.choice([-1, 1], (n, 3)) ** [0, 1, 0]
+    colors = rng.normal(0.1, 0.3, (n, 3))
+    return Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
+
+
+def wide(n: int, width: int, height: int, *, scale_px: float, positions: tuple[float, float] = (0, 1)) -> bytes:
+    """A file of n Gaussians of one scale; positions is the range of both coordinates, in pixels."""
+    rng = np.random.default_rng(0)
+    positions_of, factors = rng.integers(0, 4096, (n, 2)), rng.integers(0, 64, (n, 3))
+    group = Group(
+        6, positions_of.astype(np.uint16), factors.astype(np.uint16), rng.integers(0, 8, (n, 2)).astype(np.uint8)
+    )
+    factor_range = np.array([[scale_px] * 2, [-scale_px, scale_px], [scale_px] * 2], np.float32)
+    codebooks = rng.normal(0, 1, (2, 8, 3)).astype(np.float16)
+    return serialise(
+        Stream("paper", width, height, 12, np.array([positions] * 2, np.float32), factor_range, codebooks, (group,))
+    )
+
+
+@pytest.fixture
+def restored_threads() -> Iterator[None]:
+    before = native.thread_count()
+    yield
+    set_threads(before)
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_pixels(name: str) -> None:
+    """Exact: tests/make_golden.py wrote these pictures when the streams were made."""
+    pixels = decode(golden(name))
+    expected = np.asarray(Image.open(DATA / f"{name}.png"))
+    assert pixels.dtype == np.uint8
+    assert pixels.flags.c_contiguous
+    assert np.array_equal(pixels, expected)
+
+
+@pytest.mark.usefixtures("restored_threads")
+@pytest.mark.parametrize("name", [*GOLDEN, "scattered"])
+def test_pixels_are_the_same_everywhere(name: str) -> None:
+    """Bit by bit, for each instruction set this processor has and several numbers of threads."""
+    if name == "scattered":
+        gaussians, width, height = scattered(700, 301, 203), 301, 203
+    else:
+        stream = parse(golden(name))
+        gaussians, width, height = dequantise(stream), stream.width, stream.height
+    expected = render_pixels(gaussians, width, height)
+    assert expected.shape == (height, width, 3)
+    for threads in (1, 2, 3, 8):
+        set_threads(threads)
+        for isa in ISAS:
+            pixels = np.full((height, width, 3), 77, np.uint8)
+            raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, isa=isa)
+            raster.render_bytes(gaussians.colors, pixels)
+            assert np.array_equal(pixels, expected), (threads, isa)
+        assert np.array_equal(render_pixels(gaussians, width, height), expected)
+
+
+def test_levels_are_computed_in_double_and_rounded_once() -> None:
+    stream = parse(golden("v1-every-bitwidth"))
+    gaussians = dequantise(stream)
+    at = 0
+    for group in stream.groups:
+        for k, (codes, bits, low, high) in enumerate(
+            [(group.positions[:, i], stream.position_bits, *stream.position_range[i]) for i in range(2)]
+            + [(group.factors[:, i], group.bitwidth, *stream.factor_range[i]) for i in range(3)]
+        ):
+            found = np.concatenate([gaussians.means, gaussians.factors], 1)[at : at + len(codes), k]
+            for code, value in zip(codes.tolist(), found, strict=True):
+                step = (float(high) - float(low)) / (2**bits - 1)
+                assert value == np.float32(float(low) + code * step)
+        at += len(group.positions)
+    assert at == len(gaussians) == stream.gaussians
+
+
+def test_a_file_without_gaussians_is_black() -> None:
+    assert decode(golden("v1-empty")).tolist() == np.zeros((5, 7, 3)).tolist()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 4096), (4096, 1), (65_535, 1), (1, 65_535)])
+def test_thin_pictures(size: tuple[int, int]) -> None:
+    pixels = decode(wide(1, *size, scale_px=40.0, positions=(0.5, 0.5)))
+    assert pixels.shape == (size[1], size[0], 3)
+    assert not pixels[-200:, -200:].any() or max(size) < 200  # the Gaussian is at the other end
+
+
+def test_info() -> None:
+    for name in GOLDEN:
+        data = golden(name)
+        stream, fields = parse(data), info(data)
+        json.dumps(fields, allow_nan=False)
+        assert fields["bytes"] == len(data)
+        assert fields["bpp"] == 8 * len(data) / (stream.width * stream.height)
+        assert fields["version"] == data[3]
+        assert fields["checksum"] == data[4:8].hex()
+        assert PROFILE_CODES[str(fields["profile"])] == data[8]
+        for field in ("width", "height", "position_bits", "gaussians"):
+            assert fields[field] == getattr(stream, field)
+        bits = fields["bits"]
+        assert isinstance(bits, dict)
+        assert list(bits) == ["headers", "positions", "covariances", "colors"]
+        assert sum(bits.values()) == 8 * len(data)
+        assert fields["groups"] == [{"bitwidth": g.bitwidth, "gaussians": len(g.positions)} for g in stream.groups]
+
+
+def test_decoding_loads_no_encoder() -> None:
+    script = (
+        "import sys, sgmethod\n"
+        f"data = open({str(DATA / 'v1-paper.sg')!r}, 'rb').read()\n"
+        "sgmethod.decode(data), sgmethod.info(data)\n"
+        "print(*{'torch', 'cv2', 'skimage', 'scipy', 'PIL'} & sys.modules.keys())\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == ""
+
+
+def test_the_limit_of_pixels() -> None:
+    data = wide(1, 100, 50, scale_px=9.0)
+    assert decode(data, max_pixels=5000).shape == (50, 100, 3)
+    with pytest.raises(BitstreamError, match="limit of 4999"):
+        decode(data, max_pixels=4999)
+    huge = wide(1, 65_535, 65_535, scale_px=9.0)
+    with pytest.raises(BitstreamError, match="65535 x 65535 pixels"):
+        decode(huge)
+    assert info(huge)["width"] == 65_535
+
+
+HOSTILE = {
+    "every Gaussian covers 100 megapixels": wide(40_000, 10_000, 10_000, scale_px=1e5),
+    "every Gaussian spans all columns, and is seen in few": wide(
+        60_000, 65_535, 1_525, scale_px=1e6, positions=(-3.2e6, -3.1e6)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_overlap_is_refused_before_it_costs(name: str, tmp_path: Path) -> None:
+    """In a process of its own, whose memory tells: refusing takes less than the picture's 300 MB by far."""
+    path = tmp_path / "hostile.sg"
+    path.write_bytes(HOSTILE[name])
+    script = (
+        "import re, sys, time, sgmethod\n"
+        "peak = lambda: int(re.search(r'VmHWM:\\s*(\\d+) kB', open('/proc/self/status').read())[1]) // 1024\n"
+        "data, before, began = open(sys.argv[1], 'rb').read(), peak(), time.perf_counter()\n"
+        "try:\n"
+        "    sgmethod.decode(data)\n"
+        "except sgmethod.BitstreamError as error:\n"
+        "    print(peak() - before, time.perf_counter() - began, error)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, check=True, timeout=60)
+    megabytes, seconds, why = run.stdout.split(maxsplit=2)
+    assert "overlap" in why
+    assert int(megabytes) < 60
+    assert float(seconds) < 2
+
+
+EXTREMES = [0.0, 1e-45, -1e-45, 1e-20, 1.0, -1.0, 1e6, -1e6, 1e19, -1e19, 1e38, -1e38, 3.4e38, -3.4e38]
+
+
+def test_geometry_beyond_single_precision_is_harmless() -> None:
+    """Extremes as ranges of means and factors: some pixels or a refusal, and never a crash or a hang."""
+    rng = np.random.default_rng(0)
+    n = 64
+    group = Group(
+        16,
+        rng.integers(0, 4096, (n, 2)).astype(np.uint16),
+        rng.integers(0, 65_536, (n, 3)).astype(np.uint16),
+        rng.integers(0, 8, (n, 2)).astype(np.uint8),
+    )
+    codebooks = np.full((2, 8, 3), 65_504, np.float16)
+    codebooks[:, ::2] *= -1
+    drawn = 0
+    began = time.perf_counter()
+    for _ in range(3000):
+        ranges = rng.choice(EXTREMES, (5, 2)).astype(np.float32)
+        data = serialise(Stream("paper", 40, 70, 12, ranges[:2], ranges[2:], codebooks, (group,)))
+        try:
+            drawn += int(decode(data).any())
+        except BitstreamError as error:
+            assert "overlap" in str(error)
+    assert drawn > 50
+    assert time.perf_counter() - began < 30
