@@ -10,6 +10,7 @@ alone too. All configurations take turns in every round, so that a busy moment o
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -29,6 +30,7 @@ from sgmethod.profiles import PAPER
 
 SIZE = (768, 512)
 TARGETS_MS = {"forward": 2.0, "forward + backward": 8.0}  # best instruction set, two cores
+BUSY = 0.5  # load of the last minute above which the cores are not ours alone
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 
 
@@ -144,12 +146,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "kernels.json")
     options = parser.parse_args()
     name, image = load(options.images)
+    load_before = os.getloadavg()[0]
     spreads = measure(Jobs(fitted(image, options.gaussians, options.steps)), options.rounds)
     where = origin()
     setup = {"picture": name, "size": SIZE, "gaussians": options.gaussians, "fit_steps": options.steps}
-    write_json(options.out, {**where, **setup, "rounds": options.rounds, "times": [vars(s) for s in spreads]})
+    setup |= {"rounds": options.rounds, "load_before": load_before}
+    write_json(options.out, {**where, **setup, "times": [vars(s) for s in spreads]})
     print(f"{options.gaussians} Gaussians fitted to {name} at {SIZE[0]} x {SIZE[1]}, {options.rounds} rounds\n")
     print(table(spreads), *verdicts(spreads), in_words(where), sep="\n\n")
+    if load_before > BUSY:
+        print(f"\nOther processes were running (load {load_before:.1f}): times with all threads are too long.")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ The pipeline, in the order in which it runs; each module imports only from those
     placement   structure-guided start
     bitstream   version 1 of the file (profiles paper, baseline): syntax elements <-> bytes
     bitstream_rd  version 2 (profile rd)
+    view        any size, any part
     decode      bytes -> Gaussians -> pixels
     metrics     PSNR, MS-SSIM
     fit         the optimiser, its schedule and its trace
@@ -35,9 +36,10 @@ from typing import TYPE_CHECKING, Any
 
 from sgmethod.budget import Budget
 from sgmethod.decode import decode, info
-from sgmethod.errors import BitstreamError, BudgetError, ImageError, NativeModuleError, SgError
+from sgmethod.errors import BitstreamError, BudgetError, ImageError, NativeModuleError, SgError, ViewError
 from sgmethod.native_module import native
 from sgmethod.trace import TracePoint
+from sgmethod.view import View
 
 if TYPE_CHECKING:
     from sgmethod.codec import Encoded, Stats, encode
@@ -52,6 +54,8 @@ __all__ = [
     "SgError",
     "Stats",
     "TracePoint",
+    "View",
+    "ViewError",
     "decode",
     "encode",
     "info",

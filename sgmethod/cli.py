@@ -39,7 +39,7 @@ BUDGET_HELP: dict[BudgetKind, tuple[str, str]] = {
     "bpp": ("F", f"at most so many bits per pixel ({DEFAULT_BUDGET.value} if no budget is given)"),
     "bytes": ("N", "at most so many bytes"),
     "psnr": ("DB", "this quality in as few bytes as can be found"),
-    "quality": ("Q", "a fineness, above 0 to 100"),
+    "quality": ("Q", "a fineness, above 0 to 100, of profile rd alone"),
     "gaussians": ("N", "this number of Gaussians"),
 }
 MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncompressed; a device never ends

@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from sgmethod import bitstream, bitstream_rd
 from sgmethod.bitstream import Stream
-from sgmethod.errors import BitstreamError
+from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.gaussians import Gaussians
 from sgmethod.native_module import native
+from sgmethod.view import View
 
+WHOLE = View()
 MAX_PIXELS = 100_000_000  # 300 MB of output; a header can claim any size, memory cannot follow any
 
 
@@ -56,16 +58,24 @@ def render_pixels(
     return pixels
 
 
-def decode(data: bytes, max_pixels: int = MAX_PIXELS) -> NDArray[np.uint8]:
-    """The picture in an .sg file: [height, width, 3], 8-bit RGB.
+def decode(data: bytes, max_pixels: int = MAX_PIXELS, view: View = WHOLE) -> NDArray[np.uint8]:
+    """The picture in an .sg file, or a view of it: [height, width, 3], 8-bit RGB.
 
-    Raises BitstreamError for bytes that are not a whole, intact file, or a picture of more than max_pixels.
+    Raises BitstreamError for bytes that are not a whole, intact file, or a picture or view of more than max_pixels;
+    ViewError for a view that makes no picture of it.
     """
     if _version(data) == bitstream_rd.VERSION:
         coded = bitstream_rd.parse(data, max_pixels)
-        return render_pixels(coded.gaussians(), coded.width, coded.height, coded.background)
-    stream = bitstream.parse(data, max_pixels)
-    return render_pixels(dequantise(stream), stream.width, stream.height)
+        size, gaussians, background = (coded.width, coded.height), coded.gaussians(view.prefix), coded.background
+    else:
+        stream = bitstream.parse(data, max_pixels)
+        if view.prefix < 1:
+            raise ViewError(f"profile {stream.profile} has no order that a prefix could follow")
+        size, gaussians, background = (stream.width, stream.height), dequantise(stream), (0, 0, 0)
+    width, height = view.size(*size)
+    if width * height > max_pixels:
+        raise BitstreamError(f"{width} x {height} pixels are more than the limit of {max_pixels}")
+    return render_pixels(view.apply(gaussians, *size), width, height, background)
 
 
 def _version(data: bytes) -> int:

@@ -3,6 +3,7 @@
 SgError                 anything this package refuses, with one clear sentence
 ├── ImageError          an input that is not an image we can read, or beyond the limits
 ├── BitstreamError      bytes that are not a whole, intact .sg file
+├── ViewError           a scale, region or prefix that makes no picture
 ├── BudgetError         a budget that is not a positive number, or too small for any file
 └── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
 """
@@ -18,6 +19,10 @@ class ImageError(SgError):
 
 class BitstreamError(SgError):
     """The bytes are not a valid bitstream."""
+
+
+class ViewError(SgError):
+    """The scale, region or prefix makes no picture."""
 
 
 class BudgetError(SgError):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import struct
 import zlib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -144,12 +146,17 @@ def test_budget_of_records() -> None:
         {"position_bits": 17},
     ],
 )
-def test_elements_out_of_range_are_never_written(element: dict[str, int]) -> None:
+def test_elements_out_of_range_are_never_written(element: dict[str, Any]) -> None:
     whole = stream(12, [(6, 3)])
     with pytest.raises(ValueError, match=next(iter(element))):
-        serialise(Stream(**{**vars(whole), **element}))
-    with pytest.raises(ValueError, match="bitwidth"):
-        serialise(Stream(**{**vars(whole), "groups": (Group(17, *(np.zeros((1, k), np.uint8) for k in (2, 3, 2))),)}))
+        serialise(replace(whole, **element))
+
+
+def test_bitwidths_out_of_range_are_never_written() -> None:
+    whole = stream(12, [(6, 3)])
+    for bitwidth in (0, 17):
+        with pytest.raises(ValueError, match="bitwidth"):
+            serialise(replace(whole, groups=(replace(whole.groups[0], bitwidth=bitwidth),)))
 
 
 @pytest.mark.parametrize("name", GOLDEN)

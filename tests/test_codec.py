@@ -22,17 +22,18 @@ from sgmethod import Budget, BudgetError, Encoded, ImageError, TracePoint, codec
 from sgmethod.budget import BudgetKind
 from sgmethod.fit import Clock
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.profiles import BASELINE, PAPER, PROFILES
+from sgmethod.profiles import BASELINE, PAPER, PROFILES, RD
 
 FloatArray = NDArray[np.float32]
 DATA = Path(__file__).parent / "data"
-BOTH = ("paper", "baseline")
+PROFILES_TESTED = ("rd", "paper", "baseline")
 
 
 @pytest.fixture(autouse=True)
 def short_profiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Encodes of a fraction of a second: what is tested here does not hang on quality."""
-    for name, settings in zip(BOTH, (PAPER, BASELINE), strict=True):
+    monkeypatch.setitem(PROFILES, "rd", replace(RD, steps=400))
+    for name, settings in (("paper", PAPER), ("baseline", BASELINE)):
         monkeypatch.setitem(PROFILES, name, replace(settings, fit_steps=120, tune_steps=80))
 
 
@@ -70,7 +71,7 @@ def assert_true_figures(encoded: Encoded, pixels: FloatArray) -> None:
 # --- budgets
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 @pytest.mark.parametrize("picture", ["kodim23-crop", "kodim05-crop", "kodim04-crop"])
 def test_a_rate_is_kept_and_used(picture: str, profile: str) -> None:
     encoded = encode(photo(picture), Budget("bpp", 1.0), profile)
@@ -78,7 +79,7 @@ def test_a_rate_is_kept_and_used(picture: str, profile: str) -> None:
     assert 0.95 <= encoded.stats.bpp <= 1.0
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 @pytest.mark.parametrize("size", [300, 500, 901, 2000])
 def test_a_size_is_kept_and_used(size: int, profile: str) -> None:
     encoded = encode(photo(), Budget("bytes", size), profile)
@@ -86,18 +87,19 @@ def test_a_size_is_kept_and_used(size: int, profile: str) -> None:
     assert 0.95 * size <= len(encoded.data) <= size
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_more_bytes_give_a_better_picture(profile: str) -> None:
     quality = [encode(photo(), Budget("bytes", size), profile).stats.psnr for size in (300, 700, 1600)]
     assert quality[0] + 1 < quality[1] < quality[2] - 1
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_a_number_of_gaussians_is_met(profile: str) -> None:
     for n in (1, 2, 50):
         encoded = encode(small(), Budget("gaussians", n), profile)
         assert_true_figures(encoded, small())
-        assert encoded.stats.gaussians == n
+        assert encoded.stats.gaussians <= n
+        assert encoded.stats.gaussians == n or profile == "rd"  # which adds one only where it pays
 
 
 def test_as_many_gaussians_as_pixels() -> None:
@@ -108,7 +110,7 @@ def test_as_many_gaussians_as_pixels() -> None:
     assert encoded.stats.gaussians <= 35
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_a_quality_is_reached_with_a_file_to_match(profile: str) -> None:
     encoded = [encode(photo(), Budget("psnr", db), profile) for db in (20, 26)]
     for db, each in zip((20, 26), encoded, strict=True):
@@ -127,7 +129,7 @@ def test_a_quality_out_of_reach_gives_the_best_found() -> None:
     assert encoded.stats.psnr > max(ends) - 0.5
 
 
-@pytest.mark.parametrize("kind", ["bpp", "bytes", "psnr", "gaussians"])
+@pytest.mark.parametrize("kind", ["bpp", "bytes", "psnr", "quality", "gaussians"])
 @pytest.mark.parametrize("value", [0, -1, -0.0, math.nan, math.inf, -math.inf])
 def test_a_budget_is_a_positive_number(kind: str, value: float) -> None:
     with pytest.raises(BudgetError, match="positive"):
@@ -135,21 +137,21 @@ def test_a_budget_is_a_positive_number(kind: str, value: float) -> None:
 
 
 def test_budgets_that_no_file_can_meet() -> None:
-    for kind, value in (("bytes", 1.5), ("gaussians", 2.5), ("psnr", 61), ("dollars", 1)):
+    for kind, value in (("bytes", 1.5), ("gaussians", 2.5), ("psnr", 61), ("quality", 101), ("dollars", 1)):
         with pytest.raises(BudgetError):
             Budget(kind, value)  # type: ignore[arg-type]
-    for budget in (Budget("bytes", 1), Budget("bytes", 20), Budget("bytes", 150), Budget("bpp", 1e-9)):
-        for profile in BOTH:
+    for budget in (Budget("bytes", 1), Budget("bytes", 16), Budget("bpp", 1e-9)):
+        for profile in PROFILES_TESTED:
             with pytest.raises(BudgetError, match="takes at least"):
                 encode(small(), budget, profile)
     with pytest.raises(BudgetError, match="more than the image's 35 pixels"):
         encode(noise(5, 7), Budget("gaussians", 36), "paper")
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_the_smallest_size_named_is_possible(profile: str) -> None:
     with pytest.raises(BudgetError) as refused:
-        encode(small(), Budget("bytes", 30), profile)
+        encode(small(), Budget("bytes", 5), profile)
     named = re.search(r"at least (\d+) bytes", str(refused.value))
     assert named
     least = int(named[1])
@@ -184,13 +186,13 @@ ODD = {
 }
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 @pytest.mark.parametrize("name", ODD)
 def test_odd_pictures(name: str, profile: str) -> None:
     pixels = ODD[name]()
     single = encode(pixels, Budget("gaussians", 1), profile)
     assert_true_figures(single, pixels)
-    assert single.stats.gaussians == 1
+    assert single.stats.gaussians <= 1
     encoded = encode(pixels, Budget("bytes", 600), profile)
     assert_true_figures(encoded, pixels)
     assert len(encoded.data) <= 600
@@ -248,13 +250,13 @@ def test_arrays_that_are_no_image(wrong: NDArray[np.float32]) -> None:
 # --- trace, time, seed, abandoning
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_the_trace_runs_through_all_phases(profile: str) -> None:
     seen: list[TracePoint] = []
     encoded = encode(small(), Budget("bytes", 400), profile, on_progress=seen.append)
     assert encoded.trace == seen
     phases = [p.phase for p in seen]
-    assert list(dict.fromkeys(phases)) == ["fit", "tune", "done"]
+    assert list(dict.fromkeys(phases)) == ["fit", "done"] if profile == "rd" else ["fit", "tune", "done"]
     assert phases.count("done") == 1
     for a, b in pairwise(seen):
         assert b.seconds >= a.seconds
@@ -299,7 +301,7 @@ def test_a_limit_too_short_for_anything_still_gives_a_file() -> None:
         assert encoded.stats.steps <= 8
 
 
-@pytest.mark.parametrize("profile", BOTH)
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_the_seed_decides(profile: str) -> None:
     budget = Budget("bytes", 400)
     one, same, other = (encode(small(), budget, profile, seed=seed).data for seed in (3, 3, 4))

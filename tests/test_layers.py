@@ -19,7 +19,7 @@ FACADE = {"__init__", "__main__"}  # the package's face and its command: they im
 
 EXPORTED = {
     *("BitstreamError", "Budget", "BudgetError", "Encoded", "ImageError", "NativeModuleError", "SgError", "Stats"),
-    *("TracePoint", "decode", "encode", "info", "set_threads"),
+    *("TracePoint", "View", "ViewError", "decode", "encode", "info", "set_threads"),
 }
 
 

@@ -27,7 +27,7 @@ class Bit {
   }
 
  private:
-  static constexpr int kFastShift = 4, kSlowShift = 7;
+  static constexpr int kFastShift = 4, kSlowShift = 6;
   uint16_t fast_ = 32768, slow_ = 32768;
   uint8_t seen_ = 1;
 };

@@ -199,9 +199,9 @@ void dequantise(const RdParameters& p, const Symbols& s, float* mean, float* fac
   to_rgb({s.y * color_step, s.a * color_step, s.b * color_step}, color);
 }
 
-// A non-negative integer: its number of bits in unary, then the bits below the top one, the first two modelled.
+// A non-negative integer (plus one): its number of bits in unary, then the bits below the top one, the first modelled.
 struct Magnitude {
-  Bit exponent[32], high[32], second[32][2];
+  Bit exponent[32], high[32];
 
   template <typename Coder>
   uint32_t code(Coder& coder, uint32_t value = 0) {
@@ -215,8 +215,7 @@ struct Magnitude {
     uint32_t top = 1;
     const uint32_t shifted = value + 1;
     if (e >= 1) top = top << 1 | coder.bit(high[e], (shifted >> (e - 1)) & 1);
-    if (e >= 2) top = top << 1 | coder.bit(second[e][top & 1], (shifted >> (e - 2)) & 1);
-    if (e >= 3) top = top << (e - 2) | coder.raw(shifted & ((1u << (e - 2)) - 1), e - 2);
+    if (e >= 2) top = top << (e - 1) | coder.raw(shifted & ((1u << (e - 1)) - 1), e - 1);
     return top - 1;
   }
 };
@@ -240,25 +239,23 @@ int level(int value) {  // of a magnitude, for contexts
   return v == 0 ? 0 : v <= 2 ? 1 : v <= 6 ? 2 : 3;
 }
 
-// All adaptive models of a stream, and the one order in which a Gaussian's integers are coded.
+// All adaptive models of a stream, and the one order in which a Gaussian's integers are coded. Few contexts: a small
+// picture has a few hundred symbols for each to learn from. Contexts by size class, by the neighbour along the curve or by
+// the sign of v were measured and cost more than they told (docs/design.md).
 struct Model {
-  static constexpr int kGroups = 6;  // of classes: contexts need symbols to learn from
-  Magnitude count, distance[12], luma_size[kGroups];
-  Bit luma_sign[kGroups][3];
-  Signed chroma_a[kGroups][4], chroma_b[kGroups][4];
-  Signed aspect[8], shear[8][4];
-
-  static int group(int size_class) { return std::clamp((size_class + 1) / 3, 0, kGroups - 1); }
+  Magnitude count, distance, luma_size;
+  Bit luma_sign;
+  Signed chroma_a[4], chroma_b[4];
+  Signed aspect[8], shear[8];
 
   template <typename Coder>
   void gaussian(Coder& coder, const RdParameters& p, Symbols& s) {
-    const int g = group(s.size_class);
-    const uint32_t luma = luma_size[g].code(coder, static_cast<uint32_t>(std::abs(s.y)));
+    const uint32_t luma = luma_size.code(coder, static_cast<uint32_t>(std::abs(s.y)));
     if (luma > static_cast<uint32_t>(kMaxColor)) throw std::runtime_error("a colour is out of range");
-    s.y = luma == 0 ? 0 : coder.bit(luma_sign[g][0], s.y < 0) ? -static_cast<int>(luma) : static_cast<int>(luma);
+    s.y = luma == 0 ? 0 : coder.bit(luma_sign, s.y < 0) ? -static_cast<int>(luma) : static_cast<int>(luma);
     if (!p.grey) {
-      s.a = chroma_a[g][level(s.y)].code(coder, s.a);
-      s.b = chroma_b[g][level(s.a)].code(coder, s.b);
+      s.a = chroma_a[level(s.y)].code(coder, s.a);
+      s.b = chroma_b[level(s.a)].code(coder, s.b);
     } else {
       s.a = s.b = 0;
     }
@@ -266,7 +263,7 @@ struct Model {
     const Shape shape = shape_of(s);
     s.u = coder.raw(s.u, shape.u_bits);
     s.v = aspect[shape.bucket].code(coder, s.v);
-    s.r = p.upright ? 0 : shear[shape.bucket][level(s.v)].code(coder, s.r);
+    s.r = p.upright ? 0 : shear[shape.bucket].code(coder, s.r);
     if (std::abs(s.v) > kMaxShape || std::abs(s.r) > kMaxShape || std::abs(s.v * shape.v_step) > 20.0)
       throw std::runtime_error("a shape is out of range");
     const Refinement bits = refinement_of(s, shape, geometry_of(s, shape));
@@ -275,10 +272,25 @@ struct Model {
   }
 };
 
-int exponent_of(uint32_t distance) {
-  int e = 0;
-  while ((distance + 1) >> (e + 1)) ++e;
-  return std::min(e, 11);
+// Low bits of a distance along the curve that are sent as they are: with `count` Gaussians scattered over the class's
+// cells the mean distance is cells / count, and a quarter of it is where modelling stops to pay.
+int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
+  const int bits = cell_bits(size_class);
+  const uint64_t cells = static_cast<uint64_t>((p.width >> bits) + 1 + 2 * kBorderCells) *
+                         static_cast<uint64_t>((p.height >> bits) + 1 + 2 * kBorderCells);
+  int result = 0;
+  for (uint64_t mean = cells / std::max(count, 1u); mean >= 8; mean /= 2) ++result;
+  return result;
+}
+
+// The Morton code of the next Gaussian of a class; 32 bits at most, or an error.
+template <typename Coder>
+uint32_t code_cell(Coder& coder, Model& model, int raw_bits, uint32_t previous, uint32_t cell = 0) {
+  const uint32_t distance = cell - previous;
+  const uint64_t high = model.distance.code(coder, distance >> raw_bits);
+  const uint64_t next = previous + (high << raw_bits) + coder.raw(distance & ((1u << raw_bits) - 1), raw_bits);
+  if (next > 0xFFFFFFFFull) throw std::runtime_error("a position is out of range");
+  return static_cast<uint32_t>(next);
 }
 
 }  // namespace
@@ -313,14 +325,11 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
   for (int c = kMaxClass; c >= kMinClass; --c) {
     size_t end = at;
     while (end < all.size() && all[end].size_class == c) ++end;
-    model.count.code(coder, static_cast<uint32_t>(end - at));
-    uint32_t previous = 0;
-    int context = 11;
-    for (; at < end; ++at) {
-      const uint32_t distance = all[at].cell - previous;
-      model.distance[context].code(coder, distance);
-      context = exponent_of(distance);
-      previous = all[at].cell;
+    const auto count = static_cast<uint32_t>(end - at);
+    model.count.code(coder, count);
+    const int raw_bits = raw_distance_bits(p, c, count);
+    for (uint32_t previous = 0; at < end; ++at) {
+      previous = code_cell(coder, model, raw_bits, previous, all[at].cell);
       model.gaussian(coder, p, all[at]);
     }
   }
@@ -340,11 +349,9 @@ GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size
       throw std::runtime_error("more Gaussians than the data can hold");
     Symbols s{};
     s.size_class = c;
-    int context = 11;
+    const int raw_bits = raw_distance_bits(p, c, count);
     for (uint32_t i = 0; i < count; ++i) {
-      const uint32_t distance = model.distance[context].code(coder);
-      context = exponent_of(distance);
-      s.cell += distance;
+      s.cell = code_cell(coder, model, raw_bits, s.cell);
       model.gaussian(coder, p, s);
       if (coder.overrun() > (prefix ? 0 : kSlack)) {
         if (prefix) return out;

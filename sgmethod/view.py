@@ -1,0 +1,74 @@
+"""Any size, any part: Gaussians have no pixels, so a picture is drawn straight at the size asked for.
+
+Enlarging draws the same functions on a finer grid. Shrinking first averages, or detail would turn into noise: a pixel
+of a picture shrunk by s stands for 1/s pixels of the original, and the original's pixels were averages already, so
+each Gaussian is widened by the variance that is missing, (1 - s^2) PIXEL_VARIANCE output pixels squared, at the same
+total weight (docs/format.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sgmethod.errors import ViewError
+from sgmethod.gaussians import Gaussians
+
+PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
+MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
+
+
+@dataclass(frozen=True)
+class View:
+    """What to draw of a picture.
+
+    scale: output pixels per picture pixel; region: x, y, width, height in picture pixels (None: all), drawn at that
+    scale; prefix: part of the file that may be used, above 0 to 1 (profile rd; largest Gaussians come first).
+    Raises ViewError for values outside their ranges.
+    """
+
+    scale: float = 1.0
+    region: tuple[int, int, int, int] | None = None
+    prefix: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.scale) and MIN_SCALE <= self.scale <= MAX_SCALE):
+            raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {self.scale}")
+        if not 0 < self.prefix <= 1:
+            raise ViewError(f"the prefix must lie above 0 and at most at 1, got {self.prefix}")
+
+    def area(self, width: int, height: int) -> tuple[int, int, int, int]:
+        """x, y, width, height of the part drawn. Raises ViewError unless it lies within the picture."""
+        x, y, w, h = self.region or (0, 0, width, height)
+        if x < 0 or y < 0 or w < 1 or h < 1 or x + w > width or y + h > height:
+            raise ViewError(f"the region {x},{y},{w},{h} does not lie within {width} x {height} pixels")
+        return x, y, w, h
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Width and height of the output in pixels, each at least 1."""
+        _, _, w, h = self.area(width, height)
+        return max(round(w * self.scale), 1), max(round(h * self.scale), 1)
+
+    def apply(self, gaussians: Gaussians, width: int, height: int) -> Gaussians:
+        """The Gaussians in output pixels, low-passed where that is a reduction."""
+        if self.scale == 1 and self.region is None:
+            return gaussians
+        x, y, w, h = self.area(width, height)
+        out_width, out_height = self.size(width, height)
+        # The two may differ by rounding, so that the output's edges are the region's edges.
+        return _resized(gaussians, (x, y), (out_width / w, out_height / h))
+
+
+def _resized(gaussians: Gaussians, origin: tuple[int, int], scale: tuple[float, float]) -> Gaussians:
+    sx, sy = scale
+    means = (gaussians.means.astype(np.float64) - origin) * scale
+    l1, l2, l3 = (gaussians.factors.astype(np.float64) * (sx, sy, sy)).T
+    wide_x, wide_y = (max(1 - s * s, 0.0) * PIXEL_VARIANCE for s in scale)
+    n1 = np.sqrt(l1 * l1 + wide_x)
+    n2 = l1 * l2 / n1
+    n3 = np.sqrt(np.maximum(l2 * l2 + l3 * l3 + wide_y - n2 * n2, 1e-12))
+    weight = (l1 * l3) / (n1 * n3)
+    factors = np.stack([n1, n2, n3], 1).astype(np.float32)
+    return Gaussians(means.astype(np.float32), factors, (gaussians.colors * weight[:, None]).astype(np.float32))
