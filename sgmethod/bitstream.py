@@ -107,6 +107,11 @@ def record_budget_bits(max_bytes: int, groups: int) -> int:
     return 8 * (max_bytes - HEADER_BYTES - TABLE_BYTES - GROUP_BYTES * groups)
 
 
+def file_bytes(record_bits: int, groups: int) -> int:
+    """Size of a file with so many bits of records in so many groups, at least one."""
+    return HEADER_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-record_bits // 8)
+
+
 def _record_bits(position_bits: int, bitwidth: int) -> int:
     return 2 * position_bits + 3 * bitwidth + CODEBOOK_STAGES * COLOR_INDEX_BITS
 

@@ -147,11 +147,13 @@ class Picture:
         self.rasterise(p.means, p.factors).render(p.colors.contiguous(), image)
         return self.target - image
 
-    def solve_colors(self, means: Tensor, factors: Tensor, steps: int, damping: float = 1e-2) -> Tensor:
+    def solve_colors(
+        self, means: Tensor, factors: Tensor, steps: int, residual_of: Tensor | None = None, damping: float = 1e-2
+    ) -> Tensor:
         """Colours [N, 3] near the least-squares solution for fixed geometry: the image is linear in them.
 
         Conjugate gradients from zero on the normal equations, preconditioned by the Gaussians' energies
-        pi l1 l3, of which `damping` is added to the diagonal.
+        pi l1 l3, of which `damping` is added to the diagonal. The target is the picture, or residual_of [3, H, W].
         """
         raster, n = self.rasterise(means, factors), len(means)
         energy = (math.pi * factors[:, :1] * factors[:, 2:]).clamp_min(1e-12)
@@ -163,7 +165,7 @@ class Picture:
             return out
 
         colors = torch.zeros(n, 3)
-        residual = transpose(self.target)
+        residual = transpose(self.target if residual_of is None else residual_of)
         direction = z = residual / energy
         rz = (residual * z).sum(0)
         for _ in range(steps):

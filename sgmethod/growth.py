@@ -19,11 +19,13 @@ from sgmethod.gaussians import FloatArray, Gaussians
 Indices = NDArray[np.int64]
 
 SCALES_PX = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
-FIRST_SHARE = 0.7  # of the best colour: neighbours that are added at once overlap
 
 
 def candidates(residual: FloatArray, most: int, least_gain: float) -> Gaussians:
-    """At most `most` round Gaussians for a residual [H, W, 3], each with a gain above least_gain, best first."""
+    """At most `most` round Gaussians for a residual [H, W, 3], each with a gain above least_gain, best first.
+
+    Each has the colour that would be best if it were alone.
+    """
     height, width = residual.shape[:2]
     scales = [s for s in SCALES_PX if s <= max(height, width)]
     gain = np.zeros((height, width), np.float32)
@@ -40,7 +42,7 @@ def candidates(residual: FloatArray, most: int, least_gain: float) -> Gaussians:
     means = np.stack([columns, rows], 1).astype(np.float32) + 0.5
     chosen = scale[rows, columns]
     factors = np.stack([chosen, 0 * chosen, chosen], 1)
-    return Gaussians(means, factors, FIRST_SHARE * color[rows, columns])
+    return Gaussians(means, factors, color[rows, columns])
 
 
 def _blur(image: FloatArray, sigma: float) -> FloatArray:

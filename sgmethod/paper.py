@@ -56,7 +56,7 @@ class _Encoder:
                 f"a file of profile {self.task.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
             )
         n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
-        return self.run(n, bits)
+        return self.run(n, max_bytes)
 
     def reach_psnr(self, target_db: float) -> Stream:
         """The smallest stream found that reaches target_db, else the best found.
@@ -77,8 +77,8 @@ class _Encoder:
         reached = [m for m, (db, _) in tried.items() if db >= target_db]
         return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1]
 
-    def run(self, n: int, record_bits: int | None, until_s: float | None = None) -> Stream:
-        """A stream of n Gaussians, in record_bits or with bitwidths set by lambda_b."""
+    def run(self, n: int, max_bytes: int | None, until_s: float | None = None) -> Stream:
+        """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b."""
         task, settings = self.task, self.settings
         tune_until = task.until_s() if until_s is None else until_s
         begun = task.recorder.clock.seconds()
@@ -86,7 +86,7 @@ class _Encoder:
         picture = Picture(task.pixels, settings.lambda_g)
         start = place(task.pixels, n, settings, np.random.default_rng(task.seed))
         fitted, fit_steps = fit(picture, start, settings, task.recorder, fit_until)
-        job = Job(picture, settings, record_bits, tune_until, task.seed)
+        job = Job(picture, settings, max_bytes, tune_until, task.seed)
         stream, tune_steps = tune(fitted, job, task.recorder, task.profile)
         self.steps += fit_steps + tune_steps
         return stream

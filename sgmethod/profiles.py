@@ -77,6 +77,7 @@ class RdSettings(OptimiserSettings):
     growth: float = 0.35  # at most this part of the Gaussians is added at once
     bits_of_new: float = 20.0  # a Gaussian is added where it gains more than so many bits are worth
     rate_weight: float = 2.0  # of the theoretical price of a bit
+    color_solve_steps: int = 10  # conjugate-gradient steps for the start's colours and for the last ones
     rounding_from: float = 0.75  # noise before, rounding with straight-through gradients after
     # Steering of the quantum towards a size or a PSNR
     steering_from: float = 0.12

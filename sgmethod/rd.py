@@ -59,9 +59,10 @@ class RdFit:
         self.expected = self._expected_gaussians()
         start = min(max(int(self.expected * settings.start_share), 4), self._most())
         self.p = Parameters.of(place(pixels, start, PAPER, np.random.default_rng(seed)))
-        self.p.colors = self.picture.solve_colors(self.p.means, self.p.factors, PAPER.color_solve_steps)
+        self.p.colors = self.picture.solve_colors(self.p.means, self.p.factors, settings.color_solve_steps)
         self.adam = FrameAdam(start, settings)
         self.size = 0
+        self.source = np.zeros((0, 0, 3), np.uint8)
         self.due = sorted([*settings.growth_at, *settings.trim_at])
 
     def _expected_gaussians(self) -> int:
@@ -115,10 +116,14 @@ class RdFit:
         wanted = max(int(self.settings.growth * n), self.expected // len(self.settings.growth_at), 1)
         price = self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum)
         least = price * self.settings.bits_of_new
-        residual = self.picture.residual(self.p).numpy().transpose(1, 2, 0)
-        new = growth.candidates(np.ascontiguousarray(residual), min(wanted, self._most() - n), least)
+        residual = self.picture.residual(self.p)
+        planes = np.ascontiguousarray(residual.numpy().transpose(1, 2, 0))
+        new = growth.candidates(planes, min(wanted, self._most() - n), least)
         if len(new):
             added = Parameters.of(new)
+            # Neighbours overlap: their colours are solved together, or they would overshoot.
+            steps = self.settings.color_solve_steps
+            added.colors = self.picture.solve_colors(added.means, added.factors, steps, residual_of=residual)
             self.p = Parameters(
                 torch.cat([self.p.means, added.means]),
                 torch.cat([self.p.factors, added.factors]),
@@ -147,51 +152,74 @@ class RdFit:
         return -10 * math.log10(max(residual.square().mean().item(), 1e-12))
 
     def finish(self, source: NDArray[np.uint8]) -> RdStream:
-        """The stream that meets the goal: within its size, finer where room is left and without the least Gaussians
-        where it is not; or with the coarsest quantum near the steered one that reaches its PSNR against the source."""
-        stream = self.coder.stream(self.p)
-        limit = self.goal.max_bytes
+        """The coded picture that meets the goal best; source [H, W, 3] at 8 bits is what it is measured against."""
+        self.source = source
         if self.goal.psnr is not None:
-            return self._at_psnr(self.goal.psnr, source)
-        if limit is None:
-            return stream
-        if len(bitstream_rd.serialise(stream)) > limit:
-            return self._cut(limit)
-        low, high = 0.8 * self.coder.quantum, self.coder.quantum
-        for _ in range(6):
-            middle = (low + high) / 2
-            finer = self.coder.with_quantum(middle).stream(self.p)
-            if len(bitstream_rd.serialise(finer)) <= limit:
-                high, stream = middle, finer
-            else:
-                low = middle
-        return stream
+            return self._at_psnr(self.goal.psnr)
+        if self.goal.max_bytes is None:
+            return self.coder.stream(self.p)
+        return self._within(self.goal.max_bytes)
 
-    def _at_psnr(self, target_db: float, source: NDArray[np.uint8]) -> RdStream:
-        low, high = 0.5 * self.coder.quantum, 1.5 * self.coder.quantum
-        best = self.coder.with_quantum(low).stream(self.p)
-        for _ in range(10):
+    def _within(self, limit: int) -> RdStream:
+        """The best of: coarser or finer steps until the size fits; fewer Gaussians at the steps as they are; and the
+        better of these with colours solved anew for its rounded geometry. A fit that went well needs only the first,
+        by a percent or two; one that was cut short can be far from its size, and then the others save it."""
+        best_coder = self._coder_within(self.p, limit)
+        tried = [(best_coder, self.p)]
+        if len(bitstream_rd.serialise(self.coder.stream(self.p))) > limit:
+            tried.append((self.coder, self._cut(limit)))
+        coder, p = max(tried, key=lambda option: self._decoded_psnr(option[0].stream(option[1])))
+        solved = self._with_solved_colors(coder, p)
+        tried = [(coder, p), (self._coder_within(solved, limit), solved)]
+        return max((c.stream(q) for c, q in tried), key=self._decoded_psnr)
+
+    def _coder_within(self, p: Parameters, limit: int) -> Coder:
+        """With the finest quantum, by bisection from near the steered one, at which p fits the limit."""
+        low, high = math.log(0.8 * self.coder.quantum), math.log(1.02 * self.coder.quantum)
+        while len(bitstream_rd.serialise(self.coder.with_quantum(math.exp(high)).stream(p))) > limit:
+            low, high = high, high + math.log(2)
+            if high > math.log(bitstream_rd.MAX_QUANTUM):
+                break
+        for _ in range(8):
             middle = (low + high) / 2
-            stream = self.coder.with_quantum(middle).stream(self.p)
-            if psnr(decode(bitstream_rd.serialise(stream)), source) >= target_db:
+            fits = len(bitstream_rd.serialise(self.coder.with_quantum(math.exp(middle)).stream(p))) <= limit
+            low, high = (low, middle) if fits else (middle, high)
+        return self.coder.with_quantum(math.exp(high))
+
+    def _with_solved_colors(self, coder: Coder, p: Parameters) -> Parameters:
+        """p with the colours that fit best on top of its rounded geometry."""
+        shown = coder.rounded(p)
+        change = self.picture.solve_colors(
+            shown.means, shown.factors, self.settings.color_solve_steps, residual_of=self.picture.residual(shown)
+        )
+        return Parameters(p.means, p.factors, shown.colors + change)
+
+    def _decoded_psnr(self, stream: RdStream) -> float:
+        return psnr(decode(bitstream_rd.serialise(stream)), self.source)
+
+    def _at_psnr(self, target_db: float) -> RdStream:
+        """With the coarsest quantum, by bisection around the steered one, that reaches the target; else the best."""
+        low, high = math.log(self.coder.quantum / 16), math.log(4 * self.coder.quantum)
+        best = self.coder.with_quantum(math.exp(low)).stream(self.p)
+        for _ in range(12):
+            middle = (low + high) / 2
+            stream = self.coder.with_quantum(math.exp(middle)).stream(self.p)
+            if self._decoded_psnr(stream) >= target_db:
                 low, best = middle, stream
             else:
                 high = middle
         return best
 
-    def _cut(self, limit: int) -> RdStream:
-        """Without as few of the least Gaussians as fit the limit."""
+    def _cut(self, limit: int) -> Parameters:
+        """p without as few of the least Gaussians as fit the limit."""
         order = torch.argsort(quantiser.energies(self.p), descending=True, stable=True)
-        low, high = 0, len(order) - 1
-        best = self.coder.stream(_rows(self.p, order[:0]))
-        while low <= high:
+        low, high = 0, len(order)
+        while high - low > 1:
             middle = (low + high) // 2
-            stream = self.coder.stream(_rows(self.p, order[:middle].sort().values))
-            if len(bitstream_rd.serialise(stream)) <= limit:
-                low, best = middle + 1, stream
-            else:
-                high = middle - 1
-        return best
+            kept = _rows(self.p, order[:middle].sort().values)
+            fits = len(bitstream_rd.serialise(self.coder.stream(kept))) <= limit
+            low, high = (middle, high) if fits else (low, middle)
+        return _rows(self.p, order[:low].sort().values)
 
 
 def _rows(p: Parameters, index: torch.Tensor) -> Parameters:

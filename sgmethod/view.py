@@ -62,13 +62,16 @@ class View:
 
 
 def _resized(gaussians: Gaussians, origin: tuple[int, int], scale: tuple[float, float]) -> Gaussians:
+    l1, _, l3 = gaussians.factors.T
+    drawn = (l1 > 0) & (l3 > 0)  # the others add nothing, and must not after they are widened
     sx, sy = scale
-    means = (gaussians.means.astype(np.float64) - origin) * scale
-    l1, l2, l3 = (gaussians.factors.astype(np.float64) * (sx, sy, sy)).T
+    means = (gaussians.means[drawn].astype(np.float64) - origin) * scale
+    l1, l2, l3 = (gaussians.factors[drawn].astype(np.float64) * (sx, sy, sy)).T
     wide_x, wide_y = (max(1 - s * s, 0.0) * PIXEL_VARIANCE for s in scale)
     n1 = np.sqrt(l1 * l1 + wide_x)
-    n2 = l1 * l2 / n1
-    n3 = np.sqrt(np.maximum(l2 * l2 + l3 * l3 + wide_y - n2 * n2, 1e-12))
+    slant = l2 / n1
+    n2, n3 = l1 * slant, np.sqrt(l3 * l3 + wide_y + slant * slant * wide_x)
     weight = (l1 * l3) / (n1 * n3)
     factors = np.stack([n1, n2, n3], 1).astype(np.float32)
-    return Gaussians(means.astype(np.float32), factors, (gaussians.colors * weight[:, None]).astype(np.float32))
+    colors = (gaussians.colors[drawn] * weight[:, None]).astype(np.float32)
+    return Gaussians(means.astype(np.float32), factors, colors)

@@ -5,6 +5,7 @@
 #include <nanobind/stl/tuple.h>
 
 #include <algorithm>
+#include <utility>
 
 #include "kernels.h"
 #include "loss.h"
@@ -37,10 +38,10 @@ void require_size(const Array& image, int width, int height) {
 }
 
 template <size_t Columns>
-nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>> own(const std::vector<float>& values) {
-  auto* copy = new std::vector<float>(values);
-  nb::capsule owner(copy, [](void* p) noexcept { delete static_cast<std::vector<float>*>(p); });
-  return nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>(copy->data(), {copy->size() / Columns, Columns}, owner);
+nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>> own(std::vector<float>&& values) {
+  auto* kept = new std::vector<float>(std::move(values));
+  nb::capsule owner(kept, [](void* p) noexcept { delete static_cast<std::vector<float>*>(p); });
+  return nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>(kept->data(), {kept->size() / Columns, Columns}, owner);
 }
 
 sg::Rasterization* make(Rows<2> means, Rows<3> factors, int width, int height, int isa, int64_t max_pairs) {
@@ -132,7 +133,7 @@ NB_MODULE(_native, m) {
     return nb::bytes(bytes.data(), bytes.size());
   });
   m.def("rd_decode", [](const sg::RdParameters& p, nb::bytes data, bool prefix) {
-    const sg::GaussianArrays decoded = sg::rd_decode(p, static_cast<const uint8_t*>(data.data()), data.size(), prefix);
-    return std::make_tuple(own<2>(decoded.means), own<3>(decoded.factors), own<3>(decoded.colors));
+    sg::GaussianArrays decoded = sg::rd_decode(p, static_cast<const uint8_t*>(data.data()), data.size(), prefix);
+    return std::make_tuple(own<2>(std::move(decoded.means)), own<3>(std::move(decoded.factors)), own<3>(std::move(decoded.colors)));
   }, "parameters"_a, "data"_a, "prefix"_a = false);
 }

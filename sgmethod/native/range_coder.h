@@ -2,6 +2,7 @@
 // every machine decodes the same.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -33,6 +34,7 @@ class Bit {
 };
 
 constexpr uint32_t kTop = 1u << 24;
+constexpr size_t kMaxOverrun = 8;  // zero bytes that an encoder may leave out at the end
 // Splits the range; never empty on either side.
 inline uint32_t split(uint32_t range, uint32_t probability) {
   const uint32_t p = probability < 64 ? 64 : probability > 65472 ? 65472 : probability;
@@ -68,8 +70,9 @@ class RangeEncoder {
 
   std::vector<uint8_t> finish() {
     for (int i = 0; i < 5; ++i) shift();
-    while (bytes_.size() > 1 && bytes_.back() == 0) bytes_.pop_back();  // the decoder reads zeros past the end
-    bytes_.erase(bytes_.begin());                                       // the first byte is always 0
+    // The decoder reads exactly these bytes, and zeros past the end.
+    for (size_t i = 0; i < kMaxOverrun && bytes_.size() > 1 && bytes_.back() == 0; ++i) bytes_.pop_back();
+    bytes_.erase(bytes_.begin());  // the first byte is always 0
     return std::move(bytes_);
   }
 
@@ -133,8 +136,14 @@ class RangeDecoder {
     return value;
   }
 
-  // How many bytes past the end were read as zeros: a few are normal, many mean that the data are cut.
+  // How many bytes past the end were read as zeros: more than kMaxOverrun mean that the data are cut.
   size_t overrun() const { return overrun_; }
+  // False for a start that no encoder writes. Once true it stays so: code and range never need more than 32 bits.
+  bool valid() const { return code_ < range_; }
+  // Whether nothing but zeros was left unread.
+  bool at_end() const {
+    return std::all_of(next_, end_, [](uint8_t byte) { return byte == 0; });
+  }
 
  private:
   void normalise() {

@@ -31,8 +31,9 @@ constexpr double kClassWidth = 0.34657359027997264;  // log(2) / 2: one class in
 constexpr double kSqrtPi = 1.7724538509055160;
 constexpr float kMinScale = 0.3f;
 constexpr int kMaxColor = 1 << 20, kMaxShape = 1 << 16;
+constexpr double kMaxAspect = 20.0;  // of v: exp(20) is beyond any picture
 constexpr int kMaxRefineBits = 12;
-constexpr int kMaxGaussians = 1 << 24;
+constexpr uint64_t kMaxGaussians = 1 << 24;
 
 // exp(x) by halving and a Taylor polynomial: the C library's last bit differs between machines.
 double exact_exp(double x) {
@@ -140,25 +141,30 @@ Refinement refinement_of(const Symbols& s, const Shape& shape, const Geometry& g
   return {refine_bits(side, unit * g.l1 / std::sqrt(1.0 + r * r)), refine_bits(side, unit * g.l3)};
 }
 
-// Where pictures' Gaussians may have their centres: one side's width beyond each edge is clamped to the edge region.
+// Cells along a side: those that touch the picture and two beyond each edge. Centres further out are moved there, as
+// are those that a 16-bit coordinate does not reach (the smallest classes at the end of sides above 65,531 pixels).
 constexpr int kBorderCells = 2;
+uint32_t cells_along(int side, int bits) {
+  return static_cast<uint32_t>(std::min((side >> bits) + 1 + 2 * kBorderCells, 1 << 16));
+}
 uint32_t cell_coordinate(double position, int bits, int side) {
-  const int cells = (side >> bits) + 1 + 2 * kBorderCells;
   const double cell = std::floor(position / (1 << bits)) + kBorderCells;
-  return static_cast<uint32_t>(std::clamp(cell, 0.0, static_cast<double>(cells - 1)));
+  return static_cast<uint32_t>(std::clamp(cell, 0.0, cells_along(side, bits) - 1.0));
+}
+bool in_grid(const RdParameters& p, int bits, uint32_t cell) {
+  return gather_bits(cell) < cells_along(p.width, bits) && gather_bits(cell >> 1) < cells_along(p.height, bits);
 }
 
 // Rounds one Gaussian to integers. False if nothing of it is left.
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s) {
   const double l1 = factor[0], l3 = factor[2];
-  if (!(l1 > 0 && l3 > 0) || !std::isfinite(l1 * l3) || !std::isfinite(factor[1]) || !std::isfinite(mean[0]) ||
-      !std::isfinite(mean[1]))
-    return false;
+  const auto finite = [](const float* values, int n) { return std::all_of(values, values + n, [](float v) { return std::isfinite(v); }); };
+  if (!finite(mean, 2) || !finite(factor, 3) || !finite(color, 3) || !(l1 > 0 && l3 > 0)) return false;
   const double u = 0.5 * std::log(l1 * l3);
   s.size_class = std::clamp(static_cast<int>(std::lround(u / kClassWidth)), kMinClass, kMaxClass);
   const double color_step = p.quantum / (class_size(s.size_class) * kSqrtPi);
   const Luma l = to_luma(color);
-  const auto round_to = [](double v, int limit) { return static_cast<int>(std::clamp(std::round(v), -1.0 * limit, 1.0 * limit)); };
+  const auto round_to = [](double v, double limit) { return static_cast<int>(std::clamp(std::round(v), -limit, limit)); };
   s.y = round_to(l.y / color_step, kMaxColor);
   s.a = p.grey ? 0 : round_to(l.a / color_step, kMaxColor);
   s.b = p.grey ? 0 : round_to(l.b / color_step, kMaxColor);
@@ -166,7 +172,7 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   const Shape shape = shape_of(s);
   const double levels = static_cast<double>(1u << shape.u_bits);
   s.u = static_cast<uint32_t>(std::clamp(std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels), 0.0, levels - 1));
-  s.v = round_to(0.5 * std::log(l1 / l3) / shape.v_step, kMaxShape);
+  s.v = round_to(0.5 * std::log(l1 / l3) / shape.v_step, std::min(std::floor(kMaxAspect / shape.v_step), 1.0 * kMaxShape));
   s.r = p.upright ? 0 : round_to(factor[1] / l3 / shape.r_step, kMaxShape);
   const Refinement bits = refinement_of(s, shape, geometry_of(s, shape));
   const int cell = cell_bits(s.size_class);
@@ -228,7 +234,7 @@ struct Signed {
   template <typename Coder>
   int code(Coder& coder, int value = 0) {
     const uint32_t size = magnitude.code(coder, static_cast<uint32_t>(std::abs(value)));
-    if (size > 1u << 21) throw std::runtime_error("a coded value is out of range");
+    if (size > static_cast<uint32_t>(kMaxColor)) throw std::runtime_error("a coded value is out of range");
     if (size == 0) return 0;
     return coder.bit(sign, value < 0) ? -static_cast<int>(size) : static_cast<int>(size);
   }
@@ -264,7 +270,7 @@ struct Model {
     s.u = coder.raw(s.u, shape.u_bits);
     s.v = aspect[shape.bucket].code(coder, s.v);
     s.r = p.upright ? 0 : shear[shape.bucket].code(coder, s.r);
-    if (std::abs(s.v) > kMaxShape || std::abs(s.r) > kMaxShape || std::abs(s.v * shape.v_step) > 20.0)
+    if (std::abs(s.v) > kMaxShape || std::abs(s.r) > kMaxShape || std::abs(s.v * shape.v_step) > kMaxAspect)
       throw std::runtime_error("a shape is out of range");
     const Refinement bits = refinement_of(s, shape, geometry_of(s, shape));
     s.px = coder.raw(s.px, bits.x);
@@ -276,8 +282,7 @@ struct Model {
 // cells the mean distance is cells / count, and a quarter of it is where modelling stops to pay.
 int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
   const int bits = cell_bits(size_class);
-  const uint64_t cells = static_cast<uint64_t>((p.width >> bits) + 1 + 2 * kBorderCells) *
-                         static_cast<uint64_t>((p.height >> bits) + 1 + 2 * kBorderCells);
+  const uint64_t cells = static_cast<uint64_t>(cells_along(p.width, bits)) * cells_along(p.height, bits);
   int result = 0;
   for (uint64_t mean = cells / std::max(count, 1u); mean >= 8; mean /= 2) ++result;
   return result;
@@ -291,6 +296,43 @@ uint32_t code_cell(Coder& coder, Model& model, int raw_bits, uint32_t previous, 
   const uint64_t next = previous + (high << raw_bits) + coder.raw(distance & ((1u << raw_bits) - 1), raw_bits);
   if (next > 0xFFFFFFFFull) throw std::runtime_error("a position is out of range");
   return static_cast<uint32_t>(next);
+}
+
+// A decoder's memory and time follow the bytes it is given: so many Gaussians may stand in a payload. Fitted ones take
+// 20 bits and more.
+uint64_t most_in(const RdParameters& p, size_t bytes) {
+  const uint64_t pixels = static_cast<uint64_t>(p.width) * static_cast<uint64_t>(p.height);
+  return std::min({pixels, kMaxGaussians, uint64_t{8} * bytes + 64});
+}
+
+// Appends Gaussians to `out` until the payload ends; with prefix = true, until the decoder has read past the data.
+void decode_into(GaussianArrays& out, const RdParameters& p, RangeDecoder& coder, uint64_t most, bool prefix) {
+  Model model;
+  uint64_t total = 0;
+  for (int c = kMaxClass; c >= kMinClass; --c) {
+    const uint32_t count = model.count.code(coder);
+    if (prefix && coder.overrun() > 0) return;
+    total += count;
+    if (!prefix && total > most) throw std::runtime_error("more Gaussians than the data can hold");
+    Symbols s{};
+    s.size_class = c;
+    const int raw_bits = raw_distance_bits(p, c, count);
+    for (uint32_t i = 0; i < count; ++i) {
+      if (out.means.size() / 2 == most) return;  // a prefix alone gets here
+      s.cell = code_cell(coder, model, raw_bits, s.cell);
+      if (!in_grid(p, cell_bits(c), s.cell)) throw std::runtime_error("a position is out of range");
+      model.gaussian(coder, p, s);
+      if (prefix && coder.overrun() > 0) return;
+      if (coder.overrun() > kMaxOverrun) throw std::runtime_error("the data end too early");
+      float values[8];
+      dequantise(p, s, values, values + 2, values + 5);
+      out.means.insert(out.means.end(), values, values + 2);
+      out.factors.insert(out.factors.end(), values + 2, values + 5);
+      out.colors.insert(out.colors.end(), values + 5, values + 8);
+    }
+  }
+  if (coder.overrun() > kMaxOverrun) throw std::runtime_error("the data end too early");
+  if (!prefix && !coder.at_end()) throw std::runtime_error("there are bytes behind the last Gaussian");
 }
 
 }  // namespace
@@ -319,6 +361,7 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
   std::stable_sort(all.begin(), all.end(), [](const Symbols& a, const Symbols& b) {
     return a.size_class != b.size_class ? a.size_class > b.size_class : a.cell < b.cell;
   });
+  if (all.size() > most_in(p, SIZE_MAX / 16)) throw std::invalid_argument("more Gaussians than pixels, or than 2^24");
   RangeEncoder coder;
   Model model;
   size_t at = 0;
@@ -333,37 +376,19 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
       model.gaussian(coder, p, all[at]);
     }
   }
-  return coder.finish();
+  std::vector<uint8_t> bytes = coder.finish();
+  while (all.size() > most_in(p, bytes.size())) bytes.push_back(0);  // thousands of equal ones; zeros change nothing
+  return bytes;
 }
 
 GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix) {
-  constexpr size_t kSlack = 8;  // zero bytes that the encoder may have left out at the end
   RangeDecoder coder(data, size);
-  Model model;
+  if (!coder.valid()) throw std::runtime_error("no encoder begins like this");
   GaussianArrays out;
-  uint32_t total = 0;
-  for (int c = kMaxClass; c >= kMinClass; --c) {
-    const uint32_t count = model.count.code(coder);
-    total += count;
-    if (!prefix && (total > static_cast<uint32_t>(kMaxGaussians) || total > 8 * size + 64))
-      throw std::runtime_error("more Gaussians than the data can hold");
-    Symbols s{};
-    s.size_class = c;
-    const int raw_bits = raw_distance_bits(p, c, count);
-    for (uint32_t i = 0; i < count; ++i) {
-      s.cell = code_cell(coder, model, raw_bits, s.cell);
-      model.gaussian(coder, p, s);
-      if (coder.overrun() > (prefix ? 0 : kSlack)) {
-        if (prefix) return out;
-        throw std::runtime_error("the data end too early");
-      }
-      float values[8];
-      dequantise(p, s, values, values + 2, values + 5);
-      out.means.insert(out.means.end(), values, values + 2);
-      out.factors.insert(out.factors.end(), values + 2, values + 5);
-      out.colors.insert(out.colors.end(), values + 5, values + 8);
-    }
-    if (prefix && coder.overrun() > 0) return out;
+  try {
+    decode_into(out, p, coder, most_in(p, size), prefix);
+  } catch (const std::runtime_error&) {
+    if (!prefix || coder.overrun() == 0) throw;  // nonsense past the end of a prefix is no damage
   }
   return out;
 }

@@ -18,13 +18,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sgmethod.bitstream import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, Stream
+from sgmethod.bitstream import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, Stream, file_bytes
 from sgmethod.fit import FrameAdam, Parameters, Picture, Plan, Recorder, run
 from sgmethod.gaussians import Gaussians
 from sgmethod.profiles import Settings
 from sgmethod.quantise import lattice
 from sgmethod.quantise.codebook import ResidualCodebook
 
+MIN_SPAN_PX = 1e-3
 FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budget
 
 
@@ -35,12 +36,12 @@ def bits_per_gaussian(settings: Settings) -> float:
 
 @dataclass(frozen=True)
 class Job:
-    """What to tune: the picture, its settings, the bits that all records may take (None: as lambda_b decides),
-    when to be done, and the seed."""
+    """What to tune: the picture, its settings, the file's largest size (None: as lambda_b decides), when to be done,
+    and the seed."""
 
     picture: Picture
     settings: Settings
-    record_bits: int | None
+    max_bytes: int | None
     until_s: float | None
     seed: int
 
@@ -71,6 +72,7 @@ class Tuner:
             self.p.factors.quantile(tail, dim=0),
             self.p.factors.quantile(1 - tail, dim=0),
         ]
+        self._widen()
         self.soft_bits = (
             self._sensitivity_bits() if s.adaptive_bitwidth else torch.full((self.n, 1), float(s.min_bitwidth))
         )
@@ -89,6 +91,13 @@ class Tuner:
     def _span(self, i: int) -> Tensor:
         return self.ranges[i + 1] - self.ranges[i]
 
+    def _widen(self) -> None:
+        """Keep every range at least MIN_SPAN_PX wide: equal values, or two ends that crossed, have no step."""
+        for i in (0, 2):
+            if i == 2:
+                self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.min_scale_px)
+            self.ranges[i + 1].copy_(torch.maximum(self.ranges[i + 1], self.ranges[i] + MIN_SPAN_PX))
+
     def _sensitivity_bits(self) -> Tensor:
         """Bitwidths that spread the error evenly: an isolated Gaussian's picture changes by about
         |c| sqrt(l1 l3) / l per pixel of l, and each further bit halves the step."""
@@ -100,32 +109,32 @@ class Tuner:
         """Soft bitwidths [N, 1] as they apply, within the allowed range."""
         return (self.soft_bits + self.shift).clamp(self.settings.min_bitwidth, self.settings.max_bitwidth)
 
-    def total_bits(self) -> int:
-        """Bits of all records."""
+    def file_bytes(self) -> int:
+        """Size of the file as the bitwidths are now."""
         fixed = 2 * self.settings.position_bits + CODEBOOK_STAGES * COLOR_INDEX_BITS
-        return int(fixed * self.n + 3 * torch.round(self.bits()).sum().item())
+        hard = torch.round(self.bits()).long()
+        return file_bytes(fixed * self.n + 3 * int(hard.sum()), int((torch.bincount(hard[:, 0]) > 0).sum()))
 
     def fit_budget(self) -> None:
-        """Shift all soft bitwidths by the largest amount that keeps the records within the budget."""
-        if self.job.record_bits is None or not self.settings.adaptive_bitwidth:
+        """Shift all soft bitwidths by the largest amount that keeps the file within the budget."""
+        if self.job.max_bytes is None or not self.settings.adaptive_bitwidth:
             return
         low, high = -64.0, 64.0
         for _ in range(32):
             self.shift = (low + high) / 2
-            low, high = (self.shift, high) if self.total_bits() <= self.job.record_bits else (low, self.shift)
+            low, high = (self.shift, high) if self.file_bytes() <= self.job.max_bytes else (low, self.shift)
         self.shift = low
 
     def quantised(self) -> tuple[Parameters, Tensor]:
         """What the decoder will see, differentiable in latents, ranges and bitwidths; and colour indices [N, 2]."""
-        low, high = self.ranges[2].clone(), self.ranges[3]
-        low[[0, 2]] = low[[0, 2]].clamp_min(self.settings.min_scale_px)
+        low, high = self.ranges[2], self.ranges[3]
         means = lattice.quantise(self.p.means, self.ranges[0], self.ranges[1], self.position_bits)
         factors = lattice.quantise(self.p.factors, low, high, self.bits())
         index = self.book.assign(self.p.colors)
         return Parameters(means, factors, self.book.lookup(index)), index
 
     def step(self, rate: float, _progress: float = 0.0) -> tuple[float, tuple[int, int]]:
-        """One step of all parameters; returns the quantised picture's error and (Gaussians, record bits)."""
+        """One step of all parameters; returns the quantised picture's error and (Gaussians, bits of the file)."""
         if self.steps % FIT_BUDGET_EVERY == 0:
             self.fit_budget()
         self.steps += 1
@@ -141,7 +150,7 @@ class Tuner:
                 leaf.requires_grad_(False)
             self._move(Parameters(grads[0], grads[1], grad.colors), list(grads[2:]), quantised.colors, rate)
             self.book.follow(self.p.colors, self.weights, index)
-        return mse, (self.n, self.total_bits())
+        return mse, (self.n, 8 * self.file_bytes())
 
     def _move(self, grad: Parameters, others: list[Tensor], coded_colors: Tensor, rate: float) -> None:
         s, picture = self.settings, self.job.picture
@@ -150,19 +159,19 @@ class Tuner:
         grad.colors = grad.colors + 2 * s.lambda_r * energy[:, None] * (self.p.colors - coded_colors)
         self.adam.step(self.p, grad, rate * s.tune_rate)
         # L_b, or with a budget the price at which the mean bitwidth does not move.
-        price = others[4].mean() if self.job.record_bits is not None else -s.lambda_b / self.n
+        price = others[4].mean() if self.job.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price
         for parameter, value in zip([*self.ranges, self.soft_bits], others, strict=True):
             parameter.grad = value
         for group in self.optimiser.param_groups:
             group["lr"] = group["initial_lr"] * rate
         self.optimiser.step()
+        self._widen()
 
     def stream(self, profile: str) -> Stream:
         """The integer codes as syntax elements, Gaussians grouped by bitwidth, rows of each group from the top."""
         self.fit_budget()
-        low, high = self.ranges[2].clone(), self.ranges[3]
-        low[[0, 2]] = low[[0, 2]].clamp_min(self.settings.min_scale_px)
+        low, high = self.ranges[2], self.ranges[3]
         positions = lattice.codes(self.p.means, self.ranges[0], self.ranges[1], self.position_bits).numpy()
         factors = lattice.codes(self.p.factors, low, high, self.bits()).numpy()
         colors = self.book.assign(self.p.colors).numpy()
