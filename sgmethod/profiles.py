@@ -81,10 +81,10 @@ class RdSettings(OptimiserSettings):
     rounding_from: float = 0.75  # noise before, rounding with straight-through gradients after
     # Steering of the quantum towards a size or a PSNR
     steering_from: float = 0.12
-    psnr_steering_from: float = 0.3  # before, the error says little about the final one
     steering_exponent: float = 0.9
     steering_limit: float = 1.35
     early_size: float = 0.6  # of the final size, right when steering begins
+    early_db: float = 2.0  # below the final PSNR, likewise
     trim_at: tuple[float, ...] = (0.78, 0.82, 0.86, 0.9)
     trim_exponent: float = 0.6
     trim_limit: float = 1.05

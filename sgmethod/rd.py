@@ -113,7 +113,9 @@ class RdFit:
 
     def _grow(self) -> None:
         n = len(self.p.means)
-        wanted = max(int(self.settings.growth * n), self.expected // len(self.settings.growth_at), 1)
+        # Where no size is given the price alone decides how many; each time the number may double.
+        share = self.settings.growth if self.goal.max_bytes is not None else 1.0
+        wanted = max(int(share * n), self.expected // len(self.settings.growth_at), 4)
         price = self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum)
         least = price * self.settings.bits_of_new
         residual = self.picture.residual(self.p)
@@ -134,16 +136,18 @@ class RdFit:
     def _steer(self, at: float, exponent: float, limit: float) -> None:
         """Move the quantum towards the goal, by at most the factor `limit`."""
         self.size = len(bitstream_rd.serialise(self.coder.stream(self.p)))
+        s = self.settings
+        if at < s.steering_from:
+            return
+        # Early in the growth a smaller size, or a larger error, than the final one is right.
+        missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
         ratio = 1.0
-        if self.goal.max_bytes is not None and at >= self.settings.steering_from:
-            # Early in the growth a smaller size than the final one is right.
-            grown = min(
-                (at - self.settings.steering_from) / (self.settings.growth_at[-3] - self.settings.steering_from), 1
-            )
-            share = self.settings.early_size + (1 - self.settings.early_size) * grown
+        if self.goal.max_bytes is not None:
+            share = 1 - (1 - s.early_size) * missing
             ratio = (self.size / (self.goal.max_bytes * share)) ** exponent
-        elif self.goal.psnr is not None and at >= self.settings.psnr_steering_from:
-            ratio = 2 ** ((self._rounded_psnr() - self.goal.psnr) / self.settings.db_per_doubling * exponent)
+        elif self.goal.psnr is not None:
+            aim = self.goal.psnr - s.early_db * missing
+            ratio = 2 ** ((self._rounded_psnr() - aim) / s.db_per_doubling * exponent)
         if ratio != 1.0:
             self.coder = self.coder.with_quantum(self.coder.quantum * min(max(ratio, 1 / limit), limit))
 
@@ -249,7 +253,7 @@ def _goal(task: Task) -> Goal:
     if budget.kind == "quality":
         return Goal(quality_quantum(budget.value))
     if budget.kind == "psnr":
-        return Goal(0.1 * 2 ** ((34 - budget.value) / 2.5), psnr=budget.value)
+        return Goal(min(0.1 * 2 ** ((34 - budget.value) / 2.5), 0.4), psnr=budget.value)
     if budget.kind == "gaussians":
         return Goal(quality_quantum(GAUSSIANS_QUALITY), max_gaussians=task.gaussians_asked())
     max_bytes = budget.max_bytes(width, height) or 0

@@ -1,22 +1,29 @@
-"""Golden streams: python tests/make_golden.py [NAME ...] writes tests/data/NAME.sg and the picture it decodes to.
+"""Golden streams: python tests/make_golden.py [NAME ...] writes tests/data/NAME.sg and the picture it decodes to, of
+version 2 the hashes of both in tests/data/v2.json.
 
-They pin version 1 of the format and the decoder's pixels, so they are made anew only when the format gets another
+They pin the versions of the format and the decoder's pixels, so they are made anew only when the format gets another
 version or a stream cannot show something that it should. An encoder that has changed is no reason.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from sgmethod import Budget, decode, encode
+from sgmethod import Budget, bitstream_rd, decode, encode
 from sgmethod.bitstream import Group, Stream, serialise
+from sgmethod.bitstream_rd import RdStream
 from sgmethod.files import encode_png, write_atomically
+from sgmethod.gaussians import Gaussians
 from sgmethod.image import read_image
 
 DATA = Path(__file__).parent / "data"
+HASHES = DATA / "v2.json"
 
 
 def photograph(profile: str) -> bytes:
@@ -56,19 +63,56 @@ def empty() -> bytes:
     return serialise(Stream("paper", 7, 5, 12, *nothing, ()))
 
 
-GOLDEN = {
+def rd_photograph(grey: bool) -> bytes:
+    """A small part of a photograph in profile rd."""
+    pixels = np.ascontiguousarray(read_image((DATA / "kodim23-crop.png").read_bytes())[20:60, 30:78])
+    if grey:
+        pixels = np.ascontiguousarray(np.repeat(pixels[:, :, 1:2], 3, 2))
+    return encode(pixels, Budget("bytes", 300), "rd").data
+
+
+def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False) -> bytes:
+    """What no photograph has: every class of size, needles, colours beyond white, Gaussians far outside, some in one place."""
+    rng = np.random.default_rng(n)
+    means = rng.uniform(-0.5, 1.5, (n, 2)) * size
+    means[: n // 6] = means[:1]
+    means[n // 6 : n // 5] *= 1e6
+    aspect = rng.normal(0, 1, n)
+    factors = np.exp(np.linspace(-2, 10, n)[:, None] + np.stack([aspect, rng.normal(0, 1.5, n), -aspect], 1))
+    factors[:, 1] *= 0 if upright else rng.choice([-1, 1], n)
+    colors = rng.normal(0.1, 0.5, (n, 3)) / np.sqrt(factors[:, :1])
+    gaussians = Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
+    return bitstream_rd.serialise(RdStream.of(gaussians, size, 0.05, (120, 90, 60), grey=False))
+
+
+GOLDEN: dict[str, Callable[[], bytes]] = {
     "v1-paper": lambda: photograph("paper"),
     "v1-baseline": lambda: photograph("baseline"),
     "v1-every-bitwidth": every_bitwidth,
     "v1-empty": empty,
+    "v2-color": lambda: rd_photograph(grey=False),
+    "v2-grey": lambda: rd_photograph(grey=True),
+    "v2-every-class": lambda: rd_scattered((41, 27), 150),
+    "v2-upright": lambda: rd_scattered((30, 44), 60, upright=True),
+    "v2-empty": lambda: rd_scattered((7, 5), 0),
+    "v2-pixel": lambda: rd_scattered((1, 1), 1),
 }
 
 
 def main(names: list[str]) -> None:
+    hashes = json.loads(HASHES.read_text()) if HASHES.exists() else {}
     for name in names or GOLDEN:
         data = GOLDEN[name]()
         write_atomically(DATA / f"{name}.sg", data)
-        write_atomically(DATA / f"{name}.png", encode_png(decode(data)))
+        if name.startswith("v1"):
+            write_atomically(DATA / f"{name}.png", encode_png(decode(data)))
+        else:
+            hashes[name] = {"bytes": sha256(data), "pixels": sha256(decode(data).tobytes())}
+    write_atomically(HASHES, (json.dumps(hashes, indent=2) + "\n").encode())
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
 
 
 if __name__ == "__main__":

@@ -318,13 +318,14 @@ def test_the_seed_decides(profile: str) -> None:
     assert one != other
 
 
-def test_the_file_does_not_depend_on_threads() -> None:
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
+def test_the_file_does_not_depend_on_threads(profile: str) -> None:
     before = sgmethod.native_module.native.thread_count()
     files = []
     try:
         for threads in (1, 3):
             sgmethod.set_threads(threads)
-            files.append(encode(small(), Budget("bytes", 400), "paper").data)
+            files.append(encode(small(), Budget("bytes", 400), profile).data)
     finally:
         sgmethod.set_threads(before)
     assert files[0] == files[1]
