@@ -8,10 +8,11 @@ RUN apt-get update \
     && apt-get install --yes --no-install-recommends cmake g++ ninja-build \
     && rm -rf /var/lib/apt/lists/*
 RUN python -m venv /opt/sgmethod
-# The CPU build of torch by default; for another one: --build-arg TORCH_INDEX=https://pypi.org/simple
-ARG TORCH="torch>=2.6"
-ARG TORCH_INDEX=https://download.pytorch.org/whl/cpu
-RUN /opt/sgmethod/bin/pip install --no-cache-dir --index-url "${TORCH_INDEX}" "${TORCH}"
+# Which torch: a CPU build serves and is the smallest. Where the default index offers larger builds first, name the
+# one to take, for example --build-arg TORCH_PIP_ARGS="--index-url ADDRESS-OF-THE-CPU-INDEX".
+ARG TORCH="torch==2.13.0"
+ARG TORCH_PIP_ARGS=""
+RUN /opt/sgmethod/bin/pip install --no-cache-dir ${TORCH_PIP_ARGS} "${TORCH}"
 WORKDIR /source
 COPY pyproject.toml README.md LICENSE ./
 COPY sgmethod sgmethod
