@@ -41,7 +41,7 @@ def allocate(complexity: FloatArray, n: int, ratio: tuple[float, float, float]) 
     """
     order = np.argsort(-complexity, kind="stable")
     counts = np.zeros(len(order), np.int64)
-    for category, share in zip(np.array_split(order, 3), ratio, strict=True):
+    for category, share in zip(reversed(np.array_split(order[::-1], 3)), ratio, strict=True):
         if len(category):
             counts[category] = int(n * share) // len(category)
     rounds, left = divmod(n - int(counts.sum()), len(order))

@@ -82,12 +82,11 @@ class RdSettings(OptimiserSettings):
     # Steering of the quantum towards a size or a PSNR
     steering_from: float = 0.12
     steering_exponent: float = 0.9
-    steering_limit: float = 1.35
+    steering_limit: float = 1.35  # the quantum's largest change at a time
     early_size: float = 0.6  # of the final size, right when steering begins
     early_db: float = 2.0  # below the final PSNR, likewise
     trim_at: tuple[float, ...] = (0.78, 0.82, 0.86, 0.9)
     trim_exponent: float = 0.6
-    trim_limit: float = 1.05
     db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles
 
 

@@ -96,10 +96,10 @@ class RdFit:
         s = self.settings
         if at in s.growth_at:
             self._drop()
-            self._steer(at, s.steering_exponent, s.steering_limit)
+            self._steer(at, s.steering_exponent)
             self._grow()
         else:
-            self._steer(at, s.trim_exponent, s.trim_limit if self.goal.psnr is None else s.steering_limit)
+            self._steer(at, s.trim_exponent)
 
     def _drop(self) -> None:
         """Remove Gaussians that would round to nothing."""
@@ -133,8 +133,8 @@ class RdFit:
             )
             self.adam.extend(len(new))
 
-    def _steer(self, at: float, exponent: float, limit: float) -> None:
-        """Move the quantum towards the goal, by at most the factor `limit`."""
+    def _steer(self, at: float, exponent: float) -> None:
+        """Move the quantum towards the goal."""
         self.size = len(bitstream_rd.serialise(self.coder.stream(self.p)))
         s = self.settings
         if at < s.steering_from:
@@ -149,6 +149,7 @@ class RdFit:
             aim = self.goal.psnr - s.early_db * missing
             ratio = 2 ** ((self._rounded_psnr() - aim) / s.db_per_doubling * exponent)
         if ratio != 1.0:
+            limit = s.steering_limit
             self.coder = self.coder.with_quantum(self.coder.quantum * min(max(ratio, 1 / limit), limit))
 
     def _rounded_psnr(self) -> float:
@@ -159,23 +160,36 @@ class RdFit:
         """The coded picture that meets the goal best; source [H, W, 3] at 8 bits is what it is measured against."""
         self.source = source
         if self.goal.psnr is not None:
-            return self._at_psnr(self.goal.psnr)
-        if self.goal.max_bytes is None:
-            return self.coder.stream(self.p)
-        return self._within(self.goal.max_bytes)
+            stream = self._at_psnr(self.goal.psnr)
+        elif self.goal.max_bytes is not None:
+            stream = self._within(self.goal.max_bytes)
+        else:
+            stream = self.coder.stream(self.p)
+        # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
+        background = self.coder.stream(_rows(self.p, torch.arange(0)))
+        enough = min(self._decoded_psnr(stream), self.goal.psnr or math.inf)
+        return background if self._decoded_psnr(background) >= enough else stream
 
     def _within(self, limit: int) -> RdStream:
         """The best of: coarser or finer steps until the size fits; fewer Gaussians at the steps as they are; and the
         better of these with colours solved anew for its rounded geometry. A fit that went well needs only the first,
         by a percent or two; one that was cut short can be far from its size, and then the others save it."""
-        best_coder = self._coder_within(self.p, limit)
-        tried = [(best_coder, self.p)]
-        if len(bitstream_rd.serialise(self.coder.stream(self.p))) > limit:
+        tried = [(self._coder_within(self.p, limit), self.p)]
+        if max(self._bytes(*tried[0]), self._bytes(self.coder, self.p)) > limit:
             tried.append((self.coder, self._cut(limit)))
-        coder, p = max(tried, key=lambda option: self._decoded_psnr(option[0].stream(option[1])))
+        coder, p = self._best(tried, limit)
         solved = self._with_solved_colors(coder, p)
-        tried = [(coder, p), (self._coder_within(solved, limit), solved)]
-        return max((c.stream(q) for c, q in tried), key=self._decoded_psnr)
+        coder, p = self._best([(coder, p), (self._coder_within(solved, limit), solved)], limit)
+        return coder.stream(p)
+
+    def _best(self, tried: list[tuple[Coder, Parameters]], limit: int) -> tuple[Coder, Parameters]:
+        """The one nearest to the source of those within the limit; even the coarsest steps may not bring one there."""
+        within = [option for option in tried if self._bytes(*option) <= limit]
+        return max(within, key=lambda option: self._decoded_psnr(option[0].stream(option[1])))
+
+    @staticmethod
+    def _bytes(coder: Coder, p: Parameters) -> int:
+        return len(bitstream_rd.serialise(coder.stream(p)))
 
     def _coder_within(self, p: Parameters, limit: int) -> Coder:
         """With the finest quantum, by bisection from near the steered one, at which p fits the limit."""

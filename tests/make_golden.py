@@ -72,7 +72,8 @@ def rd_photograph(grey: bool) -> bytes:
 
 
 def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False) -> bytes:
-    """What no photograph has: every class of size, needles, colours beyond white, Gaussians far outside, some in one place."""
+    """What no photograph has: every class of size, needles, colours beyond white, Gaussians far outside, some in one
+    place."""
     rng = np.random.default_rng(n)
     means = rng.uniform(-0.5, 1.5, (n, 2)) * size
     means[: n // 6] = means[:1]

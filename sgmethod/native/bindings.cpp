@@ -18,6 +18,7 @@ using namespace nb::literals;
 
 namespace {
 
+// Inputs of another type or layout are converted; outputs are marked noconvert, or results would go to a copy.
 template <int Columns>
 using Rows = nb::ndarray<const float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
 template <int Columns>
@@ -27,6 +28,7 @@ using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::devi
 using BytesOut = nb::ndarray<uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 
 constexpr int64_t kNoLimit = int64_t{1} << 31;
+constexpr int kMaxSide = 1 << 20;  // the number of tiles stays within an int
 
 void require(bool condition, const char* message) {
   if (!condition) throw nb::value_error(message);
@@ -47,6 +49,7 @@ nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>> own(std::vector<float>&& v
 sg::Rasterization* make(Rows<2> means, Rows<3> factors, int width, int height, int isa, int64_t max_pairs) {
   require(means.shape(0) == factors.shape(0), "means and factors differ in number");
   require(width > 0 && height > 0, "the image must have pixels");
+  require(width <= kMaxSide && height <= kMaxSide, "the image is too large");
   const int n = static_cast<int>(means.shape(0));
   const int best = sg::best_isa();
   require(isa <= best, "this processor lacks the instruction set");
@@ -73,7 +76,8 @@ NB_MODULE(_native, m) {
              require_size(image, r.width(), r.height());
              nb::gil_scoped_release release;
              r.render(colors.data(), image.data());
-           })
+           },
+           "colors"_a, "image"_a.noconvert())
       .def(
           "render_bytes",
           [](const sg::Rasterization& r, Rows<3> colors, BytesOut image, std::tuple<float, float, float> background) {
@@ -84,14 +88,14 @@ NB_MODULE(_native, m) {
              nb::gil_scoped_release release;
              r.render_bytes(colors.data(), below, image.data());
            },
-          "colors"_a, "image"_a, "background"_a = std::make_tuple(0.0f, 0.0f, 0.0f))
+          "colors"_a, "image"_a.noconvert(), "background"_a = std::make_tuple(0.0f, 0.0f, 0.0f))
       .def("backward", [](const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> out) {
         const auto n = static_cast<size_t>(r.gaussians());
         require(colors.shape(0) == n && means.shape(0) == n && factors.shape(0) == n && out.shape(0) == n, "one row per Gaussian");
         require_size(grad, r.width(), r.height());
         nb::gil_scoped_release release;
         r.backward(colors.data(), grad.data(), {means.data(), factors.data(), out.data()});
-      });
+      }, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(), "out_colors"_a.noconvert());
 
   nb::class_<sg::ReconstructionLoss>(m, "ReconstructionLoss")
       .def(nb::new_([](Image target, float lambda_g) {
@@ -107,7 +111,7 @@ NB_MODULE(_native, m) {
           value = loss(image.data(), grad.data());
         }
         return std::make_tuple(value.mse, value.geometry);
-      });
+      }, "image"_a, "grad"_a.noconvert());
 
   nb::class_<sg::RdParameters>(m, "RdParameters")
       .def(
@@ -125,7 +129,8 @@ NB_MODULE(_native, m) {
     nb::gil_scoped_release release;
     sg::rd_quantise(p, means.data(), factors.data(), colors.data(), static_cast<int>(n), out_means.data(), out_factors.data(),
                     out_colors.data());
-  });
+  }, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(), "out_factors"_a.noconvert(),
+     "out_colors"_a.noconvert());
   m.def("rd_encode", [](const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors) {
     const auto n = means.shape(0);
     require(factors.shape(0) == n && colors.shape(0) == n, "one row per Gaussian");
