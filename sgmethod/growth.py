@@ -27,7 +27,8 @@ def candidates(residual: FloatArray, most: int, least_gain: float) -> Gaussians:
     Each has the colour that would be best if it were alone.
     """
     height, width = residual.shape[:2]
-    scales = [s for s in SCALES_PX if s <= max(height, width)]
+    # The gain of a wider one counts what lies outside, and hides every other place.
+    scales = [s for s in SCALES_PX if 4 * s <= max(height, width)] or [SCALES_PX[0]]
     gain = np.zeros((height, width), np.float32)
     color = np.zeros_like(residual)
     scale = np.zeros((height, width), np.float32)

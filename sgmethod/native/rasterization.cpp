@@ -197,12 +197,14 @@ void Rasterization::render_bytes(const float* colors, const float* background, u
     const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
     const int columns = std::min(kTileWidth, width_ - x0), rows = std::min(kTileHeight, height_ - y0);
     for (int row = 0; row < rows; ++row) {
-      uint8_t* out = image + 3 * (static_cast<int64_t>(y0 + row) * width_ + x0);
+      // Rounding first, plane by plane, is a loop the compiler turns into vectors; interleaving is not.
+      int32_t levels[3 * kTileWidth];
       const float* in = acc + row * 3 * kTileWidth;
-      for (int column = 0; column < columns; ++column)
-        for (int k = 0; k < 3; ++k)
-          out[3 * column + k] = static_cast<uint8_t>(
-              std::min(std::max(in[k * kTileWidth + column], 0.0f), 1.0f) * 255.0f + 0.5f);
+      for (int i = 0; i < 3 * kTileWidth; ++i)
+        levels[i] = static_cast<int32_t>(std::min(std::max(in[i], 0.0f), 1.0f) * 255.0f + 0.5f);
+      uint8_t* out = image + 3 * (static_cast<int64_t>(y0 + row) * width_ + x0);
+      for (int column = 0; column < columns; ++column, out += 3)
+        for (int k = 0; k < 3; ++k) out[k] = static_cast<uint8_t>(levels[k * kTileWidth + column]);
     }
   });
 }
