@@ -1,0 +1,107 @@
+"""What each part of profile rd is worth: the same pictures at the same rate with one part left out at a time.
+
+    python -m benchmarks.ablation --images FOLDER [--bpp 0.25] [--steps 2000] [--most 6]
+
+Files are real and decoded again; all are of the same size within a percent, so the difference in PSNR is the part's
+worth. Fewer steps than an encode's are enough to rank parts and take less time; the table says how many.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from benchmarks.machine import ROOT, in_words, origin, write_json
+from sgmethod import Budget, rd
+from sgmethod.codec import encode
+from sgmethod.image import read_image
+from sgmethod.profiles import PAPER, PROFILES, RD, RdSettings
+from sgmethod.quantise import rd as quantiser
+
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part and how to leave it out: other settings, or a patch while encoding."""
+
+    name: str
+    without: dict[str, Any]
+    patched: Callable[[], AbstractContextManager[Any]] = nullcontext
+
+
+def _keep_all(_: Any) -> None:
+    """In place of dropping Gaussians."""
+
+
+PARTS = (
+    Part("nothing", {}),
+    Part("growth (all placed by structure at the start)", {"start_share": 1.0, "bits_of_new": 1e12}),
+    Part("structure (random start)", {}, lambda: patch.object(rd, "PAPER", replace(PAPER, structure_guided=False))),
+    Part("dropping what rounds to nothing", {}, lambda: patch.object(rd.RdFit, "_drop", _keep_all)),
+    Part("a price for existing (anything may grow)", {"bits_of_new": 0.0}),
+    Part("a price for bits while fitting", {}, lambda: patch.object(quantiser, "add_rate_gradient")),
+    Part("noise while fitting", {}, lambda: patch.object(quantiser, "dithered", lambda p, *_: p)),
+    Part("rounding while fitting", {"rounding_from": 2.0}),
+    Part(
+        "colours solved anew at the end",
+        {},
+        lambda: patch.object(rd.RdFit, "_with_solved_colors", lambda _self, _coder, p: p),
+    ),
+)
+
+
+def measure(part: Part, pictures: list[Path], bpp: float, settings: RdSettings) -> dict[str, Any]:
+    """Mean figures over the pictures without the part."""
+    stats = []
+    with ExitStack() as stack:
+        stack.enter_context(part.patched())
+        stack.enter_context(patch.dict(PROFILES, {"rd": replace(settings, **part.without)}))
+        for picture in pictures:
+            stats.append(encode(read_image(picture.read_bytes()), Budget("bpp", bpp), "rd").stats)
+    return {
+        "without": part.name,
+        "psnr": statistics.fmean(s.psnr for s in stats),
+        "bpp": statistics.fmean(s.bpp for s in stats),
+        "gaussians": statistics.fmean(s.gaussians for s in stats),
+        "seconds": statistics.fmean(s.seconds for s in stats),
+    }
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation", description="Profile rd, part by part.")
+    parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
+    parser.add_argument("--bpp", type=float, default=0.25)
+    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
+    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "ablation.json")
+    options = parser.parse_args()
+    every = sorted(p for p in options.images.iterdir() if p.suffix.lower() in SUFFIXES)
+    pictures = every[:: max(len(every) // options.most, 1)][: options.most]
+    if not pictures:
+        raise SystemExit(f"there is no picture in {options.images}")
+    settings = replace(RD, steps=options.steps)
+    print("| without | PSNR | change | bpp | Gaussians | seconds |\n|---|---|---|---|---|---|")
+    rows: list[dict[str, Any]] = []
+    for part in PARTS:
+        rows.append(measure(part, pictures, options.bpp, settings))
+        row, change = rows[-1], rows[-1]["psnr"] - rows[0]["psnr"]
+        figures = (
+            f"{row['psnr']:.2f} | {change:+.2f} | {row['bpp']:.4f} | {row['gaussians']:.0f} | {row['seconds']:.1f}"
+        )
+        print(f"| {row['without']} | {figures} |", flush=True)
+    where = origin()
+    names = [p.name for p in pictures]
+    write_json(options.out, {**where, "pictures": names, "steps": options.steps, "bpp": options.bpp, "rows": rows})
+    print(f"\nMeans over {', '.join(names)}; {options.steps} steps.\n\n{in_words(where)}")
+
+
+if __name__ == "__main__":
+    main()
