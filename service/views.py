@@ -28,7 +28,7 @@ class AcceptedView(BaseModel):
 class BudgetView(BaseModel):
     """What the encode may spend."""
 
-    kind: str = Field(description='"bpp", "bytes", "psnr" or "gaussians"')
+    kind: str = Field(description='"bpp", "bytes", "psnr", "quality" or "gaussians"')
     value: float
 
 

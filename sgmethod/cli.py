@@ -29,6 +29,7 @@ from sgmethod.files import encode_png, write_atomically
 from sgmethod.image import read_image
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 from sgmethod.trace import TracePoint
+from sgmethod.view import MAX_SCALE, MIN_SCALE, View
 
 if TYPE_CHECKING:
     from sgmethod.codec import Encoded, Stats
@@ -105,9 +106,7 @@ def _parser() -> argparse.ArgumentParser:
         return found
 
     _add_encode_arguments(command("encode", _encode, "Encode an image (PNG, JPEG, WebP, TIFF, BMP) as an .sg file."))
-    to_png = command("decode", _decode, "Decode an .sg file to PNG.")
-    to_png.add_argument("input", metavar="IN.sg")
-    to_png.add_argument("output", metavar="OUT.png")
+    _add_decode_arguments(command("decode", _decode, "Decode an .sg file, or a view of it, to PNG."))
     fields = command("info", _info, "Print the header fields of an .sg file and the bits spent on each part.")
     fields.add_argument("input", metavar="IN.sg")
     fields.add_argument("--json", action="store_true", help="print one JSON object")
@@ -130,6 +129,24 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trace", metavar="FILE.json", help="write error against time of the fit")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
     parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+
+
+def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("input", metavar="IN.sg")
+    parser.add_argument("output", metavar="OUT.png")
+    scales = f"{MIN_SCALE} to {MAX_SCALE:g} (default: 1)"
+    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help=f"pixels drawn for a pixel, {scales}")
+    parser.add_argument("--region", type=_region, metavar="X,Y,W,H", help="this part of the picture, in its own pixels")
+    parser.add_argument(
+        "--prefix", type=float, default=1.0, metavar="P", help="from this part of the file, of profile rd alone"
+    )
+
+
+def _region(text: str) -> tuple[int, int, int, int]:
+    with suppress(ValueError):
+        x, y, width, height = (int(number) for number in text.split(","))
+        return x, y, width, height
+    raise argparse.ArgumentTypeError(f"a region is four whole numbers X,Y,W,H, not {text!r}")
 
 
 def _seed(text: str) -> int:
@@ -184,8 +201,9 @@ def _summary(stats: Stats) -> str:
 
 
 def _decode(arguments: argparse.Namespace) -> None:
+    view = View(arguments.scale, arguments.region, arguments.prefix)
     _check_outputs(arguments.input, [arguments.output])
-    _write(arguments.output, encode_png(decode(_read(arguments.input))))
+    _write(arguments.output, encode_png(decode(_read(arguments.input), view=view)))
 
 
 def _info(arguments: argparse.Namespace) -> None:

@@ -29,6 +29,7 @@ from sgmethod.image import read_image
 from sgmethod.metrics import psnr
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
+from sgmethod.view import View
 
 ROOT = Path(__file__).parent.parent
 DATA = ROOT / "tests" / "data"
@@ -107,6 +108,46 @@ def test_encode_and_decode(run: Run) -> None:
     assert names() == {"photo.png", "picture.sg", "out.sg", "out.png"}
 
 
+@pytest.mark.parametrize(
+    ("line", "view"),
+    [
+        ("--scale 0.25", View(0.25)),
+        ("--region 3,5,20,11", View(region=(3, 5, 20, 11))),
+        ("--region 3,5,20,11 --scale 2.5 --prefix 0.5", View(2.5, (3, 5, 20, 11), 0.5)),
+        ("--prefix 0.3", View(prefix=0.3)),
+    ],
+)
+def test_views(run: Run, line: str, view: View) -> None:
+    data = (DATA / "v2-color.sg").read_bytes()
+    Path("rd.sg").write_bytes(data)
+    assert run("decode", "rd.sg", "out.png", *line.split()) == Ran(0, "", "")
+    assert np.array_equal(np.asarray(Image.open("out.png")), decode(data, view=view))
+
+
+def test_quality(run: Run) -> None:
+    sizes = []
+    for quality in ("10", "60"):
+        ran = run("encode", "photo.png", "out.sg", "--quality", quality, "--json")
+        assert (ran.status, ran.err) == (0, "")
+        sizes.append(json.loads(ran.out)["bytes"])
+    assert 2 * sizes[0] < sizes[1]
+
+
+def test_info_of_version_2(run: Run) -> None:
+    data = (DATA / "v2-grey.sg").read_bytes()
+    Path("rd.sg").write_bytes(data)
+    ran = run("info", "rd.sg", "--json")
+    assert (ran.status, ran.err) == (0, "")
+    assert json.loads(ran.out) == json.loads(json.dumps(info(data)))
+    ran = run("info", "rd.sg")
+    assert (ran.status, ran.err) == (0, "")
+    shown = dict(line.split(maxsplit=1) for line in ran.out.splitlines())
+    assert shown.keys() >= {"version", "profile", "gaussians", "quantum", "background", "grey", "upright", "bpp"}
+    assert (shown["version"], shown["profile"], shown["grey"], shown["upright"]) == ("2", "rd", "True", "False")
+    assert (shown["width"], shown["height"], shown["checksum"]) == ("48", "40", data[4:8].hex())
+    assert int(shown["bits.headers"]) + int(shown["bits.payload"]) == 8 * len(data)
+
+
 def test_the_budget_is_0_3_bpp_if_not_told(run: Run) -> None:
     assert run("encode", "photo.png", "default.sg").status == 0
     assert run("encode", "photo.png", "told.sg", "--bpp", "0.3").status == 0
@@ -174,6 +215,7 @@ def test_help(run: Run, command: list[str]) -> None:
 
 
 ENCODE = "encode photo.png out.sg "
+DECODE = "decode picture.sg out.png "
 
 
 @pytest.mark.parametrize(
@@ -213,6 +255,21 @@ ENCODE = "encode photo.png out.sg "
         ("encode picture.sg out.sg", "not a PNG"),
         ("decode missing.sg out.png", "cannot read missing.sg: No such file"),
         ("decode photo.png out.png", "not an .sg file"),
+        (ENCODE + "--quality 101", "at most 100"),
+        (ENCODE + "--quality 0", "positive"),
+        (ENCODE + "--quality 50 --bpp 1", "not allowed with"),
+        (DECODE + "--scale 0", "the scale must lie in"),
+        (DECODE + "--scale 65", "the scale must lie in"),
+        (DECODE + "--scale nan", "the scale must lie in"),
+        (DECODE + "--scale big", "--scale"),
+        (DECODE + "--prefix 0", "the prefix must lie"),
+        (DECODE + "--prefix 1.5", "the prefix must lie"),
+        (DECODE + "--prefix 0.5", "no order that a prefix could follow"),  # version 1
+        (DECODE + "--region 1,2,3", "four whole numbers"),
+        (DECODE + "--region 1,2,3,x", "four whole numbers"),
+        (DECODE + "--region 0,0,41,56", "does not lie within 40 x 56"),
+        (DECODE + "--region=-1,0,5,5", "does not lie within"),
+        (DECODE + "--region 0,0,0,5", "does not lie within"),
         ("info photo.png", "not an .sg file"),
         ("info missing.sg", "cannot read missing.sg: No such file"),
         ("info folder --json", "cannot read folder: Is a directory"),
@@ -328,7 +385,7 @@ def test_a_disk_that_fills_up_leaves_nothing(run: Run, monkeypatch: pytest.Monke
 
 
 def test_too_little_memory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def decode_more(_: bytes) -> None:
+    def decode_more(*_: object, **__: object) -> None:
         raise MemoryError
 
     monkeypatch.setattr(cli, "decode", decode_more)
@@ -467,7 +524,7 @@ def test_the_readme_names_every_profile() -> None:
 
 def test_the_readme_names_every_argument() -> None:
     text = "\n".join(commands_of_the_readme())
-    for flag in (*BUDGET_KINDS, "profile", "time-limit", "seed", "trace", "json", "quiet"):
+    for flag in (*BUDGET_KINDS, "profile", "time-limit", "seed", "trace", "json", "quiet", "scale", "region", "prefix"):
         assert f"--{flag}" in text
 
 
@@ -475,8 +532,9 @@ def test_the_readme_names_every_argument() -> None:
 def test_commands_of_the_readme(run: Run, line: str) -> None:
     """As they stand there, on a small photograph and with budgets to fit it."""
     Image.open("photo.png").save("photo.jpg", quality=95)
-    Path("picture.sg").rename("photo.sg")
+    Path("photo.sg").write_bytes((DATA / "v2-color.sg").read_bytes())  # 48 x 40
     line = re.sub(r"#.*", "", line).replace("--gaussians 5000", "--gaussians 50").replace("--psnr 32", "--psnr 12")
+    line = line.replace("--region 100,50,640,480", "--region 8,5,32,24")
     ran = run(*shlex.split(line)[1:])
     assert (ran.status, ran.err) == (0, "")
 

@@ -80,8 +80,9 @@ def test_every_quantum_code() -> None:
 
 
 def test_views_in_the_text() -> None:
-    assert f"s, 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in TEXT
-    assert f"one output pixel wide is 1/{1 / PIXEL_VARIANCE:g}" in TEXT
+    text = " ".join(TEXT.split())
+    assert f"s, 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
+    assert f"one output pixel wide is 1/{1 / PIXEL_VARIANCE:g}" in text
 
 
 @pytest.mark.parametrize("name", GOLDEN)

@@ -140,7 +140,9 @@ def test_jobs_are_listed_newest_first_in_pages(start_service: StartService) -> N
         ({"bpp": "1", "time_limit_s": "0"}, "time_limit_s"),
         ({"bpp": "1", "time_limit_s": "1e9"}, "time_limit_s"),
         ({"bpp": "1", "time_limit_s": "soon"}, "time_limit_s"),
-        ({"bpp": "1", "quality": "9"}, "unknown field"),
+        ({"bpp": "1", "quality": "9"}, "exactly one"),
+        ({"quality": "101"}, "at most 100"),
+        ({"bpp": "1", "fineness": "9"}, "unknown field"),
     ],
 )
 def test_fields_that_are_refused(web: Service, fields: dict[str, str], words: str) -> None:
@@ -215,7 +217,7 @@ def test_image_larger_than_the_limit(web: Service) -> None:
 
 @hypothesis_settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
-    name=st.sampled_from(["bpp", "bytes", "psnr", "gaussians", "profile", "time_limit_s", "x"]),
+    name=st.sampled_from(["bpp", "bytes", "psnr", "quality", "gaussians", "profile", "time_limit_s", "x"]),
     value=st.text(max_size=20) | st.floats().map(str) | st.integers().map(str),
     image=st.binary(max_size=60) | st.binary(max_size=20).map(lambda junk: SMALL[:60] + junk),
 )

@@ -11,6 +11,7 @@ from PIL import Image
 from service_process import SMALL, Service, assert_problem, png
 
 import sgmethod
+from sgmethod.profiles import DEFAULT_PROFILE
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +36,20 @@ def test_answer_to_an_accepted_image(service: Service) -> None:
     assert service.wait(job_id)["result"]["profile"] == "baseline"
 
 
+def test_a_quality(service: Service) -> None:
+    job = service.wait(service.accepted(SMALL, quality=40, time_limit_s=1))
+    assert job["budget"] == {"kind": "quality", "value": 40}
+    assert (job["state"], job["result"]["profile"]) == ("done", "rd")
+    refused = service.wait(service.accepted(SMALL, quality=40, profile="paper", time_limit_s=1))
+    assert refused["state"] == "failed"
+    assert "no quality scale" in refused["error"]["detail"]
+
+
 def test_a_finished_job_tells_its_figures_and_its_trace(done: dict[str, Any]) -> None:
     assert (done["progress"], done["attempt"], done["position"], done["error"]) == (1, 1, None, None)
     assert done["created_at"] <= done["started_at"] <= done["finished_at"]
     result = done["result"]
-    assert (result["width"], result["height"], result["profile"]) == (64, 48, "paper")
+    assert (result["width"], result["height"], result["profile"]) == (64, 48, DEFAULT_PROFILE)
     assert result["bpp"] <= 2
     assert result["gaussians"] > 0
     assert len(done["trace"]) > 1
