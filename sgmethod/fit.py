@@ -61,8 +61,8 @@ class Recorder:
             self.on_progress(point)
 
 
-RESERVE_S = 0.1  # plus RESERVE_S_PER_MEGAPIXEL, kept back of a time limit for writing and measuring the file
-RESERVE_S_PER_MEGAPIXEL = 0.4
+RESERVE_S = 0.2  # plus RESERVE_S_PER_MEGAPIXEL, kept back of a time limit for writing and measuring the file
+RESERVE_S_PER_MEGAPIXEL = 1.0
 
 
 @dataclass(frozen=True)
