@@ -87,24 +87,13 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, in
 
   // Counting sort by tile; chunks in order, so that each tile's Gaussians come in order of index.
   tile_start_.assign(tiles + 1, 0);
-  pair_start_.assign(n + 1, 0);
   for (const Bin& bin : bins)
-    for (size_t k = 0; k < bin.pairs.size(); ++k) {
-      ++tile_start_[bin.tiles[k] + 1];
-      ++pair_start_[bin.pairs[k].gaussian + 1];
-    }
+    for (int32_t tile : bin.tiles) ++tile_start_[tile + 1];
   for (int t = 0; t < tiles; ++t) tile_start_[t + 1] += tile_start_[t];
-  for (int i = 0; i < n; ++i) pair_start_[i + 1] += pair_start_[i];
-  pairs_.resize(tile_start_[tiles]);
-  pair_places_.resize(tile_start_[tiles]);
+  pairs_.reset(new Pair[tile_start_[tiles]]);  // left unset: every place is written below
   std::vector<int64_t> next(tile_start_.begin(), tile_start_.end() - 1);
-  int64_t place = 0;
   for (const Bin& bin : bins)
-    for (size_t k = 0; k < bin.pairs.size(); ++k) {
-      const int64_t at = next[bin.tiles[k]]++;
-      pairs_[at] = bin.pairs[k];
-      pair_places_[place++] = at;  // pairs come Gaussian by Gaussian here
-    }
+    for (size_t k = 0; k < bin.pairs.size(); ++k) pairs_[next[bin.tiles[k]]++] = bin.pairs[k];
 }
 
 Footprint Rasterization::prepare(const float* mean, const float* factor) const {
@@ -211,7 +200,7 @@ void Rasterization::render_bytes(const float* colors, const float* background, u
 
 void Rasterization::backward(const float* colors, const float* image_grad, const Gradients& out) const {
   const int64_t plane = static_cast<int64_t>(width_) * height_;
-  const std::unique_ptr<float[]> pair_gradients(new float[pairs_.size() * kPairGradients]);  // all written below
+  const std::unique_ptr<float[]> pair_gradients(new float[tile_start_.back() * kPairGradients]);  // all written below
   parallel_for(strips_ * blocks_, [&](int tile) {
     alignas(64) float gradient[kTileFloats] = {};
     const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
@@ -222,16 +211,18 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
                     columns * sizeof(float));
     kernels(isa_).backward(*this, tile, colors, gradient, pair_gradients.get() + tile_start_[tile] * kPairGradients);
   });
-  parallel_chunks(n_, kChunk, [&](int first, int last, int) {
-    for (int i = first; i < last; ++i) {
-      float sum[kPairGradients] = {};
-      for (int64_t p = pair_start_[i]; p < pair_start_[i + 1]; ++p)
-        for (int k = 0; k < kPairGradients; ++k) sum[k] += pair_gradients[pair_places_[p] * kPairGradients + k];
-      std::copy(sum, sum + 2, out.means + 2 * static_cast<int64_t>(i));
-      std::copy(sum + 2, sum + 5, out.factors + 3 * static_cast<int64_t>(i));
-      std::copy(sum + 5, sum + 8, out.colors + 3 * static_cast<int64_t>(i));
-    }
-  });
+  // One thread, in order of tile: a few per cent of the time, and the sums are the same for every number of threads.
+  std::fill_n(out.means, 2 * static_cast<int64_t>(n_), 0.0f);
+  std::fill_n(out.factors, 3 * static_cast<int64_t>(n_), 0.0f);
+  std::fill_n(out.colors, 3 * static_cast<int64_t>(n_), 0.0f);
+  const float* gradient = pair_gradients.get();
+  for (int64_t p = 0; p < tile_start_.back(); ++p) {
+    const int64_t i = pairs_[p].gaussian;
+    for (int k = 0; k < 2; ++k) out.means[2 * i + k] += gradient[k];
+    for (int k = 0; k < 3; ++k) out.factors[3 * i + k] += gradient[2 + k];
+    for (int k = 0; k < 3; ++k) out.colors[3 * i + k] += gradient[5 + k];
+    gradient += kPairGradients;
+  }
 }
 
 }  // namespace sg

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 namespace sg {
@@ -58,8 +59,8 @@ class Rasterization {
 
   const Footprint& footprint(int gaussian) const { return footprints_[gaussian]; }
   int strips() const { return strips_; }
-  const Pair* tile_begin(int tile) const { return pairs_.data() + tile_start_[tile]; }
-  const Pair* tile_end(int tile) const { return pairs_.data() + tile_start_[tile + 1]; }
+  const Pair* tile_begin(int tile) const { return pairs_.get() + tile_start_[tile]; }
+  const Pair* tile_end(int tile) const { return pairs_.get() + tile_start_[tile + 1]; }
   int64_t tile_offset(int tile) const { return tile_start_[tile]; }
 
  private:
@@ -78,10 +79,8 @@ class Rasterization {
   int n_, width_, height_, strips_, blocks_, isa_;
   std::vector<Footprint> footprints_;
   std::vector<float> factors_;
-  std::vector<Pair> pairs_;           // sorted by tile, then by Gaussian
+  std::unique_ptr<Pair[]> pairs_;           // sorted by tile, then by Gaussian
   std::vector<int64_t> tile_start_;   // [tiles + 1]
-  std::vector<int64_t> pair_places_;  // for each Gaussian, its pairs' places in pairs_, in order of tile
-  std::vector<int64_t> pair_start_;   // [n + 1]
 };
 
 }  // namespace sg

@@ -18,7 +18,7 @@ namespace {
 
 // A waiting thread polls this often before it sleeps: long enough to bridge the gap between the phases of
 // one render, short enough not to take a core from anyone.
-constexpr int kSpins = 2000;
+constexpr int kSpins = 10000;
 constexpr int kMaxThreads = 256;
 
 // Results far below one grey level need no subnormal numbers, and some processors are slow with them.
