@@ -50,7 +50,7 @@ class Settings(OptimiserSettings):
     lambda_e: float = 0.003
 
     # Schedule: ours.
-    fit_steps: int = 5000
+    fit_steps: int = 4000
     tune_steps: int = 2500
     tune_rate: float = 0.5  # of the optimiser's rates
     bits_rate: float = 0.02
