@@ -38,6 +38,36 @@ class ReconstructionLoss:
     def __call__(self, image: Any, grad: Any) -> tuple[float, float]:
         """(MSE, L_g); fills grad with the gradient by the image."""
 
+class AdamSettings:
+    """Of frame_adam; rates are relative changes of a step."""
+
+    def __init__(
+        self, mean_rate: float, factor_rate: float, color_rate: float, beta1: float, beta2: float, min_scale: float
+    ) -> None: ...
+
+def frame_adam(
+    settings: AdamSettings,
+    rate: float,
+    means: Any,
+    factors: Any,
+    colors: Any,
+    by_means: Any,
+    by_factors: Any,
+    by_colors: Any,
+    first: Any,
+    second: Any,
+    age: Any,
+) -> None:
+    """One step of sgmethod.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], age [N, 1]."""
+
+def rd_dither(
+    quantum: float, means: Any, factors: Any, colors: Any, noise: Any, out_means: Any, out_factors: Any, out_colors: Any
+) -> None:
+    """Fill out_* with the Gaussians under the quantiser's noise; noise [N, 8] is uniform in [-0.5, 0.5)."""
+
+def rd_rate_gradient(quantum: float, weight: float, factors: Any, colors: Any, by_factors: Any, by_colors: Any) -> None:
+    """Add the gradient of weight * sum of sgmethod.quantise.rd.rate_bits to by_factors and by_colors."""
+
 class RdParameters:
     """What the stream of profile rd needs to know before its first Gaussian."""
 

@@ -48,12 +48,16 @@ class Recorder:
         self.clock, self.on_progress = clock, on_progress
         self.points: list[TracePoint] = []
 
+    def due(self) -> bool:
+        """Whether the next point of a phase will be taken."""
+        return not self.points or self.clock.seconds() - self.points[-1].seconds >= REPORT_INTERVAL_S
+
     def report(self, phase: str, step: int, steps: int, mse: float, counts: tuple[int, int]) -> None:
         """Add a point; counts = (number of Gaussians, bits of the file or 0)."""
-        seconds = self.clock.seconds()
         new_phase = not self.points or self.points[-1].phase != phase
-        if not new_phase and step < steps and seconds - self.points[-1].seconds < REPORT_INTERVAL_S:
+        if not (new_phase or step == steps or self.due()):
             return
+        seconds = self.clock.seconds()
         psnr = -10 * math.log10(max(mse, 1e-12))
         point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), counts[1], counts[0], phase)
         self.points.append(point)
@@ -115,19 +119,32 @@ class Parameters:
 
 
 class Picture:
-    """The target with its loss; evaluates Gaussians and their gradients natively."""
+    """The target with its loss; evaluates Gaussians and their gradients natively.
 
-    def __init__(self, image: FloatArray, lambda_g: float) -> None:
+    A picture of half the size serves as well while Gaussians are few, at a quarter of the time: means and factors
+    stay in pixels of the whole picture, and spacing says how many of those a pixel of this one is wide.
+    """
+
+    def __init__(self, image: FloatArray, lambda_g: float, spacing: int = 1) -> None:
         """image [H, W, 3] in [0, 1]; lambda_g weighs the geometry-consistent regularisation."""
         self.target = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
         self.height, self.width = image.shape[:2]
+        self.spacing = spacing
         self.lambda_g = lambda_g
         self._loss = native.ReconstructionLoss(self.target, lambda_g)
         self._image = torch.empty_like(self.target)
         self._grad = torch.empty_like(self.target)
 
+    def halved(self) -> Picture:
+        """The same picture at half the size."""
+        planes = torch.nn.functional.pad(self.target[None], (0, self.width % 2, 0, self.height % 2), mode="replicate")
+        small = torch.nn.functional.avg_pool2d(planes, 2)[0].permute(1, 2, 0).numpy()
+        return Picture(small, self.lambda_g, 2 * self.spacing)
+
     def rasterise(self, means: Tensor, factors: Tensor) -> native.Rasterization:
         """The geometry over this picture's pixels."""
+        if self.spacing != 1:
+            means, factors = means / self.spacing, factors / self.spacing
         return native.Rasterization(means.contiguous(), factors.contiguous(), self.width, self.height)
 
     def gradients(self, p: Parameters) -> tuple[float, Parameters]:
@@ -139,10 +156,13 @@ class Picture:
         n = len(p.means)
         out = Parameters(torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3))
         raster.backward(colors, self._grad, out.means, out.factors, out.colors)
+        if self.spacing != 1:
+            out.means /= self.spacing
+            out.factors /= self.spacing
         return mse, out
 
     def residual(self, p: Parameters) -> Tensor:
-        """Target minus picture [3, H, W]."""
+        """Target minus picture [3, H, W], in this picture's pixels."""
         image = torch.empty_like(self.target)
         self.rasterise(p.means, p.factors).render(p.colors.contiguous(), image)
         return self.target - image
@@ -156,7 +176,7 @@ class Picture:
         pi l1 l3, of which `damping` is added to the diagonal. The target is the picture, or residual_of [3, H, W].
         """
         raster, n = self.rasterise(means, factors), len(means)
-        energy = (math.pi * factors[:, :1] * factors[:, 2:]).clamp_min(1e-12)
+        energy = (math.pi / self.spacing**2 * factors[:, :1] * factors[:, 2:]).clamp_min(1e-12)
         zero, geometry = torch.zeros(n, 3), (torch.empty(n, 2), torch.empty(n, 3))
 
         def transpose(image: Tensor) -> Tensor:
@@ -195,8 +215,8 @@ class FrameAdam:
 
     def __init__(self, n: int, settings: OptimiserSettings) -> None:
         s = settings
-        self.rates = torch.tensor([s.mean_rate] * 2 + [s.factor_rate] * 3 + [s.color_rate] * 3)
-        self.beta1, self.beta2, self.min_scale = s.beta1, s.beta2, s.min_scale_px
+        rates = (s.mean_rate, s.factor_rate, s.color_rate)
+        self._settings = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px)
         self.first, self.second = torch.zeros(n, 8), torch.zeros(n, 8)
         self.age = torch.zeros(n, 1)  # steps of each Gaussian: those that come later start their averages anew
 
@@ -212,21 +232,8 @@ class FrameAdam:
 
     def step(self, p: Parameters, grad: Parameters, rate: float) -> None:
         """Move p, in place, against its gradients; rate scales all rates."""
-        l1, l2, l3 = p.factors.unbind(1)
-        gx, gy = grad.means.unbind(1)
-        g1, g2, g3 = grad.factors.unbind(1)
-        frame = torch.stack([l1 * gx + l2 * gy, l3 * gy, l1 * g1 + l2 * g2, l3 * g2, l3 * g3], 1)
-        g = torch.cat([frame, grad.colors], 1)
-        self.age += 1
-        self.first.mul_(self.beta1).add_(g, alpha=1 - self.beta1)
-        self.second.mul_(self.beta2).addcmul_(g, g, value=1 - self.beta2)
-        scale = (self.second / (1 - self.beta2**self.age)).sqrt_().add_(1e-15)
-        move = self.first / scale * (self.rates * -rate) / (1 - self.beta1**self.age)
-        p.means = p.means + torch.stack([l1 * move[:, 0], l2 * move[:, 0] + l3 * move[:, 1]], 1)
-        grow1, grow3 = torch.exp(move[:, 2]), torch.exp(move[:, 4])
-        l1, l2, l3 = l1 * grow1, l2 * grow1 + l3 * move[:, 3], l3 * grow3
-        p.factors = torch.stack([l1.clamp_min(self.min_scale), l2, l3.clamp_min(self.min_scale)], 1)
-        p.colors = p.colors + move[:, 5:]
+        values = (p.means, p.factors, p.colors, grad.means, grad.factors, grad.colors)
+        native.frame_adam(self._settings, rate, *values, self.first, self.second, self.age)
 
 
 @dataclass(frozen=True)

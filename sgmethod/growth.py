@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from sgmethod.gaussians import FloatArray, Gaussians
 
-Indices = NDArray[np.int64]
-
 SCALES_PX = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 
 
@@ -30,20 +28,23 @@ def candidates(residual: FloatArray, most: int, least_gain: float) -> Gaussians:
     # The gain of a wider one counts what lies outside, and hides every other place.
     scales = [s for s in SCALES_PX if 4 * s <= max(height, width)] or [SCALES_PX[0]]
     gain = np.zeros((height, width), np.float32)
-    color = np.zeros_like(residual)
-    scale = np.zeros((height, width), np.float32)
-    for s in scales:
-        blurred = _blur(residual, s)
-        found = (4 * math.pi * s * s) * np.einsum("ijk,ijk->ij", blurred, blurred)
+    chosen = np.zeros((height, width), np.uint8)  # index of the scale with that gain
+    blurred = [_blur(residual, s) for s in scales]
+    for index, (s, image) in enumerate(zip(scales, blurred, strict=True)):
+        found = cv2.transform(image * image, np.full((1, 3), 4 * math.pi * s * s, np.float32))
         better = found > gain
-        gain[better], scale[better], color[better] = found[better], s, 2 * blurred[better]
-    rows, columns = _peaks(gain, scale, scales, least_gain)
+        np.copyto(gain, found, where=better)
+        np.copyto(chosen, np.uint8(index), where=better)
+    rows, columns = np.nonzero(_peaks(gain, chosen, scales) & (gain > least_gain))
     order = np.argsort(-gain[rows, columns], kind="stable")[: max(most, 0)]
     rows, columns = rows[order], columns[order]
     means = np.stack([columns, rows], 1).astype(np.float32) + 0.5
-    chosen = scale[rows, columns]
-    factors = np.stack([chosen, 0 * chosen, chosen], 1)
-    return Gaussians(means, factors, color[rows, columns])
+    scale = np.array(scales, np.float32)[chosen[rows, columns]]
+    colors = np.zeros((len(rows), 3), np.float32)
+    for index, image in enumerate(blurred):
+        mine = chosen[rows, columns] == index
+        colors[mine] = 2 * image[rows[mine], columns[mine]]
+    return Gaussians(means, np.stack([scale, 0 * scale, scale], 1), colors)
 
 
 def _blur(image: FloatArray, sigma: float) -> FloatArray:
@@ -58,13 +59,10 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _peaks(gain: FloatArray, scale: FloatArray, scales: list[float], least_gain: float) -> tuple[Indices, Indices]:
-    """Rows and columns where the gain is the largest within the chosen scale's own size."""
-    rows, columns = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for s in scales:
+def _peaks(gain: FloatArray, chosen: NDArray[np.uint8], scales: list[float]) -> NDArray[np.bool_]:
+    """Where [H, W] the gain is the largest within the chosen scale's own size."""
+    peaks = np.zeros(gain.shape, np.bool_)
+    for index, s in enumerate(scales):
         side = max(3, int(2 * s) | 1)
-        top = cv2.dilate(gain, np.ones((side, side), np.uint8))
-        found = np.nonzero((gain >= top) & (scale == np.float32(s)) & (gain > least_gain))
-        rows.append(found[0])
-        columns.append(found[1])
-    return np.concatenate(rows), np.concatenate(columns)
+        peaks |= (gain >= cv2.dilate(gain, np.ones((side, side), np.uint8))) & (chosen == index)
+    return peaks

@@ -78,13 +78,16 @@ class RdSettings(OptimiserSettings):
     bits_of_new: float = 20.0  # a Gaussian is added where it gains more than so many bits are worth
     rate_weight: float = 2.0  # of the theoretical price of a bit
     color_solve_steps: int = 10  # conjugate-gradient steps for the start's colours and for the last ones
+    # While Gaussians are few a picture of half the size, or a quarter, serves as well.
+    halvings: int = 2
+    pixels_per_gaussian: float = 20.0
+    halved_until: float = 0.5
     rounding_from: float = 0.75  # noise before, rounding with straight-through gradients after
     # Steering of the quantum towards a size or a PSNR
     steering_from: float = 0.12
     steering_exponent: float = 0.9
     steering_limit: float = 1.35  # the quantum's largest change at a time
-    early_size: float = 0.6  # of the final size, right when steering begins
-    early_db: float = 2.0  # below the final PSNR, likewise
+    early_db: float = 2.0  # below the final PSNR, right when steering begins
     trim_at: tuple[float, ...] = (0.78, 0.82, 0.86, 0.9)
     trim_exponent: float = 0.6
     db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles

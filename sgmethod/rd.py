@@ -18,7 +18,7 @@ from sgmethod import bitstream_rd, growth
 from sgmethod.bitstream_rd import RdStream
 from sgmethod.decode import decode
 from sgmethod.errors import BudgetError
-from sgmethod.fit import FrameAdam, Parameters, Picture, Plan, Task, run
+from sgmethod.fit import FrameAdam, Parameters, Picture, Plan, Recorder, Task, run
 from sgmethod.gaussians import FloatArray
 from sgmethod.metrics import psnr
 from sgmethod.placement import place
@@ -29,6 +29,7 @@ from sgmethod.quantise.rd import Coder
 GREY_TOLERANCE = 0.25 / 255  # channels that differ by less than this everywhere are one
 SMALLEST_FILE = bitstream_rd.HEADER_BYTES + 8  # without any Gaussian the payload is shorter than this
 GAUSSIANS_QUALITY = 75.0  # at which a number of Gaussians asked for is fitted
+SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
 BIT_GUESS = 30.0  # bits of a Gaussian, for the first guess of how many
 
 
@@ -46,24 +47,36 @@ class Goal:
 class RdFit:
     """One fit of one picture."""
 
-    def __init__(self, pixels: FloatArray, goal: Goal, settings: RdSettings, seed: int) -> None:
-        """pixels [H, W, 3] in [0, 1]."""
-        self.goal, self.settings = goal, settings
+    def __init__(self, pixels: FloatArray, goal: Goal, settings: RdSettings, seed: int, recorder: Recorder) -> None:
+        """pixels [H, W, 3] in [0, 1]; recorder says when an error will be shown, and so must be exact."""
+        self.goal, self.settings, self.recorder = goal, settings, recorder
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = bitstream_rd.background_of(pixels)
         grey = float(np.ptp(pixels, axis=2).max()) < GREY_TOLERANCE and len(set(background)) == 1
         self.coder = Coder((self.width, self.height), goal.quantum, background, grey)
         self.picture = Picture((pixels - np.array(background, np.float32) / 255).astype(np.float32), 0.0)
         self.values = self.picture.target.numel()
+        self.pictures = [self.picture]  # each half the size of the one before
+        for _ in range(settings.halvings):
+            if min(self.pictures[-1].height, self.pictures[-1].width) >= SMALLEST_SIDE:
+                self.pictures.append(self.pictures[-1].halved())
+        self.mse = 1.0
         self.generator = torch.Generator().manual_seed(seed)
         self.expected = self._expected_gaussians()
         start = min(max(int(self.expected * settings.start_share), 4), self._most())
-        self.p = Parameters.of(place(pixels, start, PAPER, np.random.default_rng(seed)))
+        self.p = self._placed(start, np.random.default_rng(seed))
         self.p.colors = self.picture.solve_colors(self.p.means, self.p.factors, settings.color_solve_steps)
         self.adam = FrameAdam(start, settings)
         self.size = 0
         self.source = np.zeros((0, 0, 3), np.uint8)
         self.due = sorted([*settings.growth_at, *settings.trim_at])
+
+    def _placed(self, n: int, rng: np.random.Generator) -> Parameters:
+        """n Gaussians where the structure is. They are few, so half the picture's size shows enough of it."""
+        picture = self.pictures[:2][-1]
+        image = picture.target.permute(1, 2, 0).numpy() + np.array(self.coder.background, np.float32) / 255
+        placed = Parameters.of(place(np.ascontiguousarray(image), n, PAPER, rng))
+        return Parameters(placed.means * picture.spacing, placed.factors * picture.spacing, placed.colors)
 
     def _expected_gaussians(self) -> int:
         if self.goal.max_gaussians is not None:
@@ -82,14 +95,29 @@ class RdFit:
         """One optimiser step, after whatever is due at this part of the schedule."""
         while self.due and progress >= self.due[0]:
             self._reconsider(self.due.pop(0))
-        rounding = progress >= self.settings.rounding_from
         quantum = self.coder.quantum
-        shown = self.coder.rounded(self.p) if rounding else quantiser.dithered(self.p, quantum, self.generator)
-        mse, grad = self.picture.gradients(shown)
+        if progress >= self.settings.rounding_from:
+            shown = self.coder.rounded(self.p)
+        else:
+            shown = quantiser.dithered(self.p, quantum, self.generator)
+        picture = self._picture_at(progress)
+        mse, grad = picture.gradients(shown)
+        if picture is self.picture:
+            self.mse = mse
+        elif self.recorder.due():
+            self.mse = self.picture.residual(shown).square().mean().item()
         price = self.settings.rate_weight * quantiser.error_per_bit(quantum) / self.values
         quantiser.add_rate_gradient(self.p, grad, quantum, price)
         self.adam.step(self.p, grad, rate)
-        return mse, (len(self.p.means), 8 * self.size)
+        return self.mse, (len(self.p.means), 8 * self.size)
+
+    def _picture_at(self, progress: float) -> Picture:
+        """The smallest picture that still tells the Gaussians what they need; the whole one in the end."""
+        if progress >= self.settings.halved_until:
+            return self.picture
+        enough = self.settings.pixels_per_gaussian * len(self.p.means)
+        large = [p for p in self.pictures if p.height * p.width >= enough]
+        return large[-1] if large else self.picture
 
     def _reconsider(self, at: float) -> None:
         """Steer the quantum; while growing, also drop and add Gaussians."""
@@ -139,13 +167,13 @@ class RdFit:
         s = self.settings
         if at < s.steering_from:
             return
-        # Early in the growth a smaller size, or a larger error, than the final one is right.
-        missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
         ratio = 1.0
         if self.goal.max_bytes is not None:
-            share = 1 - (1 - s.early_size) * missing
-            ratio = (self.size / (self.goal.max_bytes * share)) ** exponent
+            # The whole size from the first: the fine steps that this means while Gaussians are few serve them well.
+            ratio = (self.size / self.goal.max_bytes) ** exponent
         elif self.goal.psnr is not None:
+            # Early in the growth a larger error than the final one is right.
+            missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
             aim = self.goal.psnr - s.early_db * missing
             ratio = 2 ** ((self._rounded_psnr() - aim) / s.db_per_doubling * exponent)
         if ratio != 1.0:
@@ -250,14 +278,9 @@ def encode(task: Task, settings: RdSettings) -> tuple[bytes, int]:
     if goal.max_bytes is not None and goal.max_bytes < SMALLEST_FILE:
         raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {goal.max_bytes}")
     with torch.no_grad():
-        fit = RdFit(task.pixels, goal, settings, task.seed)
-
-        def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
-            with torch.enable_grad():
-                return fit.step(rate, progress)
-
+        fit = RdFit(task.pixels, goal, settings, task.seed, task.recorder)
         plan = Plan("fit", settings.steps, task.until_s(), patience=1.0)
-        done = run(plan, task.recorder, step, settings.final_rate)
+        done = run(plan, task.recorder, fit.step, settings.final_rate)
         return bitstream_rd.serialise(fit.finish(task.source())), done
 
 

@@ -9,6 +9,7 @@
 
 #include "kernels.h"
 #include "loss.h"
+#include "optimiser.h"
 #include "rasterization.h"
 #include "rd_codec.h"
 #include "thread_pool.h"
@@ -112,6 +113,43 @@ NB_MODULE(_native, m) {
         }
         return std::make_tuple(value.mse, value.geometry);
       }, "image"_a, "grad"_a.noconvert());
+
+  nb::class_<sg::AdamSettings>(m, "AdamSettings")
+      .def(
+          "__init__",
+          [](sg::AdamSettings* s, float mean_rate, float factor_rate, float color_rate, float beta1, float beta2, float min_scale) {
+            new (s) sg::AdamSettings{{mean_rate, mean_rate, factor_rate, factor_rate, factor_rate, color_rate, color_rate, color_rate},
+                                     beta1, beta2, min_scale};
+          },
+          "mean_rate"_a, "factor_rate"_a, "color_rate"_a, "beta1"_a, "beta2"_a, "min_scale"_a);
+  m.def("frame_adam", [](const sg::AdamSettings& settings, float rate, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors,
+                         Rows<2> by_means, Rows<3> by_factors, Rows<3> by_colors, RowsOut<8> first, RowsOut<8> second, RowsOut<1> age) {
+    const auto n = means.shape(0);
+    require(factors.shape(0) == n && colors.shape(0) == n && by_means.shape(0) == n && by_factors.shape(0) == n &&
+                by_colors.shape(0) == n && first.shape(0) == n && second.shape(0) == n && age.shape(0) == n, "one row per Gaussian");
+    sg::AdamSettings scaled = settings;
+    for (float& r : scaled.rates) r *= rate;
+    nb::gil_scoped_release release;
+    sg::frame_adam(scaled, static_cast<int>(n), {means.data(), factors.data(), colors.data()},
+                   {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), age.data());
+  }, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(), "colors"_a.noconvert(), "by_means"_a, "by_factors"_a,
+     "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(), "age"_a.noconvert());
+  m.def("rd_dither", [](float quantum, Rows<2> means, Rows<3> factors, Rows<3> colors, Rows<8> noise, RowsOut<2> out_means,
+                        RowsOut<3> out_factors, RowsOut<3> out_colors) {
+    const auto n = means.shape(0);
+    require(factors.shape(0) == n && colors.shape(0) == n && noise.shape(0) == n && out_means.shape(0) == n &&
+                out_factors.shape(0) == n && out_colors.shape(0) == n, "one row per Gaussian");
+    nb::gil_scoped_release release;
+    sg::rd_dither(quantum, static_cast<int>(n), {means.data(), factors.data(), colors.data()}, noise.data(),
+                  {out_means.data(), out_factors.data(), out_colors.data()});
+  }, "quantum"_a, "means"_a, "factors"_a, "colors"_a, "noise"_a, "out_means"_a.noconvert(), "out_factors"_a.noconvert(),
+     "out_colors"_a.noconvert());
+  m.def("rd_rate_gradient", [](float quantum, float weight, Rows<3> factors, Rows<3> colors, RowsOut<3> by_factors, RowsOut<3> by_colors) {
+    const auto n = factors.shape(0);
+    require(colors.shape(0) == n && by_factors.shape(0) == n && by_colors.shape(0) == n, "one row per Gaussian");
+    nb::gil_scoped_release release;
+    sg::rd_rate_gradient(quantum, weight, static_cast<int>(n), factors.data(), colors.data(), by_factors.data(), by_colors.data());
+  }, "quantum"_a, "weight"_a, "factors"_a, "colors"_a, "by_factors"_a.noconvert(), "by_colors"_a.noconvert());
 
   nb::class_<sg::RdParameters>(m, "RdParameters")
       .def(

@@ -1,0 +1,34 @@
+// What a step of the fit does to each Gaussian alone, apart from rendering: Adam in the Gaussian's own frame
+// (sgmethod/fit.py), and for profile rd the quantiser's noise and the price of bits (sgmethod/quantise/rd.py).
+#pragma once
+
+namespace sg {
+
+constexpr int kAdamValues = 8;  // d (2), S (3), colour (3)
+
+struct AdamSettings {
+  float rates[kAdamValues];  // relative change of each value in a step
+  float beta1, beta2;
+  float min_scale;  // l1, l3 at least this
+};
+
+// Rows of 2, 3, 3 values a Gaussian; grad_* likewise.
+struct MutableGaussians {
+  float *means, *factors, *colors;
+};
+struct ConstGaussians {
+  const float *means, *factors, *colors;
+};
+
+// One step against the gradients. first, second [n, 8] are Adam's averages, age [n] the steps of each Gaussian so far.
+void frame_adam(const AdamSettings& settings, int n, const MutableGaussians& p, const ConstGaussians& grad, float* first, float* second,
+                float* age);
+
+// out = p with noise [n, 8], uniform in [-0.5, 0.5), as wide as the quantiser's steps: d (2), u, v, r, colour (3).
+void rd_dither(float quantum, int n, const ConstGaussians& p, const float* noise, const MutableGaussians& out);
+
+// Adds to grad_factors and grad_colors the gradient of weight * sum of sgmethod.quantise.rd.rate_bits.
+void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,
+                      float* grad_colors);
+
+}  // namespace sg
