@@ -1,0 +1,81 @@
+"""Float quality at a fixed number of Gaussians: profile rd's fit with steps so fine and bits so cheap that they do
+not count. What a set of Gaussians can show, before any is coded; for comparison with representations of that size.
+
+    python -m benchmarks.representation --images FOLDER [--gaussians 5000,10000] [--steps 4000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.machine import ROOT, in_words, origin, write_json
+from sgmethod import bitstream_rd
+from sgmethod.fit import Clock, Plan, Recorder, run
+from sgmethod.image import read_image
+from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.profiles import RD, RdSettings
+from sgmethod.rd import Goal, RdFit
+
+SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
+
+
+def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, Any]:
+    """PSNR and MS-SSIM of the float Gaussians, rendered and rounded to 8 bits."""
+    pixels = read_image(picture.read_bytes())
+    recorder = Recorder(Clock(), None)
+    began = time.perf_counter()
+    fit = RdFit(pixels, Goal(bitstream_rd.MIN_QUANTUM, max_gaussians=gaussians), settings, 0, recorder)
+    run(Plan("fit", settings.steps, patience=1.0), recorder, fit.step, settings.final_rate)
+    seconds = time.perf_counter() - began
+    shown = pixels - fit.picture.residual(fit.p).permute(1, 2, 0).numpy()
+    levels = np.round(np.clip(shown, 0, 1) * 255).astype(np.uint8)
+    source = np.round(pixels * 255).astype(np.uint8)
+    return {
+        "image": picture.name,
+        "gaussians": len(fit.p.means),
+        "psnr": psnr(levels, source),
+        "ms_ssim": ms_ssim(levels, source),
+        "seconds": seconds,
+    }
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.representation", description=__doc__)
+    parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
+    parser.add_argument("--gaussians", default="5000,10000", help="numbers, separated by commas")
+    parser.add_argument("--steps", type=int, default=RD.steps)
+    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "representation.json")
+    options = parser.parse_args()
+    pictures = sorted(p for p in options.images.iterdir() if p.suffix.lower() in SUFFIXES)
+    if not pictures:
+        raise SystemExit(f"there is no picture in {options.images}")
+    settings = replace(RD, steps=options.steps, rounding_from=2.0)
+    torch.set_num_threads(1)
+    rows: list[dict[str, Any]] = []
+    print("| Gaussians | image | used | PSNR | MS-SSIM | seconds |\n|---|---|---|---|---|---|")
+    for asked in (int(n) for n in options.gaussians.split(",")):
+        for picture in pictures:
+            row = measure(picture, asked, settings)
+            rows.append({"asked": asked, **row})
+            figures = f"{row['gaussians']} | {row['psnr']:.2f} | {row['ms_ssim'] or 0:.4f} | {row['seconds']:.1f}"
+            print(f"| {asked} | {row['image']} | {figures} |", flush=True)
+        mine = [r for r in rows if r["asked"] == asked]
+        mean = {key: statistics.fmean(r[key] or 0 for r in mine) for key in ("gaussians", "psnr", "ms_ssim", "seconds")}
+        figures = f"{mean['gaussians']:.0f} | {mean['psnr']:.2f} | {mean['ms_ssim']:.4f} | {mean['seconds']:.1f}"
+        print(f"| {asked} | mean of {len(mine)} | {figures} |", flush=True)
+    where = origin()
+    write_json(options.out, {**where, "steps": options.steps, "rows": rows})
+    print(f"\n{in_words(where)}")
+
+
+if __name__ == "__main__":
+    main()
