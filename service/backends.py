@@ -11,7 +11,12 @@ from service.storage import DiskStorage, Storage
 def open_backend(settings: Settings) -> JobBackend:
     """The job table, made if there is none yet. Raises BackendError, OSError."""
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return SqliteJobs(settings.database_path, lease_s=settings.lease_s, max_attempts=settings.max_attempts)
+    return SqliteJobs(
+        settings.database_path,
+        lease_s=settings.lease_s,
+        max_attempts=settings.max_attempts,
+        max_running_per_owner=settings.max_running_per_key,
+    )
 
 
 def open_storage(settings: Settings) -> Storage:

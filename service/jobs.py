@@ -21,6 +21,8 @@ from sgmethod.budget import BudgetKind
 
 JobState = Literal["queued", "running", "done", "failed"]
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
+Priority = Literal["interactive", "bulk"]
+PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
 JsonObject = Mapping[str, Any]
 
 _JOB_ID = re.compile(r"[0-9a-f]{32}")
@@ -70,13 +72,19 @@ class SourceImage:
 
 @dataclass(frozen=True)
 class NewJob:
-    """A job to accept. fingerprint: digest of the whole request, compared when a key comes again."""
+    """A job to accept.
+
+    fingerprint: digest of the whole request, compared when an idempotency key comes again; owner: whose
+    API key came with the request, None where there are no keys.
+    """
 
     id: str
     request: EncodeRequest
     image: SourceImage
     fingerprint: str
     idempotency_key: str | None = None
+    owner: str | None = None
+    priority: Priority = "interactive"
 
 
 @dataclass(frozen=True)
@@ -109,12 +117,15 @@ class Claim:
 class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
-    number: place in the order of acceptance; position: place in the queue from 1, None unless queued;
-    crashes: attempts that ended without a word, which is what the limit of attempts counts.
+    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
+    turns, None unless queued; crashes: attempts that ended without a word, which is what the limit of
+    attempts counts.
     """
 
     number: int
     id: str
+    owner: str | None
+    priority: Priority
     state: JobState
     position: int | None
     request: EncodeRequest
@@ -133,27 +144,27 @@ class JobBackend(Protocol):
     thread. What a method has returned has reached the disk."""
 
     def submit(self, job: NewJob, queue_length: int) -> tuple[Job, bool]:
-        """Accept a job; returns it and True, or the job that came first under the same key and False.
+        """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
 
         Raises QueueFullError if queue_length jobs wait already, KeyReusedError if the key stands for
         another request.
         """
         ...
 
-    def find_key(self, idempotency_key: str) -> Job | None:
-        """The job that was accepted under the key."""
+    def find_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+        """The owner's job that was accepted under the key; each owner has keys of their own."""
         ...
 
     def queued(self) -> int:
         """How many jobs wait."""
         ...
 
-    def get(self, job_id: str) -> Job | None:
-        """The job, or None if there is none of that id."""
+    def get(self, job_id: str, owner: str | None = None) -> Job | None:
+        """The job, or None if there is none of that id; with an owner, only if it is theirs."""
         ...
 
-    def page(self, limit: int, before: int | None = None) -> list[Job]:
-        """The newest jobs, newest first, of those with a number below `before`."""
+    def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
+        """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs."""
         ...
 
     def trace(self, job_id: str) -> list[JsonObject]:
@@ -172,7 +183,11 @@ class JobBackend(Protocol):
         ...
 
     def claim(self, worker: str) -> Claim | None:
-        """Take the oldest queued job for a worker (a name for operators), or None if none waits."""
+        """Take the next queued job for a worker (a name for operators), or None if none may run.
+
+        Interactive jobs come before bulk ones; among equals the owner with the fewest running jobs, then
+        the owner served longest ago, then the oldest job. An owner at the limit of running jobs waits.
+        """
         ...
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:

@@ -61,6 +61,9 @@ class Settings(BaseSettings):
     job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, description="bytes of memory of one encode")
     lease_s: float = Field(default=15.0, ge=1, description="seconds after which a lost worker's job goes to another")
     max_attempts: int = Field(default=4, ge=1, description="crashes after which a job has failed")
+    max_running_per_key: int = Field(
+        default=0, ge=0, description="jobs of one API key that run at once; 0 for any number"
+    )
 
     max_decodes: int = Field(default=2, ge=1, description="pictures decoded at once")
     max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")

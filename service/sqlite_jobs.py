@@ -28,13 +28,15 @@ from service.jobs import (
 from service.storage import source_key
 
 BUSY_TIMEOUT_S = 30.0
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 SCHEMA = """
 CREATE TABLE jobs (
     number          INTEGER PRIMARY KEY AUTOINCREMENT,
     id              TEXT NOT NULL UNIQUE,
+    owner           TEXT NOT NULL DEFAULT '',
+    priority        TEXT NOT NULL DEFAULT 'interactive' CHECK (priority IN ('interactive', 'bulk')),
     state           TEXT NOT NULL DEFAULT 'queued' CHECK (state IN ('queued', 'running', 'done', 'failed')),
-    idempotency_key TEXT UNIQUE,
+    idempotency_key TEXT,
     fingerprint     TEXT NOT NULL,
     request         TEXT NOT NULL,
     image           TEXT NOT NULL,
@@ -46,9 +48,15 @@ CREATE TABLE jobs (
     started_at      REAL,
     finished_at     REAL,
     result          TEXT CHECK ((state = 'done') = (result IS NOT NULL)),
-    error           TEXT
+    error           TEXT,
+    UNIQUE (owner, idempotency_key)
 );
 CREATE INDEX jobs_by_state ON jobs (state, number);
+CREATE INDEX jobs_by_owner ON jobs (owner, number);
+CREATE TABLE served (
+    owner TEXT PRIMARY KEY,
+    at    REAL NOT NULL
+);
 CREATE TABLE trace (
     job   INTEGER NOT NULL REFERENCES jobs (number) ON DELETE CASCADE,
     place INTEGER NOT NULL,
@@ -56,10 +64,34 @@ CREATE TABLE trace (
     PRIMARY KEY (job, place)
 ) WITHOUT ROWID;
 """
+# From version 1, which knew no owners: new tables, filled from the old ones.
+UPGRADE_FROM_1 = f"""
+DROP INDEX jobs_by_state;
+ALTER TABLE trace RENAME TO trace_1;
+ALTER TABLE jobs RENAME TO jobs_1;
+{SCHEMA}
+INSERT INTO jobs (number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
+    lease_until, created_at, started_at, finished_at, result, error)
+SELECT number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
+    lease_until, created_at, started_at, finished_at, result, error FROM jobs_1;
+INSERT INTO trace SELECT job, place, point FROM trace_1;
+DROP TABLE trace_1;
+DROP TABLE jobs_1;
+"""
+SCRIPTS = {0: SCHEMA, 1: UPGRADE_FROM_1}
 SELECT_JOB = """
 SELECT jobs.*, CASE WHEN state = 'queued' THEN (
-    SELECT count(*) FROM jobs AS waiting WHERE waiting.state = 'queued' AND waiting.number <= jobs.number
+    SELECT count(*) FROM jobs AS waiting
+    WHERE waiting.state = 'queued'
+    AND (waiting.priority = 'bulk', waiting.number) <= (jobs.priority = 'bulk', jobs.number)
 ) END AS position FROM jobs
+"""
+# Owners take turns by what they have running just now, however many jobs of theirs wait.
+NEXT_JOB = """
+WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
+SELECT jobs.* FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
+WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?)
+ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
 """
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
 STALE = "state = 'running' AND lease_until < ?"
@@ -70,6 +102,8 @@ def _job(row: sqlite3.Row) -> Job:
     return Job(
         number=row["number"],
         id=row["id"],
+        owner=row["owner"] or None,
+        priority=row["priority"],
         state=row["state"],
         position=row["position"],
         request=EncodeRequest(**json.loads(row["request"])),
@@ -87,20 +121,22 @@ def _job(row: sqlite3.Row) -> Job:
 class SqliteJobs:
     """JobBackend on one SQLite file in WAL mode, every commit synced to disk.
 
-    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail.
+    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
+    max_running_per_owner: jobs of one owner that run at once, 0 for any number.
     """
 
-    def __init__(self, path: Path, *, lease_s: float, max_attempts: int) -> None:
+    def __init__(self, path: Path, *, lease_s: float, max_attempts: int, max_running_per_owner: int = 0) -> None:
         self._path = path
         self._lease_s = lease_s
         self._max_attempts = max_attempts
+        self._max_running_per_owner = max_running_per_owner
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
                 raise BackendError(f"{path} was written by a newer version of this service")
-            if version == 0:
-                for statement in SCHEMA.split(";")[:-1]:
+            if version < SCHEMA_VERSION:
+                for statement in SCRIPTS[version].split(";")[:-1]:
                     db.execute(statement)
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
@@ -153,8 +189,8 @@ class SqliteJobs:
     def submit(self, job: NewJob, queue_length: int) -> tuple[Job, bool]:
         with self._transaction() as db:
             if job.idempotency_key is not None:
-                query = SELECT_JOB + "WHERE idempotency_key = ?"
-                first = db.execute(query, (job.idempotency_key,)).fetchone()
+                query = SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
+                first = db.execute(query, (job.owner or "", job.idempotency_key)).fetchone()
                 if first is not None:
                     if first["fingerprint"] != job.fingerprint:
                         raise KeyReusedError(job.idempotency_key)
@@ -163,31 +199,43 @@ class SqliteJobs:
                 raise QueueFullError
             request, image = json.dumps(asdict(job.request)), json.dumps(asdict(job.image))
             db.execute(
-                "INSERT INTO jobs (id, idempotency_key, fingerprint, request, image, created_at)"
-                " VALUES (?, ?, ?, ?, ?, ?)",
-                (job.id, job.idempotency_key, job.fingerprint, request, image, time.time()),
+                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, created_at)"
+                " VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                (
+                    job.id,
+                    job.owner or "",
+                    job.priority,
+                    job.idempotency_key,
+                    job.fingerprint,
+                    request,
+                    image,
+                    time.time(),
+                ),
             )
             return _job(db.execute(SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
 
-    def find_key(self, idempotency_key: str) -> Job | None:
-        return self._one("WHERE idempotency_key = ?", idempotency_key)
+    def find_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+        return self._one("WHERE owner = ? AND idempotency_key = ?", owner or "", idempotency_key)
 
-    def get(self, job_id: str) -> Job | None:
-        return self._one("WHERE id = ?", job_id)
+    def get(self, job_id: str, owner: str | None = None) -> Job | None:
+        return self._one("WHERE id = ? AND owner = coalesce(?, owner)", job_id, owner)
 
-    def _one(self, condition: str, value: str) -> Job | None:
+    def _one(self, condition: str, *values: str | None) -> Job | None:
         with self._connection() as db:
-            row = db.execute(SELECT_JOB + condition, (value,)).fetchone()
+            row = db.execute(SELECT_JOB + condition, values).fetchone()
         return None if row is None else _job(row)
 
     def queued(self) -> int:
         with self._connection() as db:
             return int(db.execute("SELECT count(*) FROM jobs WHERE state = 'queued'").fetchone()[0])
 
-    def page(self, limit: int, before: int | None = None) -> list[Job]:
-        query = SELECT_JOB + "WHERE ? IS NULL OR number < ? ORDER BY number DESC LIMIT ?"
+    def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
+        conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner}
+        chosen = {condition: value for condition, value in conditions.items() if value is not None}
+        where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
+        query = f"{SELECT_JOB} {where} ORDER BY number DESC LIMIT ?"
         with self._connection() as db:
-            return [_job(row) for row in db.execute(query, (before, before, limit)).fetchall()]
+            return [_job(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
     def trace(self, job_id: str) -> list[JsonObject]:
         query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? ORDER BY place"
@@ -219,16 +267,18 @@ class SqliteJobs:
             return None
         now = time.time()
         with self._transaction() as db:
-            row = db.execute(SELECT_JOB + "WHERE state = 'queued' ORDER BY number LIMIT 1").fetchone()
+            limit = self._max_running_per_owner
+            row = db.execute(NEXT_JOB, (limit, limit)).fetchone()
             if row is None:
                 return None
+            db.execute("INSERT OR REPLACE INTO served VALUES (?, ?)", (row["owner"], now))
             db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
             db.execute(
                 "UPDATE jobs SET state = 'running', attempt = attempt + 1, worker = ?, lease_until = ?,"
                 " started_at = ? WHERE number = ?",
                 (worker, now + self._lease_s, now, row["number"]),
             )
-            return Claim(row["id"], row["attempt"] + 1, _job(row).request)
+            return Claim(row["id"], row["attempt"] + 1, EncodeRequest(**json.loads(row["request"])))
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
         with self._transaction() as db:

@@ -6,6 +6,7 @@ import multiprocessing
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -31,7 +32,7 @@ RESULT = EncodeResult("bitstreams/x.1.sg", "ab" * 32, {"bytes": 100, "psnr": Non
 CRASH = JobError("crashed", "it crashed")
 LONG_S, NO_TIME_S = 60.0, 0.0
 
-OpenBackend = Callable[[float], JobBackend]
+OpenBackend = Callable[..., JobBackend]
 
 
 @pytest.fixture
@@ -39,8 +40,8 @@ def open_backend(tmp_path: Path) -> Iterator[OpenBackend]:
     """Opens the same table with leases of so many seconds."""
     opened: list[JobBackend] = []
 
-    def opener(lease_s: float) -> JobBackend:
-        opened.append(SqliteJobs(tmp_path / "jobs.sqlite3", lease_s=lease_s, max_attempts=3))
+    def opener(lease_s: float, **options: int) -> JobBackend:
+        opened.append(SqliteJobs(tmp_path / "jobs.sqlite3", lease_s=lease_s, max_attempts=3, **options))
         return opened[-1]
 
     yield opener
@@ -53,12 +54,12 @@ def backend(open_backend: OpenBackend) -> JobBackend:
     return open_backend(LONG_S)
 
 
-def new(key: str | None = None, fingerprint: str = "f") -> NewJob:
-    return NewJob(new_job_id(), REQUEST, IMAGE, fingerprint, key)
+def new(key: str | None = None, fingerprint: str = "f", **more: Any) -> NewJob:
+    return NewJob(new_job_id(), REQUEST, IMAGE, fingerprint, key, **more)
 
 
-def submitted(backend: JobBackend) -> str:
-    return backend.submit(new(), 100)[0].id
+def submitted(backend: JobBackend, **more: Any) -> str:
+    return backend.submit(new(**more), 100)[0].id
 
 
 def claimed(backend: JobBackend) -> Claim:
@@ -112,6 +113,69 @@ def test_idempotency_key(backend: JobBackend) -> None:
     assert backend.submit(new("key"), 1) == (first, False)  # though the queue is full
     with pytest.raises(KeyReusedError):
         backend.submit(new("key", fingerprint="other"), 100)
+
+
+def test_idempotency_keys_are_their_owners_alone(backend: JobBackend) -> None:
+    mine, _ = backend.submit(new("key", owner="anna"), 100)
+    theirs, accepted = backend.submit(new("key", owner="bert"), 100)
+    assert accepted
+    assert backend.find_key("key", "anna") == mine
+    assert backend.get(theirs.id) == theirs
+    assert backend.find_key("key", "bert") == backend.get(theirs.id)
+    assert backend.find_key("key") is None
+
+
+def test_owners(backend: JobBackend) -> None:
+    of_anna, of_bert, of_nobody = submitted(backend, owner="anna"), submitted(backend, owner="bert"), submitted(backend)
+    assert [job.id for job in backend.page(10, owner="anna")] == [of_anna]
+    assert [(job.id, job.owner) for job in backend.page(10)] == [
+        (of_nobody, None),
+        (of_bert, "bert"),
+        (of_anna, "anna"),
+    ]
+    assert backend.get(of_anna, "bert") is None
+    mine = backend.get(of_anna, "anna")
+    assert mine is not None
+    assert mine.owner == "anna"
+    assert backend.get(of_nobody, "anna") is None
+
+
+def test_interactive_jobs_come_before_bulk_jobs(backend: JobBackend) -> None:
+    bulk, late_bulk = submitted(backend, priority="bulk"), submitted(backend, priority="bulk")
+    urgent = submitted(backend)
+    positions = {job.id: (job.position, job.priority) for job in backend.page(10)}
+    assert positions == {urgent: (1, "interactive"), bulk: (2, "bulk"), late_bulk: (3, "bulk")}
+    assert [claimed(backend).job_id for _ in range(3)] == [urgent, bulk, late_bulk]
+
+
+def test_owners_take_turns(backend: JobBackend) -> None:
+    """Who has the fewest running jobs is next, then who was served longest ago, then the oldest job."""
+    of_anna = [submitted(backend, owner="anna") for _ in range(4)]
+    of_bert = [submitted(backend, owner="bert") for _ in range(2)]
+    of_cora = [submitted(backend, owner="cora")]
+    first = claimed(backend)
+    assert first.job_id == of_anna[0]
+    assert [claimed(backend).job_id for _ in range(2)] == [of_bert[0], of_cora[0]]
+    assert backend.finish(first, RESULT)  # anna has none running
+    second = claimed(backend)
+    assert second.job_id == of_anna[1]
+    assert backend.finish(second, RESULT)
+    third = claimed(backend)
+    assert third.job_id == of_anna[2]
+    # All have one running: bert was served before anna.
+    assert [claimed(backend).job_id for _ in range(2)] == [of_bert[1], of_anna[3]]
+
+
+def test_running_jobs_of_an_owner_are_limited(open_backend: OpenBackend) -> None:
+    backend = open_backend(LONG_S, max_running_per_owner=1)
+    first, second = [submitted(backend, owner="anna") for _ in range(2)]
+    other = submitted(backend, owner="bert", priority="bulk")
+    claim = claimed(backend)
+    assert (claim.job_id, claimed(backend).job_id) == (first, other)
+    assert backend.claim("w") is None
+    assert state(backend, second) == "queued"
+    assert backend.finish(claim, RESULT)
+    assert claimed(backend).job_id == second
 
 
 def test_position(backend: JobBackend) -> None:
@@ -301,6 +365,25 @@ def test_a_table_of_a_later_version(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(BackendError, match="newer"):
         SqliteJobs(path, lease_s=LONG_S, max_attempts=3)
+
+
+def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.sqlite3"
+    database = sqlite3.connect(path)
+    database.executescript((Path(__file__).parent / "jobs_version_1.sql").read_text())
+    database.close()
+    for _ in range(2):  # the second time there is nothing left to do
+        backend = SqliteJobs(path, lease_s=LONG_S, max_attempts=3)
+        waiting, done = backend.page(10)
+        assert (waiting.number, waiting.state, waiting.owner, waiting.priority) == (7, "queued", None, "interactive")
+        assert (done.number, done.state, done.result) == (5, "done", RESULT)
+        assert backend.trace(done.id) == [{"step": 0}, {"step": 1}]
+        assert backend.find_key("key") == waiting
+        backend.close()
+    database = sqlite3.connect(path)
+    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+    database.close()
+    assert tables == {"jobs", "trace", "served", "sqlite_sequence"}
 
 
 def test_durability_settings(tmp_path: Path) -> None:
