@@ -20,6 +20,7 @@ from typing import Any, Literal, Protocol
 from sgmethod.budget import BudgetKind
 
 JobState = Literal["queued", "running", "done", "failed"]
+JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
 Priority = Literal["interactive", "bulk"]
 PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
@@ -44,6 +45,10 @@ class BackendError(Exception):
 
 class QueueFullError(Exception):
     """As many jobs wait as the settings allow."""
+
+
+class OwnQueueFullError(QueueFullError):
+    """As many jobs of this owner wait as the settings allow one owner."""
 
 
 class KeyReusedError(Exception):
@@ -139,15 +144,28 @@ class Job:
     error: JobError | None
 
 
+@dataclass(frozen=True)
+class Census:
+    """The table at a glance. Times are seconds since 1970 (UTC).
+
+    jobs: how many are in each state; waiting_since: when the oldest queued job was accepted, None if none
+    waits; claimed_at: when the latest job that is not queued was claimed, None if none ever was.
+    """
+
+    jobs: Mapping[JobState, int]
+    waiting_since: float | None
+    claimed_at: float | None
+
+
 class JobBackend(Protocol):
     """A durable queue of jobs. Every method may raise BackendError; all are safe to call from any
     thread. What a method has returned has reached the disk."""
 
-    def submit(self, job: NewJob, queue_length: int) -> tuple[Job, bool]:
+    def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
         """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
 
-        Raises QueueFullError if queue_length jobs wait already, KeyReusedError if the key stands for
-        another request.
+        Raises QueueFullError if queue_length jobs wait already, OwnQueueFullError if own_queue_length of
+        the same owner do (0 for any number), KeyReusedError if the key stands for another request.
         """
         ...
 
@@ -155,8 +173,12 @@ class JobBackend(Protocol):
         """The owner's job that was accepted under the key; each owner has keys of their own."""
         ...
 
-    def queued(self) -> int:
-        """How many jobs wait."""
+    def queued(self, owner: str | None = None) -> int:
+        """How many jobs wait; with an owner, how many of theirs."""
+        ...
+
+    def census(self) -> Census:
+        """How many jobs there are in each state, and how long the queue has waited."""
         ...
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:

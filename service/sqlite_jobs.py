@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from service.jobs import (
+    JOB_STATES,
     BackendError,
+    Census,
     Claim,
     EncodeRequest,
     EncodeResult,
@@ -22,6 +24,7 @@ from service.jobs import (
     JsonObject,
     KeyReusedError,
     NewJob,
+    OwnQueueFullError,
     QueueFullError,
     SourceImage,
 )
@@ -118,6 +121,12 @@ def _job(row: sqlite3.Row) -> Job:
     )
 
 
+def _queued(db: sqlite3.Connection, owner: str | None = None) -> int:
+    """How many jobs wait, of one owner or of all."""
+    query = "SELECT count(*) FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
+    return int(db.execute(query, (owner,)).fetchone()[0])
+
+
 class SqliteJobs:
     """JobBackend on one SQLite file in WAL mode, every commit synced to disk.
 
@@ -186,7 +195,7 @@ class SqliteJobs:
                     db.execute("ROLLBACK")
                 raise
 
-    def submit(self, job: NewJob, queue_length: int) -> tuple[Job, bool]:
+    def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
         with self._transaction() as db:
             if job.idempotency_key is not None:
                 query = SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
@@ -195,8 +204,10 @@ class SqliteJobs:
                     if first["fingerprint"] != job.fingerprint:
                         raise KeyReusedError(job.idempotency_key)
                     return _job(first), False
-            if db.execute("SELECT count(*) FROM jobs WHERE state = 'queued'").fetchone()[0] >= queue_length:
+            if _queued(db) >= queue_length:
                 raise QueueFullError
+            if own_queue_length and _queued(db, job.owner or "") >= own_queue_length:
+                raise OwnQueueFullError
             request, image = json.dumps(asdict(job.request)), json.dumps(asdict(job.image))
             db.execute(
                 "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, created_at)"
@@ -225,9 +236,19 @@ class SqliteJobs:
             row = db.execute(SELECT_JOB + condition, values).fetchone()
         return None if row is None else _job(row)
 
-    def queued(self) -> int:
+    def queued(self, owner: str | None = None) -> int:
         with self._connection() as db:
-            return int(db.execute("SELECT count(*) FROM jobs WHERE state = 'queued'").fetchone()[0])
+            return _queued(db, owner)
+
+    def census(self) -> Census:
+        with self._connection() as db:
+            rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
+            times = db.execute(
+                "SELECT (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_since,"
+                " (SELECT max(started_at) FROM jobs) AS claimed_at"
+            ).fetchone()
+        counts = {row["state"]: row["jobs"] for row in rows}
+        return Census({state: counts.get(state, 0) for state in JOB_STATES}, *times)
 
     def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner}

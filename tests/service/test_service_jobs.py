@@ -12,6 +12,7 @@ import pytest
 
 from service.jobs import (
     BackendError,
+    Census,
     Claim,
     EncodeRequest,
     EncodeResult,
@@ -19,6 +20,7 @@ from service.jobs import (
     JobError,
     KeyReusedError,
     NewJob,
+    OwnQueueFullError,
     QueueFullError,
     SourceImage,
     new_job_id,
@@ -105,6 +107,37 @@ def test_queue_length_counts_waiting_jobs_only(backend: JobBackend) -> None:
     claimed(backend)
     backend.submit(new(), 1)
     assert backend.queued() == 1
+
+
+def test_one_owner_cannot_fill_the_queue(backend: JobBackend) -> None:
+    first = submitted(backend, owner="ann")
+    with pytest.raises(OwnQueueFullError):
+        backend.submit(new(owner="ann"), 100, 1)
+    submitted(backend, owner="bob")
+    assert (backend.queued(), backend.queued("ann"), backend.queued("eve")) == (2, 1, 0)
+    with pytest.raises(OwnQueueFullError):
+        backend.submit(new(owner="bob"), 100, 1)
+    backend.remove(first)
+    backend.submit(new(owner="ann"), 100, 1)
+    backend.submit(new(owner="ann"), 100, 0)  # no limit
+
+
+def test_census(backend: JobBackend) -> None:
+    nothing = {"queued": 0, "running": 0, "done": 0, "failed": 0}
+    assert backend.census() == Census(nothing, None, None)
+    submitted(backend)
+    oldest = backend.submit(new(), 100)[0]
+    submitted(backend)
+    claim = claimed(backend)
+    census = backend.census()
+    assert census.jobs == {**nothing, "queued": 2, "running": 1}
+    assert census.waiting_since == oldest.created_at
+    running = backend.get(claim.job_id)
+    assert running is not None
+    assert census.claimed_at == running.started_at
+    backend.finish(claim, RESULT)
+    backend.fail(claimed(backend), JobError("refused", "no"), retry=False)
+    assert backend.census().jobs == {"queued": 1, "running": 0, "done": 1, "failed": 1}
 
 
 def test_idempotency_key(backend: JobBackend) -> None:
