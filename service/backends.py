@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.jobs import JobBackend
+from service.jobs import JobBackend, JobRules
 from service.settings import Settings
 from service.sqlite_jobs import SqliteJobs
 from service.storage import DiskStorage, Storage
@@ -11,12 +11,8 @@ from service.storage import DiskStorage, Storage
 def open_backend(settings: Settings) -> JobBackend:
     """The job table, made if there is none yet. Raises BackendError, OSError."""
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return SqliteJobs(
-        settings.database_path,
-        lease_s=settings.lease_s,
-        max_attempts=settings.max_attempts,
-        max_running_per_owner=settings.max_running_per_key,
-    )
+    rules = JobRules(settings.lease_s, settings.max_attempts, settings.max_running_per_key)
+    return SqliteJobs(settings.database_path, rules)
 
 
 def open_storage(settings: Settings) -> Storage:

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
+from service.stopping import StopSignal
 from sgmethod.budget import BudgetKind
 
 JobState = Literal["queued", "running", "done", "failed"]
@@ -53,6 +54,19 @@ class OwnQueueFullError(QueueFullError):
 
 class KeyReusedError(Exception):
     """An idempotency key came again with another request."""
+
+
+@dataclass(frozen=True)
+class JobRules:
+    """What holds for all jobs.
+
+    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
+    max_running_per_owner: jobs of one owner that run at once, 0 for any number.
+    """
+
+    lease_s: float
+    max_attempts: int
+    max_running_per_owner: int = 0
 
 
 @dataclass(frozen=True)
@@ -149,7 +163,7 @@ class Census:
     """The table at a glance. Times are seconds since 1970 (UTC).
 
     jobs: how many are in each state; waiting_since: when the oldest queued job was accepted, None if none
-    waits; claimed_at: when the latest job that is not queued was claimed, None if none ever was.
+    waits; claimed_at: when a job was last claimed, None if none ever was.
     """
 
     jobs: Mapping[JobState, int]
@@ -234,8 +248,19 @@ class JobBackend(Protocol):
         """Hand the job back unharmed, at its old place in the queue. False: it was no longer ours."""
         ...
 
+    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        """Call run_next, in one thread at a time, whenever there may be a job to claim; return when stop says so.
+
+        run_next tells whether it ran a job, and never raises.
+        """
+        ...
+
     def live_keys(self) -> set[str]:
         """Storage keys that some job still needs."""
+        ...
+
+    def finished(self, older_than_s: float) -> list[Job]:
+        """The jobs that have been done or failed for longer than that (seconds)."""
         ...
 
     def close(self) -> None:

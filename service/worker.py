@@ -28,7 +28,7 @@ from service.storage import Storage, bitstream_key, source_key
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.2
+FOLLOW_S = 0.2  # how soon a wish to stop is seen
 HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
 PAUSE_AFTER_TROUBLE_S = 1.0
 FINISH_TRIES = 5
@@ -107,18 +107,19 @@ class Worker:
         self._environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, threads)}
 
     def run(self) -> None:
-        """Claim and work until stopping is requested; trouble with table or disk is logged and waited out."""
+        """Claim and work until stopping is requested."""
         log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
-        while not self._stop.requested:
-            try:
-                busy = self.run_one()
-            except (BackendError, OSError):
-                log.exception("worker %s: trouble", self._name)
-                self._stop.wait(PAUSE_AFTER_TROUBLE_S)
-                continue
-            if not busy:
-                self._stop.wait(POLL_S)
+        self._backend.deliver(self._run_next, self._stop)
         self._lifeline.close()
+
+    def _run_next(self) -> bool:
+        """Like run_one, but trouble with table or disk is logged and waited out."""
+        try:
+            return self.run_one()
+        except (BackendError, OSError):
+            log.exception("worker %s: trouble", self._name)
+            self._stop.wait(PAUSE_AFTER_TROUBLE_S)
+            return False
 
     def run_one(self) -> bool:
         """Run the next job if there is one; False if none waits. Raises BackendError, OSError."""
@@ -163,7 +164,7 @@ class Worker:
         """Relay the child's progress until it reaches a verdict, dies, or must be ended."""
         started = time.monotonic()
         while not self._stop.requested:
-            for message in child.read(POLL_S):
+            for message in child.read(FOLLOW_S):
                 if isinstance(message, TracePoint):
                     pulse.add(message.point)
                     continue

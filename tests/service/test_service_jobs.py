@@ -18,6 +18,7 @@ from service.jobs import (
     EncodeResult,
     JobBackend,
     JobError,
+    JobRules,
     KeyReusedError,
     NewJob,
     OwnQueueFullError,
@@ -33,6 +34,7 @@ IMAGE = SourceImage("PNG", 64, 48, 1000)
 RESULT = EncodeResult("bitstreams/x.1.sg", "ab" * 32, {"bytes": 100, "psnr": None})
 CRASH = JobError("crashed", "it crashed")
 LONG_S, NO_TIME_S = 60.0, 0.0
+RULES = JobRules(LONG_S, 3)
 
 OpenBackend = Callable[..., JobBackend]
 
@@ -43,7 +45,7 @@ def open_backend(tmp_path: Path) -> Iterator[OpenBackend]:
     opened: list[JobBackend] = []
 
     def opener(lease_s: float, **options: int) -> JobBackend:
-        opened.append(SqliteJobs(tmp_path / "jobs.sqlite3", lease_s=lease_s, max_attempts=3, **options))
+        opened.append(SqliteJobs(tmp_path / "jobs.sqlite3", JobRules(lease_s, 3, **options)))
         return opened[-1]
 
     yield opener
@@ -351,7 +353,7 @@ def test_live_keys(backend: JobBackend) -> None:
 
 
 def _claim_and_finish(path: Path, ids: multiprocessing.SimpleQueue[str | None]) -> None:
-    backend = SqliteJobs(path, lease_s=LONG_S, max_attempts=3)
+    backend = SqliteJobs(path, RULES)
     while claim := backend.claim("w"):
         assert backend.heartbeat(claim, [{"step": 1}], 0)
         assert backend.finish(claim, RESULT)
@@ -364,7 +366,7 @@ def test_processes_share_a_table_that_none_has_made_yet(tmp_path: Path) -> None:
     path = tmp_path / "jobs.sqlite3"
     context = multiprocessing.get_context("spawn")
     ids = context.SimpleQueue()
-    first = SqliteJobs(path, lease_s=LONG_S, max_attempts=3)
+    first = SqliteJobs(path, RULES)
     expected = {submitted(first) for _ in range(60)}
     workers = [context.Process(target=_claim_and_finish, args=(path, ids)) for _ in range(4)]
     for worker in workers:
@@ -387,17 +389,17 @@ def test_a_table_that_cannot_be_read(tmp_path: Path) -> None:
     path = tmp_path / "jobs.sqlite3"
     path.write_bytes(b"this is not a database" * 100)
     with pytest.raises(BackendError, match="not a database"):
-        SqliteJobs(path, lease_s=LONG_S, max_attempts=3)
+        SqliteJobs(path, RULES)
 
 
 def test_a_table_of_a_later_version(tmp_path: Path) -> None:
     path = tmp_path / "jobs.sqlite3"
-    SqliteJobs(path, lease_s=LONG_S, max_attempts=3).close()
+    SqliteJobs(path, RULES).close()
     database = sqlite3.connect(path)
     database.execute("PRAGMA user_version = 99")
     database.close()
     with pytest.raises(BackendError, match="newer"):
-        SqliteJobs(path, lease_s=LONG_S, max_attempts=3)
+        SqliteJobs(path, RULES)
 
 
 def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
@@ -406,7 +408,7 @@ def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
     database.executescript((Path(__file__).parent / "jobs_version_1.sql").read_text())
     database.close()
     for _ in range(2):  # the second time there is nothing left to do
-        backend = SqliteJobs(path, lease_s=LONG_S, max_attempts=3)
+        backend = SqliteJobs(path, RULES)
         waiting, done = backend.page(10)
         assert (waiting.number, waiting.state, waiting.owner, waiting.priority) == (7, "queued", None, "interactive")
         assert (done.number, done.state, done.result) == (5, "done", RESULT)
@@ -421,7 +423,7 @@ def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
 
 def test_durability_settings(tmp_path: Path) -> None:
     """Rule 6."""
-    backend = SqliteJobs(tmp_path / "jobs.sqlite3", lease_s=LONG_S, max_attempts=3)
+    backend = SqliteJobs(tmp_path / "jobs.sqlite3", RULES)
     with backend._connection() as db:
         values = {
             name: db.execute(f"PRAGMA {name}").fetchone()[0]

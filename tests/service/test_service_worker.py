@@ -15,6 +15,7 @@ from service.jobs import (
     Claim,
     EncodeRequest,
     EncodeResult,
+    JobRules,
     JsonObject,
     NewJob,
     SourceImage,
@@ -52,7 +53,7 @@ class Unsteady(SqliteJobs):
 
 @pytest.fixture
 def backend(tmp_path: Path) -> Iterator[Unsteady]:
-    backend = Unsteady(tmp_path / "jobs.sqlite3", lease_s=LONG_S, max_attempts=4)
+    backend = Unsteady(tmp_path / "jobs.sqlite3", JobRules(LONG_S, 4))
     yield backend
     backend.close()
 
