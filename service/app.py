@@ -16,7 +16,7 @@ from starlette.types import ASGIApp
 
 from service import job_routes, picture_routes
 from service.backends import open_backend, open_storage
-from service.decoding import PictureDecoder
+from service.decoding import PictureCache, PictureDecoder
 from service.middleware import BodyGuard, BodyLimits, ResponseHeaders
 from service.parts import Parts
 from service.problems import install_problem_handlers
@@ -65,12 +65,14 @@ def create_app(settings: Settings) -> ASGIApp:
         lifespan=_lifespan,
         docs_url=None,  # both pages load scripts from elsewhere
         redoc_url=None,
+        redirect_slashes=False,  # it would repeat whatever host the client named
     )
     app.state.parts = Parts(
         settings,
         open_backend(settings),
         open_storage(settings),
         PictureDecoder(settings.max_decodes, settings.max_waiting_decodes),
+        PictureCache(settings.decode_cache_bytes),
         CapacityLimiter(UPLOADS_IN_MEMORY),
     )
     install_problem_handlers(app)

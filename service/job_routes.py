@@ -8,17 +8,18 @@ from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
 from service import views
-from service.jobs import EncodeRequest, Job, KeyReusedError, NewJob, QueueFullError
+from service.jobs import PRIORITIES, Job, KeyReusedError, NewJob, QueueFullError
 from service.parts import KnownJob, Parts, UseParts
-from service.problems import MEDIA_TYPE, ProblemError
+from service.problems import ProblemError, problems
 from service.storage import source_key
 from service.submission import (
+    FORM_TYPE,
+    IMAGE_FIELD,
+    Wanted,
     check_content_type,
     idempotency_key,
-    image_bytes,
     new_job,
-    open_form,
-    wanted_encode,
+    submission,
 )
 from sgmethod.budget import BUDGET_KINDS
 from sgmethod.profiles import PROFILE_NAMES
@@ -28,36 +29,37 @@ router = APIRouter()
 RETRY_AFTER_QUEUE_S = "10"
 NEVER_STORED = {"Cache-Control": "no-store"}
 
-ENCODE_BODY: dict[str, Any] = {
-    "required": True,
-    "content": {
-        "multipart/form-data": {
-            "schema": {
-                "type": "object",
-                "required": ["image"],
-                "additionalProperties": False,
-                "properties": {
-                    "image": {"type": "string", "format": "binary"},
-                    **{kind: {"type": "number", "exclusiveMinimum": 0} for kind in BUDGET_KINDS},
-                    "profile": {"type": "string", "enum": list(PROFILE_NAMES)},
-                    "time_limit_s": {"type": "number", "exclusiveMinimum": 0},
-                },
-                "oneOf": [{"required": [kind]} for kind in BUDGET_KINDS],
-            }
-        }
-    },
+FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
+    **{kind: {"type": "number", "exclusiveMinimum": 0} for kind in BUDGET_KINDS},
+    "profile": {"type": "string", "enum": list(PROFILE_NAMES)},
+    "time_limit_s": {"type": "number", "exclusiveMinimum": 0},
+    "priority": {"type": "string", "enum": list(PRIORITIES)},
 }
-IDEMPOTENCY_KEY_PARAMETER: dict[str, Any] = {
+BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
+FORM: dict[str, Any] = {
+    "type": "object",
+    "required": [IMAGE_FIELD],
+    "additionalProperties": False,
+    "properties": {IMAGE_FIELD: BINARY, **FIELD_SCHEMAS},
+    "oneOf": [{"required": [kind]} for kind in BUDGET_KINDS],
+}
+IDEMPOTENCY_KEY: dict[str, Any] = {
     "name": "Idempotency-Key",
     "in": "header",
     "description": "the same key again answers with the job it first made",
-    "schema": {"type": "string", "maxLength": 255},
+    "schema": {"type": "string", "maxLength": 255, "pattern": "^[!-~]+$"},
 }
-
-
-def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The statuses as responses of the OpenAPI document."""
-    return {status: {"content": {MEDIA_TYPE: {}}, "description": "a problem"} for status in statuses}
+ENCODE_EXTRA: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "description": "a form with the image and the fields, or the image alone and the fields in the query",
+        "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
+    },
+    "parameters": [
+        IDEMPOTENCY_KEY,
+        *({"name": name, "in": "query", "schema": schema} for name, schema in FIELD_SCHEMAS.items()),
+    ],
+}
 
 
 def _queue_full() -> ProblemError:
@@ -68,7 +70,7 @@ def _queue_full() -> ProblemError:
     "/encode",
     status_code=202,
     responses=problems(400, 408, 413, 415, 422, 429, 503),
-    openapi_extra={"requestBody": ENCODE_BODY, "parameters": [IDEMPOTENCY_KEY_PARAMETER]},
+    openapi_extra=ENCODE_EXTRA,
 )
 async def encode(request: Request, response: Response, parts: UseParts) -> views.AcceptedView:
     """Accept an image to be encoded, with exactly one budget."""
@@ -76,11 +78,9 @@ async def encode(request: Request, response: Response, parts: UseParts) -> views
     key = idempotency_key(request)
     if await to_thread.run_sync(_is_hopeless, parts, key):  # before the body is read
         raise _queue_full()
-    async with open_form(request) as form:
-        wanted = wanted_encode(form, parts.settings)
-        async with parts.accepting:
-            image = await image_bytes(form, parts.settings.max_upload_bytes)
-            job = await to_thread.run_sync(_accept, parts, wanted, image, key)
+    async with submission(request, parts.settings) as submitted, parts.accepting:
+        image = await submitted.image_bytes(parts.settings.max_upload_bytes)
+        job = await to_thread.run_sync(_accept, parts, submitted.wanted, image, key)
     view = views.accepted(job)
     response.headers["Location"] = view.status_url
     response.headers.update(NEVER_STORED)
@@ -94,9 +94,9 @@ def _is_hopeless(parts: Parts, key: str | None) -> bool:
     return key is None or parts.backend.find_key(key) is None
 
 
-def _accept(parts: Parts, wanted: EncodeRequest, image: bytes, key: str | None) -> Job:
+def _accept(parts: Parts, wanted: Wanted, image: bytes, key: str | None) -> Job:
     """The image to the disk, then the job to the table; only then may the client be told."""
-    new = new_job(image, wanted, key, parts.settings)
+    new = new_job(image, wanted, key, None, parts.settings)
     try:
         parts.storage.put(source_key(new.id), image)
     except OSError as error:

@@ -8,7 +8,7 @@ from typing import Annotated
 from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Request
 
-from service.decoding import PictureDecoder
+from service.decoding import PictureCache, PictureDecoder
 from service.jobs import Job, JobBackend, is_job_id
 from service.problems import ProblemError
 from service.settings import Settings
@@ -26,6 +26,7 @@ class Parts:
     backend: JobBackend
     storage: Storage
     decoder: PictureDecoder
+    pictures: PictureCache
     accepting: CapacityLimiter
 
 

@@ -32,6 +32,11 @@ class ProblemError(Exception):
         self.members = members
 
 
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The statuses as responses of the OpenAPI document."""
+    return {status: {"content": {MEDIA_TYPE: {}}, "description": "a problem"} for status in statuses}
+
+
 def problem_response(problem: ProblemError) -> JSONResponse:
     """The problem as an answer; extra members stand beside the standard ones."""
     document = {
@@ -57,6 +62,8 @@ async def _on_http_exception(_request: Request, error: Exception) -> Response:
 
 async def _on_invalid_parameters(_request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
+    if any(e["loc"][0] == "path" for e in error.errors()):
+        return problem_response(ProblemError(404, "there is nothing at this address"))
     errors = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
     detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
     return problem_response(ProblemError(422, detail, errors=errors))

@@ -67,6 +67,9 @@ class Settings(BaseSettings):
 
     max_decodes: int = Field(default=2, ge=1, description="pictures decoded at once")
     max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
+    decode_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="bytes of picture files kept in memory")
+    max_decode_pixels: int = Field(default=50_000_000, ge=1, description="pixels of one decoded picture or view")
+    max_bitstream_bytes: int = Field(default=16 * 2**20, ge=1, description="bytes of a bitstream posted to be decoded")
     stop_grace_s: float = Field(default=10.0, gt=0, description="seconds to stop in before processes are killed")
 
     @model_validator(mode="after")

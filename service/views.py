@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 
 from pydantic import BaseModel, Field
 
-from service.jobs import Job, JobState, JsonObject
+from service.jobs import Job, JobState, JsonObject, Priority
 
 # Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
 PHASES = {"start": (0.0, 0.0), "fit": (0.0, 0.6), "tune": (0.6, 1.0), "done": (1.0, 1.0)}
@@ -56,6 +56,7 @@ class JobSummary(AcceptedView):
     budget: BudgetView
     profile: str
     time_limit_s: float
+    priority: Priority
     image: ImageView
     attempt: int = Field(description="how often the job was started")
     created_at: datetime
@@ -118,6 +119,7 @@ def summary(job: Job) -> JobSummary:
         budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
         profile=request.profile,
         time_limit_s=request.time_limit_s,
+        priority=job.priority,
         image=ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),
         attempt=job.attempt,
         created_at=datetime.fromtimestamp(job.created_at, UTC),
