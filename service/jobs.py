@@ -168,7 +168,7 @@ class Census:
 
     jobs: Mapping[JobState, int]
     waiting_since: float | None
-    claimed_at: float | None
+    worked_at: float | None
 
 
 class JobBackend(Protocol):

@@ -56,6 +56,7 @@ CREATE TABLE jobs (
 );
 CREATE INDEX jobs_by_state ON jobs (state, number);
 CREATE INDEX jobs_by_owner ON jobs (owner, number);
+CREATE INDEX jobs_by_lease ON jobs (lease_until);
 CREATE TABLE served (
     owner TEXT PRIMARY KEY,
     at    DOUBLE PRECISION NOT NULL
@@ -225,11 +226,14 @@ class SqlJobs(ABC):
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
             times = db.execute(
                 "SELECT (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_since,"
-                " (SELECT max(at) FROM served) AS claimed_at"
+                " (SELECT max(at) FROM served) AS claimed_at,"
+                " (SELECT max(lease_until) FROM jobs) AS lease_until"
             ).fetchone()
         counts = {row["state"]: row["jobs"] for row in rows}
         jobs = {state: counts.get(state, 0) for state in JOB_STATES}
-        return Census(jobs, times["waiting_since"], times["claimed_at"])
+        # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
+        alive = [times["claimed_at"], times["lease_until"] and times["lease_until"] - self._rules.lease_s]
+        return Census(jobs, times["waiting_since"], max((at for at in alive if at is not None), default=None))
 
     def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner}

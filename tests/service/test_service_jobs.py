@@ -136,8 +136,12 @@ def test_census(backend: JobBackend) -> None:
     assert census.waiting_since == oldest.created_at
     running = backend.get(claim.job_id)
     assert running is not None
-    assert census.claimed_at == running.started_at
+    assert census.worked_at == pytest.approx(running.started_at, abs=0.1)
+    backend.heartbeat(claim, [], 0)
+    heard_from = backend.census().worked_at
+    assert heard_from > census.worked_at
     backend.finish(claim, RESULT)
+    assert backend.census().worked_at == heard_from
     backend.fail(claimed(backend), JobError("refused", "no"), retry=False)
     assert backend.census().jobs == {"queued": 1, "running": 0, "done": 1, "failed": 1}
 
