@@ -203,8 +203,8 @@ class JobBackend(Protocol):
         """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs."""
         ...
 
-    def trace(self, job_id: str) -> list[JsonObject]:
-        """The trace points of the job's latest attempt, oldest first."""
+    def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+        """The trace points of the job's latest attempt, oldest first, without so many at the beginning."""
         ...
 
     def remove(self, job_id: str) -> Job | None:

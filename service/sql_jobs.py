@@ -243,10 +243,10 @@ class SqlJobs(ABC):
         with self._connection() as db:
             return [_job(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
-    def trace(self, job_id: str) -> list[JsonObject]:
-        query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? ORDER BY place"
+    def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+        query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
         with self._connection() as db:
-            return [json.loads(row["point"]) for row in db.execute(query, (job_id,)).fetchall()]
+            return [json.loads(row["point"]) for row in db.execute(query, (job_id, first)).fetchall()]
 
     def remove(self, job_id: str) -> Job | None:
         with self._transaction() as db:

@@ -48,6 +48,10 @@ class Storage(Protocol):
         """Remove the file; one that is not there is no error."""
         ...
 
+    def check(self) -> None:
+        """Whether the storage can be reached at all. Raises OSError if not."""
+        ...
+
     def sweep(self, keep: set[str], older_than_s: float) -> int:
         """Remove what is older than that (seconds) and not in keep; returns how many files went."""
         ...
@@ -97,6 +101,10 @@ class DiskStorage:
 
     def delete(self, key: str) -> None:
         self._path(key).unlink(missing_ok=True)
+
+    def check(self) -> None:
+        for folder in (*_FOLDERS, _UNFINISHED):
+            (self._root / folder).stat()
 
     def sweep(self, keep: set[str], older_than_s: float) -> int:
         oldest = time.time() - older_than_s

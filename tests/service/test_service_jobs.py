@@ -235,6 +235,8 @@ def test_heartbeat_carries_the_trace(backend: JobBackend) -> None:
     assert backend.heartbeat(claim, [], 2)
     assert backend.heartbeat(claim, [{"step": 1}, {"step": 2}], 1)  # a point that was sent twice
     assert backend.trace(job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
+    assert backend.trace(job_id, 2) == [{"step": 2}]
+    assert backend.trace(job_id, 3) == []
     assert backend.fail(claim, CRASH, retry=True)
     claimed(backend)
     assert backend.trace(job_id) == []

@@ -90,6 +90,13 @@ def test_sweep_removes_old_files_that_nobody_needs(storage: DiskStorage, tmp_pat
     assert files(storage) == sorted([JOB, f"{JOB}.1.sg"])
 
 
+def test_a_storage_that_is_gone(storage: DiskStorage, tmp_path: Path) -> None:
+    storage.check()
+    (tmp_path / "data").rename(tmp_path / "elsewhere")
+    with pytest.raises(OSError, match="No such file"):
+        storage.check()
+
+
 def test_pictures_are_the_owners_alone(storage: DiskStorage, tmp_path: Path) -> None:
     storage.put(source_key(JOB), b"data")
     assert (tmp_path / "data" / "sources").stat().st_mode & 0o077 == 0
