@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.jobs import JobBackend, JobRules
+from service.jobs import BackendError, JobBackend, JobRules
 from service.settings import Settings
 from service.sqlite_jobs import SqliteJobs
 from service.storage import DiskStorage, Storage
@@ -10,8 +10,14 @@ from service.storage import DiskStorage, Storage
 
 def open_backend(settings: Settings) -> JobBackend:
     """The job table, made if there is none yet. Raises BackendError, OSError."""
-    settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     rules = JobRules(settings.lease_s, settings.max_attempts, settings.max_running_per_key)
+    if settings.uses_postgres:
+        try:
+            from service.postgres_jobs import PostgresJobs
+        except ImportError as error:
+            raise BackendError("PostgreSQL needs more packages: pip install 'sgmethod[postgres]'") from error
+        return PostgresJobs(settings.database_url, rules)
+    settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     return SqliteJobs(settings.database_path, rules)
 
 

@@ -39,6 +39,13 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
     data_dir: Path = Field(default=Path("data"), description="folder of the job table, sources and bitstreams")
 
+    database_url: str = Field(
+        default="",
+        pattern=r"^(|sqlite|postgres(ql)?://.*)$",
+        repr=False,  # it may hold a password
+        description="job table: empty or `sqlite` for a file in the data folder, or postgresql://...",
+    )
+
     workers: int = Field(default_factory=default_workers, ge=1, description="encodes that run at once")
     threads: int = Field(default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers")
     queue_length: int = Field(default=100, ge=1, description="jobs waiting before new ones get 429")
@@ -82,6 +89,11 @@ class Settings(BaseSettings):
     def encode_threads(self) -> int:
         """Threads of one encode, such that all workers together stay within the cores."""
         return self.threads or max(1, available_cores() // self.workers)
+
+    @property
+    def uses_postgres(self) -> bool:
+        """Whether the job table is in PostgreSQL."""
+        return self.database_url.startswith("postgres")
 
     @property
     def database_path(self) -> Path:

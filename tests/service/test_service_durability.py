@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 
+import pytest
 from service_process import (
     ROOT,
     SLOW,
@@ -17,6 +19,12 @@ from service_process import (
     processes,
     wait_until,
 )
+
+
+@pytest.fixture
+def start_service(start_service: StartService, database_url: str) -> StartService:
+    """Every test here runs once on either database."""
+    return partial(start_service, database_url=database_url)
 
 
 def running(job_id: str) -> int:

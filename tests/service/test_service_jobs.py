@@ -26,6 +26,7 @@ from service.jobs import (
     SourceImage,
     new_job_id,
 )
+from service.postgres_jobs import PostgresJobs
 from service.sqlite_jobs import SqliteJobs
 from service.storage import source_key
 
@@ -40,12 +41,12 @@ OpenBackend = Callable[..., JobBackend]
 
 
 @pytest.fixture
-def open_backend(tmp_path: Path) -> Iterator[OpenBackend]:
+def open_backend(tmp_path: Path, database_url: str) -> Iterator[OpenBackend]:
     """Opens the same table with leases of so many seconds."""
     opened: list[JobBackend] = []
 
     def opener(lease_s: float, **options: int) -> JobBackend:
-        opened.append(SqliteJobs(tmp_path / "jobs.sqlite3", JobRules(lease_s, 3, **options)))
+        opened.append(_open(database_url, tmp_path, lease_s, **options))
         return opened[-1]
 
     yield opener
@@ -358,37 +359,56 @@ def test_live_keys(backend: JobBackend) -> None:
     assert backend.live_keys() == set()
 
 
-def _claim_and_finish(path: Path, ids: multiprocessing.SimpleQueue[str | None]) -> None:
-    backend = SqliteJobs(path, RULES)
+def _open(database_url: str, folder: Path, lease_s: float, **options: int) -> JobBackend:
+    rules = JobRules(lease_s, 3, **options)
+    return SqliteJobs(folder / "jobs.sqlite3", rules) if database_url == "sqlite" else PostgresJobs(database_url, rules)
+
+
+def _claim_and_finish(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
+    backend = _open(database_url, folder, LONG_S)
     while claim := backend.claim("w"):
         assert backend.heartbeat(claim, [{"step": 1}], 0)
         assert backend.finish(claim, RESULT)
         ids.put(claim.job_id)
-    ids.put(None)
+    backend.close()
 
 
-def test_processes_share_a_table_that_none_has_made_yet(tmp_path: Path) -> None:
-    """Many processes open one new file at once, and no job goes to two of them."""
-    path = tmp_path / "jobs.sqlite3"
+def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
+    backend = _open(database_url, folder, LONG_S)
+    ids.put(backend.submit(new("the same key"), 100)[0].id)
+    backend.close()
+
+
+def _all_of(target: Callable[..., None], number: int, *arguments: Any) -> list[Any]:
+    """What so many processes that start together put into the queue they are given."""
     context = multiprocessing.get_context("spawn")
-    ids = context.SimpleQueue()
-    first = SqliteJobs(path, RULES)
+    said = context.SimpleQueue()
+    processes = [context.Process(target=target, args=(*arguments, said)) for _ in range(number)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+        assert process.exitcode == 0
+    heard = []
+    while not said.empty():
+        heard.append(said.get())
+    return heard
+
+
+def test_processes_share_a_table(database_url: str, tmp_path: Path) -> None:
+    """No job goes to two of them."""
+    first = _open(database_url, tmp_path, LONG_S)
     expected = {submitted(first) for _ in range(60)}
-    workers = [context.Process(target=_claim_and_finish, args=(path, ids)) for _ in range(4)]
-    for worker in workers:
-        worker.start()
-    seen: list[str] = []
-    ended = 0
-    while ended < len(workers):
-        job_id = ids.get()
-        ended += job_id is None
-        seen += [job_id] if job_id else []
-    for worker in workers:
-        worker.join()
-        assert worker.exitcode == 0
+    first.close()
+    seen = _all_of(_claim_and_finish, 4, database_url, tmp_path)
     assert len(seen) == len(expected)
     assert set(seen) == expected
-    first.close()
+
+
+def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_path: Path) -> None:
+    """And all submit under one key: one job comes of it."""
+    ids = _all_of(_submit_and_close, 4, database_url, tmp_path)
+    assert (len(ids), len(set(ids))) == (4, 1)
 
 
 def test_a_table_that_cannot_be_read(tmp_path: Path) -> None:
