@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import version
 from pathlib import Path
 
-from anyio import CapacityLimiter, to_thread
+from anyio import CapacityLimiter
 from fastapi import FastAPI
 from starlette.responses import FileResponse
 from starlette.staticfiles import StaticFiles
@@ -24,8 +23,6 @@ from service.settings import Settings
 from service.submission import MULTIPART_OVERHEAD_BYTES
 from service.views import HealthView
 
-log = logging.getLogger(__name__)
-
 VERSION = version("sgmethod")
 STATIC = Path(__file__).with_name("static")
 PAGE_POLICY = (
@@ -33,17 +30,11 @@ PAGE_POLICY = (
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 UPLOADS_IN_MEMORY = 4
-# A file without a job is either left over from a crash or of a job being accepted or finished just now,
-# which takes seconds.
-ORPHAN_AGE_S = 3600.0
 
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     parts: Parts = app.state.parts
-    swept = await to_thread.run_sync(lambda: parts.storage.sweep(parts.backend.live_keys(), ORPHAN_AGE_S))
-    if swept:
-        log.info("removed %d files that no job needs", swept)
     yield
     parts.backend.close()
 

@@ -22,5 +22,11 @@ def open_backend(settings: Settings) -> JobBackend:
 
 
 def open_storage(settings: Settings) -> Storage:
-    """The storage of sources and bitstreams, made if there is none yet. Raises OSError."""
-    return DiskStorage(settings.data_dir)
+    """The storage of sources and bitstreams, made if there is none yet. Raises OSError, BackendError."""
+    if not settings.storage_url:
+        return DiskStorage(settings.data_dir)
+    try:
+        from service.object_storage import ObjectStorage
+    except ImportError as error:
+        raise BackendError("an object store needs more packages: pip install 'sgmethod[s3]'") from error
+    return ObjectStorage(settings.storage_url)

@@ -45,6 +45,14 @@ class Settings(BaseSettings):
         repr=False,  # it may hold a password
         description="job table: empty or `sqlite` for a file in the data folder, or postgresql://...",
     )
+    storage_url: str = Field(
+        default="",
+        pattern=r"^(|s3://.+)$",
+        description="sources and bitstreams: empty for the data folder, or s3://bucket/prefix",
+    )
+    retention_s: float = Field(
+        default=0, ge=0, description="seconds after which finished jobs are removed; 0 for never"
+    )
 
     workers: int = Field(default_factory=default_workers, ge=1, description="encodes that run at once")
     threads: int = Field(default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers")

@@ -29,7 +29,7 @@ from service.jobs import (
     QueueFullError,
     SourceImage,
 )
-from service.storage import source_key
+from service.storage import bitstream_key, source_key
 
 # In place of {number} stands how each database counts rows up.
 SCHEMA = """
@@ -321,12 +321,13 @@ class SqlJobs(ABC):
 
     def live_keys(self) -> set[str]:
         with self._connection() as db:
-            rows = db.execute("SELECT id, state, result FROM jobs").fetchall()
+            rows = db.execute("SELECT id, state, attempt, result FROM jobs").fetchall()
         waiting = {source_key(row["id"]) for row in rows if row["state"] in ("queued", "running")}
+        unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
         done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
-        return waiting | done
+        return waiting | unpublished | done
 
     def finished(self, older_than_s: float) -> list[Job]:
-        condition = "WHERE state IN ('done', 'failed') AND finished_at < epoch() - ?"
+        condition = "WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
         with self._connection() as db:
             return [_job(row) for row in db.execute(SELECT_JOB + condition, (older_than_s,)).fetchall()]

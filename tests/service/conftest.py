@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
+from s3_server import S3Server
 from service_process import Service, StartService
 
 
@@ -23,6 +24,14 @@ def postgres() -> Iterator[PostgresServer]:
     server = PostgresServer(binaries)
     yield server
     server.close()
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[S3Server]:
+    """An S3 server for all tests that need one."""
+    server = S3Server()
+    yield server
+    server.stop()
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -28,7 +28,7 @@ from service.jobs import (
 )
 from service.postgres_jobs import PostgresJobs
 from service.sqlite_jobs import SqliteJobs
-from service.storage import source_key
+from service.storage import bitstream_key, source_key
 
 REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
@@ -352,11 +352,21 @@ def test_pages(backend: JobBackend) -> None:
 def test_live_keys(backend: JobBackend) -> None:
     waiting, failed = submitted(backend), submitted(backend)
     claim = claimed(backend)
-    assert backend.live_keys() == {source_key(waiting), source_key(failed)}
+    unpublished = bitstream_key(claim.job_id, 1)
+    assert backend.live_keys() == {source_key(waiting), source_key(failed), unpublished}
     assert backend.release(claim)
     backend.remove(waiting)
     assert backend.fail(claimed(backend), CRASH, retry=False)
     assert backend.live_keys() == set()
+
+
+def test_finished_jobs(backend: JobBackend) -> None:
+    ids = [submitted(backend) for _ in range(4)]
+    assert backend.finish(claimed(backend), RESULT)
+    assert backend.fail(claimed(backend), CRASH, retry=False)
+    claimed(backend)
+    assert [job.id for job in backend.finished(-1.0)] == ids[:2]
+    assert backend.finished(60.0) == []
 
 
 def _open(database_url: str, folder: Path, lease_s: float, **options: int) -> JobBackend:
