@@ -87,8 +87,9 @@ def _announce(settings: Settings) -> socket.socket:
     """Listen, and say where."""
     listener = listen(settings)
     print(f"sgmethod service on {url(listener)}, data in {settings.data_dir.resolve()}", flush=True)
-    if not is_loopback(listener):
-        print("anyone who reaches this address can post, list and delete jobs", file=sys.stderr, flush=True)
+    if not is_loopback(listener) and not settings.key_names:
+        warning = "anyone who reaches this address can post, list and delete jobs: set SG_API_KEYS"
+        print(warning, file=sys.stderr, flush=True)
     return listener
 
 

@@ -32,7 +32,7 @@ class ViewQuery(BaseModel):
         Field(
             pattern=r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$",
             description="x,y,width,height: this part alone, in pixels of the picture",
-            examples=["0,0,64,64"],
+            examples=["0,0,8,8"],
         ),
     ] = None
 
@@ -98,7 +98,7 @@ class PictureDecoder:
 
     async def run(self, work: Callable[[*Arguments], bytes], *arguments: *Arguments) -> bytes:
         """What work makes of the arguments. Raises ProblemError 503 if too many callers wait already."""
-        if self._limiter.statistics().tasks_waiting >= self._max_waiting:
+        if self._limiter.available_tokens <= 0 and self._limiter.statistics().tasks_waiting >= self._max_waiting:
             detail = "too many pictures are being decoded"
             raise ProblemError(503, detail, headers={"Retry-After": RETRY_AFTER_S})
         return await to_thread.run_sync(work, *arguments, limiter=self._limiter)

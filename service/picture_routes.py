@@ -78,8 +78,11 @@ async def picture(
     if _has_already(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     file = parts.pictures.get(headers["ETag"])
+    parts.metrics.cache.labels("no" if file is None else "yes").inc()
     if file is None:
-        file = await parts.decoder.run(draw, await _bitstream(parts, job, result), drawing)
+        data = await _bitstream(parts, job, result)
+        with parts.metrics.decode_seconds.time():
+            file = await parts.decoder.run(draw, data, drawing)
         parts.pictures.put(headers["ETag"], file)
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
@@ -96,7 +99,8 @@ async def picture_of_body(wanted: Annotated[ViewQuery, Query()], parts: UseParts
     async with body_as_file(request, limits.max_bitstream_bytes) as upload, parts.accepting:
         data = await upload.read()
         try:
-            file = await parts.decoder.run(draw_unknown, data, wanted, limits.max_decode_pixels)
+            with parts.metrics.decode_seconds.time():
+                file = await parts.decoder.run(draw_unknown, data, wanted, limits.max_decode_pixels)
         except BitstreamError as error:
             raise ProblemError(422, str(error)) from error
     return Response(file, headers=NOTHING_KEPT, media_type=MEDIA_TYPES["png"])

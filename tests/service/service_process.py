@@ -7,6 +7,7 @@ import hashlib
 import io
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -19,9 +20,10 @@ import numpy as np
 from PIL import Image
 
 import sgmethod
+from service.backends import open_backend, open_storage
 from service.jobs import EncodeRequest, EncodeResult, NewJob, SourceImage, new_job_id
-from service.sqlite_jobs import SqliteJobs
-from service.storage import DiskStorage, bitstream_key
+from service.settings import Settings
+from service.storage import bitstream_key
 
 T = TypeVar("T")
 
@@ -170,18 +172,34 @@ class Service:
         """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
         fields = sgmethod.info(bitstream)
         width, height = int(str(fields["width"])), int(str(fields["height"]))
-        backend = SqliteJobs(self.data_dir / "jobs.sqlite3", lease_s=60, max_attempts=4)
+        settings = Settings(data_dir=self.data_dir, lease_s=60)
+        backend = open_backend(settings)
         request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", width, height, 10)
         job, _ = backend.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
         while (claim := backend.claim("test")) is not None and claim.job_id != job.id:
             pass  # what other tests left waiting runs forever now
         assert claim is not None
         key = bitstream_key(job.id, claim.attempt)
-        DiskStorage(self.data_dir).put(key, bitstream)
+        open_storage(settings).put(key, bitstream)
         stats = {"width": width, "height": height, "bytes": len(bitstream)}
         assert backend.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
         backend.close()
         return job.id
+
+    def connect(self) -> socket.socket:
+        """A connection over which a test says what it likes."""
+        url = httpx.URL(self.url)
+        return socket.create_connection((url.host, url.port or 80), timeout=PATIENCE_S)
+
+    def raw(self, request: bytes) -> bytes:
+        """All that is answered to these bytes until the server closes the connection, even with a reset."""
+        with self.connect() as connection:
+            answer = b""
+            with contextlib.suppress(ConnectionError):
+                connection.sendall(request)
+                while data := connection.recv(65536):
+                    answer += data
+            return answer
 
     def files(self) -> list[str]:
         """What lies in the storage."""

@@ -198,4 +198,4 @@ def test_memory_limit(start_service: StartService) -> None:
     service = start_service(job_memory_bytes=2**28, max_attempts=1)
     job = service.wait(service.accepted_slow())
     assert (job["state"], job["error"]["code"]) == ("failed", "crashed")
-    assert service.client.get("/healthz").status_code == 200
+    assert service.client.get("/livez").status_code == 200

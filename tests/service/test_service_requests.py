@@ -31,13 +31,13 @@ def png_header(width: int, height: int) -> bytes:
 
 
 def test_health(web: Service) -> None:
-    answer = web.client.get("/healthz")
+    answer = web.client.get("/livez")
     assert (answer.status_code, answer.json()["status"]) == (200, "ok")
-    assert web.client.head("/healthz").status_code == 200
+    assert web.client.head("/livez").status_code == 200
 
 
 def test_every_answer_has_the_security_headers(web: Service) -> None:
-    for path in ("/", "/healthz", "/nowhere", f"/jobs/{GOOD_ID}", "/static/app.js"):
+    for path in ("/", "/livez", "/nowhere", f"/jobs/{GOOD_ID}", "/static/app.js"):
         headers = web.client.get(path).headers
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["referrer-policy"] == "no-referrer"
@@ -63,7 +63,11 @@ def test_openapi_lists_the_routes(web: Service) -> None:
         "/decode",
         "/decode/{job_id}.{kind}",
         "/bitstreams/{job_id}.sg",
-        "/healthz",
+        "/jobs/{job_id}/events",
+        "/jobs/{job_id}/links",
+        "/livez",
+        "/readyz",
+        "/metrics",
     }
 
 
@@ -72,7 +76,8 @@ def test_unknown_paths_and_methods_are_problems(web: Service) -> None:
     assert_problem(web.client.get("/static/nothing.js"), 404)
     answer = web.client.put(f"/jobs/{GOOD_ID}")
     assert_problem(answer, 405)
-    assert answer.headers["allow"]
+    assert answer.headers["allow"] == "DELETE, GET"
+    assert web.client.put(f"/decode/{GOOD_ID}.png").headers["allow"] == "GET, HEAD"
     assert_problem(web.client.get("/encode"), 405)
 
 
