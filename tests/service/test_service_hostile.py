@@ -232,16 +232,14 @@ def test_polyglots_come_back_as_pixels_alone(service: Service) -> None:
     script = b"<script>alert(1)</script>"
     comment = b"tEXtComment\0" + script
     chunk = struct.pack(">I", len(comment) - 4) + comment + struct.pack(">I", zlib.crc32(comment))
-    for polyglot in (SMALL + script, SMALL[:33] + chunk + SMALL[33:], SMALL + b"%PDF-1.7" + script):
-        job = service.wait(service.accepted(polyglot, bpp=2, time_limit_s=1))
-        if job["state"] == "failed":
-            assert job["error"]["code"] == "refused"
-            continue
-        for url in (job["decode_url"], job["bitstream_url"]):
-            answer = service.client.get(url)
-            assert script not in answer.content
-            assert answer.headers["x-content-type-options"] == "nosniff"
-            assert answer.headers["content-type"] in ("image/png", "application/octet-stream")
+    polyglot = SMALL[:33] + chunk + SMALL[33:] + b"%PDF-1.7" + script
+    job = service.wait(service.accepted(polyglot, bpp=2, time_limit_s=0.5))
+    assert job["state"] == "done"
+    for url in (job["decode_url"], job["bitstream_url"]):
+        answer = service.client.get(url)
+        assert script not in answer.content
+        assert answer.headers["x-content-type-options"] == "nosniff"
+        assert answer.headers["content-type"] in ("image/png", "application/octet-stream")
     page = b"GIF89a/*" + script
     assert_problem(service.post(page), 415)
 
