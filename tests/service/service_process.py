@@ -11,7 +11,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -82,16 +82,30 @@ def encoder_of(job_id: str) -> int | None:
     return None
 
 
+def encoders_under(workers: Sequence[int]) -> list[int]:
+    """The encoding processes of these workers."""
+    found = []
+    for number, command in processes().items():
+        with contextlib.suppress(OSError):
+            if "service.encode_child" in command and parent_of(number) in workers:
+                found.append(number)
+    return found
+
+
 class Service:
     """One `python -m service` and a client that talks to it.
 
-    Give settings by name, such as queue_length=2. With command "web" nothing is ever encoded.
+    Give settings by name, such as queue_length=2. With command "web" nothing is ever encoded. extra: more
+    environment variables.
     """
 
-    def __init__(self, data_dir: Path, command: str = "serve", **settings: Any) -> None:
+    def __init__(
+        self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
         self.data_dir = data_dir
         chosen = {"port": 0, "data_dir": data_dir, "workers": 1, "lease_s": 1, **settings}
         self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}}
+        self.environment.update(extra or {})
         self._command = [sys.executable, "-m", "service", command]
         self.log = data_dir.with_name(data_dir.name + ".log")
         self.start()
@@ -130,8 +144,8 @@ class Service:
     def kill_all(self) -> None:
         """End every process at once, without a chance to say anything."""
         self.client.close()
-        victims = [self.process.pid, *self.children("web"), *self.children("worker")]
-        victims += [n for n, line in processes().items() if "service.encode_child" in line]
+        workers = self.children("worker")
+        victims = [self.process.pid, *self.children("web"), *workers, *encoders_under(workers)]
         for number in victims:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(number, signal.SIGKILL)
@@ -153,6 +167,10 @@ class Service:
     def accepted_slow(self) -> str:
         """The id of a new job that takes far longer than any test waits."""
         return self.accepted(SLOW, bpp=1, time_limit_s=100)
+
+    def accepted_long(self, seconds: float) -> str:
+        """The id of a new job that takes about so many seconds."""
+        return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
 
     def job(self, job_id: str) -> dict[str, Any]:
         """The status of a job."""
