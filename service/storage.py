@@ -18,6 +18,7 @@ from typing import BinaryIO, Protocol
 _UNFINISHED = "unfinished"
 _KEY = re.compile(rf"(sources|{_UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}\.sg")
 _FOLDERS = ("sources", "bitstreams")
+PROBE_FOLDER = _UNFINISHED  # where a file may be put to see whether it can be
 
 
 def source_key(job_id: str) -> str:

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
 from s3_server import S3Server
 from service_process import Service, StartService
+
+from benchmarks.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import psycopg
 import pytest
-from postgres_server import PostgresServer
 from s3_server import S3Server
 from service_process import (
     ROOT,
@@ -22,6 +21,8 @@ from service_process import (
     processes,
     wait_until,
 )
+
+from benchmarks.postgres_server import PostgresServer
 
 DISK_BYTES = 4 * 2**20
 

@@ -1,4 +1,4 @@
-"""A real PostgreSQL server for tests: found on this machine, started in a folder of its own, on a Unix socket."""
+"""A real PostgreSQL server for tests and benchmarks, started in a folder of its own, on a Unix socket."""
 
 from __future__ import annotations
 
