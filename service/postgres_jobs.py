@@ -17,7 +17,8 @@ from psycopg_pool import ConnectionPool
 from service.jobs import BackendError, JobRules
 from service.postgres_engine import SCHEMA as ENGINE_SCHEMA
 from service.postgres_engine import TOKENS_WAITING, Engine, in_words
-from service.sql_jobs import SCHEMA, STALE, Cursor, Database, SqlJobs
+from service.sql_jobs import SqlJobs
+from service.sql_statements import SCHEMA, STALE, Cursor, Database
 from service.stopping import StopSignal
 
 log = logging.getLogger(__name__)

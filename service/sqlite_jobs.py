@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.jobs import BackendError, JobRules
-from service.sql_jobs import SCHEMA, Database, SqlJobs
+from service.sql_jobs import SqlJobs
+from service.sql_statements import SCHEMA, Database
 from service.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
