@@ -15,7 +15,7 @@ def open_backend(settings: Settings) -> JobBackend:
         try:
             from service.postgres_jobs import PostgresJobs
         except ImportError as error:
-            raise BackendError("PostgreSQL needs more packages: pip install 'sgmethod[postgres]'") from error
+            raise BackendError("PostgreSQL needs more packages: pip install '.[postgres]'") from error
         return PostgresJobs(settings.database_url, rules)
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     return SqliteJobs(settings.database_path, rules)
@@ -28,5 +28,5 @@ def open_storage(settings: Settings) -> Storage:
     try:
         from service.object_storage import ObjectStorage
     except ImportError as error:
-        raise BackendError("an object store needs more packages: pip install 'sgmethod[s3]'") from error
+        raise BackendError("an object store needs more packages: pip install '.[s3]'") from error
     return ObjectStorage(settings.storage_url)

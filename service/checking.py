@@ -85,5 +85,5 @@ def _kernels(_settings: Settings) -> str:
     from sgmethod.native_module import native
 
     if find_spec("torch") is None:
-        raise CheckError("encoding needs more packages: pip install 'sgmethod[encode]'")
+        raise CheckError("encoding needs more packages: pip install '.[encode]'")
     return ISA_NAMES[native.best_isa()]
