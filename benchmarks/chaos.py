@@ -30,7 +30,7 @@ from benchmarks.chaos_service import ChaosService
 from benchmarks.machine import in_words, origin
 from benchmarks.postgres_server import HINT, PostgresServer, find_binaries
 
-PAUSE_S = 1.5  # between two events, on average
+PAUSE_S = 4.0  # between two events, on average: an encode takes about two seconds of one core
 STUCK_AFTER_S = 180.0  # without any job that ends
 WEIGHTS = {
     "encoder killed": 4,
@@ -58,7 +58,7 @@ class Submitter(threading.Thread):
     """Has so many jobs accepted, each under a key of its own, asking again until the answer is 202."""
 
     def __init__(self, service: ChaosService, jobs: int, seed: int) -> None:
-        super().__init__(name="submitter")
+        super().__init__(name="submitter", daemon=True)
         self._service = service
         self._jobs = jobs
         self._random = random.Random(seed + 1)
