@@ -78,7 +78,7 @@ def test_a_table_of_a_later_version(url: str, jobs: PostgresJobs) -> None:
     assert jobs.queued() == 0
 
 
-def test_delivery_wakes_at_once_and_ends_when_told(url: str, jobs: PostgresJobs) -> None:
+def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobs) -> None:
     """Each job is announced by a call; what was called for nothing does no harm."""
     stop, called = StopSignal(), threading.Semaphore(0)
 
