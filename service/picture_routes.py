@@ -52,13 +52,17 @@ def _has_already(request: Request, etag: str) -> bool:
     return etag in tags or tags == ["*"]
 
 
-async def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
+def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
     try:
-        return await to_thread.run_sync(parts.storage.get, result.bitstream_key)
+        return parts.storage.get(result.bitstream_key)
     except FileNotFoundError:
-        if await to_thread.run_sync(parts.backend.get, job.id) is None:  # removed while we looked
+        if parts.backend.get(job.id) is None:  # removed while we looked
             raise no_such_job() from None
         raise
+
+
+def _draw_job(parts: Parts, job: Job, result: EncodeResult, drawing: Drawing) -> bytes:
+    return draw(_bitstream(parts, job, result), drawing)
 
 
 @router.head("/decode/{job_id}.{kind}", include_in_schema=False)
@@ -80,9 +84,8 @@ async def picture(
     file = parts.pictures.get(headers["ETag"])
     parts.metrics.cache.labels("no" if file is None else "yes").inc()
     if file is None:
-        data = await _bitstream(parts, job, result)
         with parts.metrics.decode_seconds.time():
-            file = await parts.decoder.run(draw, data, drawing)
+            file = await parts.decoder.run(_draw_job, parts, job, result, drawing)
         parts.pictures.put(headers["ETag"], file)
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
@@ -119,4 +122,5 @@ async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Respons
     if _has_already(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     headers["Content-Disposition"] = f'attachment; filename="{job.id}.sg"'
-    return Response(await _bitstream(parts, job, result), headers=headers, media_type=BITSTREAM_TYPE)
+    data = await to_thread.run_sync(_bitstream, parts, job, result)
+    return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
