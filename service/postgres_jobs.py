@@ -86,6 +86,7 @@ class PostgresJobs(SqlJobs):
             conninfo = make_conninfo(url, options=f"{given} {session}", **CONNECT)
             self._set_up(conninfo)
         self._engine = Engine(conninfo, rules.lease_s)
+        logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # each try to reconnect is a warning
         # Each connection is checked when it is taken, so one that a restart has broken is not used.
         self._pool = ConnectionPool(
             conninfo,
