@@ -22,6 +22,8 @@ serve: $(STAMP)
 	$(BIN)/python -m service serve
 
 test: $(STAMP)
+	@command -v initdb >/dev/null || ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || \
+	  echo "PostgreSQL is missing, so its tests will be skipped: sudo apt install postgresql" >&2
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy

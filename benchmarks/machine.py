@@ -47,7 +47,7 @@ def commit() -> str:
     head = _git("rev-parse", "--short=12", "HEAD").strip()
     if not head:
         return "unknown"
-    difference = _git("diff", "HEAD", "--", "sgmethod", "benchmarks", ":!benchmarks/results")
+    difference = _git("diff", "HEAD", "--", "sgmethod", "service", "benchmarks", ":!benchmarks/results")
     if not difference:
         return head
     return f"{head}+{hashlib.sha256(difference.encode()).hexdigest()[:8]}"

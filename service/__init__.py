@@ -8,14 +8,14 @@ In the order in which a job meets them:
     web, app        the web process and its application
     middleware      limits on bodies, headers on answers
     problems        errors as problem documents
-    job_routes      POST /encode, GET and DELETE /jobs (with submission, views, parts)
+    job_routes      POST /encode, GET and DELETE /jobs (with submission, bodies, views, parts)
     jobs            what a job is; the protocol of a job table
     sqlite_jobs     the job table in SQLite
     storage         files that are whole or absent (opened, as the table is, by backends)
     worker          claims a job, follows its encode, publishes the result
     encode_process  the worker's side of the encoding process
     encode_child    the encoding process itself
-    picture_routes  GET /decode and /bitstreams (with decoding)
+    picture_routes  GET and POST /decode, GET /bitstreams (with decoding, pictures)
 
 Only encode_child imports the encoder, and with it torch.
 """

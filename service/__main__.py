@@ -1,4 +1,4 @@
-"""The command line: python -m service serve | web | worker."""
+"""The command line: python -m service serve | web | worker | check | sweep."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import signal
 import socket
 import sys
+from collections.abc import Callable
 
 from pydantic import ValidationError
 
@@ -17,13 +18,14 @@ from service.jobs import BackendError
 from service.listening import is_loopback, listen, url
 from service.settings import Settings
 from service.stopping import StopSignal
+from service.sweeping import ORPHAN_AGE_S, sweep
 
 BAD_SETTING = 2
-CANNOT_START = 1
+TROUBLE = 1
 
 
 def main() -> int:
-    """Run one command. Exit status: 0 after a wished end, 2 for a bad setting, 1 for trouble at start."""
+    """Run one command. Exit status: 0 after a wished end, 2 for a bad setting, 1 for trouble."""
     arguments = _parser().parse_args()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     try:
@@ -34,11 +36,11 @@ def main() -> int:
             print(f"{name}{fault['msg']}", file=sys.stderr)
         return BAD_SETTING
     try:
-        _COMMANDS[arguments.command](settings, arguments)
+        return _COMMANDS[arguments.command](settings, arguments) or 0
     except (OSError, BackendError) as error:
-        print(f"cannot start: {error}", file=sys.stderr)
-        return CANNOT_START
-    return 0
+        verb = "sweep" if arguments.command == "sweep" else "start"
+        print(f"cannot {verb}: {error}", file=sys.stderr)
+        return TROUBLE
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -47,6 +49,15 @@ def _parser() -> argparse.ArgumentParser:
     commands.add_parser("serve", help="run web process and workers, and replace those that die")
     web = commands.add_parser("web", help="run the web process alone")
     worker = commands.add_parser("worker", help="run one worker alone")
+    commands.add_parser("check", help="try everything that the service needs, one line each")
+    sweep = commands.add_parser("sweep", help="remove files that no job needs, and jobs older than SG_RETENTION_S")
+    sweep.add_argument("--dry-run", action="store_true", help="only say how many")
+    sweep.add_argument(
+        "--orphan-age-s",
+        type=float,
+        default=ORPHAN_AGE_S,
+        help="remove files older than this (seconds, default %(default)g); 0 only while nothing else runs",
+    )
     web.add_argument("--socket", type=int, help=argparse.SUPPRESS)
     for command in (web, worker):  # both are how "serve" starts its processes
         command.add_argument("--lifeline", type=int, help=argparse.SUPPRESS)
@@ -83,16 +94,47 @@ def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
     backend.close()
 
 
+def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
+    from service.checking import check
+
+    failures = 0
+    for result in check(settings):
+        print(f"{'ok    ' if result.passed else 'FAILED'}  {result.name}: {result.detail}", flush=True)
+        failures += not result.passed
+    return TROUBLE if failures else 0
+
+
+def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
+    backend = open_backend(settings)
+    swept = sweep(
+        backend,
+        open_storage(settings),
+        retention_s=settings.retention_s,
+        orphan_age_s=arguments.orphan_age_s,
+        dry_run=arguments.dry_run,
+    )
+    backend.close()
+    verb = "would remove" if arguments.dry_run else "removed"
+    print(f"{verb} finished jobs: {swept.jobs}, files that no job needs: {swept.files}")
+
+
 def _announce(settings: Settings) -> socket.socket:
     """Listen, and say where."""
     listener = listen(settings)
     print(f"sgmethod service on {url(listener)}, data in {settings.data_dir.resolve()}", flush=True)
-    if not is_loopback(listener):
-        print("anyone who reaches this address can post, list and delete jobs", file=sys.stderr, flush=True)
+    if not is_loopback(listener) and not settings.key_names:
+        warning = "anyone who reaches this address can post, list and delete jobs: set SG_API_KEYS"
+        print(warning, file=sys.stderr, flush=True)
     return listener
 
 
-_COMMANDS = {"serve": _serve, "web": _web, "worker": _worker}
+_COMMANDS: dict[str, Callable[[Settings, argparse.Namespace], int | None]] = {
+    "serve": _serve,
+    "web": _web,
+    "worker": _worker,
+    "check": _check,
+    "sweep": _sweep,
+}
 
 if __name__ == "__main__":
     sys.exit(main())

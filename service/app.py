@@ -2,48 +2,42 @@
 
 from __future__ import annotations
 
-import logging
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from importlib.metadata import version
 from pathlib import Path
 
-from anyio import CapacityLimiter, to_thread
-from fastapi import FastAPI
+from anyio import CapacityLimiter
+from fastapi import FastAPI, Security
+from fastapi.security import HTTPBearer
 from starlette.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
-from service import job_routes, picture_routes
+from service import event_routes, health_routes, job_routes, picture_routes
 from service.backends import open_backend, open_storage
-from service.decoding import PictureDecoder
+from service.decoding import PictureCache, PictureDecoder
+from service.gate import Gate
+from service.health_routes import VERSION
+from service.keys import KeyRing, RateLimit
+from service.metrics import RequestMetrics
 from service.middleware import BodyGuard, BodyLimits, ResponseHeaders
 from service.parts import Parts
-from service.problems import install_problem_handlers
+from service.problems import install_problem_handlers, problems
 from service.settings import Settings
 from service.submission import MULTIPART_OVERHEAD_BYTES
-from service.views import HealthView
 
-log = logging.getLogger(__name__)
-
-VERSION = version("sgmethod")
 STATIC = Path(__file__).with_name("static")
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self';"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 UPLOADS_IN_MEMORY = 4
-# A file without a job is either left over from a crash or of a job being accepted or finished just now,
-# which takes seconds.
-ORPHAN_AGE_S = 3600.0
 
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     parts: Parts = app.state.parts
-    swept = await to_thread.run_sync(lambda: parts.storage.sweep(parts.backend.live_keys(), ORPHAN_AGE_S))
-    if swept:
-        log.info("removed %d files that no job needs", swept)
     yield
     parts.backend.close()
 
@@ -53,11 +47,16 @@ def _body_limits(settings: Settings) -> BodyLimits:
         settings.max_upload_bytes + MULTIPART_OVERHEAD_BYTES,
         settings.body_chunk_timeout_s,
         settings.body_timeout_s,
+        settings.min_upload_rate,
+        settings.max_uploads,
     )
 
 
-def create_app(settings: Settings) -> ASGIApp:
-    """The application with its middleware, ready for a server. Raises BackendError, OSError."""
+def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASGIApp:
+    """The application with its middleware, ready for a server; stopping tells it that the server is to stop.
+
+    Raises BackendError, OSError.
+    """
     app = FastAPI(
         title="sgmethod",
         version=VERSION,
@@ -65,24 +64,27 @@ def create_app(settings: Settings) -> ASGIApp:
         lifespan=_lifespan,
         docs_url=None,  # both pages load scripts from elsewhere
         redoc_url=None,
+        redirect_slashes=False,  # it would repeat whatever host the client named
     )
-    app.state.parts = Parts(
+    parts = app.state.parts = Parts(
         settings,
         open_backend(settings),
         open_storage(settings),
         PictureDecoder(settings.max_decodes, settings.max_waiting_decodes),
+        PictureCache(settings.decode_cache_bytes),
         CapacityLimiter(UPLOADS_IN_MEMORY),
+        CapacityLimiter(settings.max_event_streams),
+        stopping or asyncio.Event(),
     )
     install_problem_handlers(app)
-    app.include_router(job_routes.router)
-    app.include_router(picture_routes.router)
+    app.include_router(health_routes.router)
+    keys = KeyRing(settings.key_names)
+    # The gate does the work; this is how the document says so.
+    security = [Security(HTTPBearer(auto_error=False))] if keys else []
+    refusals = problems(401, 429) if keys else {}
+    for routes in (job_routes, event_routes, picture_routes):
+        app.include_router(routes.router, dependencies=security, responses=refusals)
     app.mount("/static", StaticFiles(directory=STATIC))
-
-    @app.head("/healthz", include_in_schema=False)
-    @app.get("/healthz")
-    async def health() -> HealthView:
-        """Whether the web process answers; waits for nothing."""
-        return HealthView(status="ok", version=VERSION)
 
     @app.head("/", include_in_schema=False)
     @app.get("/", include_in_schema=False)
@@ -90,5 +92,8 @@ def create_app(settings: Settings) -> ASGIApp:
         """The page on which a person can try the service."""
         return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": PAGE_POLICY})
 
-    # Outside of FastAPI, whose answer to an unexpected error passes by its own middleware.
-    return ResponseHeaders(BodyGuard(app, _body_limits(settings)))
+    # From the inside out, and outside of FastAPI, whose answer to an unexpected error passes by its own middleware.
+    secret = settings.link_secret.get_secret_value()
+    gate = Gate(app, keys, RateLimit(settings.key_request_rate), secret)
+    guarded = BodyGuard(gate, _body_limits(settings))
+    return ResponseHeaders(RequestMetrics(guarded, parts.metrics))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.jobs import JobBackend
+from service.jobs import BackendError, JobBackend, JobRules
 from service.settings import Settings
 from service.sqlite_jobs import SqliteJobs
 from service.storage import DiskStorage, Storage
@@ -10,10 +10,23 @@ from service.storage import DiskStorage, Storage
 
 def open_backend(settings: Settings) -> JobBackend:
     """The job table, made if there is none yet. Raises BackendError, OSError."""
+    rules = JobRules(settings.lease_s, settings.max_attempts, settings.max_running_per_key)
+    if settings.uses_postgres:
+        try:
+            from service.postgres_jobs import PostgresJobs
+        except ImportError as error:
+            raise BackendError("PostgreSQL needs more packages: pip install '.[postgres]'") from error
+        return PostgresJobs(settings.database_url, rules)
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return SqliteJobs(settings.database_path, lease_s=settings.lease_s, max_attempts=settings.max_attempts)
+    return SqliteJobs(settings.database_path, rules)
 
 
 def open_storage(settings: Settings) -> Storage:
-    """The storage of sources and bitstreams, made if there is none yet. Raises OSError."""
-    return DiskStorage(settings.data_dir)
+    """The storage of sources and bitstreams, made if there is none yet. Raises OSError, BackendError."""
+    if not settings.storage_url:
+        return DiskStorage(settings.data_dir)
+    try:
+        from service.object_storage import ObjectStorage
+    except ImportError as error:
+        raise BackendError("an object store needs more packages: pip install '.[s3]'") from error
+    return ObjectStorage(settings.storage_url)

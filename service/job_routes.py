@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+import time
 from typing import Annotated, Any
 
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
 from service import views
-from service.jobs import EncodeRequest, Job, KeyReusedError, NewJob, QueueFullError
-from service.parts import KnownJob, Parts, UseParts
-from service.problems import MEDIA_TYPE, ProblemError
+from service.jobs import PRIORITIES, Job, KeyReusedError, NewJob, OwnQueueFullError, QueueFullError
+from service.keys import Link
+from service.parts import KnownJob, Parts, UseCaller, UseParts
+from service.problems import ProblemError, problems
 from service.storage import source_key
 from service.submission import (
+    FORM_TYPE,
+    IMAGE_FIELD,
+    Wanted,
     check_content_type,
     idempotency_key,
-    image_bytes,
     new_job,
-    open_form,
-    wanted_encode,
+    submission,
 )
 from sgmethod.budget import BUDGET_KINDS
 from sgmethod.profiles import PROFILE_NAMES
@@ -28,75 +31,85 @@ router = APIRouter()
 RETRY_AFTER_QUEUE_S = "10"
 NEVER_STORED = {"Cache-Control": "no-store"}
 
-ENCODE_BODY: dict[str, Any] = {
-    "required": True,
-    "content": {
-        "multipart/form-data": {
-            "schema": {
-                "type": "object",
-                "required": ["image"],
-                "additionalProperties": False,
-                "properties": {
-                    "image": {"type": "string", "format": "binary"},
-                    **{kind: {"type": "number", "exclusiveMinimum": 0} for kind in BUDGET_KINDS},
-                    "profile": {"type": "string", "enum": list(PROFILE_NAMES)},
-                    "time_limit_s": {"type": "number", "exclusiveMinimum": 0},
-                },
-                "oneOf": [{"required": [kind]} for kind in BUDGET_KINDS],
-            }
-        }
-    },
+FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
+    **{kind: {"type": "number", "exclusiveMinimum": 0} for kind in BUDGET_KINDS},
+    "profile": {"type": "string", "enum": list(PROFILE_NAMES)},
+    "time_limit_s": {"type": "number", "exclusiveMinimum": 0},
+    "priority": {"type": "string", "enum": list(PRIORITIES)},
 }
-IDEMPOTENCY_KEY_PARAMETER: dict[str, Any] = {
+BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
+FORM: dict[str, Any] = {
+    "type": "object",
+    "required": [IMAGE_FIELD],
+    "additionalProperties": False,
+    "properties": {IMAGE_FIELD: BINARY, **FIELD_SCHEMAS},
+    "oneOf": [{"required": [kind]} for kind in BUDGET_KINDS],
+}
+IDEMPOTENCY_KEY: dict[str, Any] = {
     "name": "Idempotency-Key",
     "in": "header",
     "description": "the same key again answers with the job it first made",
-    "schema": {"type": "string", "maxLength": 255},
+    "schema": {"type": "string", "maxLength": 255, "pattern": "^[!-~]+$"},
 }
-
-
-def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """The statuses as responses of the OpenAPI document."""
-    return {status: {"content": {MEDIA_TYPE: {}}, "description": "a problem"} for status in statuses}
+ENCODE_EXTRA: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "description": "a form with the image and the fields, or the image alone and the fields in the query",
+        "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
+    },
+    "parameters": [
+        IDEMPOTENCY_KEY,
+        *({"name": name, "in": "query", "schema": schema} for name, schema in FIELD_SCHEMAS.items()),
+    ],
+}
 
 
 def _queue_full() -> ProblemError:
     return ProblemError(429, "the queue is full; try later", headers={"Retry-After": RETRY_AFTER_QUEUE_S})
 
 
+def _own_queue_full(limit: int) -> ProblemError:
+    retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
+    return ProblemError(429, f"{limit} jobs of this API key wait already; try later", headers=retry)
+
+
 @router.post(
     "/encode",
     status_code=202,
     responses=problems(400, 408, 413, 415, 422, 429, 503),
-    openapi_extra={"requestBody": ENCODE_BODY, "parameters": [IDEMPOTENCY_KEY_PARAMETER]},
+    openapi_extra=ENCODE_EXTRA,
 )
-async def encode(request: Request, response: Response, parts: UseParts) -> views.AcceptedView:
+async def encode(request: Request, response: Response, parts: UseParts, caller: UseCaller) -> views.AcceptedView:
     """Accept an image to be encoded, with exactly one budget."""
     check_content_type(request)
     key = idempotency_key(request)
-    if await to_thread.run_sync(_is_hopeless, parts, key):  # before the body is read
-        raise _queue_full()
-    async with open_form(request) as form:
-        wanted = wanted_encode(form, parts.settings)
-        async with parts.accepting:
-            image = await image_bytes(form, parts.settings.max_upload_bytes)
-            job = await to_thread.run_sync(_accept, parts, wanted, image, key)
+    await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
+    async with submission(request, parts.settings) as submitted, parts.accepting:
+        image = await submitted.image_bytes(parts.settings.max_upload_bytes)
+        job = await to_thread.run_sync(_accept, parts, submitted.wanted, image, key, caller.owner)
+    parts.metrics.accepted.inc()
     view = views.accepted(job)
     response.headers["Location"] = view.status_url
     response.headers.update(NEVER_STORED)
     return view
 
 
-def _is_hopeless(parts: Parts, key: str | None) -> bool:
-    """Whether the queue is full and the request not a repetition either."""
-    if parts.backend.queued() < parts.settings.queue_length:
-        return False
-    return key is None or parts.backend.find_key(key) is None
+def _check_queue(parts: Parts, key: str | None, owner: str | None) -> None:
+    """Raises ProblemError 429 if the queue is full, or the owner's part of it, and the request no repetition."""
+    own_limit = parts.settings.max_queued_per_key
+    if parts.backend.queued() >= parts.settings.queue_length:
+        refusal = _queue_full()
+    elif owner is not None and own_limit and parts.backend.queued(owner) >= own_limit:
+        refusal = _own_queue_full(own_limit)
+    else:
+        return
+    if key is None or parts.backend.find_key(key, owner) is None:
+        raise refusal
 
 
-def _accept(parts: Parts, wanted: EncodeRequest, image: bytes, key: str | None) -> Job:
+def _accept(parts: Parts, wanted: Wanted, image: bytes, key: str | None, owner: str | None) -> Job:
     """The image to the disk, then the job to the table; only then may the client be told."""
-    new = new_job(image, wanted, key, parts.settings)
+    new = new_job(image, wanted, key, owner, parts.settings)
     try:
         parts.storage.put(source_key(new.id), image)
     except OSError as error:
@@ -110,7 +123,10 @@ def _accept(parts: Parts, wanted: EncodeRequest, image: bytes, key: str | None) 
 def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
     # If the table fails, the image stays for the sweep: the row may have been written all the same.
     try:
-        return parts.backend.submit(new, parts.settings.queue_length)
+        own_limit = parts.settings.max_queued_per_key if new.owner is not None else 0
+        return parts.backend.submit(new, parts.settings.queue_length, own_limit)
+    except OwnQueueFullError:
+        refusal = _own_queue_full(own_limit)
     except QueueFullError:
         refusal = _queue_full()
     except KeyReusedError:
@@ -129,15 +145,35 @@ def status(job: KnownJob, parts: UseParts, response: Response) -> views.JobView:
 @router.get("/jobs", responses=problems(422, 503))
 def jobs(
     parts: UseParts,
+    caller: UseCaller,
     response: Response,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[int | None, Query(ge=1, le=2**53)] = None,
 ) -> views.JobPage:
-    """All jobs, newest first, a page at a time."""
+    """All jobs, or the key's own where there are keys, newest first, a page at a time."""
     response.headers.update(NEVER_STORED)
-    page = parts.backend.page(limit + 1, before)
+    page = parts.backend.page(limit + 1, before, caller.owner)
     older = f"/jobs?limit={limit}&before={page[limit - 1].number}" if len(page) > limit else None
     return views.JobPage(jobs=[views.summary(job) for job in page[:limit]], next=older)
+
+
+@router.post("/jobs/{job_id}/links", responses=problems(404, 422, 503))
+def links(
+    job: KnownJob,
+    parts: UseParts,
+    response: Response,
+    expires_s: Annotated[int, Query(ge=1, description="seconds until they expire")] = 3600,
+) -> views.LinksView:
+    """Links to the picture and the bitstream, for whoever has no key."""
+    response.headers.update(NEVER_STORED)
+    secret = parts.settings.link_secret.get_secret_value()
+    if not secret:
+        raise ProblemError(404, "links are not set up here")
+    if expires_s > parts.settings.link_max_age_s:
+        raise ProblemError(422, f"expires_s must be at most {parts.settings.link_max_age_s}")
+    expires = int(time.time()) + expires_s
+    picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
+    return views.links(job, picture, bitstream, expires)
 
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=problems(404, 503))

@@ -13,14 +13,18 @@ from __future__ import annotations
 
 import re
 import secrets
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
+from service.stopping import StopSignal
 from sgmethod.budget import BudgetKind
 
 JobState = Literal["queued", "running", "done", "failed"]
+JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
+Priority = Literal["interactive", "bulk"]
+PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
 JsonObject = Mapping[str, Any]
 
 _JOB_ID = re.compile(r"[0-9a-f]{32}")
@@ -44,8 +48,25 @@ class QueueFullError(Exception):
     """As many jobs wait as the settings allow."""
 
 
+class OwnQueueFullError(QueueFullError):
+    """As many jobs of this owner wait as the settings allow one owner."""
+
+
 class KeyReusedError(Exception):
     """An idempotency key came again with another request."""
+
+
+@dataclass(frozen=True)
+class JobRules:
+    """What holds for all jobs.
+
+    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
+    max_running_per_owner: jobs of one owner that run at once, 0 for any number.
+    """
+
+    lease_s: float
+    max_attempts: int
+    max_running_per_owner: int = 0
 
 
 @dataclass(frozen=True)
@@ -70,13 +91,19 @@ class SourceImage:
 
 @dataclass(frozen=True)
 class NewJob:
-    """A job to accept. fingerprint: digest of the whole request, compared when a key comes again."""
+    """A job to accept.
+
+    fingerprint: digest of the whole request, compared when an idempotency key comes again; owner: whose
+    API key came with the request, None where there are no keys.
+    """
 
     id: str
     request: EncodeRequest
     image: SourceImage
     fingerprint: str
     idempotency_key: str | None = None
+    owner: str | None = None
+    priority: Priority = "interactive"
 
 
 @dataclass(frozen=True)
@@ -109,12 +136,15 @@ class Claim:
 class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
-    number: place in the order of acceptance; position: place in the queue from 1, None unless queued;
-    crashes: attempts that ended without a word, which is what the limit of attempts counts.
+    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
+    turns, None unless queued; crashes: attempts that ended without a word, which is what the limit of
+    attempts counts.
     """
 
     number: int
     id: str
+    owner: str | None
+    priority: Priority
     state: JobState
     position: int | None
     request: EncodeRequest
@@ -128,36 +158,53 @@ class Job:
     error: JobError | None
 
 
+@dataclass(frozen=True)
+class Census:
+    """The table at a glance. Times are seconds since 1970 (UTC).
+
+    jobs: how many are in each state; waiting_since: when the oldest queued job was accepted, None if none
+    waits; claimed_at: when a job was last claimed, None if none ever was.
+    """
+
+    jobs: Mapping[JobState, int]
+    waiting_since: float | None
+    worked_at: float | None
+
+
 class JobBackend(Protocol):
     """A durable queue of jobs. Every method may raise BackendError; all are safe to call from any
     thread. What a method has returned has reached the disk."""
 
-    def submit(self, job: NewJob, queue_length: int) -> tuple[Job, bool]:
-        """Accept a job; returns it and True, or the job that came first under the same key and False.
+    def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
+        """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
 
-        Raises QueueFullError if queue_length jobs wait already, KeyReusedError if the key stands for
-        another request.
+        Raises QueueFullError if queue_length jobs wait already, OwnQueueFullError if own_queue_length of
+        the same owner do (0 for any number), KeyReusedError if the key stands for another request.
         """
         ...
 
-    def find_key(self, idempotency_key: str) -> Job | None:
-        """The job that was accepted under the key."""
+    def find_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+        """The owner's job that was accepted under the key; each owner has keys of their own."""
         ...
 
-    def queued(self) -> int:
-        """How many jobs wait."""
+    def queued(self, owner: str | None = None) -> int:
+        """How many jobs wait; with an owner, how many of theirs."""
         ...
 
-    def get(self, job_id: str) -> Job | None:
-        """The job, or None if there is none of that id."""
+    def census(self) -> Census:
+        """How many jobs there are in each state, and how long the queue has waited."""
         ...
 
-    def page(self, limit: int, before: int | None = None) -> list[Job]:
-        """The newest jobs, newest first, of those with a number below `before`."""
+    def get(self, job_id: str, owner: str | None = None) -> Job | None:
+        """The job, or None if there is none of that id; with an owner, only if it is theirs."""
         ...
 
-    def trace(self, job_id: str) -> list[JsonObject]:
-        """The trace points of the job's latest attempt, oldest first."""
+    def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
+        """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs."""
+        ...
+
+    def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+        """The trace points of the job's latest attempt, oldest first, without so many at the beginning."""
         ...
 
     def remove(self, job_id: str) -> Job | None:
@@ -172,7 +219,11 @@ class JobBackend(Protocol):
         ...
 
     def claim(self, worker: str) -> Claim | None:
-        """Take the oldest queued job for a worker (a name for operators), or None if none waits."""
+        """Take the next queued job for a worker (a name for operators), or None if none may run.
+
+        Interactive jobs come before bulk ones; among equals the owner with the fewest running jobs, then
+        the owner served longest ago, then the oldest job. An owner at the limit of running jobs waits.
+        """
         ...
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
@@ -197,8 +248,19 @@ class JobBackend(Protocol):
         """Hand the job back unharmed, at its old place in the queue. False: it was no longer ours."""
         ...
 
+    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        """Call run_next, in one thread at a time, whenever there may be a job to claim; return when stop says so.
+
+        run_next tells whether it ran a job, and never raises.
+        """
+        ...
+
     def live_keys(self) -> set[str]:
         """Storage keys that some job still needs."""
+        ...
+
+    def finished(self, older_than_s: float) -> list[Job]:
+        """The jobs that have been done or failed for longer than that (seconds)."""
         ...
 
     def close(self) -> None:

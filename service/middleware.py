@@ -18,6 +18,7 @@ from service.problems import ProblemError
 # A connection that is closed while its client still writes is reset, and the client never sees the
 # answer. So after an early answer the rest of the body is read and dropped, for a while.
 LINGER_S = 2.0
+RETRY_AFTER_S = "5"
 
 STRICT_POLICY = "default-src 'none'; frame-ancestors 'none'"
 RESPONSE_HEADERS = {
@@ -29,32 +30,42 @@ RESPONSE_HEADERS = {
 
 @dataclass(frozen=True)
 class BodyLimits:
-    """Of one request body: bytes, seconds between two chunks, seconds for all."""
+    """Of one request body: bytes, seconds between two chunks, seconds for all, bytes a second on average
+    (with one chunk's seconds on top); and how many bodies may come in at once.
+    """
 
     max_bytes: int
     chunk_timeout_s: float
     timeout_s: float
+    min_rate: int
+    most: int
 
 
 class BodyGuard:
-    """Middleware: reading a body beyond the limits raises ProblemError 413 or 408 in the application."""
+    """Middleware: reading a body beyond the limits raises ProblemError 413, 408 or 503 in the application."""
 
     def __init__(self, app: ASGIApp, limits: BodyLimits) -> None:
         self._app = app
         self._limits = limits
+        self._coming_in: set[_Exchange] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        exchange = _Exchange(Headers(scope=scope), self._limits, receive, send)
-        await self._app(scope, exchange.receive, exchange.send)
+        exchange = _Exchange(Headers(scope=scope), self._limits, receive, send, self._coming_in)
+        try:
+            await self._app(scope, exchange.receive, exchange.send)
+        finally:
+            self._coming_in.discard(exchange)
 
 
 class _Exchange:
-    """One request and its answer."""
+    """One request and its answer; coming_in holds those whose bodies are being read."""
 
-    def __init__(self, headers: Headers, limits: BodyLimits, receive: Receive, send: Send) -> None:
+    def __init__(
+        self, headers: Headers, limits: BodyLimits, receive: Receive, send: Send, coming_in: set[_Exchange]
+    ) -> None:
         length = headers.get("content-length", "0")
         self._declared = int(length) if length.isdecimal() else 0
         self._unread = self._declared > 0 or "transfer-encoding" in headers
@@ -62,25 +73,33 @@ class _Exchange:
         self._receive = receive
         self._send = send
         self._bytes = 0
-        self._deadline: float | None = None
+        self._started: float | None = None
+        self._coming_in = coming_in
 
     async def receive(self) -> Message:
         if not self._unread:
             return await self._receive()
         if self._declared > self._limits.max_bytes:
             raise self._too_large()
+        if self not in self._coming_in and len(self._coming_in) >= self._limits.most:
+            raise ProblemError(503, "too many uploads are under way", headers={"Retry-After": RETRY_AFTER_S})
+        self._coming_in.add(self)
         message = await self._in_time()
         self._bytes += len(message.get("body", b""))
         self._unread = message.get("more_body", False)
+        if not self._unread:
+            self._coming_in.discard(self)
         if self._bytes > self._limits.max_bytes:
             raise self._too_large()
         return message
 
     async def _in_time(self) -> Message:
         now = time.monotonic()
-        if self._deadline is None:
-            self._deadline = now + self._limits.timeout_s
-        timeout_s = min(self._limits.chunk_timeout_s, self._deadline - now)
+        if self._started is None:
+            self._started = now
+        limits = self._limits
+        allowed_s = min(limits.timeout_s, limits.chunk_timeout_s + self._bytes / limits.min_rate)
+        timeout_s = min(limits.chunk_timeout_s, self._started + allowed_s - now)
         try:
             return await asyncio.wait_for(self._receive(), timeout_s)
         except TimeoutError:

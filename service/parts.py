@@ -2,31 +2,45 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import asyncio
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Request
+from fastapi import Path as PathParameter
 
-from service.decoding import PictureDecoder
+from service.decoding import PictureCache, PictureDecoder
+from service.gate import Caller
 from service.jobs import Job, JobBackend, is_job_id
+from service.metrics import Metrics
 from service.problems import ProblemError
 from service.settings import Settings
 from service.storage import Storage
+
+PROBE_THREADS = 4
+JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", examples=["0123456789abcdef" * 2])]
 
 
 @dataclass(frozen=True)
 class Parts:
     """The pieces of the running service.
 
-    accepting: taken while an upload is held in memory, which bounds what all of them take together.
+    accepting: taken while an upload is held in memory, which bounds what all of them take together;
+    streams: of events; stopping: set when the service is to stop; watching: threads of probes, which must not
+    queue behind work.
     """
 
     settings: Settings
     backend: JobBackend
     storage: Storage
     decoder: PictureDecoder
+    pictures: PictureCache
     accepting: CapacityLimiter
+    streams: CapacityLimiter
+    stopping: asyncio.Event
+    metrics: Metrics = field(default_factory=Metrics)
+    watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
 
 
 def _parts(request: Request) -> Parts:
@@ -39,14 +53,23 @@ def no_such_job() -> ProblemError:
     return ProblemError(404, "there is no such job")
 
 
-async def _known_job(job_id: str, parts: Annotated[Parts, Depends(_parts)]) -> Job:
-    if not is_job_id(job_id):
+def _caller(request: Request) -> Caller:
+    caller: Caller = request.state.caller
+    return caller
+
+
+UseParts = Annotated[Parts, Depends(_parts)]
+UseCaller = Annotated[Caller, Depends(_caller)]
+
+
+async def _known_job(job_id: JobId, parts: UseParts, caller: UseCaller) -> Job:
+    """The job, if the caller may know of it; a foreign one looks the same as none."""
+    if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
         raise no_such_job()
-    job = await to_thread.run_sync(parts.backend.get, job_id)
+    job = await to_thread.run_sync(parts.backend.get, job_id, caller.owner)
     if job is None:
         raise no_such_job()
     return job
 
 
-UseParts = Annotated[Parts, Depends(_parts)]
 KnownJob = Annotated[Job, Depends(_known_job)]

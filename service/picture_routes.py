@@ -1,31 +1,39 @@
-"""Finished jobs as pictures and as bitstreams."""
+"""Finished jobs as pictures and as bitstreams, and pictures of bitstreams that nobody keeps."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from anyio import to_thread
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
+from service.bodies import body_as_file
+from service.decoding import Drawing, ViewQuery, draw, draw_unknown
 from service.jobs import EncodeResult, Job
 from service.parts import KnownJob, Parts, UseParts, no_such_job
-from service.problems import MEDIA_TYPE, ProblemError
+from service.pictures import MEDIA_TYPES, PictureFormat
+from service.problems import ProblemError, problems
+from sgmethod.errors import BitstreamError
 
 router = APIRouter()
 
 BITSTREAM_TYPE = "application/octet-stream"
 # The bytes behind an id never change. Private, because an id is a secret that shared caches should not keep.
 IMMUTABLE = "private, max-age=31536000, immutable"
+NOTHING_KEPT = {"Cache-Control": "no-store"}
+BITSTREAM_BODY: dict[str, Any] = {
+    "required": True,
+    "content": {BITSTREAM_TYPE: {"schema": {"type": "string", "format": "binary"}}},
+}
 
 
-def _responses(media_type: str) -> dict[int | str, dict[str, Any]]:
-    problem = {"content": {MEDIA_TYPE: {}}, "description": "a problem"}
+def _files(*media_types: str) -> dict[int | str, dict[str, Any]]:
+    """A file of one of the types as a response of the OpenAPI document."""
     schema = {"type": "string", "format": "binary"}
-    return {
-        200: {"content": {media_type: {"schema": schema}}},
-        304: {"description": "the client has it already"},
-        **dict.fromkeys((404, 409, 503), problem),
-    }
+    return {200: {"content": {media_type: {"schema": schema} for media_type in media_types}}}
+
+
+NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "the client has it already"}}
 
 
 def _result(job: Job) -> EncodeResult:
@@ -44,29 +52,69 @@ def _has_already(request: Request, etag: str) -> bool:
     return etag in tags or tags == ["*"]
 
 
-async def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
+def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
     try:
-        return await to_thread.run_sync(parts.storage.get, result.bitstream_key)
+        return parts.storage.get(result.bitstream_key)
     except FileNotFoundError:
-        if await to_thread.run_sync(parts.backend.get, job.id) is None:  # removed while we looked
+        if parts.backend.get(job.id) is None:  # removed while we looked
             raise no_such_job() from None
         raise
 
 
-@router.head("/decode/{job_id}.png", include_in_schema=False)
-@router.get("/decode/{job_id}.png", response_class=Response, responses=_responses("image/png"))
-async def picture(job: KnownJob, parts: UseParts, request: Request) -> Response:
-    """The decoded picture as PNG."""
+def _draw_job(parts: Parts, job: Job, result: EncodeResult, drawing: Drawing) -> bytes:
+    return draw(_bitstream(parts, job, result), drawing)
+
+
+@router.head("/decode/{job_id}.{kind}", include_in_schema=False)
+@router.get(
+    "/decode/{job_id}.{kind}",
+    response_class=Response,
+    responses={**_files(*MEDIA_TYPES.values()), **NOT_MODIFIED, **problems(404, 409, 422, 503)},
+)
+async def picture(
+    job: KnownJob, kind: PictureFormat, wanted: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
+) -> Response:
+    """The decoded picture, or a view of it, as PNG, JPEG or WebP."""
     result = _result(job)
-    headers = {"ETag": f'"{result.sha256[:32]}.png"', "Cache-Control": IMMUTABLE}
+    size = (int(result.stats["width"]), int(result.stats["height"]))
+    drawing = Drawing.of(wanted, kind, size, parts.settings.max_decode_pixels)
+    headers = {"ETag": drawing.etag(result.sha256), "Cache-Control": IMMUTABLE}
     if _has_already(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    png = await parts.decoder.png(await _bitstream(parts, job, result))
-    return Response(png, headers=headers, media_type="image/png")
+    file = parts.pictures.get(headers["ETag"])
+    parts.metrics.cache.labels("no" if file is None else "yes").inc()
+    if file is None:
+        with parts.metrics.decode_seconds.time():
+            file = await parts.decoder.run(_draw_job, parts, job, result, drawing)
+        parts.pictures.put(headers["ETag"], file)
+    return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
+
+
+@router.post(
+    "/decode",
+    response_class=Response,
+    responses={**_files(MEDIA_TYPES["png"]), **problems(408, 413, 422, 503)},
+    openapi_extra={"requestBody": BITSTREAM_BODY},
+)
+async def picture_of_body(wanted: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
+    """A picture of the bitstream in the body, as PNG. Nothing is stored."""
+    limits = parts.settings
+    async with body_as_file(request, limits.max_bitstream_bytes) as upload, parts.accepting:
+        data = await upload.read()
+        try:
+            with parts.metrics.decode_seconds.time():
+                file = await parts.decoder.run(draw_unknown, data, wanted, limits.max_decode_pixels)
+        except BitstreamError as error:
+            raise ProblemError(422, str(error)) from error
+    return Response(file, headers=NOTHING_KEPT, media_type=MEDIA_TYPES["png"])
 
 
 @router.head("/bitstreams/{job_id}.sg", include_in_schema=False)
-@router.get("/bitstreams/{job_id}.sg", response_class=Response, responses=_responses(BITSTREAM_TYPE))
+@router.get(
+    "/bitstreams/{job_id}.sg",
+    response_class=Response,
+    responses={**_files(BITSTREAM_TYPE), **NOT_MODIFIED, **problems(404, 409, 503)},
+)
 async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Response:
     """The bitstream itself."""
     result = _result(job)
@@ -74,4 +122,5 @@ async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Respons
     if _has_already(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     headers["Content-Disposition"] = f'attachment; filename="{job.id}.sg"'
-    return Response(await _bitstream(parts, job, result), headers=headers, media_type=BITSTREAM_TYPE)
+    data = await to_thread.run_sync(_bitstream, parts, job, result)
+    return Response(data, headers=headers, media_type=BITSTREAM_TYPE)

@@ -12,12 +12,27 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
 
 from service.jobs import BackendError
 
 log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
+METHODS = ("DELETE", "GET", "HEAD", "POST")  # that any route has
+PROBLEM: dict[str, Any] = {
+    "schema": {
+        "type": "object",
+        "required": ["type", "title", "status", "detail"],
+        "properties": {
+            "type": {"type": "string"},
+            "title": {"type": "string"},
+            "status": {"type": "integer"},
+            "detail": {"type": "string", "description": "one sentence"},
+        },
+    },
+    "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
+}
 RETRY_SOON_S = "5"
 
 
@@ -32,17 +47,26 @@ class ProblemError(Exception):
         self.members = members
 
 
-def problem_response(problem: ProblemError) -> JSONResponse:
-    """The problem as an answer; extra members stand beside the standard ones."""
-    document = {
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The statuses as responses of the OpenAPI document."""
+    return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
+
+
+def problem_document(problem: ProblemError) -> dict[str, Any]:
+    """The problem as JSON; extra members stand beside the standard ones."""
+    return {
         "type": "about:blank",
         "title": HTTPStatus(problem.status).phrase,
         "status": problem.status,
         "detail": problem.detail,
         **problem.members,
     }
+
+
+def problem_response(problem: ProblemError) -> JSONResponse:
+    """The problem as an answer."""
     headers = {"Cache-Control": "no-store", **problem.headers}
-    return JSONResponse(document, problem.status, headers, media_type=MEDIA_TYPE)
+    return JSONResponse(problem_document(problem), problem.status, headers, media_type=MEDIA_TYPE)
 
 
 async def _on_problem(_request: Request, error: Exception) -> Response:
@@ -50,13 +74,28 @@ async def _on_problem(_request: Request, error: Exception) -> Response:
     return problem_response(error)
 
 
-async def _on_http_exception(_request: Request, error: Exception) -> Response:
+async def _on_http_exception(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    return problem_response(ProblemError(error.status_code, error.detail, headers=error.headers))
+    headers = dict(error.headers or {})
+    if error.status_code == 405:
+        headers["Allow"] = ", ".join(sorted(_allowed_methods(request)))
+    return problem_response(ProblemError(error.status_code, error.detail, headers=headers))
+
+
+def _allowed_methods(request: Request) -> set[str]:
+    """Methods of all routes at this path; the exception knows those of the first alone."""
+    methods: set[str] = set()
+    for method in METHODS:
+        scope = {**request.scope, "method": method}
+        if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
+            methods.add(method)
+    return methods
 
 
 async def _on_invalid_parameters(_request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
+    if any(e["loc"][0] == "path" for e in error.errors()):
+        return problem_response(ProblemError(404, "there is nothing at this address"))
     errors = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
     detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
     return problem_response(ProblemError(422, detail, errors=errors))

@@ -7,11 +7,15 @@ holds the same table; a test compares the two.
 from __future__ import annotations
 
 import os
+from functools import cached_property
 from pathlib import Path
 
-from pydantic import Field, model_validator
+from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from service.keys import parse_keys
+
+MIN_SECRET_LENGTH = 32
 CGROUP_CPU_LIMIT = Path("/sys/fs/cgroup/cpu.max")
 
 
@@ -39,9 +43,48 @@ class Settings(BaseSettings):
     port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
     data_dir: Path = Field(default=Path("data"), description="folder of the job table, sources and bitstreams")
 
+    database_url: str = Field(
+        default="",
+        pattern=r"^(|sqlite|postgres(ql)?://.*)$",
+        repr=False,  # it may hold a password
+        description="job table: empty or `sqlite` for a file in the data folder, or postgresql://...",
+    )
+    storage_url: str = Field(
+        default="",
+        pattern=r"^(|s3://.+)$",
+        description="sources and bitstreams: empty for the data folder, or s3://bucket/prefix",
+    )
+    retention_s: float = Field(
+        default=0, ge=0, description="seconds after which finished jobs are removed; 0 for never"
+    )
+
     workers: int = Field(default_factory=default_workers, ge=1, description="encodes that run at once")
     threads: int = Field(default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers")
     queue_length: int = Field(default=100, ge=1, description="jobs waiting before new ones get 429")
+
+    api_keys: str = Field(
+        default="", description="names and SHA-256 of API keys, as name:digest, apart by commas; none leaves all open"
+    )
+    api_keys_file: Path | None = Field(default=None, description="file of more such keys, one a line")
+    key_request_rate: float = Field(
+        default=50.0, gt=0, description="requests a second of one API key, twice as many at once, before 429"
+    )
+    max_queued_per_key: int = Field(
+        default=50, ge=0, description="jobs of one API key waiting before new ones get 429; 0 for any number"
+    )
+    link_secret: SecretStr = Field(
+        default=SecretStr(""), description="32 characters or more that sign links; without it there are none"
+    )
+    link_max_age_s: int = Field(default=7 * 86_400, ge=1, description="seconds, the longest life of a link")
+
+    max_connections: int = Field(default=1000, ge=1, description="connections at once before new ones get 503")
+    max_header_bytes: int = Field(default=32_768, ge=1024, description="bytes of a request line with its headers")
+    header_timeout_s: float = Field(default=10.0, gt=0, description="seconds for a request line with its headers")
+    send_timeout_s: float = Field(
+        default=60.0, ge=1, description="seconds a client may take nothing of an answer before it is cut off"
+    )
+    max_uploads: int = Field(default=100, ge=1, description="request bodies coming in at once before new ones get 503")
+    max_event_streams: int = Field(default=100, ge=1, description="streams of events at once before new ones get 503")
 
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="bytes of one image file")
     # The upper bounds are those of sgmethod.image: the encoder reads nothing larger.
@@ -51,6 +94,9 @@ class Settings(BaseSettings):
     max_side: int = Field(default=16_384, ge=1, le=65_535, description="pixels of an image's longer side")
     body_chunk_timeout_s: float = Field(default=5.0, gt=0, description="seconds without a byte of an upload before 408")
     body_timeout_s: float = Field(default=120.0, gt=0, description="seconds for a whole upload before 408")
+    min_upload_rate: int = Field(
+        default=2000, ge=1, description="bytes a second that an upload must bring on average before 408"
+    )
 
     max_time_limit_s: float = Field(
         default=300.0,
@@ -61,10 +107,26 @@ class Settings(BaseSettings):
     job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, description="bytes of memory of one encode")
     lease_s: float = Field(default=15.0, ge=1, description="seconds after which a lost worker's job goes to another")
     max_attempts: int = Field(default=4, ge=1, description="crashes after which a job has failed")
+    max_running_per_key: int = Field(
+        default=0, ge=0, description="jobs of one API key that run at once; 0 for any number"
+    )
 
     max_decodes: int = Field(default=2, ge=1, description="pictures decoded at once")
     max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
+    decode_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="bytes of picture files kept in memory")
+    max_decode_pixels: int = Field(default=50_000_000, ge=1, description="pixels of one decoded picture or view")
+    max_bitstream_bytes: int = Field(default=16 * 2**20, ge=1, description="bytes of a bitstream posted to be decoded")
+    stall_s: float = Field(
+        default=60.0, gt=0, description="seconds that jobs wait without any worker's sign of life before /readyz fails"
+    )
     stop_grace_s: float = Field(default=10.0, gt=0, description="seconds to stop in before processes are killed")
+
+    @model_validator(mode="after")
+    def _keys_can_be_read(self) -> Settings:
+        _ = self.key_names
+        if 0 < len(self.link_secret.get_secret_value()) < MIN_SECRET_LENGTH:
+            raise ValueError(f"link_secret must have {MIN_SECRET_LENGTH} characters or more")
+        return self
 
     @model_validator(mode="after")
     def _limit_before_timeout(self) -> Settings:
@@ -72,10 +134,28 @@ class Settings(BaseSettings):
             raise ValueError("max_time_limit_s must be less than job_timeout_s, or no encode could use it")
         return self
 
+    @cached_property
+    def key_names(self) -> dict[str, str]:
+        """Names of API keys by their SHA-256; empty if there are none. Raises ValueError."""
+        text = self.api_keys
+        if self.api_keys_file is not None:
+            try:
+                text += "\n" + self.api_keys_file.read_text()
+            except OSError as error:
+                raise ValueError(f"api_keys_file cannot be read: {error.strerror}") from error
+            if not parse_keys(text):
+                raise ValueError("api_keys_file holds no key")
+        return parse_keys(text)
+
     @property
     def encode_threads(self) -> int:
         """Threads of one encode, such that all workers together stay within the cores."""
         return self.threads or max(1, available_cores() // self.workers)
+
+    @property
+    def uses_postgres(self) -> bool:
+        """Whether the job table is in PostgreSQL."""
+        return self.database_url.startswith("postgres")
 
     @property
     def database_path(self) -> Path:

@@ -2,105 +2,52 @@
 
 from __future__ import annotations
 
-import json
 import queue
 import sqlite3
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from service.jobs import (
-    BackendError,
-    Claim,
-    EncodeRequest,
-    EncodeResult,
-    Job,
-    JobError,
-    JsonObject,
-    KeyReusedError,
-    NewJob,
-    QueueFullError,
-    SourceImage,
-)
-from service.storage import source_key
+from service.jobs import BackendError, JobRules
+from service.sql_jobs import SqlJobs
+from service.sql_statements import SCHEMA, Database
+from service.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
-SCHEMA_VERSION = 1
-SCHEMA = """
-CREATE TABLE jobs (
-    number          INTEGER PRIMARY KEY AUTOINCREMENT,
-    id              TEXT NOT NULL UNIQUE,
-    state           TEXT NOT NULL DEFAULT 'queued' CHECK (state IN ('queued', 'running', 'done', 'failed')),
-    idempotency_key TEXT UNIQUE,
-    fingerprint     TEXT NOT NULL,
-    request         TEXT NOT NULL,
-    image           TEXT NOT NULL,
-    attempt         INTEGER NOT NULL DEFAULT 0,
-    crashes         INTEGER NOT NULL DEFAULT 0,
-    worker          TEXT,
-    lease_until     REAL,
-    created_at      REAL NOT NULL,
-    started_at      REAL,
-    finished_at     REAL,
-    result          TEXT CHECK ((state = 'done') = (result IS NOT NULL)),
-    error           TEXT
-);
-CREATE INDEX jobs_by_state ON jobs (state, number);
-CREATE TABLE trace (
-    job   INTEGER NOT NULL REFERENCES jobs (number) ON DELETE CASCADE,
-    place INTEGER NOT NULL,
-    point TEXT NOT NULL,
-    PRIMARY KEY (job, place)
-) WITHOUT ROWID;
+POLL_S = 0.2
+SCHEMA_VERSION = 2
+SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
+# From version 1, which knew no owners: new tables, filled from the old ones.
+UPGRADE_FROM_1 = f"""
+DROP INDEX jobs_by_state;
+ALTER TABLE trace RENAME TO trace_1;
+ALTER TABLE jobs RENAME TO jobs_1;
+{SQLITE_SCHEMA}
+INSERT INTO jobs (number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
+    lease_until, created_at, started_at, finished_at, result, error)
+SELECT number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
+    lease_until, created_at, started_at, finished_at, result, error FROM jobs_1;
+INSERT INTO trace SELECT job, place, point FROM trace_1;
+DROP TABLE trace_1;
+DROP TABLE jobs_1;
 """
-SELECT_JOB = """
-SELECT jobs.*, CASE WHEN state = 'queued' THEN (
-    SELECT count(*) FROM jobs AS waiting WHERE waiting.state = 'queued' AND waiting.number <= jobs.number
-) END AS position FROM jobs
-"""
-MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
-STALE = "state = 'running' AND lease_until < ?"
+SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1}
 
 
-def _job(row: sqlite3.Row) -> Job:
-    result, error = row["result"], row["error"]
-    return Job(
-        number=row["number"],
-        id=row["id"],
-        state=row["state"],
-        position=row["position"],
-        request=EncodeRequest(**json.loads(row["request"])),
-        image=SourceImage(**json.loads(row["image"])),
-        attempt=row["attempt"],
-        crashes=row["crashes"],
-        created_at=row["created_at"],
-        started_at=row["started_at"],
-        finished_at=row["finished_at"],
-        result=EncodeResult(**json.loads(result)) if result else None,
-        error=JobError(**json.loads(error)) if error else None,
-    )
+class SqliteJobs(SqlJobs):
+    """JobBackend on one SQLite file in WAL mode, every commit synced to disk."""
 
-
-class SqliteJobs:
-    """JobBackend on one SQLite file in WAL mode, every commit synced to disk.
-
-    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail.
-    """
-
-    def __init__(self, path: Path, *, lease_s: float, max_attempts: int) -> None:
+    def __init__(self, path: Path, rules: JobRules) -> None:
+        super().__init__(rules)
         self._path = path
-        self._lease_s = lease_s
-        self._max_attempts = max_attempts
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
                 raise BackendError(f"{path} was written by a newer version of this service")
-            if version == 0:
-                for statement in SCHEMA.split(";")[:-1]:
+            if version < SCHEMA_VERSION:
+                for statement in SCRIPTS[version].split(";")[:-1]:
                     db.execute(statement)
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
@@ -112,6 +59,7 @@ class SqliteJobs:
             db.execute("PRAGMA journal_mode = WAL")
             db.execute("PRAGMA synchronous = FULL")
             db.execute("PRAGMA foreign_keys = ON")
+            db.create_function("epoch", 0, time.time)
         except sqlite3.Error:
             db.close()
             raise
@@ -119,7 +67,7 @@ class SqliteJobs:
 
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        """A connection for reading; after an SQLite error it is thrown away, so the next try is fresh."""
+        """After an SQLite error the connection is thrown away, so the next try is fresh."""
         db: sqlite3.Connection | None = None
         try:
             try:
@@ -139,7 +87,7 @@ class SqliteJobs:
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """A connection that holds the write lock from the start, so no transaction fails half-way."""
+        """It holds the write lock from the start, so no transaction fails half-way."""
         with self._connection() as db:
             db.execute("BEGIN IMMEDIATE")
             try:
@@ -150,138 +98,16 @@ class SqliteJobs:
                     db.execute("ROLLBACK")
                 raise
 
-    def submit(self, job: NewJob, queue_length: int) -> tuple[Job, bool]:
-        with self._transaction() as db:
-            if job.idempotency_key is not None:
-                query = SELECT_JOB + "WHERE idempotency_key = ?"
-                first = db.execute(query, (job.idempotency_key,)).fetchone()
-                if first is not None:
-                    if first["fingerprint"] != job.fingerprint:
-                        raise KeyReusedError(job.idempotency_key)
-                    return _job(first), False
-            if db.execute("SELECT count(*) FROM jobs WHERE state = 'queued'").fetchone()[0] >= queue_length:
-                raise QueueFullError
-            request, image = json.dumps(asdict(job.request)), json.dumps(asdict(job.image))
-            db.execute(
-                "INSERT INTO jobs (id, idempotency_key, fingerprint, request, image, created_at)"
-                " VALUES (?, ?, ?, ?, ?, ?)",
-                (job.id, job.idempotency_key, job.fingerprint, request, image, time.time()),
-            )
-            return _job(db.execute(SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
+    def _alone(self, db: Database) -> None:
+        """Every transaction is."""
 
-    def find_key(self, idempotency_key: str) -> Job | None:
-        return self._one("WHERE idempotency_key = ?", idempotency_key)
+    def _wake(self, db: Database) -> None:
+        """Workers look often enough by themselves."""
 
-    def get(self, job_id: str) -> Job | None:
-        return self._one("WHERE id = ?", job_id)
-
-    def _one(self, condition: str, value: str) -> Job | None:
-        with self._connection() as db:
-            row = db.execute(SELECT_JOB + condition, (value,)).fetchone()
-        return None if row is None else _job(row)
-
-    def queued(self) -> int:
-        with self._connection() as db:
-            return int(db.execute("SELECT count(*) FROM jobs WHERE state = 'queued'").fetchone()[0])
-
-    def page(self, limit: int, before: int | None = None) -> list[Job]:
-        query = SELECT_JOB + "WHERE ? IS NULL OR number < ? ORDER BY number DESC LIMIT ?"
-        with self._connection() as db:
-            return [_job(row) for row in db.execute(query, (before, before, limit)).fetchall()]
-
-    def trace(self, job_id: str) -> list[JsonObject]:
-        query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? ORDER BY place"
-        with self._connection() as db:
-            return [json.loads(row["point"]) for row in db.execute(query, (job_id,)).fetchall()]
-
-    def remove(self, job_id: str) -> Job | None:
-        with self._transaction() as db:
-            row = db.execute(SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
-            db.execute("DELETE FROM jobs WHERE id = ?", (job_id,))
-        return None if row is None else _job(row)
-
-    def reconcile(self) -> list[Job]:
-        with self._connection() as db:  # most calls find nothing, and need no write lock to see it
-            if db.execute(f"SELECT 1 FROM jobs WHERE {STALE} LIMIT 1", (time.time(),)).fetchone() is None:
-                return []
-        failed = []
-        with self._transaction() as db:
-            for row in db.execute(f"{SELECT_JOB} WHERE {STALE}", (time.time(),)).fetchall():
-                job = _job(row)
-                claim = Claim(job.id, job.attempt, job.request)
-                self._end_attempt(db, claim, JobError("crashed", "the worker of this job was lost"), True)
-                if job.crashes + 1 >= self._max_attempts:
-                    failed.append(job)
-        return failed
-
-    def claim(self, worker: str) -> Claim | None:
-        if self.queued() == 0:  # polled several times a second: look before taking the write lock
-            return None
-        now = time.time()
-        with self._transaction() as db:
-            row = db.execute(SELECT_JOB + "WHERE state = 'queued' ORDER BY number LIMIT 1").fetchone()
-            if row is None:
-                return None
-            db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
-            db.execute(
-                "UPDATE jobs SET state = 'running', attempt = attempt + 1, worker = ?, lease_until = ?,"
-                " started_at = ? WHERE number = ?",
-                (worker, now + self._lease_s, now, row["number"]),
-            )
-            return Claim(row["id"], row["attempt"] + 1, _job(row).request)
-
-    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
-        with self._transaction() as db:
-            if not self._change(db, claim, "lease_until = ?", time.time() + self._lease_s):
-                return False
-            db.executemany(
-                "INSERT OR REPLACE INTO trace SELECT number, ?, ? FROM jobs WHERE id = ?",
-                [(place, json.dumps(point), claim.job_id) for place, point in enumerate(points, first)],
-            )
-            return True
-
-    def finish(self, claim: Claim, result: EncodeResult) -> bool:
-        text = json.dumps(asdict(result))
-        with self._transaction() as db:
-            if self._change(db, claim, "state = 'done', result = ?, error = NULL, finished_at = ?", text, time.time()):
-                return True
-            # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
-            row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
-            return row is not None and row["result"] == text
-
-    def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
-        with self._transaction() as db:
-            return self._end_attempt(db, claim, error, retry)
-
-    def release(self, claim: Claim) -> bool:
-        with self._transaction() as db:
-            return self._change(db, claim, "state = 'queued', started_at = NULL")
-
-    def _end_attempt(self, db: sqlite3.Connection, claim: Claim, error: JobError, retry: bool) -> bool:
-        text = json.dumps(asdict(error))
-        if not retry:
-            return self._change(db, claim, "state = 'failed', error = ?, finished_at = ?", text, time.time())
-        return self._change(
-            db,
-            claim,
-            "crashes = crashes + 1, error = ?,"
-            " state = CASE WHEN crashes + 1 < ? THEN 'queued' ELSE 'failed' END,"
-            " finished_at = CASE WHEN crashes + 1 < ? THEN NULL ELSE ? END",
-            *(text, self._max_attempts, self._max_attempts, time.time()),
-        )
-
-    @staticmethod
-    def _change(db: sqlite3.Connection, claim: Claim, assignments: str, *values: Any) -> bool:
-        """Update the claimed job under its fencing token; False if the token is stale."""
-        statement = f"UPDATE jobs SET {assignments} {MINE}"
-        return db.execute(statement, (*values, claim.job_id, claim.attempt)).rowcount == 1
-
-    def live_keys(self) -> set[str]:
-        with self._connection() as db:
-            rows = db.execute("SELECT id, state, result FROM jobs").fetchall()
-        waiting = {source_key(row["id"]) for row in rows if row["state"] in ("queued", "running")}
-        done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
-        return waiting | done
+    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        while not stop.requested:
+            if not run_next():
+                stop.wait(POLL_S)
 
     def close(self) -> None:
         while True:

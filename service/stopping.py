@@ -28,6 +28,10 @@ class StopSignal:
             select.select([self._read_end], [], [], timeout_s)
         return self.requested
 
+    def fileno(self) -> int:
+        """A descriptor that can be read from once stopping is requested, for loops that wait for descriptors."""
+        return self._read_end
+
     def on_signals(self) -> None:
         """Let SIGTERM and SIGINT make the request."""
         for number in (signal.SIGTERM, signal.SIGINT):

@@ -1,4 +1,4 @@
-"""Source images and bitstreams on disk, whole or absent.
+"""Source images and bitstreams under keys, on disk unless told otherwise: whole or absent.
 
 A file appears under its key only when every byte is safe: temporary file, fsync, rename, fsync of the
 folder. Keys are ours (job id and attempt); nothing a client names ever becomes a path.
@@ -6,6 +6,7 @@ folder. Keys are ours (job id and attempt); nothing a client names ever becomes 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import secrets
@@ -14,9 +15,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Protocol
 
-_KEY = re.compile(r"sources/[0-9a-f]{32}|bitstreams/[0-9a-f]{32}\.[0-9]{1,9}\.sg")
-_FOLDERS = ("sources", "bitstreams")
 _UNFINISHED = "unfinished"
+_KEY = re.compile(rf"(sources|{_UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}\.sg")
+_FOLDERS = ("sources", "bitstreams")
+PROBE_FOLDER = _UNFINISHED  # where a file may be put to see whether it can be
 
 
 def source_key(job_id: str) -> str:
@@ -29,8 +31,15 @@ def bitstream_key(job_id: str, attempt: int) -> str:
     return f"bitstreams/{job_id}.{attempt}.sg"
 
 
+def check_key(key: str) -> str:
+    """The key itself. Raises ValueError if it is none of ours."""
+    if _KEY.fullmatch(key) is None:
+        raise ValueError(f"not a storage key: {key!r}")
+    return key
+
+
 class Storage(Protocol):
-    """Files under keys."""
+    """Files under keys. Trouble raises OSError."""
 
     def put(self, key: str, data: bytes) -> None:
         """Store data; when this returns it survives a power cut. Raises OSError."""
@@ -48,8 +57,12 @@ class Storage(Protocol):
         """Remove the file; one that is not there is no error."""
         ...
 
-    def sweep(self, keep: set[str], older_than_s: float) -> int:
-        """Remove what is older than that (seconds) and not in keep; returns how many files went."""
+    def check(self) -> None:
+        """Whether the storage can be reached at all. Raises OSError if not."""
+        ...
+
+    def old(self, age_s: float) -> Iterator[str]:
+        """The keys of what was stored longer ago than that (seconds), and of what was never stored whole."""
         ...
 
 
@@ -71,9 +84,7 @@ class DiskStorage:
         _sync_folder(root)
 
     def _path(self, key: str) -> Path:
-        if _KEY.fullmatch(key) is None:
-            raise ValueError(f"not a storage key: {key!r}")
-        return self._root / key
+        return self._root / check_key(key)
 
     def put(self, key: str, data: bytes) -> None:
         path = self._path(key)
@@ -98,19 +109,14 @@ class DiskStorage:
     def delete(self, key: str) -> None:
         self._path(key).unlink(missing_ok=True)
 
-    def sweep(self, keep: set[str], older_than_s: float) -> int:
-        oldest = time.time() - older_than_s
-        orphans = [path for path in self._files() if str(path.relative_to(self._root)) not in keep]
-        removed = 0
-        for path in orphans:
-            try:
-                if path.stat().st_mtime < oldest:
-                    path.unlink()
-                    removed += 1
-            except FileNotFoundError:  # another process finished with it meanwhile
-                continue
-        return removed
-
-    def _files(self) -> Iterator[Path]:
+    def check(self) -> None:
         for folder in (*_FOLDERS, _UNFINISHED):
-            yield from (self._root / folder).iterdir()
+            (self._root / folder).stat()
+
+    def old(self, age_s: float) -> Iterator[str]:
+        oldest = time.time() - age_s
+        for folder in (*_FOLDERS, _UNFINISHED):
+            for path in (self._root / folder).iterdir():
+                with contextlib.suppress(FileNotFoundError):  # another process finished with it meanwhile
+                    if path.stat().st_mtime < oldest:
+                        yield f"{folder}/{path.name}"

@@ -6,13 +6,15 @@ import hashlib
 import json
 import math
 import re
-from contextlib import AbstractAsyncContextManager
-from dataclasses import asdict
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import asdict, dataclass
 
-from starlette.datastructures import FormData, UploadFile
+from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
-from service.jobs import EncodeRequest, NewJob, SourceImage, new_job_id
+from service.bodies import body_as_file
+from service.jobs import PRIORITIES, EncodeRequest, NewJob, Priority, SourceImage, new_job_id
 from service.problems import ProblemError
 from service.settings import Settings
 from sgmethod.budget import BUDGET_KINDS, Budget
@@ -21,11 +23,12 @@ from sgmethod.image import PNG_MAGIC, TIFF_MAGICS, ImageLimits, read_header
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 
 IMAGE_FIELD = "image"
-FIELDS = (*BUDGET_KINDS, "profile", "time_limit_s")
+FIELDS = (*BUDGET_KINDS, "profile", "time_limit_s", "priority")
 MAX_FIELD_BYTES = 256
 # What multipart adds to the image itself: boundaries, part headers, the other fields.
 MULTIPART_OVERHEAD_BYTES = 16 * 1024
 
+FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
 IMAGE_MAGICS = (PNG_MAGIC, b"\xff\xd8\xff", b"RIFF", *TIFF_MAGICS, b"BM")
 
 # Stricter than float(), which also takes "1_0", "nan" and spaces around.
@@ -41,41 +44,60 @@ def idempotency_key(request: Request) -> str | None:
     return key
 
 
-def check_content_type(request: Request) -> None:
-    """Raises ProblemError 415 unless the body is multipart/form-data."""
+@dataclass(frozen=True)
+class Wanted:
+    """What the fields of a submission ask for."""
+
+    encode: EncodeRequest
+    priority: Priority
+
+
+@dataclass(frozen=True)
+class Submission:
+    """A body that has come in whole: the image as a file, and what is wanted of it."""
+
+    wanted: Wanted
+    image: UploadFile
+
+    async def image_bytes(self, max_bytes: int) -> bytes:
+        """The image file. Raises ProblemError 413."""
+        data = await self.image.read(max_bytes + 1)
+        if len(data) > max_bytes:
+            raise ProblemError(413, f"the image is larger than {max_bytes} bytes", max_bytes=max_bytes)
+        return data
+
+
+def check_content_type(request: Request) -> str:
+    """The body's media type. Raises ProblemError 415 unless it is a form or an image."""
     media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if media_type != "multipart/form-data":
-        raise ProblemError(415, "the body must be multipart/form-data", headers={"Accept": "multipart/form-data"})
+    if media_type != FORM_TYPE and not media_type.startswith(IMAGE_TYPES):
+        accepted = f"{FORM_TYPE}, {IMAGE_TYPES}*"
+        raise ProblemError(415, f"the body must be {FORM_TYPE} or an image", headers={"Accept": accepted})
+    return media_type
 
 
-def open_form(request: Request) -> AbstractAsyncContextManager[FormData]:
-    """The form, read as the body comes in; what is large goes to temporary files, closed with the context.
+@asynccontextmanager
+async def submission(request: Request, settings: Settings) -> AsyncIterator[Submission]:
+    """The body, read as it comes in; what is large goes to temporary files, gone with the context.
 
-    Entering raises ProblemError 408 or 413, or HTTPException 400 on what is no form.
+    Entering raises ProblemError 408, 413, 415 or 422, or HTTPException 400 on what is no form.
     """
-    return request.form(max_files=1, max_fields=len(FIELDS), max_part_size=MAX_FIELD_BYTES)
+    query = request.query_params.multi_items()
+    if check_content_type(request) == FORM_TYPE:
+        limits = {"max_files": 1, "max_fields": len(FIELDS), "max_part_size": MAX_FIELD_BYTES}
+        async with request.form(**limits) as form:
+            wanted = _wanted([*query, *form.multi_items()], settings)
+            image = form.get(IMAGE_FIELD)
+            if not isinstance(image, UploadFile):
+                raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, or is not a file")
+            yield Submission(wanted, image)
+    else:
+        wanted = _wanted(query, settings)
+        async with body_as_file(request, settings.max_upload_bytes) as image:
+            yield Submission(wanted, image)
 
 
-def wanted_encode(form: FormData, settings: Settings) -> EncodeRequest:
-    """What the form's fields ask for. Raises ProblemError 422."""
-    fields = _text_fields(form)
-    budget = _budget(fields)
-    time_limit_s = _time_limit_s(fields, settings.max_time_limit_s)
-    return EncodeRequest(budget.kind, budget.value, _profile(fields), time_limit_s)
-
-
-async def image_bytes(form: FormData, max_bytes: int) -> bytes:
-    """The form's image file. Raises ProblemError 413 or 422."""
-    upload = form.get(IMAGE_FIELD)
-    if not isinstance(upload, UploadFile):
-        raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, or is not a file")
-    image = await upload.read(max_bytes + 1)
-    if len(image) > max_bytes:
-        raise ProblemError(413, f"the image is larger than {max_bytes} bytes", max_bytes=max_bytes)
-    return image
-
-
-def new_job(image: bytes, wanted: EncodeRequest, key: str | None, settings: Settings) -> NewJob:
+def new_job(image: bytes, wanted: Wanted, key: str | None, owner: str | None, settings: Settings) -> NewJob:
     """The job to accept, once the image's header has been looked at; no pixel is decoded.
 
     Raises ProblemError 415 for what is none of the formats, 422 for a damaged header or a size beyond
@@ -84,12 +106,20 @@ def new_job(image: bytes, wanted: EncodeRequest, key: str | None, settings: Sett
     header = _checked_header(image, settings)
     digest = hashlib.sha256(json.dumps(asdict(wanted)).encode())
     digest.update(image)
-    return NewJob(new_job_id(), wanted, header, digest.hexdigest(), key)
+    return NewJob(new_job_id(), wanted.encode, header, digest.hexdigest(), key, owner, wanted.priority)
 
 
-def _text_fields(form: FormData) -> dict[str, str]:
+def _wanted(given: Sequence[tuple[str, UploadFile | str]], settings: Settings) -> Wanted:
+    """What the fields ask for, from the query and the form alike. Raises ProblemError 422."""
+    fields = _text_fields(given)
+    budget = _budget(fields)
+    time_limit_s = _time_limit_s(fields, settings.max_time_limit_s)
+    return Wanted(EncodeRequest(budget.kind, budget.value, _profile(fields), time_limit_s), _priority(fields))
+
+
+def _text_fields(given: Sequence[tuple[str, UploadFile | str]]) -> dict[str, str]:
     fields: dict[str, str] = {}
-    for name, value in form.multi_items():
+    for name, value in given:
         if name == IMAGE_FIELD:
             continue
         if name not in FIELDS:
@@ -123,6 +153,14 @@ def _profile(fields: dict[str, str]) -> str:
     if profile not in PROFILE_NAMES:
         raise ProblemError(422, f"unknown profile {profile!r}; use one of {', '.join(PROFILE_NAMES)}")
     return profile
+
+
+def _priority(fields: dict[str, str]) -> Priority:
+    wanted = fields.get("priority", PRIORITIES[0])
+    for priority in PRIORITIES:
+        if priority == wanted:
+            return priority
+    raise ProblemError(422, f"unknown priority {wanted!r}; use one of {', '.join(PRIORITIES)}")
 
 
 def _time_limit_s(fields: dict[str, str], most_s: float) -> float:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from typing import Any
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
-from service.jobs import Job, JobState, JsonObject
+from service.jobs import Job, JobState, JsonObject, Priority
 
 # Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
 PHASES = {"start": (0.0, 0.0), "fit": (0.0, 0.6), "tune": (0.6, 1.0), "done": (1.0, 1.0)}
@@ -15,9 +16,41 @@ MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches again and aga
 
 Figure = float | int | str | None
 
+EXAMPLE_ID = "5f1c0e9ab0d4467f8a3d2b6c7e8f9012"
+EXAMPLE_ACCEPTED = {
+    "id": EXAMPLE_ID,
+    "status_url": f"/jobs/{EXAMPLE_ID}",
+    "decode_url": f"/decode/{EXAMPLE_ID}.png",
+    "bitstream_url": f"/bitstreams/{EXAMPLE_ID}.sg",
+}
+EXAMPLE_POINT = {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bits": 98304, "gaussians": 1200}
+EXAMPLE_SUMMARY = {
+    **EXAMPLE_ACCEPTED,
+    "state": "running",
+    "position": None,
+    "budget": {"kind": "bpp", "value": 0.3},
+    "profile": "rd",
+    "time_limit_s": 60.0,
+    "priority": "interactive",
+    "image": {"format": "JPEG", "width": 768, "height": 512, "bytes": 91235},
+    "attempt": 1,
+    "created_at": "2026-01-31T12:00:00Z",
+    "started_at": "2026-01-31T12:00:01Z",
+    "finished_at": None,
+    "result": None,
+    "error": None,
+}
+EXAMPLE_TRACE = {"progress": 0.06, "trace": [{**EXAMPLE_POINT, "phase": "fit"}]}
+
+
+def _example(value: dict[str, Any]) -> ConfigDict:
+    return ConfigDict(json_schema_extra={"examples": [value]})
+
 
 class AcceptedView(BaseModel):
     """The answer to POST /encode."""
+
+    model_config = _example(EXAMPLE_ACCEPTED)
 
     id: str = Field(description="32 hexadecimal digits; who knows them may read the job")
     status_url: str
@@ -51,11 +84,14 @@ class ErrorView(BaseModel):
 class JobSummary(AcceptedView):
     """A job without its trace."""
 
+    model_config = _example(EXAMPLE_SUMMARY)
+
     state: JobState
     position: int | None = Field(description="place in the queue from 1, while queued")
     budget: BudgetView
     profile: str
     time_limit_s: float
+    priority: Priority
     image: ImageView
     attempt: int = Field(description="how often the job was started")
     created_at: datetime
@@ -65,8 +101,10 @@ class JobSummary(AcceptedView):
     error: ErrorView | None = Field(description="once failed")
 
 
-class JobView(JobSummary):
-    """A job with its trace."""
+class TraceView(BaseModel):
+    """How the fit went, or what of it is new."""
+
+    model_config = _example(EXAMPLE_TRACE)
 
     progress: float = Field(description="estimated share of the work that is done, 0 to 1; never falls")
     trace: list[dict[str, Figure]] = Field(
@@ -75,11 +113,25 @@ class JobView(JobSummary):
     )
 
 
+class JobView(TraceView, JobSummary):
+    """A job with its trace."""
+
+    model_config = _example({**EXAMPLE_SUMMARY, **EXAMPLE_TRACE})
+
+
 class JobPage(BaseModel):
     """Jobs, newest first."""
 
     jobs: list[JobSummary]
     next: str | None = Field(description="where older jobs are, if there are any")
+
+
+class LinksView(BaseModel):
+    """URLs that need no key until they expire."""
+
+    decode_url: str = Field(description="the picture; extension and view may be changed")
+    bitstream_url: str
+    expires_at: datetime
 
 
 class HealthView(BaseModel):
@@ -118,6 +170,7 @@ def summary(job: Job) -> JobSummary:
         budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
         profile=request.profile,
         time_limit_s=request.time_limit_s,
+        priority=job.priority,
         image=ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),
         attempt=job.attempt,
         created_at=datetime.fromtimestamp(job.created_at, UTC),
@@ -129,13 +182,33 @@ def summary(job: Job) -> JobSummary:
     )
 
 
+def links(job: Job, decode_query: str, bitstream_query: str, expires: int) -> LinksView:
+    """The job's URLs with the queries that make them links, until a time in seconds since 1970."""
+    where = urls(job.id)
+    return LinksView(
+        decode_url=f"{where['decode_url']}?{decode_query}",
+        bitstream_url=f"{where['bitstream_url']}?{bitstream_query}",
+        expires_at=datetime.fromtimestamp(expires, UTC),
+    )
+
+
 def with_trace(job: Job, trace: Sequence[JsonObject]) -> JobView:
     """The job and how its fit went so far."""
     return JobView(
         **summary(job).model_dump(),
-        progress=1.0 if job.state == "done" else max(map(_progress, trace), default=0.0),
+        progress=1.0 if job.state == "done" else progress(trace),
         trace=[dict(point) for point in _thinned(trace)],
     )
+
+
+def new_points(points: Sequence[JsonObject], progress: float) -> TraceView:
+    """Points that have come since the last ones."""
+    return TraceView(progress=progress, trace=[dict(point) for point in _thinned(points)])
+
+
+def progress(trace: Sequence[JsonObject]) -> float:
+    """Estimated share of the work that is done at the best of the points, 0 to 1."""
+    return max(map(_progress, trace), default=0.0)
 
 
 def _progress(point: JsonObject) -> float:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
 import socket
+from types import FrameType
 
 import uvicorn
 
 import sgmethod
 from service.app import create_app
+from service.connections import ConnectionLimits, limited_connections
 from service.settings import Settings
 
 KEEP_ALIVE_S = 10
@@ -18,9 +21,13 @@ def run_web(settings: Settings, listener: socket.socket) -> None:
     """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time."""
     # One thread decodes a picture in a few milliseconds; more would only get in the encoders' way.
     sgmethod.set_threads(1)
+    limits = ConnectionLimits(
+        settings.max_connections, settings.max_header_bytes, settings.header_timeout_s, settings.send_timeout_s
+    )
+    stopping = asyncio.Event()
     config = uvicorn.Config(
-        create_app(settings),
-        http="httptools",
+        create_app(settings, stopping),
+        http=limited_connections(limits),
         ws="none",
         log_config=None,
         access_log=False,
@@ -32,4 +39,16 @@ def run_web(settings: Settings, listener: socket.socket) -> None:
     for wanted_end in (signal.SIGTERM, signal.SIGINT):
         # uvicorn raises the signal again once it has stopped; a wished end is not a failure.
         signal.signal(wanted_end, lambda _number, _frame: None)
-    uvicorn.Server(config).run(sockets=[listener])
+    _Server(config, stopping).run(sockets=[listener])
+
+
+class _Server(uvicorn.Server):
+    """Tells the application at once that it is to stop: streams would hold up the end."""
+
+    def __init__(self, config: uvicorn.Config, stopping: asyncio.Event) -> None:
+        super().__init__(config)
+        self._stopping = stopping
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        self._stopping.set()
+        super().handle_exit(sig, frame)

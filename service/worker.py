@@ -25,13 +25,14 @@ from service.lifeline import Lifeline
 from service.settings import Settings
 from service.stopping import StopSignal
 from service.storage import Storage, bitstream_key, source_key
+from service.sweeping import Swept, sweep
 
 log = logging.getLogger(__name__)
 
-POLL_S = 0.2
+FOLLOW_S = 0.2  # how soon a wish to stop is seen
 HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
 PAUSE_AFTER_TROUBLE_S = 1.0
-FINISH_TRIES = 5
+SWEEP_EVERY_S = 3600.0
 THREAD_VARIABLES = ("SG_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -102,45 +103,60 @@ class Worker:
         self._stop = stop
         self._name = f"{socket.gethostname()}:{os.getpid()}"
         self._lifeline = Lifeline()
+        self._next_sweep = 0.0
         # Libraries read these when they are loaded, so they must stand before the child begins.
         threads = str(settings.encode_threads)
         self._environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, threads)}
 
     def run(self) -> None:
-        """Claim and work until stopping is requested; trouble with table or disk is logged and waited out."""
+        """Claim and work until stopping is requested."""
         log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
-        while not self._stop.requested:
-            try:
-                busy = self.run_one()
-            except (BackendError, OSError):
-                log.exception("worker %s: trouble", self._name)
-                self._stop.wait(PAUSE_AFTER_TROUBLE_S)
-                continue
-            if not busy:
-                self._stop.wait(POLL_S)
+        self._backend.deliver(self._run_next, self._stop)
         self._lifeline.close()
+
+    def _run_next(self) -> bool:
+        """Like run_one, but trouble with table or storage is logged and waited out."""
+        try:
+            self._sweep_now_and_then()
+            return self.run_one()
+        except (BackendError, OSError):
+            log.exception("worker %s: trouble", self._name)
+            self._stop.wait(PAUSE_AFTER_TROUBLE_S)
+            return False
+
+    def _sweep_now_and_then(self) -> None:
+        if time.monotonic() < self._next_sweep:
+            return
+        self._next_sweep = time.monotonic() + SWEEP_EVERY_S
+        swept = sweep(self._backend, self._storage, retention_s=self._settings.retention_s)
+        if swept != Swept(0, 0):
+            log.info("removed %d finished jobs and %d files that no job needs", swept.jobs, swept.files)
 
     def run_one(self) -> bool:
         """Run the next job if there is one; False if none waits. Raises BackendError, OSError."""
         for job in self._backend.reconcile():
-            log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes + 1)
+            log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
             self._storage.delete(source_key(job.id))
         claim = self._backend.claim(self._name)
         if claim is None:
             return False
         log.info("job %s: attempt %d", claim.job_id, claim.attempt)
+        pulse = Pulse(self._backend, claim, self._settings.lease_s)
         try:
-            self._conclude(claim, self._encode(claim))
+            self._conclude(claim, self._encode(claim, pulse), pulse)
         except ClaimLostError:
             log.warning("job %s: attempt %d is no longer ours", claim.job_id, claim.attempt)
         except StoppedError:
             log.info("job %s: handed back", claim.job_id)
             self._backend.release(claim)
+        except OSError:  # trouble of ours, such as a storage out of reach: it must not count against the job
+            self._backend.release(claim)
+            raise
         self._tidy(claim)
         return True
 
-    def _encode(self, claim: Claim) -> Outcome:
-        """Have the child encode. Raises ClaimLostError, StoppedError; the child is dead when this returns."""
+    def _encode(self, claim: Claim, pulse: Pulse) -> Outcome:
+        """Have the child encode; it is dead when this returns. Raises ClaimLostError, StoppedError, OSError."""
         spec = Spec(
             claim.job_id,
             claim.attempt,
@@ -155,7 +171,7 @@ class Worker:
             return Crashed("the source image is gone")
         with source, EncodeProcess(command, source, self._environment, spec.lifeline) as child:
             try:
-                return self._follow(child, Pulse(self._backend, claim, self._settings.lease_s))
+                return self._follow(child, pulse)
             except ValueError as error:
                 return Crashed(f"the encoder spoke nonsense: {error}")
 
@@ -163,7 +179,7 @@ class Worker:
         """Relay the child's progress until it reaches a verdict, dies, or must be ended."""
         started = time.monotonic()
         while not self._stop.requested:
-            for message in child.read(POLL_S):
+            for message in child.read(FOLLOW_S):
                 if isinstance(message, TracePoint):
                     pulse.add(message.point)
                     continue
@@ -176,11 +192,11 @@ class Worker:
             pulse.beat()
         raise StoppedError
 
-    def _conclude(self, claim: Claim, outcome: Outcome) -> None:
-        """Write the outcome down. Raises ClaimLostError, BackendError, OSError."""
+    def _conclude(self, claim: Claim, outcome: Outcome, pulse: Pulse) -> None:
+        """Write the outcome down. Raises ClaimLostError, StoppedError, BackendError."""
         match outcome:
             case Encoded():
-                self._publish(claim, outcome)
+                self._publish(claim, outcome, pulse)
                 return
             case Refused(detail):
                 error, retry = JobError("refused", detail), False
@@ -193,24 +209,37 @@ class Worker:
         if not self._backend.fail(claim, error, retry=retry):
             raise ClaimLostError
 
-    def _publish(self, claim: Claim, encoded: Encoded) -> None:
+    def _publish(self, claim: Claim, encoded: Encoded, pulse: Pulse) -> None:
         """Store the bitstream, then make it the job's in one update."""
         key = bitstream_key(claim.job_id, claim.attempt)
-        self._storage.put(key, encoded.bitstream)
+        self._store(key, encoded.bitstream, pulse)
         result = EncodeResult(key, hashlib.sha256(encoded.bitstream).hexdigest(), encoded.stats)
         if not self._finish(claim, result):
             self._storage.delete(key)
             raise ClaimLostError
         log.info("job %s: done, %d bytes", claim.job_id, len(encoded.bitstream))
 
+    def _store(self, key: str, data: bytes, pulse: Pulse) -> None:
+        """Store what took long to compute, however long the disk stays full. Raises ClaimLostError, StoppedError."""
+        while True:
+            try:
+                self._storage.put(key, data)
+                return
+            except OSError as error:
+                log.warning("%s cannot be stored yet: %s", key, error)
+            if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+                raise StoppedError
+            pulse.beat()
+
     def _finish(self, claim: Claim, result: EncodeResult) -> bool:
-        for _ in range(FINISH_TRIES - 1):
+        """Publish, however long the table is out of reach. Raises BackendError when this worker is to stop."""
+        while True:
             try:
                 return self._backend.finish(claim, result)
             except BackendError as error:
                 log.warning("job %s: cannot publish yet: %s", claim.job_id, error)
-                time.sleep(PAUSE_AFTER_TROUBLE_S)
-        return self._backend.finish(claim, result)
+                if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+                    raise
 
     def _tidy(self, claim: Claim) -> None:
         """Remove the source image of a job that will not run again."""

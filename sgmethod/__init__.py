@@ -25,6 +25,8 @@ The pipeline, in the order in which it runs; each module imports only from those
     paper       profiles paper and baseline
     rd          profile rd: how many Gaussians, where and how fine
     codec       encode(): a profile, then the measured result
+    client      the same encode by a service elsewhere
+    terminal    what the command line shows
     cli         the command line
 
 Decoding needs numpy and the compiled kernels only; torch is imported by encode() alone.

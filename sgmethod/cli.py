@@ -2,7 +2,7 @@
 
 Exit status: 0 when all is done; 2 when it cannot be done as asked, with one line on stderr that says why; 130
 after Ctrl-C; 141 when nobody reads stdout any more. A file is written whole or not at all, and whether it can
-be written is known before the work begins. Only `encode` imports torch.
+be written is known before the work begins. Only `encode` imports torch, and with --server not even that.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import argparse
 import errno
 import json
 import os
-import shutil
 import signal
 import stat
 import sys
@@ -20,7 +19,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from sgmethod.budget import BUDGET_KINDS, Budget, BudgetKind
 from sgmethod.decode import decode, info
@@ -28,12 +27,14 @@ from sgmethod.errors import SgError
 from sgmethod.files import encode_png, write_atomically
 from sgmethod.image import read_image
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
+from sgmethod.terminal import progress_line, silent_stderr
 from sgmethod.trace import TracePoint
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View
 
 if TYPE_CHECKING:
-    from sgmethod.codec import Encoded, Stats
+    from sgmethod.codec import Encoded
 
+Result = tuple[bytes, dict[str, Any], list[TracePoint]]  # the file, its figures, the trace
 BAD_INPUT, INTERRUPTED, NO_READER = 2, 128 + signal.SIGINT, 128 + signal.SIGPIPE
 DEFAULT_BUDGET = Budget("bpp", 0.3)
 BUDGET_HELP: dict[BudgetKind, tuple[str, str]] = {
@@ -45,7 +46,6 @@ BUDGET_HELP: dict[BudgetKind, tuple[str, str]] = {
 }
 MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncompressed; a device never ends
 MAX_SEED = 2**32 - 1
-BAR_CELLS = 24
 
 
 class CommandError(Exception):
@@ -125,6 +125,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
     )
     parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="be done after so long")
+    parser.add_argument("--server", metavar="URL", help="have a service encode it; its API key from SG_API_KEY")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of everything random (default: 0)")
     parser.add_argument("--trace", metavar="FILE.json", help="write error against time of the fit")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
@@ -159,27 +160,48 @@ def _seed(text: str) -> int:
 def _encode(arguments: argparse.Namespace) -> None:
     given = [Budget(kind, value) for kind in BUDGET_KINDS if (value := getattr(arguments, kind)) is not None]
     _check_outputs(arguments.input, [path for path in (arguments.output, arguments.trace) if path is not None])
-    data = _read(arguments.input)
-    with _silent_stderr():  # libtiff prints its own lines about a damaged file
-        pixels = read_image(data)
+    encode = _encode_here if arguments.server is None else _encode_there
+    data, figures, trace = encode(arguments, given[0] if given else DEFAULT_BUDGET, _read(arguments.input))
+    if arguments.trace is not None:
+        points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
+        _write(arguments.trace, (json.dumps(points, allow_nan=False) + "\n").encode())
+    _write(arguments.output, data)
+    if arguments.json:
+        print(json.dumps(figures, allow_nan=False))
+    elif not arguments.quiet:
+        print(_summary(figures))
+
+
+def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes) -> Result:
+    with silent_stderr():  # libtiff prints its own lines about a damaged file
+        pixels = read_image(image)
     encode = _load_encoder()
-    with _progress_line(not arguments.quiet and os.isatty(2)) as show:
+    with progress_line(not arguments.quiet and os.isatty(2)) as show:
         encoded = encode(
             pixels,
-            given[0] if given else DEFAULT_BUDGET,
+            budget,
             arguments.profile,
             seed=arguments.seed,
             time_limit_s=arguments.time_limit,
             on_progress=show,
         )
-    if arguments.trace is not None:
-        trace = {"stats": encoded.stats.to_dict(), "trace": [point.to_dict() for point in encoded.trace]}
-        _write(arguments.trace, (json.dumps(trace, allow_nan=False) + "\n").encode())
-    _write(arguments.output, encoded.data)
-    if arguments.json:
-        print(json.dumps(encoded.stats.to_dict(), allow_nan=False))
-    elif not arguments.quiet:
-        print(_summary(encoded.stats))
+    return encoded.data, encoded.stats.to_dict(), encoded.trace
+
+
+def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes) -> Result:
+    try:
+        from sgmethod.client import Client
+    except ImportError as error:
+        raise CommandError(f"--server needs another package ({error}): pip install 'sgmethod[client]'") from error
+    if arguments.seed != 0:
+        raise CommandError("a server takes no --seed")
+    with (
+        Client(arguments.server, os.environ.get("SG_API_KEY")) as client,
+        progress_line(not arguments.quiet and os.isatty(2)) as show,
+    ):
+        limit = arguments.time_limit
+        encoded = client.encode(image, budget, arguments.profile, time_limit_s=limit, on_progress=show)
+    return encoded.data, encoded.figures, encoded.trace
 
 
 def _load_encoder() -> Callable[..., Encoded]:
@@ -192,12 +214,11 @@ def _load_encoder() -> Callable[..., Encoded]:
     return encode
 
 
-def _summary(stats: Stats) -> str:
-    ssim = "" if stats.ms_ssim is None else f", MS-SSIM {stats.ms_ssim:.4f}"
-    return (
-        f"{stats.width} x {stats.height}: {stats.bytes:,} bytes, {stats.bpp:.4f} bpp, {stats.psnr:.2f} dB{ssim}, "
-        f"{stats.gaussians:,} Gaussians, {stats.steps:,} steps, {stats.seconds:.1f} s"
-    )
+def _summary(figures: dict[str, Any]) -> str:
+    psnr = "no error" if figures["psnr"] is None else f"{figures['psnr']:.2f} dB"
+    ssim = "" if figures["ms_ssim"] is None else f", MS-SSIM {figures['ms_ssim']:.4f}"
+    size = "{width} x {height}: {bytes:,} bytes, {bpp:.4f} bpp".format(**figures)
+    return f"{size}, {psnr}{ssim}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
 
 
 def _decode(arguments: argparse.Namespace) -> None:
@@ -281,47 +302,3 @@ def _check_writable(target: Path) -> None:
     if mode is None or stat.S_ISREG(mode):
         with tempfile.TemporaryFile(dir=target.parent):
             pass
-
-
-@contextmanager
-def _silent_stderr() -> Iterator[None]:
-    """Nothing that C libraries print reaches stderr; Python's own stderr is meant to be idle."""
-    try:
-        saved = os.dup(2)
-    except OSError:  # there is no stderr
-        yield
-        return
-    silence = os.open(os.devnull, os.O_WRONLY)
-    sys.stderr.flush()
-    os.dup2(silence, 2)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(silence)
-
-
-@contextmanager
-def _progress_line(shown: bool) -> Iterator[Callable[[TracePoint], None] | None]:
-    """A callback that redraws one line on stderr, which is gone afterwards; None if not shown."""
-    if not shown:
-        yield None
-        return
-    try:
-        yield lambda point: _redraw(sys.stderr, _bar(point))
-    finally:
-        _redraw(sys.stderr, "")
-
-
-def _redraw(stream: TextIO, text: str) -> None:
-    columns = shutil.get_terminal_size().columns
-    stream.write(f"\r{text[: columns - 1]}\x1b[K")  # to the line's start, the text, clear the rest
-    stream.flush()
-
-
-def _bar(point: TracePoint) -> str:
-    done = point.step / point.steps if point.steps else 1.0
-    filled = round(done * BAR_CELLS)
-    bar = "#" * filled + "." * (BAR_CELLS - filled)
-    return f"{point.phase:<5} [{bar}] {done:4.0%}  {point.psnr:.2f} dB  {point.seconds:.1f} s"

@@ -5,6 +5,7 @@ SgError                 anything this package refuses, with one clear sentence
 ├── BitstreamError      bytes that are not a whole, intact .sg file
 ├── ViewError           a scale, region or prefix that makes no picture
 ├── BudgetError         a budget that is not a positive number, or too small for any file
+├── ServerError         a service that cannot be reached, refuses, or fails to encode
 └── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
 """
 
@@ -27,6 +28,10 @@ class ViewError(SgError):
 
 class BudgetError(SgError):
     """The budget is not a positive finite number, or no file fits in it."""
+
+
+class ServerError(SgError):
+    """The service cannot be reached, refuses what is asked of it, or failed to encode."""
 
 
 class NativeModuleError(SgError):

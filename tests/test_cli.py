@@ -23,7 +23,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from sgmethod import cli, codec, decode, info
+from sgmethod import cli, codec, decode, info, terminal
 from sgmethod.budget import BUDGET_KINDS, Budget
 from sgmethod.image import read_image
 from sgmethod.metrics import psnr
@@ -460,7 +460,7 @@ def test_progress_on_a_terminal() -> None:
 def test_progress_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "30")
     stream = io.StringIO()
-    cli._redraw(stream, cli._bar(TracePoint(3.21, 500, 1000, 28.456, 0, 100, "tune")))
+    terminal.redraw(stream, terminal.bar(TracePoint(3.21, 500, 1000, 28.456, 0, 100, "tune")))
     assert stream.getvalue() == "\rtune  [############..........\x1b[K"
 
 

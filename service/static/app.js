@@ -9,11 +9,17 @@ function size(bytes) {
   return bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(2)} MB`;
 }
 
-async function json(response) {
-  const body = await response.json();
-  if (!response.ok) throw new Error(body.detail);
-  return body;
+async function ask(path, options = {}) {
+  const key = $("key").value.trim();
+  const response = await fetch(path, key ? { ...options, headers: { Authorization: `Bearer ${key}` } } : options);
+  if (response.ok) return response;
+  if (response.status === 401) $("key-field").hidden = false;
+  throw new Error((await response.json()).detail);
 }
+
+const json = async (path, options) => (await ask(path, options)).json();
+// An <img> or a link carries no key, so the bytes are fetched here.
+const blobUrl = async (path) => URL.createObjectURL(await (await ask(path)).blob());
 
 function say(text, bad = false) {
   $("status").textContent = text;
@@ -53,14 +59,15 @@ function report(job) {
   return say(`${last.phase}, step ${last.step} of ${last.steps}${psnr}, ${last.seconds.toFixed(1)} s`);
 }
 
-function show(job) {
+async function show(job) {
   const { bytes, bpp, psnr, gaussians } = job.result;
   const times = (job.image.bytes / bytes).toFixed(0);
   const quality = psnr === null ? "without error" : `${psnr.toFixed(2)} dB`;
   say(`${gaussians} Gaussians, ${bpp.toFixed(3)} bits per pixel, ${quality}`);
-  $("decoded").src = job.decode_url;
+  $("decoded").src = await blobUrl(job.decode_url);
   $("decoded-size").textContent = `decoded from ${size(bytes)}, ${times} times smaller`;
-  $("download").href = job.bitstream_url;
+  $("download").href = await blobUrl(job.bitstream_url);
+  $("download").download = `${job.id}.sg`;
   $("download").hidden = false;
 }
 
@@ -72,9 +79,9 @@ async function encode() {
   $("progress").removeAttribute("value");
   $("curve").firstElementChild.setAttribute("points", "");
   say("sending");
-  const accepted = await json(await fetch("/encode", { method: "POST", body: form }));
+  const accepted = await json("/encode", { method: "POST", body: form });
   for (;;) {
-    const job = await json(await fetch(accepted.status_url));
+    const job = await json(accepted.status_url);
     report(job);
     if (job.state === "done") return show(job);
     await sleep(POLL_MS);

@@ -2,12 +2,68 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from job_table import LONG_S, OpenTable, open_table
+from s3_server import S3Server
 from service_process import Service, StartService
+
+from benchmarks.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
+from service.jobs import JobBackend
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[PostgresServer]:
+    """A PostgreSQL server for all tests that need one."""
+    binaries = find_binaries()
+    if binaries is None:
+        if os.environ.get(REQUIRED) == "required":
+            pytest.fail(HINT)
+        pytest.skip(HINT)
+    server = PostgresServer(binaries)
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[S3Server]:
+    """An S3 server for all tests that need one."""
+    server = S3Server()
+    yield server
+    server.stop()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database_url(request: pytest.FixtureRequest) -> str:
+    """SG_DATABASE_URL of an empty job table: each test that takes it runs once on either database."""
+    if request.param == "sqlite":
+        return "sqlite"
+    server: PostgresServer = request.getfixturevalue("postgres")
+    return server.new_database()
+
+
+@pytest.fixture
+def open_backend(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
+    """Opens the same table with leases of so many seconds."""
+    opened: list[JobBackend] = []
+
+    def opener(lease_s: float, **options: int) -> JobBackend:
+        opened.append(open_table(database_url, tmp_path, lease_s, **options))
+        return opened[-1]
+
+    yield opener
+    for backend in opened:
+        backend.close()
+
+
+@pytest.fixture
+def backend(open_backend: OpenTable) -> JobBackend:
+    """An empty job table."""
+    return open_backend(LONG_S)
 
 
 @pytest.fixture

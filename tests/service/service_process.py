@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import httpx
 import numpy as np
 from PIL import Image
+
+import sgmethod
+from service.backends import open_backend, open_storage
+from service.jobs import EncodeRequest, EncodeResult, NewJob, SourceImage, new_job_id
+from service.settings import Settings
+from service.storage import bitstream_key
 
 T = TypeVar("T")
 
@@ -74,16 +82,30 @@ def encoder_of(job_id: str) -> int | None:
     return None
 
 
+def encoders_under(workers: Sequence[int]) -> list[int]:
+    """The encoding processes of these workers."""
+    found = []
+    for number, command in processes().items():
+        with contextlib.suppress(OSError):
+            if "service.encode_child" in command and parent_of(number) in workers:
+                found.append(number)
+    return found
+
+
 class Service:
     """One `python -m service` and a client that talks to it.
 
-    Give settings by name, such as queue_length=2. With command "web" nothing is ever encoded.
+    Give settings by name, such as queue_length=2. With command "web" nothing is ever encoded. extra: more
+    environment variables.
     """
 
-    def __init__(self, data_dir: Path, command: str = "serve", **settings: Any) -> None:
+    def __init__(
+        self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
         self.data_dir = data_dir
         chosen = {"port": 0, "data_dir": data_dir, "workers": 1, "lease_s": 1, **settings}
         self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}}
+        self.environment.update(extra or {})
         self._command = [sys.executable, "-m", "service", command]
         self.log = data_dir.with_name(data_dir.name + ".log")
         self.start()
@@ -122,8 +144,8 @@ class Service:
     def kill_all(self) -> None:
         """End every process at once, without a chance to say anything."""
         self.client.close()
-        victims = [self.process.pid, *self.children("web"), *self.children("worker")]
-        victims += [n for n, line in processes().items() if "service.encode_child" in line]
+        workers = self.children("worker")
+        victims = [self.process.pid, *self.children("web"), *workers, *encoders_under(workers)]
         for number in victims:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(number, signal.SIGKILL)
@@ -146,6 +168,10 @@ class Service:
         """The id of a new job that takes far longer than any test waits."""
         return self.accepted(SLOW, bpp=1, time_limit_s=100)
 
+    def accepted_long(self, seconds: float) -> str:
+        """The id of a new job that takes about so many seconds."""
+        return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
+
     def job(self, job_id: str) -> dict[str, Any]:
         """The status of a job."""
         answer = self.client.get(f"/jobs/{job_id}")
@@ -159,6 +185,39 @@ class Service:
         job = wait_until(lambda: (job := self.job(job_id))["state"] in wanted and job)
         assert job
         return job
+
+    def published(self, bitstream: bytes, owner: str | None = None) -> str:
+        """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
+        fields = sgmethod.info(bitstream)
+        width, height = int(str(fields["width"])), int(str(fields["height"]))
+        settings = Settings(data_dir=self.data_dir, lease_s=60)
+        backend = open_backend(settings)
+        request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", width, height, 10)
+        job, _ = backend.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
+        while (claim := backend.claim("test")) is not None and claim.job_id != job.id:
+            pass  # what other tests left waiting runs forever now
+        assert claim is not None
+        key = bitstream_key(job.id, claim.attempt)
+        open_storage(settings).put(key, bitstream)
+        stats = {"width": width, "height": height, "bytes": len(bitstream)}
+        assert backend.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
+        backend.close()
+        return job.id
+
+    def connect(self) -> socket.socket:
+        """A connection over which a test says what it likes."""
+        url = httpx.URL(self.url)
+        return socket.create_connection((url.host, url.port or 80), timeout=PATIENCE_S)
+
+    def raw(self, request: bytes) -> bytes:
+        """All that is answered to these bytes until the server closes the connection, even with a reset."""
+        with self.connect() as connection:
+            answer = b""
+            with contextlib.suppress(ConnectionError):
+                connection.sendall(request)
+                while data := connection.recv(65536):
+                    answer += data
+            return answer
 
     def files(self) -> list[str]:
         """What lies in the storage."""

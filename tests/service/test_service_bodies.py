@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
-from service_process import SMALL, Service, StartService, assert_problem
+from service_process import SMALL, Service, StartService, assert_problem, wait_until
 
 BOUNDARY = "frontier"
 HEAD = (
@@ -23,8 +23,7 @@ LIMIT = 200_000 + 16 * 1024  # the fixture's, and what multipart may add
 
 def connect(web: Service, *headers: str) -> socket.socket:
     """A connection that has sent the head of POST /encode."""
-    url = httpx.URL(web.url)
-    connection = socket.create_connection((url.host, url.port or 80), timeout=30)
+    connection = web.connect()
     lines = ["POST /encode HTTP/1.1", "Host: test", f"Content-Type: {FORM['Content-Type']}", *headers]
     connection.sendall("\r\n".join([*lines, "", ""]).encode())
     return connection
@@ -113,6 +112,40 @@ def test_a_body_that_trickles(web: Service) -> None:
         problem_from(connection, 408)
 
 
+def test_a_body_that_comes_too_slowly_for_its_size(start_service: StartService) -> None:
+    """Neither a long silence nor long in all, but too few bytes a second."""
+    web = start_service("web", body_chunk_timeout_s=1, body_timeout_s=100, min_upload_rate=1000)
+    with connect(web, "Content-Length: 5000") as connection:
+        connection.sendall(HEAD)
+        for _ in range(600):
+            if select.select([connection], [], [], 0.1)[0]:
+                break
+            connection.sendall(b"x")
+        problem_from(connection, 408)
+
+
+def test_uploads_at_once_are_limited(start_service: StartService) -> None:
+    web = start_service("web", max_uploads=2)
+    crowd: list[socket.socket] = []
+
+    def one_more() -> httpx.Response | None:
+        crowd.append(connect(web, "Content-Length: 5000"))
+        crowd[-1].sendall(HEAD)
+        answer = web.post()
+        return answer if answer.status_code == 503 else None
+
+    try:
+        answer = wait_until(one_more)
+        assert answer is not None
+        assert_problem(answer, 503, "uploads")
+        assert answer.headers["retry-after"]
+        assert web.client.get("/jobs").status_code == 200
+    finally:
+        for slow in crowd:
+            slow.close()
+    assert wait_until(lambda: web.post().status_code == 202)
+
+
 def test_a_full_queue_refuses_a_body_unread(start_service: StartService) -> None:
     web = start_service("web", queue_length=1)
     web.accepted()
@@ -125,14 +158,14 @@ def test_a_client_that_hangs_up(web: Service) -> None:
     for _ in range(5):
         with connect(web, "Content-Length: 5000") as connection:
             connection.sendall(HEAD + SMALL[:1000])
-    assert web.client.get("/healthz").status_code == 200
+    assert web.client.get("/livez").status_code == 200
     assert web.files() == before
 
 
 def test_slow_bodies_keep_nobody_waiting(web: Service) -> None:
     crowd = [connect(web, "Content-Length: 5000") for _ in range(60)]
     try:
-        assert web.client.get("/healthz").status_code == 200
+        assert web.client.get("/livez").status_code == 200
         assert web.post().status_code == 202
     finally:
         for connection in crowd:
@@ -140,6 +173,6 @@ def test_slow_bodies_keep_nobody_waiting(web: Service) -> None:
 
 
 def test_a_body_where_none_belongs(web: Service) -> None:
-    answer = web.client.request("GET", "/healthz", content=b"x" * 10_000)
+    answer = web.client.request("GET", "/livez", content=b"x" * 10_000)
     assert answer.status_code == 200
-    assert web.client.get("/healthz").status_code == 200
+    assert web.client.get("/livez").status_code == 200

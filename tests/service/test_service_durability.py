@@ -1,22 +1,35 @@
-"""No accepted job is lost, stuck, run by two or left lying, whichever process dies when."""
+"""The rules of durability, each under fire: real processes, real encodes, either database.
+
+After everything that happens here, each accepted job has ended, none was published twice, and nothing is
+left over but the bitstreams of those that are done.
+"""
 
 from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
+import httpx
+import pytest
 from service_process import (
-    ROOT,
+    PATIENCE_S,
     SLOW,
     Service,
     StartService,
     encoder_of,
+    encoders_under,
     parent_of,
     processes,
     wait_until,
 )
+
+
+@pytest.fixture
+def start_service(start_service: StartService, database_url: str) -> StartService:
+    """Every test here runs once on either database."""
+    return partial(start_service, database_url=database_url)
 
 
 def running(job_id: str) -> int:
@@ -24,65 +37,156 @@ def running(job_id: str) -> int:
     return wait_until(lambda: encoder_of(job_id)) or 0
 
 
-def assert_only_results_remain(service: Service, *job_ids: str) -> None:
-    results = wait_until(lambda: [name for name in service.files() if name.startswith("bitstreams/")])
-    assert service.files() == results  # no source, nothing unfinished
-    assert {name.split("/")[1].split(".")[0] for name in results} == set(job_ids)
-    assert len(results) == len(job_ids)
+def assert_settled(service: Service, *done: str) -> None:
+    """These jobs are done and all others have failed or are gone; nothing runs, and nothing is left over."""
+    jobs = service.client.get("/jobs?limit=200").json()["jobs"]
+    assert {job["id"] for job in jobs if job["state"] == "done"} == set(done)
+    assert {job["state"] for job in jobs} <= {"done", "failed"}
+    assert encoders_under(service.children("worker")) == []
+    published = sorted(f"bitstreams/{job['id']}.{job['attempt']}.sg" for job in jobs if job["state"] == "done")
+    wait_until(lambda: service.files() == published)
+    for job_id in done:
+        assert service.client.get(f"/bitstreams/{job_id}.sg").status_code == 200
 
 
-def test_killed_encoder(start_service: StartService) -> None:
-    """The encoding process alone dies: its worker starts it again at once."""
+def test_rule_1_accepted_jobs_survive_the_web_process(start_service: StartService) -> None:
+    """The web process is killed right after its 202: the encode goes on, and requests find its successor."""
     service = start_service()
     job_id = service.accepted()
-    os.kill(running(job_id), signal.SIGKILL)
-    job = service.wait(job_id)
-    assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
-    assert_only_results_remain(service, job_id)
+    (web,) = service.children("web")
+    os.kill(web, signal.SIGKILL)
+    service.client.close()
+    service.client = httpx.Client(base_url=service.url, timeout=PATIENCE_S)
+    assert service.wait(job_id)["attempt"] == 1
+    assert service.children("web") != [web]
+    assert_settled(service, job_id)
 
 
-def test_killed_worker(start_service: StartService) -> None:
-    """The worker dies: its encoder goes too, and the job goes to the next worker when the lease is over."""
+def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) -> None:
+    """All processes are killed, one job being encoded and one just accepted: both are done after the next start."""
+    service = start_service()
+    first = service.accepted()
+    running(first)
+    second = service.accepted()
+    service.kill_all()
+    service.start()
+    assert [service.wait(job_id)["attempt"] for job_id in (first, second)] == [2, 1]
+    assert_settled(service, first, second)
+
+
+def test_rule_1_one_key_one_job(start_service: StartService) -> None:
+    """The same Idempotency-Key several times at once: one job, one source."""
+    service = start_service("web")
+    with ThreadPoolExecutor(6) as pool:
+        answers = list(pool.map(lambda _: service.post(key="the-same"), range(6)))
+    assert {answer.status_code for answer in answers} == {202}
+    ids = {answer.json()["id"] for answer in answers}
+    assert len(ids) == 1
+    assert service.files() == [f"sources/{ids.pop()}"]
+
+
+def test_rule_2_a_sleeping_worker_has_lost_its_job(start_service: StartService) -> None:
+    """A worker that sleeps beyond its lease ends its encoder when it wakes up, and changes nothing."""
+    service = start_service(workers=2)
+    job_id = service.accepted_slow()
+    encoder = running(job_id)
+    sleeper = parent_of(encoder)
+    os.kill(sleeper, signal.SIGSTOP)
+    try:
+        wait_until(lambda: service.job(job_id)["attempt"] == 2)
+        assert encoder in processes()
+    finally:
+        os.kill(sleeper, signal.SIGCONT)
+    wait_until(lambda: encoder not in processes())
+    job = service.job(job_id)
+    assert (job["state"], job["attempt"]) == ("running", 2)
+    assert service.client.delete(f"/jobs/{job_id}").status_code == 204
+    wait_until(lambda: not encoders_under(service.children("worker")))
+    assert_settled(service)
+
+
+def test_rule_3_published_once(start_service: StartService) -> None:
+    """A worker sleeps while its encoder finishes; another publishes; the first wakes up with a result in hand."""
+    service = start_service(workers=2)
+    job_id = service.accepted()
+    encoder = running(job_id)
+    sleeper = parent_of(encoder)
+    os.kill(sleeper, signal.SIGSTOP)
+    try:
+        job = service.wait(job_id)
+        wait_until(lambda: encoder not in processes())
+    finally:
+        os.kill(sleeper, signal.SIGCONT)
+    wait_until(lambda: f"job {job_id}: attempt 1 is no longer ours" in service.log.read_text())
+    assert job["attempt"] == 2
+    assert service.job(job_id) == job
+    assert_settled(service, job_id)
+
+
+def test_rule_4_the_encoder_ends_with_its_worker(start_service: StartService) -> None:
+    """The worker is killed: its encoder ends too, and the job goes to the next worker when the lease is over."""
     service = start_service()
     job_id = service.accepted()
     encoder = running(job_id)
     (worker,) = service.children("worker")
     os.kill(worker, signal.SIGKILL)
     wait_until(lambda: encoder not in processes())
-    job = service.wait(job_id)
-    assert (job["state"], job["attempt"]) == ("done", 2)
+    assert service.wait(job_id)["attempt"] == 2
     assert service.children("worker") != [worker]
-    assert_only_results_remain(service, job_id)
+    assert_settled(service, job_id)
 
 
-def test_killed_web_process(start_service: StartService) -> None:
-    """The web process dies right after its 202: the encode goes on, and requests find its successor."""
+def test_rule_4_cancelled_in_every_state(start_service: StartService) -> None:
+    """DELETE of a running job ends its encoder; in any state nothing remains of the job."""
+    service = start_service()
+    done = service.accepted()
+    failed = service.accepted(bytes=1)
+    assert [service.wait(job_id)["state"] for job_id in (done, failed)] == ["done", "failed"]
+    current, waiting, last = service.accepted_slow(), service.accepted(), service.accepted()
+    encoder = running(current)
+    for job_id in (waiting, current, done, failed):
+        assert service.client.delete(f"/jobs/{job_id}").status_code == 204
+        for address in (f"/jobs/{job_id}", f"/bitstreams/{job_id}.sg", f"/decode/{job_id}.png"):
+            assert service.client.get(address).status_code == 404
+        assert service.client.delete(f"/jobs/{job_id}").status_code == 404
+    wait_until(lambda: encoder not in processes())
+    assert service.wait(last)["attempt"] == 1
+    assert_settled(service, last)
+
+
+def test_rule_4_timed_out(start_service: StartService) -> None:
+    """An encode beyond the time-out is ended and not tried again."""
+    service = start_service(job_timeout_s=0.5, max_time_limit_s=0.4)
+    job = service.wait(service.accepted(SLOW, bpp=1, time_limit_s=0.4))
+    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
+    assert_settled(service)
+
+
+def test_rule_5_a_killed_encoder_starts_again(start_service: StartService) -> None:
+    """The encoding process alone dies: its worker starts the job again at once."""
     service = start_service()
     job_id = service.accepted()
-    (web,) = service.children("web")
-    os.kill(web, signal.SIGKILL)
-    service.client.close()
-    service.client = type(service.client)(base_url=service.url, timeout=60)
+    os.kill(running(job_id), signal.SIGKILL)
     job = service.wait(job_id)
-    assert (job["state"], job["attempt"]) == ("done", 1)
-    assert service.children("web") != [web]
+    assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
+    assert_settled(service, job_id)
 
 
-def test_everything_killed(start_service: StartService) -> None:
-    """All processes die, one job being encoded and one waiting: both are done after the next start."""
+def test_rule_5_poison(start_service: StartService) -> None:
+    """A job whose encoder always dies fails after four attempts, with its last error."""
     service = start_service()
-    jobs = [service.accepted() for _ in range(2)]
-    running(jobs[0])
-    service.kill_all()
-    service.start()
-    assert [service.wait(job_id)["state"] for job_id in jobs] == ["done", "done"]
-    assert [service.job(job_id)["attempt"] for job_id in jobs] == [2, 1]
-    assert_only_results_remain(service, *jobs)
-    picture = service.client.get(f"/decode/{jobs[0]}.png")
-    assert picture.status_code == 200
-    assert service.stop() == 0
-    service.start()
-    assert service.client.get(f"/decode/{jobs[0]}.png").content == picture.content
+    job_id = service.accepted()
+    killed: set[int] = set()
+    while len(killed) < 4:
+        encoder = wait_until(lambda: (number := encoder_of(job_id)) not in killed and number)
+        os.kill(encoder or 0, signal.SIGKILL)
+        killed.add(encoder or 0)
+    job = service.wait(job_id)
+    assert (job["state"], job["attempt"], job["result"]) == ("failed", 4, None)
+    assert job["error"] == {"code": "crashed", "detail": "the encoder crashed (Killed)"}
+    healthy = service.accepted()
+    assert service.wait(healthy)["state"] == "done"
+    assert_settled(service, healthy)
 
 
 def test_stopping_hands_the_job_back(start_service: StartService) -> None:
@@ -97,97 +201,3 @@ def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     assert service.wait(job_id, "running", "failed")["state"] == "running"
     assert service.job(job_id)["attempt"] == 2
     assert service.client.delete(f"/jobs/{job_id}").status_code == 204
-
-
-def test_interrupt_stops_too(start_service: StartService) -> None:
-    service = start_service()
-    service.client.close()
-    service.process.send_signal(signal.SIGINT)
-    assert service.process.wait(30) == 0
-
-
-def test_a_worker_by_itself(start_service: StartService) -> None:
-    """A worker started by hand takes jobs from the same folder, and stops with exit status 0."""
-    web = start_service("web")
-    command = [sys.executable, "-m", "service", "worker"]
-    with web.log.open("a") as log:
-        worker = subprocess.Popen(command, cwd=ROOT, env=web.environment, stderr=log)
-    job_id = web.accepted()
-    assert web.wait(job_id)["state"] == "done"
-    worker.send_signal(signal.SIGTERM)
-    assert worker.wait(30) == 0
-    assert_only_results_remain(web, job_id)
-
-
-def test_supervisor_killed_alone(start_service: StartService) -> None:
-    """Without their supervisor the other processes end by themselves, so that a new one finds free ground."""
-    service = start_service()
-    encoder = running(service.accepted_slow())
-    orphans = {encoder, *service.children("web"), *service.children("worker")}
-    service.process.kill()
-    service.process.wait()
-    wait_until(lambda: not orphans & set(processes()))
-
-
-def test_poison(start_service: StartService) -> None:
-    """A job whose encoder always dies fails after four attempts, with its last error."""
-    service = start_service()
-    job_id = service.accepted()
-    killed: set[int] = set()
-    while len(killed) < 4:
-        encoder = wait_until(lambda: (number := encoder_of(job_id)) not in killed and number)
-        os.kill(encoder or 0, signal.SIGKILL)
-        killed.add(encoder or 0)
-    job = service.wait(job_id)
-    assert (job["state"], job["attempt"], job["result"]) == ("failed", 4, None)
-    assert job["error"] == {"code": "crashed", "detail": "the encoder crashed (Killed)"}
-    healthy = service.accepted()
-    assert service.wait(healthy)["state"] == "done"
-    assert_only_results_remain(service, healthy)
-
-
-def test_timeout(start_service: StartService) -> None:
-    """An encode beyond the time-out is ended and not tried again."""
-    service = start_service(job_timeout_s=0.5, max_time_limit_s=0.4)
-    job_id = service.accepted(SLOW, bpp=1, time_limit_s=0.4)
-    job = service.wait(job_id)
-    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
-    assert encoder_of(job_id) is None
-    wait_until(lambda: service.files() == [])
-
-
-def test_removing_a_running_job(start_service: StartService) -> None:
-    """DELETE ends the encode, and the worker goes on with the next job."""
-    service = start_service()
-    job_id, next_id = service.accepted_slow(), service.accepted()
-    encoder = running(job_id)
-    assert service.client.delete(f"/jobs/{job_id}").status_code == 204
-    wait_until(lambda: encoder not in processes())
-    assert service.wait(next_id)["attempt"] == 1
-    assert_only_results_remain(service, next_id)
-
-
-def test_sleeping_worker(start_service: StartService) -> None:
-    """A worker that sleeps beyond its lease and wakes up again cannot publish what another did."""
-    service = start_service(workers=2)
-    job_id = service.accepted_slow()
-    encoder = running(job_id)
-    sleeper = parent_of(encoder)
-    os.kill(sleeper, signal.SIGSTOP)
-    try:
-        wait_until(lambda: service.job(job_id)["attempt"] == 2)
-        assert encoder in processes()
-    finally:
-        os.kill(sleeper, signal.SIGCONT)
-    wait_until(lambda: encoder not in processes())
-    assert service.job(job_id)["state"] == "running"
-    assert service.job(job_id)["attempt"] == 2
-    assert service.client.delete(f"/jobs/{job_id}").status_code == 204
-
-
-def test_memory_limit(start_service: StartService) -> None:
-    """An encode that wants more memory than it may have crashes, and nothing else does."""
-    service = start_service(job_memory_bytes=2**28, max_attempts=1)
-    job = service.wait(service.accepted_slow())
-    assert (job["state"], job["error"]["code"]) == ("failed", "crashed")
-    assert service.client.get("/healthz").status_code == 200

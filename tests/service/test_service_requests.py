@@ -7,7 +7,9 @@ import struct
 import threading
 import zlib
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
+import httpx
 import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
@@ -29,13 +31,13 @@ def png_header(width: int, height: int) -> bytes:
 
 
 def test_health(web: Service) -> None:
-    answer = web.client.get("/healthz")
+    answer = web.client.get("/livez")
     assert (answer.status_code, answer.json()["status"]) == (200, "ok")
-    assert web.client.head("/healthz").status_code == 200
+    assert web.client.head("/livez").status_code == 200
 
 
 def test_every_answer_has_the_security_headers(web: Service) -> None:
-    for path in ("/", "/healthz", "/nowhere", f"/jobs/{GOOD_ID}", "/static/app.js"):
+    for path in ("/", "/livez", "/nowhere", f"/jobs/{GOOD_ID}", "/static/app.js"):
         headers = web.client.get(path).headers
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["referrer-policy"] == "no-referrer"
@@ -58,9 +60,14 @@ def test_openapi_lists_the_routes(web: Service) -> None:
         "/encode",
         "/jobs",
         "/jobs/{job_id}",
-        "/decode/{job_id}.png",
+        "/decode",
+        "/decode/{job_id}.{kind}",
         "/bitstreams/{job_id}.sg",
-        "/healthz",
+        "/jobs/{job_id}/events",
+        "/jobs/{job_id}/links",
+        "/livez",
+        "/readyz",
+        "/metrics",
     }
 
 
@@ -69,7 +76,8 @@ def test_unknown_paths_and_methods_are_problems(web: Service) -> None:
     assert_problem(web.client.get("/static/nothing.js"), 404)
     answer = web.client.put(f"/jobs/{GOOD_ID}")
     assert_problem(answer, 405)
-    assert answer.headers["allow"]
+    assert answer.headers["allow"] == "DELETE, GET"
+    assert web.client.put(f"/decode/{GOOD_ID}.png").headers["allow"] == "GET, HEAD"
     assert_problem(web.client.get("/encode"), 405)
 
 
@@ -143,6 +151,7 @@ def test_jobs_are_listed_newest_first_in_pages(start_service: StartService) -> N
         ({"bpp": "1", "quality": "9"}, "exactly one"),
         ({"quality": "101"}, "at most 100"),
         ({"bpp": "1", "fineness": "9"}, "unknown field"),
+        ({"bpp": "1", "priority": "first"}, "unknown priority"),
     ],
 )
 def test_fields_that_are_refused(web: Service, fields: dict[str, str], words: str) -> None:
@@ -154,7 +163,7 @@ def test_fields_that_are_refused(web: Service, fields: dict[str, str], words: st
 def test_forms_that_are_refused(web: Service) -> None:
     post = web.client.post
     image = {"image": ("a.png", SMALL)}
-    assert_problem(post("/encode", json={"bpp": 1}), 415, "multipart")
+    assert_problem(post("/encode?bpp=1", json={"bpp": 1}), 415, "multipart")
     assert_problem(post("/encode", content=b""), 415)
     assert_problem(post("/encode", data={"bpp": "1"}), 415)
     assert_problem(post("/encode", content=b"x", headers={"Content-Type": "multipart/form-data"}), 400)
@@ -168,6 +177,39 @@ def test_forms_that_are_refused(web: Service) -> None:
     assert_problem(post("/encode", files=image, data={"bpp": "1" * 1000}), 400)
     key = {"Idempotency-Key": "with space"}
     assert_problem(post("/encode", files=image, data={"bpp": "1"}, headers=key), 400, "Idempotency-Key")
+
+
+def test_an_image_as_the_body(web: Service) -> None:
+    def post(query: str, **more: Any) -> httpx.Response:
+        options = {"content": SMALL, "headers": {"Content-Type": "image/png"}, **more}
+        return web.client.post(f"/encode{query}", **options)
+
+    answer = post("?psnr=30&profile=paper&time_limit_s=2&priority=bulk")
+    assert answer.status_code == 202, answer.text
+    job = web.job(answer.json()["id"])
+    assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30}, "paper")
+    assert (job["time_limit_s"], job["priority"]) == (2, "bulk")
+    assert (web.data_dir / "sources" / job["id"]).read_bytes() == SMALL
+    form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)})
+    assert web.job(form.json()["id"])["budget"] == {"kind": "bpp", "value": 1}
+
+    before = web.files()
+    assert_problem(post(""), 422, "exactly one")
+    assert_problem(post("?bpp=1&bpp=1"), 422, "twice")
+    assert_problem(post("?bpp=1", content=b""), 422, "empty")
+    assert_problem(post("?bpp=1", content=SMALL[:30]), 422)
+    assert_problem(post("?bpp=1", content=b"%PDF-1.7"), 415)
+    assert_problem(post("?bpp=1", headers={"Content-Type": "text/plain"}), 415)
+    assert_problem(post("?bpp=1", content=bytes(200_001)), 413)
+    assert_problem(post("?bpp=1", content=iter([bytes(100_000)] * 3)), 413)
+    form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)}, data={"bpp": "1"})
+    assert_problem(form, 422, "twice")
+    assert web.files() == before
+
+
+def test_priority(web: Service) -> None:
+    assert web.job(web.accepted(SMALL, bpp=1))["priority"] == "interactive"
+    assert web.job(web.accepted(SMALL, bpp=1, priority="bulk"))["priority"] == "bulk"
 
 
 @pytest.mark.parametrize("image", [b"hello", b"GIF89a" + b"0" * 40, b"%PDF-1.7", b"<svg/>"])

@@ -15,6 +15,7 @@ from service.jobs import (
     Claim,
     EncodeRequest,
     EncodeResult,
+    JobRules,
     JsonObject,
     NewJob,
     SourceImage,
@@ -24,7 +25,7 @@ from service.settings import Settings
 from service.sqlite_jobs import SqliteJobs
 from service.stopping import StopSignal
 from service.storage import DiskStorage, bitstream_key, source_key
-from service.worker import ClaimLostError, Pulse, Worker
+from service.worker import ClaimLostError, Pulse, StoppedError, Worker
 
 LONG_S = 60.0
 
@@ -50,22 +51,39 @@ class Unsteady(SqliteJobs):
         return alive
 
 
+class Full(DiskStorage):
+    """A disk that takes nothing so many times."""
+
+    refusals = 0
+
+    def put(self, key: str, data: bytes) -> None:
+        if self.refusals:
+            self.refusals -= 1
+            raise OSError(28, "No space left on device")
+        super().put(key, data)
+
+
 @pytest.fixture
 def backend(tmp_path: Path) -> Iterator[Unsteady]:
-    backend = Unsteady(tmp_path / "jobs.sqlite3", lease_s=LONG_S, max_attempts=4)
+    backend = Unsteady(tmp_path / "jobs.sqlite3", JobRules(LONG_S, 4))
     yield backend
     backend.close()
 
 
 @pytest.fixture
-def storage(tmp_path: Path) -> DiskStorage:
-    return DiskStorage(tmp_path)
+def storage(tmp_path: Path) -> Full:
+    return Full(tmp_path)
 
 
 @pytest.fixture
-def worker(backend: Unsteady, storage: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> Worker:
+def stop() -> StopSignal:
+    return StopSignal()
+
+
+@pytest.fixture
+def worker(backend: Unsteady, storage: Full, stop: StopSignal, monkeypatch: pytest.MonkeyPatch) -> Worker:
     monkeypatch.setattr(worker_module, "PAUSE_AFTER_TROUBLE_S", 0.0)
-    return Worker(Settings(), backend, storage, StopSignal())
+    return Worker(Settings(), backend, storage, stop)
 
 
 @pytest.fixture
@@ -92,12 +110,13 @@ def test_two_attempts_and_one_result(backend: Unsteady, worker: Worker, claim: C
     assert backend.release(claim)
     second = backend.claim("other")
     assert second is not None
+    pulse = Pulse(backend, claim, LONG_S)
     with pytest.raises(ClaimLostError):
-        worker._conclude(claim, Encoded({}, b"of the first"))
+        worker._conclude(claim, Encoded({}, b"of the first"), pulse)
     assert bitstreams(tmp_path) == []
-    worker._conclude(second, Encoded({}, b"of the second"))
+    worker._conclude(second, Encoded({}, b"of the second"), Pulse(backend, second, LONG_S))
     with pytest.raises(ClaimLostError):
-        worker._conclude(claim, Encoded({}, b"of the first, later"))
+        worker._conclude(claim, Encoded({}, b"of the first, later"), pulse)
     key = bitstream_key(claim.job_id, 2)
     assert bitstreams(tmp_path) == [key]
     assert result_of(backend, claim) == key
@@ -107,18 +126,51 @@ def test_two_attempts_and_one_result(backend: Unsteady, worker: Worker, claim: C
 def test_a_lost_answer_loses_no_result(backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path) -> None:
     """Rule 7: publishing is tried again, and an update that had happened all the same counts."""
     backend.lost_answers = 2
-    worker._conclude(claim, Encoded({"bytes": 4}, b"data"))
+    worker._conclude(claim, Encoded({"bytes": 4}, b"data"), Pulse(backend, claim, LONG_S))
     assert result_of(backend, claim) == bitstream_key(claim.job_id, 1)
     assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
 
 
-def test_a_table_out_of_reach_leaves_the_bitstream_for_the_sweep(
-    backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path
+def test_stopping_while_the_table_is_out_of_reach(
+    backend: Unsteady, worker: Worker, stop: StopSignal, claim: Claim, tmp_path: Path
 ) -> None:
+    """The bitstream stays for the sweep, since it may have been published."""
     backend.lost_answers = 100
+    stop.request()
     with pytest.raises(BackendError):
-        worker._conclude(claim, Encoded({}, b"data"))
-    assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]  # it may have been published
+        worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim, LONG_S))
+    assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
+
+
+def test_a_result_waits_for_space(backend: Unsteady, worker: Worker, storage: Full, claim: Claim) -> None:
+    storage.refusals = 3
+    worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim, LONG_S))
+    assert result_of(backend, claim) == bitstream_key(claim.job_id, 1)
+
+
+def test_stopping_while_the_disk_is_full(
+    backend: Unsteady, worker: Worker, storage: Full, stop: StopSignal, claim: Claim
+) -> None:
+    storage.refusals = 100
+    stop.request()
+    with pytest.raises(StoppedError):
+        worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim, LONG_S))
+
+
+def test_a_storage_out_of_reach_does_not_count_against_the_job(
+    backend: Unsteady, storage: Full, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert backend.release(claim)
+
+    def out_of_reach(_key: str) -> None:
+        raise OSError(5, "the object store failed")
+
+    monkeypatch.setattr(storage, "open", out_of_reach)
+    with pytest.raises(OSError, match="the object store failed"):
+        worker.run_one()
+    job = backend.get(claim.job_id)
+    assert job is not None
+    assert (job.state, job.crashes) == ("queued", 0)
 
 
 def test_a_pulse_sends_each_point_once(backend: Unsteady, claim: Claim) -> None:

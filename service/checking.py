@@ -1,0 +1,89 @@
+"""What an operator wants to know before the service starts: whether all that it leans on is there."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from service.backends import open_backend, open_storage
+from service.jobs import BackendError
+from service.settings import Settings
+from service.storage import PROBE_FOLDER
+
+ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
+UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
+
+
+class CheckError(Exception):
+    """One thing is not as it must be; one sentence."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """How one check went. detail: what was found, or what is wrong."""
+
+    name: str
+    passed: bool
+    detail: str
+
+
+def check(settings: Settings) -> Iterator[Check]:
+    """All checks, one after the other; none raises."""
+    checks: dict[str, Callable[[Settings], str]] = {
+        "settings": _settings,
+        "database": _database,
+        "storage": _storage,
+        "free disk": _free_disk,
+        "kernels": _kernels,
+    }
+    for name, run in checks.items():
+        try:
+            yield Check(name, True, run(settings))
+        except (CheckError, BackendError, OSError, ImportError) as error:
+            yield Check(name, False, str(error))
+
+
+def _settings(settings: Settings) -> str:
+    return f"{settings.workers} workers with {settings.encode_threads} threads each"
+
+
+def _database(settings: Settings) -> str:
+    backend = open_backend(settings)
+    jobs = backend.census().jobs
+    backend.close()
+    kind = "PostgreSQL" if settings.uses_postgres else f"SQLite, {settings.database_path}"
+    return f"{kind}: {', '.join(f'{count} {state}' for state, count in jobs.items())}"
+
+
+def _storage(settings: Settings) -> str:
+    storage = open_storage(settings)
+    key, data = f"{PROBE_FOLDER}/{secrets.token_hex(16)}", secrets.token_bytes(1024)
+    storage.put(key, data)
+    try:
+        if storage.get(key) != data:
+            raise CheckError("what was stored came back changed")
+    finally:
+        storage.delete(key)
+    return f"{settings.storage_url or settings.data_dir}: stored, read and removed a file"
+
+
+def _free_disk(settings: Settings) -> str:
+    uses_data_dir = not (settings.uses_postgres and settings.storage_url)
+    folder = settings.data_dir if uses_data_dir else Path(tempfile.gettempdir())
+    free = shutil.disk_usage(folder).free
+    if free < UPLOADS_OF_ROOM * settings.max_upload_bytes:
+        raise CheckError(f"{folder}: {free:,} bytes are free, less than {UPLOADS_OF_ROOM} of the largest uploads")
+    return f"{folder}: {free:,} bytes"
+
+
+def _kernels(_settings: Settings) -> str:
+    from sgmethod.native_module import native
+
+    if find_spec("torch") is None:
+        raise CheckError("encoding needs more packages: pip install '.[encode]'")
+    return ISA_NAMES[native.best_isa()]

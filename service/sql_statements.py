@@ -1,0 +1,101 @@
+"""Tables and statements in the SQL that SQLite and PostgreSQL share: a `?` for a value, epoch() for the time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+# In place of {number} stands how each database counts rows up.
+SCHEMA = """
+CREATE TABLE jobs (
+    number          {number},
+    id              TEXT NOT NULL UNIQUE,
+    owner           TEXT NOT NULL DEFAULT '',
+    priority        TEXT NOT NULL DEFAULT 'interactive' CHECK (priority IN ('interactive', 'bulk')),
+    state           TEXT NOT NULL DEFAULT 'queued' CHECK (state IN ('queued', 'running', 'done', 'failed')),
+    idempotency_key TEXT,
+    fingerprint     TEXT NOT NULL,
+    request         TEXT NOT NULL,
+    image           TEXT NOT NULL,
+    attempt         INTEGER NOT NULL DEFAULT 0,
+    crashes         INTEGER NOT NULL DEFAULT 0,
+    worker          TEXT,
+    lease_until     DOUBLE PRECISION,
+    created_at      DOUBLE PRECISION NOT NULL,
+    started_at      DOUBLE PRECISION,
+    finished_at     DOUBLE PRECISION,
+    result          TEXT CHECK ((state = 'done') = (result IS NOT NULL)),
+    error           TEXT,
+    UNIQUE (owner, idempotency_key)
+);
+CREATE INDEX jobs_by_state ON jobs (state, number);
+CREATE INDEX jobs_by_owner ON jobs (owner, number);
+CREATE INDEX jobs_by_lease ON jobs (lease_until);
+CREATE TABLE served (
+    owner TEXT PRIMARY KEY,
+    at    DOUBLE PRECISION NOT NULL
+);
+CREATE TABLE trace (
+    job   BIGINT NOT NULL REFERENCES jobs (number) ON DELETE CASCADE,
+    place INTEGER NOT NULL,
+    point TEXT NOT NULL,
+    PRIMARY KEY (job, place)
+);
+"""
+SELECT_JOB = """
+SELECT jobs.*, CASE WHEN state = 'queued' THEN (
+    SELECT count(*) FROM jobs AS waiting
+    WHERE waiting.state = 'queued'
+    AND (waiting.priority = 'bulk', waiting.number) <= (jobs.priority = 'bulk', jobs.number)
+) END AS position FROM jobs
+"""
+# Owners take turns by what they have running just now, however many jobs of theirs wait.
+CLAIM = """
+UPDATE jobs SET state = 'running', attempt = attempt + 1, worker = ?, started_at = epoch(), lease_until = epoch() + ?
+WHERE state = 'queued' AND number = (
+    WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
+    SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
+    WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?)
+    ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
+) RETURNING number, id, attempt, request
+"""
+SERVED = """
+INSERT INTO served SELECT owner, started_at FROM jobs WHERE number = ?
+ON CONFLICT (owner) DO UPDATE SET at = excluded.at
+"""
+TRACE_POINT = """
+INSERT INTO trace SELECT number, ?, ? FROM jobs WHERE id = ?
+ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
+"""
+CRASH = """
+crashes = crashes + 1, error = ?,
+state = CASE WHEN crashes + 1 < ? THEN 'queued' ELSE 'failed' END,
+finished_at = CASE WHEN crashes + 1 < ? THEN NULL ELSE epoch() END
+"""
+MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
+STALE = "WHERE state = 'running' AND lease_until < epoch()"
+
+
+class Cursor(Protocol):
+    """What a statement gives, as both databases' modules have it."""
+
+    @property
+    def rowcount(self) -> int:
+        """Rows changed."""
+        ...
+
+    def fetchone(self) -> Any:
+        """The next row, by names, or None."""
+        ...
+
+    def fetchall(self) -> list[Any]:
+        """All rows, by names."""
+        ...
+
+
+class Database(Protocol):
+    """A connection."""
+
+    def execute(self, statement: str, values: Sequence[Any] = (), /) -> Cursor:
+        """Run one statement."""
+        ...

@@ -1,0 +1,60 @@
+"""What the command line shows on a terminal, and what it keeps off it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+from sgmethod.trace import Progress, TracePoint
+
+BAR_CELLS = 24
+
+
+@contextmanager
+def silent_stderr() -> Iterator[None]:
+    """Nothing that C libraries print reaches stderr; Python's own stderr is meant to be idle."""
+    try:
+        saved = os.dup(2)
+    except OSError:  # there is no stderr
+        yield
+        return
+    silence = os.open(os.devnull, os.O_WRONLY)
+    sys.stderr.flush()
+    os.dup2(silence, 2)
+    try:
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(silence)
+
+
+@contextmanager
+def progress_line(shown: bool) -> Iterator[Progress | None]:
+    """A callback that redraws one line on stderr, which is gone afterwards; None if not shown."""
+    if not shown:
+        yield None
+        return
+    try:
+        yield lambda point: redraw(sys.stderr, bar(point))
+    finally:
+        redraw(sys.stderr, "")
+
+
+def redraw(stream: TextIO, text: str) -> None:
+    """Put the text in place of the line that is being written, cut to the terminal's width."""
+    columns = shutil.get_terminal_size().columns
+    stream.write(f"\r{text[: columns - 1]}\x1b[K")  # to the line's start, the text, clear the rest
+    stream.flush()
+
+
+def bar(point: TracePoint) -> str:
+    """How far a fit is, in one line."""
+    done = point.step / point.steps if point.steps else 1.0
+    filled = round(done * BAR_CELLS)
+    bar = "#" * filled + "." * (BAR_CELLS - filled)
+    return f"{point.phase:<5} [{bar}] {done:4.0%}  {point.psnr:.2f} dB  {point.seconds:.1f} s"

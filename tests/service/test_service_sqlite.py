@@ -1,0 +1,64 @@
+"""What only the table in SQLite must do."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+from job_table import (
+    RESULT,
+    RULES,
+)
+
+from service.jobs import (
+    BackendError,
+)
+from service.sqlite_jobs import SqliteJobs
+
+
+def test_a_table_that_cannot_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.sqlite3"
+    path.write_bytes(b"this is not a database" * 100)
+    with pytest.raises(BackendError, match="not a database"):
+        SqliteJobs(path, RULES)
+
+
+def test_a_table_of_a_later_version(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.sqlite3"
+    SqliteJobs(path, RULES).close()
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA user_version = 99")
+    database.close()
+    with pytest.raises(BackendError, match="newer"):
+        SqliteJobs(path, RULES)
+
+
+def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.sqlite3"
+    database = sqlite3.connect(path)
+    database.executescript((Path(__file__).parent / "jobs_version_1.sql").read_text())
+    database.close()
+    for _ in range(2):  # the second time there is nothing left to do
+        backend = SqliteJobs(path, RULES)
+        waiting, done = backend.page(10)
+        assert (waiting.number, waiting.state, waiting.owner, waiting.priority) == (7, "queued", None, "interactive")
+        assert (done.number, done.state, done.result) == (5, "done", RESULT)
+        assert backend.trace(done.id) == [{"step": 0}, {"step": 1}]
+        assert backend.find_key("key") == waiting
+        backend.close()
+    database = sqlite3.connect(path)
+    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
+    database.close()
+    assert tables == {"jobs", "trace", "served", "sqlite_sequence"}
+
+
+def test_rule_6_durability_settings(tmp_path: Path) -> None:
+    backend = SqliteJobs(tmp_path / "jobs.sqlite3", RULES)
+    with backend._connection() as db:
+        values = {
+            name: db.execute(f"PRAGMA {name}").fetchone()[0]
+            for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
+        }
+    assert values == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 30_000}
+    backend.close()
