@@ -23,8 +23,8 @@ RUN /opt/sgmethod/bin/pip wheel --no-cache-dir --no-deps --wheel-dir /wheels . \
     && /opt/sgmethod/bin/pip install --no-cache-dir "$(ls /wheels/*.whl)[service,postgres,s3]"
 
 FROM ${PYTHON_IMAGE}
-RUN groupadd --system --gid 10001 sgmethod \
-    && useradd --system --uid 10001 --gid 10001 --no-create-home sgmethod \
+RUN groupadd --gid 10001 sgmethod \
+    && useradd --uid 10001 --gid 10001 --no-create-home --shell /usr/sbin/nologin sgmethod \
     && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
 COPY --from=build /opt/sgmethod /opt/sgmethod
 ENV PATH=/opt/sgmethod/bin:$PATH \
