@@ -12,17 +12,19 @@ RUN python -m venv /opt/sgmethod
 # one to take, for example --build-arg TORCH_PIP_ARGS="--index-url ADDRESS-OF-THE-CPU-INDEX".
 ARG TORCH="torch==2.13.0"
 ARG TORCH_PIP_ARGS=""
+# The arguments are several words.
+# hadolint ignore=SC2086
 RUN /opt/sgmethod/bin/pip install --no-cache-dir ${TORCH_PIP_ARGS} "${TORCH}"
 WORKDIR /source
 COPY pyproject.toml README.md LICENSE ./
 COPY sgmethod sgmethod
 COPY service service
 RUN /opt/sgmethod/bin/pip wheel --no-cache-dir --no-deps --wheel-dir /wheels . \
-    && /opt/sgmethod/bin/pip install --no-cache-dir "$(ls /wheels/*.whl)[service]"
+    && /opt/sgmethod/bin/pip install --no-cache-dir "$(ls /wheels/*.whl)[service,postgres,s3]"
 
 FROM ${PYTHON_IMAGE}
-RUN groupadd --system --gid 10001 sgmethod \
-    && useradd --system --uid 10001 --gid 10001 --no-create-home sgmethod \
+RUN groupadd --gid 10001 sgmethod \
+    && useradd --uid 10001 --gid 10001 --no-create-home --shell /usr/sbin/nologin sgmethod \
     && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
 COPY --from=build /opt/sgmethod /opt/sgmethod
 ENV PATH=/opt/sgmethod/bin:$PATH \
@@ -36,4 +38,6 @@ VOLUME /data
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=5s --start-period=20s --retries=3 \
     CMD ["python", "-c", "import os, urllib.request as r; r.urlopen('http://127.0.0.1:' + os.environ['SG_PORT'] + '/livez', timeout=4)"]
-CMD ["python", "-m", "service", "serve"]
+# Web process and workers in one container; "web" or "worker" in place of "serve" runs one of them alone.
+ENTRYPOINT ["python", "-m", "service"]
+CMD ["serve"]

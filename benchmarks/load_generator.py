@@ -15,6 +15,7 @@ import time
 from collections import deque
 
 TIMEOUT_S = 10.0
+BUFFER_BYTES = 1 << 24
 Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
@@ -28,7 +29,7 @@ class Client:
 
     async def get(self, path: str) -> int:
         """The status of the answer, whose body has been read whole."""
-        reader, writer = self._idle.pop() if self._idle else await asyncio.open_connection(self._host, self._port)
+        reader, writer = self._idle.pop() if self._idle else await self._connect()
         writer.write(f"GET {path} HTTP/1.1\r\nHost: {self._host}\r\n\r\n".encode())
         head = await reader.readuntil(b"\r\n\r\n")
         lines = head.lower().split(b"\r\n")
@@ -36,6 +37,10 @@ class Client:
         await reader.readexactly(length)
         self._idle.append((reader, writer))
         return int(lines[0].split()[1])
+
+    async def _connect(self) -> Connection:
+        # A whole picture fits: a smaller buffer would stop and start reading for every 64 KiB.
+        return await asyncio.open_connection(self._host, self._port, limit=BUFFER_BYTES)
 
     def close(self) -> None:
         """Let go of all connections."""

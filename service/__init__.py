@@ -6,9 +6,12 @@ In the order in which a job meets them:
     settings        what the operator may set
     supervisor      keeps web process and workers running (with lifeline, stopping, listening)
     web, app        the web process and its application
+    connections     limits on connections and on the heads of requests
     middleware      limits on bodies, headers on answers
+    gate            who calls, before a body is read (with keys)
     problems        errors as problem documents
-    job_routes      POST /encode, GET and DELETE /jobs (with submission, bodies, views, parts)
+    job_routes      POST /encode, GET and DELETE /jobs, links (with submission, bodies, views, parts)
+    event_routes    GET /jobs/ID/events
     jobs            what a job is; the protocol of a job table
     sqlite_jobs     the job table in SQLite
     storage         files that are whole or absent (opened, as the table is, by backends)
@@ -16,6 +19,7 @@ In the order in which a job meets them:
     encode_process  the worker's side of the encoding process
     encode_child    the encoding process itself
     picture_routes  GET and POST /decode, GET /bitstreams (with decoding, pictures)
+    health_routes   GET /livez, /readyz and /metrics (with metrics)
 
 Only encode_child imports the encoder, and with it torch.
 """

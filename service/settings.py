@@ -1,6 +1,6 @@
 """Every setting of the service: its unit, its default, its range.
 
-Settings come from environment variables named SG_ and the field's name in capitals. service/README.md
+Settings come from environment variables named SG_ and the field's name in capitals. docs/deploy.md
 holds the same table; a test compares the two.
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import select
+import signal
 import socket
 from collections.abc import Iterator
 
@@ -176,3 +177,39 @@ def test_a_body_where_none_belongs(web: Service) -> None:
     answer = web.client.request("GET", "/livez", content=b"x" * 10_000)
     assert answer.status_code == 200
     assert web.client.get("/livez").status_code == 200
+
+
+def test_the_end_waits_for_an_upload_that_comes(start_service: StartService) -> None:
+    """SIGTERM: what has begun is accepted, what is new is not, and the exit status is 0."""
+    service = start_service(stop_grace_s=20)
+    service.client.get("/livez")
+    body = HEAD + SMALL + TAIL
+    with connect(service, f"Content-Length: {len(body)}") as connection:
+        connection.sendall(body[:1000])
+        service.process.send_signal(signal.SIGTERM)
+        wait_until(lambda: refuses(service))
+        connection.sendall(body[1000:])
+        with connection.makefile("rb") as response:
+            assert response.readline().startswith(b"HTTP/1.1 202 ")
+    assert service.stop() == 0
+    service.start()
+    assert len(service.client.get("/jobs").json()["jobs"]) == 1
+
+
+def test_the_end_does_not_wait_for_ever(start_service: StartService) -> None:
+    service = start_service(stop_grace_s=2, body_chunk_timeout_s=60)
+    service.client.get("/livez")
+    with connect(service, "Content-Length: 5000") as connection:
+        connection.sendall(HEAD)
+        service.process.send_signal(signal.SIGTERM)
+        assert service.stop() == 0
+    assert service.files() == []
+
+
+def refuses(service: Service) -> bool:
+    """Whether the service takes no new connections."""
+    try:
+        service.connect().close()
+    except ConnectionRefusedError:
+        return True
+    return False

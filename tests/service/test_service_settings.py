@@ -38,8 +38,8 @@ def expected_row(name: str, field: Any) -> str:
     return f"| `SG_{name.upper()}` | {default or 'none'} | {field.description} |"
 
 
-def test_readme_has_every_setting_with_its_default() -> None:
-    rows = re.findall(r"^\| `SG_.*$", (ROOT / "service" / "README.md").read_text(), re.MULTILINE)
+def test_the_operators_page_has_every_setting_with_its_default() -> None:
+    rows = re.findall(r"^\| `SG_.*$", (ROOT / "docs" / "deploy.md").read_text(), re.MULTILINE)
     assert rows == [expected_row(name, field) for name, field in Settings.model_fields.items()]
 
 
