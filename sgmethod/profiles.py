@@ -76,6 +76,8 @@ class RdSettings(OptimiserSettings):
     growth_at: tuple[float, ...] = (0.03, 0.09, 0.15, 0.21, 0.27, 0.33, 0.39, 0.45, 0.55, 0.65)
     growth: float = 0.35  # at most this part of the Gaussians is added at once
     bits_of_new: float = 20.0  # a Gaussian is added where it gains more than so many bits are worth
+    bits_of_dropped: float = 25.0  # and dropped at the end of the growth and after where its energy is worth less
+    bits_of_nothing: float = 4.3  # likewise before: such a Gaussian rounds to nothing
     rate_weight: float = 2.0  # of the theoretical price of a bit
     color_solve_steps: int = 10  # conjugate-gradient steps for the start's colours and for the last ones
     # While Gaussians are few a picture of half the size, or a quarter, serves as well.

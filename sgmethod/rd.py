@@ -120,18 +120,18 @@ class RdFit:
         return large[-1] if large else self.picture
 
     def _reconsider(self, at: float) -> None:
-        """Steer the quantum; while growing, also drop and add Gaussians."""
+        """Drop Gaussians, steer the quantum and, while growing, add Gaussians."""
         s = self.settings
-        if at in s.growth_at:
-            self._drop()
-            self._steer(at, s.steering_exponent)
+        growing = at in s.growth_at
+        self._drop(s.bits_of_dropped if at >= s.growth_at[-1] else s.bits_of_nothing)
+        self._steer(at, s.steering_exponent if growing else s.trim_exponent)
+        if growing:
             self._grow()
-        else:
-            self._steer(at, s.trim_exponent)
 
-    def _drop(self) -> None:
-        """Remove Gaussians that would round to nothing."""
-        keep = torch.nonzero(quantiser.energies(self.p) > 0.5 * self.coder.quantum**2)[:, 0]
+    def _drop(self, bits: float) -> None:
+        """Remove Gaussians whose energy is not worth so many bits."""
+        least = bits * quantiser.error_per_bit(self.coder.quantum)
+        keep = torch.nonzero(quantiser.energies(self.p) > least)[:, 0]
         if len(keep) < len(self.p.means):
             self._keep(keep)
 
