@@ -29,9 +29,9 @@ def candidates(residual: FloatArray, most: int, least_gain: float) -> Gaussians:
     scales = [s for s in SCALES_PX if 4 * s <= max(height, width)] or [SCALES_PX[0]]
     gain = np.zeros((height, width), np.float32)
     chosen = np.zeros((height, width), np.uint8)  # index of the scale with that gain
-    blurred = [_blur(residual, s) for s in scales]
-    for index, (s, image) in enumerate(zip(scales, blurred, strict=True)):
-        found = cv2.transform(image * image, np.full((1, 3), 4 * math.pi * s * s, np.float32))
+    for index, s in enumerate(scales):
+        image = _blur(residual, s)
+        found = cv2.transform(cv2.multiply(image, image, dst=image), np.full((1, 3), 4 * math.pi * s * s, np.float32))
         better = found > gain
         np.copyto(gain, found, where=better)
         np.copyto(chosen, np.uint8(index), where=better)
@@ -41,9 +41,10 @@ def candidates(residual: FloatArray, most: int, least_gain: float) -> Gaussians:
     means = np.stack([columns, rows], 1).astype(np.float32) + 0.5
     scale = np.array(scales, np.float32)[chosen[rows, columns]]
     colors = np.zeros((len(rows), 3), np.float32)
-    for index, image in enumerate(blurred):
-        mine = chosen[rows, columns] == index
-        colors[mine] = 2 * image[rows[mine], columns[mine]]
+    for index, s in enumerate(scales):  # blurred again: keeping all would take seven pictures of memory
+        mine = np.flatnonzero(chosen[rows, columns] == index)
+        if len(mine):
+            colors[mine] = 2 * _blur(residual, s)[rows[mine], columns[mine]]
     return Gaussians(means, np.stack([scale, 0 * scale, scale], 1), colors)
 
 
