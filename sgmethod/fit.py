@@ -65,8 +65,8 @@ class Recorder:
             self.on_progress(point)
 
 
-RESERVE_S = 0.2  # plus RESERVE_S_PER_MEGAPIXEL, kept back of a time limit for writing and measuring the file
-RESERVE_S_PER_MEGAPIXEL = 1.0
+RESERVE_S = 0.15  # plus RESERVE_S_PER_MEGAPIXEL, kept back of a time limit for writing and measuring the file
+RESERVE_S_PER_MEGAPIXEL = 1.3
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,12 @@ class Picture:
         """The same picture at half the size."""
         planes = torch.nn.functional.pad(self.target[None], (0, self.width % 2, 0, self.height % 2), mode="replicate")
         small = torch.nn.functional.avg_pool2d(planes, 2)[0].permute(1, 2, 0).numpy()
-        return Picture(small, self.lambda_g, 2 * self.spacing)
+        picture = Picture(small, self.lambda_g, 2 * self.spacing)
+        # Scratch is shared: pictures are evaluated one at a time.
+        picture._image, picture._grad = (
+            whole.view(-1)[: picture.target.numel()].view_as(picture.target) for whole in (self._image, self._grad)
+        )
+        return picture
 
     def rasterise(self, means: Tensor, factors: Tensor) -> native.Rasterization:
         """The geometry over this picture's pixels."""
@@ -162,10 +167,9 @@ class Picture:
         return mse, out
 
     def residual(self, p: Parameters) -> Tensor:
-        """Target minus picture [3, H, W], in this picture's pixels."""
-        image = torch.empty_like(self.target)
-        self.rasterise(p.means, p.factors).render(p.colors.contiguous(), image)
-        return self.target - image
+        """Target minus picture [3, H, W], in this picture's pixels; valid until gradients() is called."""
+        self.rasterise(p.means, p.factors).render(p.colors.contiguous(), self._grad)
+        return torch.sub(self.target, self._grad, out=self._grad)
 
     def solve_colors(
         self, means: Tensor, factors: Tensor, steps: int, residual_of: Tensor | None = None, damping: float = 1e-2

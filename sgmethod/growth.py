@@ -35,6 +35,7 @@ def candidates(residual: FloatArray, most: int, least_gain: float) -> Gaussians:
         better = found > gain
         np.copyto(gain, found, where=better)
         np.copyto(chosen, np.uint8(index), where=better)
+        del image  # before the next one: of a large picture, one at a time
     rows, columns = np.nonzero(_peaks(gain, chosen, scales) & (gain > least_gain))
     order = np.argsort(-gain[rows, columns], kind="stable")[: max(most, 0)]
     rows, columns = rows[order], columns[order]

@@ -22,6 +22,8 @@ SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 WINDOW_SIZE, WINDOW_SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
+BLOCK = 1 << 20  # values compared at a time: float64 copies of whole pictures would take more memory than an encode
+
 # The window must fit at the coarsest of the five scales: a side of 161 has 11 pixels there, 160 has 10.
 MIN_SIDE = (WINDOW_SIZE - 1) * 2 ** (len(SCALE_WEIGHTS) - 1) + 1
 
@@ -31,9 +33,13 @@ def psnr(a: Pixels, b: Pixels) -> float:
 
     10 log10(peak^2 / mean((a - b)^2)), peak 255 for uint8 and 1 for floats. Shapes: any, equal.
     """
-    x, y = _unit_scale(a, b)
-    error = float(np.mean(np.square(x - y)))
-    return math.inf if error == 0 else -10 * math.log10(error)
+    peak = _peak(a, b)
+    x, y = a.reshape(-1), b.reshape(-1)
+    total = 0.0
+    for start in range(0, x.size, BLOCK):
+        error = x[start : start + BLOCK].astype(np.float64) - y[start : start + BLOCK]
+        total += float(np.dot(error, error))
+    return math.inf if total == 0 else -10 * math.log10(total / (a.size * peak**2))
 
 
 def ms_ssim(a: Pixels, b: Pixels) -> float | None:
@@ -44,46 +50,69 @@ def ms_ssim(a: Pixels, b: Pixels) -> float | None:
     zero; a negative mean of any scale counts as 0. These are the choices of the package pytorch-msssim, whose
     numbers are the ones usually published.
     """
-    x, y = _unit_scale(a, b)
-    if x.ndim != 3:
-        raise ValueError(f"pictures must be [H, W, C], got {list(x.shape)}")
-    if min(x.shape[:2]) < MIN_SIDE:
+    peak = _peak(a, b)
+    if a.ndim != 3:
+        raise ValueError(f"pictures must be [H, W, C], got {list(a.shape)}")
+    if min(a.shape[:2]) < MIN_SIDE:
         return None
-    product = np.ones(x.shape[2])
+
+    def channel(image: Pixels, k: int) -> Float64Array:
+        return np.divide(image[:, :, k], peak, dtype=np.float64)
+
+    return float(np.mean([_ms_ssim(channel(a, k), channel(b, k)) for k in range(a.shape[2])]))
+
+
+def _ms_ssim(x: Float64Array, y: Float64Array) -> float:
+    """Of one channel [H, W]."""
+    product = 1.0
     for scale, weight in enumerate(SCALE_WEIGHTS, start=1):
         similarity, contrast = _ssim(x, y)
         last = scale == len(SCALE_WEIGHTS)
-        product *= np.maximum(similarity if last else contrast, 0) ** weight
+        product *= max(similarity if last else contrast, 0.0) ** weight
         if not last:
             x, y = _halve(x), _halve(y)
-    return float(product.mean())
+    return product
 
 
-def _unit_scale(a: Pixels, b: Pixels) -> tuple[Float64Array, Float64Array]:
+def _peak(a: Pixels, b: Pixels) -> int:
+    """The largest level of two pictures that can be compared."""
     if a.shape != b.shape or a.dtype != b.dtype or a.size == 0:
         kinds = f"{a.dtype} {list(a.shape)} and {b.dtype} {list(b.shape)}"
         raise ValueError(f"pictures must have one shape and type, and pixels; got {kinds}")
     if a.dtype != np.uint8 and not np.issubdtype(a.dtype, np.floating):
         raise ValueError(f"pictures must be uint8 or floating point, got {a.dtype}")
-    peak = 255 if a.dtype == np.uint8 else 1
-    return a.astype(np.float64) / peak, b.astype(np.float64) / peak
+    return 255 if a.dtype == np.uint8 else 1
 
 
-def _ssim(x: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Per channel, [C]: the means of the SSIM map and of its contrast-structure part."""
+def _ssim(x: Float64Array, y: Float64Array) -> tuple[float, float]:
+    """The means of the SSIM map and of its contrast-structure part. In place where it can be: planes are large."""
     mean_x, mean_y = _window(x), _window(y)
     mean_xy = mean_x * mean_y
-    energy = mean_x * mean_x + mean_y * mean_y
+    energy = np.square(mean_x, out=mean_x)
+    energy += np.square(mean_y, out=mean_y)
+    del mean_y
     # The two variances are only ever added, so four filters do instead of five.
-    variances = _window(x * x + y * y) - energy
-    covariance = _window(x * y) - mean_xy
-    contrast = (2 * covariance + C2) / (variances + C2)
-    luminance = (2 * mean_xy + C1) / (energy + C1)
-    return (luminance * contrast).mean(axis=(0, 1)), contrast.mean(axis=(0, 1))
+    contrast = _window(x * y)
+    contrast -= mean_xy
+    contrast *= 2
+    contrast += C2
+    square = x * x
+    square += y * y
+    variances = _window(square)
+    del square
+    variances -= energy
+    variances += C2
+    contrast /= variances
+    luminance = np.multiply(mean_xy, 2, out=mean_xy)
+    luminance += C1
+    energy += C1
+    luminance /= energy
+    luminance *= contrast
+    return float(luminance.mean()), float(contrast.mean())
 
 
 def _window(x: Float64Array) -> Float64Array:
-    """Gaussian-weighted means over all windows inside x: [H, W, C] -> [H - 10, W - 10, C]."""
+    """Gaussian-weighted means over all windows inside x: [H, W] -> [H - 10, W - 10]."""
     import cv2  # belongs to the extra "encode"; psnr does without
 
     offsets = np.arange(WINDOW_SIZE) - WINDOW_SIZE // 2
@@ -91,12 +120,12 @@ def _window(x: Float64Array) -> Float64Array:
     weights /= weights.sum()
     margin = WINDOW_SIZE // 2
     filtered = np.asarray(cv2.sepFilter2D(x, cv2.CV_64F, weights, weights), dtype=np.float64)
-    return filtered.reshape(x.shape)[margin:-margin, margin:-margin]
+    return filtered[margin:-margin, margin:-margin]
 
 
 def _halve(x: Float64Array) -> Float64Array:
     """Means over 2 x 2 pixels, after a row or column of zeros in front where a side is odd."""
-    height, width, _ = x.shape
+    height, width = x.shape
     if height % 2 or width % 2:
-        x = np.pad(x, ((height % 2, 0), (width % 2, 0), (0, 0)))
+        x = np.pad(x, ((height % 2, 0), (width % 2, 0)))
     return (x[0::2, 0::2] + x[1::2, 0::2] + x[0::2, 1::2] + x[1::2, 1::2]) / 4

@@ -58,6 +58,15 @@ sg::Rasterization* make(Rows<2> means, Rows<3> factors, int width, int height, i
   return new sg::Rasterization(means.data(), factors.data(), n, width, height, isa < 0 ? best : isa, max_pairs);
 }
 
+// The loss and a share in the array it refers to.
+struct LossOfTarget {
+  LossOfTarget(Image image, float lambda_g)
+      : target(std::move(image)),
+        loss(target.data(), static_cast<int>(target.shape(2)), static_cast<int>(target.shape(1)), lambda_g) {}
+  Image target;
+  sg::ReconstructionLoss loss;
+};
+
 }  // namespace
 
 NB_MODULE(_native, m) {
@@ -98,12 +107,10 @@ NB_MODULE(_native, m) {
         r.backward(colors.data(), grad.data(), {means.data(), factors.data(), out.data()});
       }, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(), "out_colors"_a.noconvert());
 
-  nb::class_<sg::ReconstructionLoss>(m, "ReconstructionLoss")
-      .def(nb::new_([](Image target, float lambda_g) {
-             return new sg::ReconstructionLoss(target.data(), static_cast<int>(target.shape(2)), static_cast<int>(target.shape(1)), lambda_g);
-           }),
-           "target"_a, "lambda_g"_a)
-      .def("__call__", [](sg::ReconstructionLoss& loss, Image image, ImageOut grad) {
+  nb::class_<LossOfTarget>(m, "ReconstructionLoss")
+      .def(nb::init<Image, float>(), "target"_a, "lambda_g"_a)
+      .def("__call__", [](LossOfTarget& held, Image image, ImageOut grad) {
+        sg::ReconstructionLoss& loss = held.loss;
         require_size(image, loss.width(), loss.height());
         require_size(grad, loss.width(), loss.height());
         sg::Loss value;

@@ -86,7 +86,7 @@ SG_CLONES void gradient_row(const float* d, const float* u, const float* v, int6
 }  // namespace
 
 ReconstructionLoss::ReconstructionLoss(const float* target, int width, int height, float lambda_g)
-    : width_(width), height_(height), stride_(width + 2), lambda_g_(lambda_g), target_(target, target + 3 * static_cast<int64_t>(width) * height) {
+    : width_(width), height_(height), stride_(width + 2), lambda_g_(lambda_g), target_(target) {
   if (lambda_g == 0.0f) return;
   const int64_t padded = 3 * static_cast<int64_t>(height + 2) * stride_;
   for (auto* plane : {&weight_x_, &weight_y_, &difference_, &u_, &v_}) plane->assign(padded, 0.0f);
@@ -121,7 +121,7 @@ Loss ReconstructionLoss::operator()(const float* image, float* grad) {
 
   for_rows([&](int task, int channel, int row, int64_t offset) {
     float* d = plain ? grad + offset : difference_.data() + at(channel, row);
-    squares[task] += subtract(image + offset, target_.data() + offset, d, width_);
+    squares[task] += subtract(image + offset, target_ + offset, d, width_);
     if (plain) scale_row(d, d, width_, mse_scale);
   });
   if (!plain) {

@@ -11,7 +11,7 @@ struct Loss {
   double geometry;  // L_g, 0 when lambda_g is 0
 };
 
-// Holds one target image [3, height, width], values in [0, 1], and what L_g needs of it.
+// Refers to one target image [3, height, width], values in [0, 1], which must outlive it; holds what L_g needs of it.
 class ReconstructionLoss {
  public:
   ReconstructionLoss(const float* target, int width, int height, float lambda_g);
@@ -29,7 +29,7 @@ class ReconstructionLoss {
 
   int width_, height_, stride_;
   float lambda_g_;
-  std::vector<float> target_;            // [3, height, width]
+  const float* target_;  // [3, height, width]
   std::vector<float> weight_x_, weight_y_;  // |Gx|, |Gy| in padded planes, zero on the image's border
   std::vector<float> difference_, u_, v_;   // padded planes
 };
