@@ -29,7 +29,7 @@ class Client:
 
     async def get(self, path: str) -> int:
         """The status of the answer, whose body has been read whole."""
-        reader, writer = self._idle.pop() if self._idle else await self._connect()
+        reader, writer = await self._connection()
         writer.write(f"GET {path} HTTP/1.1\r\nHost: {self._host}\r\n\r\n".encode())
         head = await reader.readuntil(b"\r\n\r\n")
         lines = head.lower().split(b"\r\n")
@@ -38,7 +38,13 @@ class Client:
         self._idle.append((reader, writer))
         return int(lines[0].split()[1])
 
-    async def _connect(self) -> Connection:
+    async def _connection(self) -> Connection:
+        """One that the server has not closed for being idle, or a new one."""
+        while self._idle:
+            reader, writer = self._idle.pop()
+            if not reader.at_eof():
+                return reader, writer
+            writer.close()
         # A whole picture fits: a smaller buffer would stop and start reading for every 64 KiB.
         return await asyncio.open_connection(self._host, self._port, limit=BUFFER_BYTES)
 
