@@ -71,7 +71,7 @@ class Settings(OptimiserSettings):
 class RdSettings(OptimiserSettings):
     """Hyper-parameters of profile rd: ours (docs/design.md). Times are parts of the schedule."""
 
-    steps: int = 4000
+    steps: int = 3000
     start_share: float = 0.1  # of the expected Gaussians, placed by structure; the others grow where the error is
     growth_at: tuple[float, ...] = (0.03, 0.09, 0.15, 0.21, 0.27, 0.33, 0.39, 0.45, 0.55, 0.65)
     growth: float = 0.35  # at most this part of the Gaussians is added at once
