@@ -15,7 +15,7 @@ from service.keys import KeyRing, Link, RateLimit
 from service.problems import ProblemError, problem_response
 
 # A page must load before a person can give it a key, and probes have none.
-OPEN_PATHS = frozenset({"/", "/livez", "/readyz", "/openapi.json"})
+OPEN_PATHS = frozenset({"/", "/healthz", "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
 

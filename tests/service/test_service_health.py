@@ -21,7 +21,7 @@ def figures(service: Service) -> dict[str, float]:
     return {name: float(value) for name, value in (line.rsplit(" ", 1) for line in lines)}
 
 
-@pytest.mark.parametrize("path", ["/livez", "/readyz"])
+@pytest.mark.parametrize("path", ["/livez", "/healthz", "/readyz"])
 def test_probes(web: Service, path: str) -> None:
     answer = web.client.get(path)
     assert (answer.status_code, answer.json()["status"]) == (200, "ok")
