@@ -22,7 +22,8 @@ VERSION = version("sgmethod")
 PATIENCE_S = 2.0  # a table that takes longer is no better than none
 
 
-@router.get("/healthz", include_in_schema=False)  # its name before there was /readyz
+@router.head("/healthz", include_in_schema=False)
+@router.get("/healthz", include_in_schema=False)  # the name before there was /readyz
 @router.head("/livez", include_in_schema=False)
 @router.get("/livez")
 async def live() -> views.HealthView:
