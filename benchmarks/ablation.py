@@ -36,7 +36,7 @@ class Part:
     patched: Callable[[], AbstractContextManager[Any]] = nullcontext
 
 
-def _keep_all(_: Any) -> None:
+def _keep_all(_: Any, _bits: float) -> None:
     """In place of dropping Gaussians."""
 
 
@@ -44,7 +44,9 @@ PARTS = (
     Part("nothing", {}),
     Part("growth (all placed by structure at the start)", {"start_share": 1.0, "bits_of_new": 1e12}),
     Part("structure (random start)", {}, lambda: patch.object(rd, "PAPER", replace(PAPER, structure_guided=False))),
-    Part("dropping what rounds to nothing", {}, lambda: patch.object(rd.RdFit, "_drop", _keep_all)),
+    Part("dropping Gaussians", {}, lambda: patch.object(rd.RdFit, "_drop", _keep_all)),
+    Part("dropping those not worth their bits", {"bits_of_dropped": RD.bits_of_nothing}),
+    Part("smaller pictures at first", {"halvings": 0}),
     Part("a price for existing (anything may grow)", {"bits_of_new": 0.0}),
     Part("a price for bits while fitting", {}, lambda: patch.object(quantiser, "add_rate_gradient")),
     Part("noise while fitting", {}, lambda: patch.object(quantiser, "dithered", lambda p, *_: p)),

@@ -279,7 +279,7 @@ def encode(task: Task, settings: RdSettings) -> tuple[bytes, int]:
         raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {goal.max_bytes}")
     with torch.no_grad():
         fit = RdFit(task.pixels, goal, settings, task.seed, task.recorder)
-        plan = Plan("fit", settings.steps, task.until_s(), patience=1.0)
+        plan = Plan("fit and tune", settings.steps, task.until_s(), patience=1.0)
         done = run(plan, task.recorder, fit.step, settings.final_rate)
         return bitstream_rd.serialise(fit.finish(task.source())), done
 
