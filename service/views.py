@@ -15,7 +15,7 @@ PHASES = {
     "start": (0.0, 0.0),
     "fit": (0.0, 0.6),
     "tune": (0.6, 1.0),
-    "fit and tune": (0.0, 1.0),  # profile rd does both at once
+    "joint": (0.0, 1.0),  # profile rd does both at once
     "done": (1.0, 1.0),
 }
 MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches again and again

@@ -172,12 +172,9 @@ class RdFit:
             # The whole size from the first: the fine steps that this means while Gaussians are few serve them well.
             ratio = (self.size / self.goal.max_bytes) ** exponent
         elif self.goal.psnr is not None:
-            # Early in the growth a larger error than the final one is right.
-            missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
-            aim = self.goal.psnr - s.early_db * missing
-            ratio = 2 ** ((self._rounded_psnr() - aim) / s.db_per_doubling * exponent)
+            ratio = 2 ** ((self._rounded_psnr() - self.goal.psnr) / s.db_per_doubling * exponent)
         if ratio != 1.0:
-            limit = s.steering_limit
+            limit = s.steering_limit if self.goal.psnr is None else s.psnr_steering_limit
             self.coder = self.coder.with_quantum(self.coder.quantum * min(max(ratio, 1 / limit), limit))
 
     def _rounded_psnr(self) -> float:
@@ -279,7 +276,7 @@ def encode(task: Task, settings: RdSettings) -> tuple[bytes, int]:
         raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {goal.max_bytes}")
     with torch.no_grad():
         fit = RdFit(task.pixels, goal, settings, task.seed, task.recorder)
-        plan = Plan("fit and tune", settings.steps, task.until_s(), patience=1.0)
+        plan = Plan("joint", settings.steps, task.until_s(), patience=1.0)
         done = run(plan, task.recorder, fit.step, settings.final_rate)
         return bitstream_rd.serialise(fit.finish(task.source())), done
 
