@@ -89,7 +89,7 @@ class RdSettings(OptimiserSettings):
     steering_from: float = 0.12
     steering_exponent: float = 0.9
     steering_limit: float = 1.35  # the quantum's largest change at a time
-    psnr_steering_limit: float = 1.08  # likewise; growth lags behind a PSNR, and 1.35 overshot (+5 and +20 % bytes)
+    early_db: float = 2.0  # below the final PSNR, right when steering begins
     trim_at: tuple[float, ...] = (0.78, 0.82, 0.86, 0.9)
     trim_exponent: float = 0.6
     db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles

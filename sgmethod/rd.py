@@ -172,9 +172,12 @@ class RdFit:
             # The whole size from the first: the fine steps that this means while Gaussians are few serve them well.
             ratio = (self.size / self.goal.max_bytes) ** exponent
         elif self.goal.psnr is not None:
-            ratio = 2 ** ((self._rounded_psnr() - self.goal.psnr) / s.db_per_doubling * exponent)
+            # Early in the growth a larger error than the final one is right.
+            missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
+            aim = self.goal.psnr - s.early_db * missing
+            ratio = 2 ** ((self._rounded_psnr() - aim) / s.db_per_doubling * exponent)
         if ratio != 1.0:
-            limit = s.steering_limit if self.goal.psnr is None else s.psnr_steering_limit
+            limit = s.steering_limit
             self.coder = self.coder.with_quantum(self.coder.quantum * min(max(ratio, 1 / limit), limit))
 
     def _rounded_psnr(self) -> float:
