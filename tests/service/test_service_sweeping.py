@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import job_table
 import pytest
+from job_table import claimed
 
-from service.jobs import (
-    EncodeRequest,
-    EncodeResult,
-    JobBackend,
-    JobError,
-    JobRules,
-    NewJob,
-    SourceImage,
-    new_job_id,
-)
+from service.jobs import EncodeResult, JobBackend, JobError, JobRules, new_job_id
 from service.sqlite_jobs import SqliteJobs
 from service.storage import DiskStorage, Storage, bitstream_key, source_key
 from service.sweeping import Swept, sweep
@@ -37,16 +30,14 @@ def storage(tmp_path: Path) -> Storage:
 
 
 def submitted(backend: JobBackend, storage: Storage) -> str:
-    request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = backend.submit(NewJob(new_job_id(), request, image, "f"), 10)
-    storage.put(source_key(job.id), b"image")
-    return job.id
+    job_id = job_table.submitted(backend)
+    storage.put(source_key(job_id), b"image")
+    return job_id
 
 
 def finished(backend: JobBackend, storage: Storage) -> str:
     submitted(backend, storage)
-    claim = backend.claim("w")
-    assert claim is not None
+    claim = claimed(backend)
     key = bitstream_key(claim.job_id, claim.attempt)
     storage.put(key, b"bitstream")
     assert backend.finish(claim, EncodeResult(key, "", {}))
@@ -61,9 +52,7 @@ def stored(storage: Storage) -> set[str]:
 def test_files_that_no_job_needs_go(backend: JobBackend, storage: Storage) -> None:
     done = finished(backend, storage)
     running, waiting = submitted(backend, storage), submitted(backend, storage)
-    claim = backend.claim("w")
-    assert claim is not None
-    assert claim.job_id == running
+    assert claimed(backend).job_id == running
     storage.put(bitstream_key(running, 1), b"not published yet")
     needed = stored(storage)
     assert needed == {
@@ -84,8 +73,7 @@ def test_files_that_no_job_needs_go(backend: JobBackend, storage: Storage) -> No
 def test_finished_jobs_go_when_their_time_is_over(backend: JobBackend, storage: Storage) -> None:
     finished(backend, storage)
     submitted(backend, storage)
-    refused = backend.claim("w")
-    assert refused is not None
+    refused = claimed(backend)
     assert backend.fail(refused, JobError("refused", "no"), retry=False)
     storage.delete(source_key(refused.job_id))
     waiting = submitted(backend, storage)
