@@ -66,7 +66,7 @@ def rd_dither(
     """Fill out_* with the Gaussians under the quantiser's noise; noise [N, 8] is uniform in [-0.5, 0.5)."""
 
 def rd_rate_gradient(quantum: float, weight: float, factors: Any, colors: Any, by_factors: Any, by_colors: Any) -> None:
-    """Add the gradient of weight * sum of sgmethod.quantise.rd.rate_bits to by_factors and by_colors."""
+    """Add the gradient that sgmethod.quantise.rd.add_rate_gradient describes to by_factors and by_colors."""
 
 class RdParameters:
     """What the stream of profile rd needs to know before its first Gaussian."""

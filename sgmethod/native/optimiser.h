@@ -27,7 +27,7 @@ void frame_adam(const AdamSettings& settings, int n, const MutableGaussians& p, 
 // out = p with noise [n, 8], uniform in [-0.5, 0.5), as wide as the quantiser's steps: d (2), u, v, r, colour (3).
 void rd_dither(float quantum, int n, const ConstGaussians& p, const float* noise, const MutableGaussians& out);
 
-// Adds to grad_factors and grad_colors the gradient of weight * sum of sgmethod.quantise.rd.rate_bits.
+// Adds the gradient that sgmethod.quantise.rd.add_rate_gradient describes to grad_factors and grad_colors.
 void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,
                       float* grad_colors);
 
