@@ -18,13 +18,12 @@ from typing import Any
 from unittest.mock import patch
 
 from benchmarks.machine import ROOT, in_words, origin, write_json
+from benchmarks.pictures import pictures_in
 from sgmethod import Budget, rd
 from sgmethod.codec import encode
 from sgmethod.image import read_image
 from sgmethod.profiles import PAPER, PROFILES, RD, RdSettings
 from sgmethod.quantise import rd as quantiser
-
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "ablation.json")
     options = parser.parse_args()
-    every = sorted(p for p in options.images.iterdir() if p.suffix.lower() in SUFFIXES)
+    every = pictures_in(options.images)
     pictures = every[:: max(len(every) // options.most, 1)][: options.most]
     if not pictures:
         raise SystemExit(f"there is no picture in {options.images}")

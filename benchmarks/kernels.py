@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from benchmarks.machine import ISA_NAMES, ROOT, in_words, origin, write_json
+from benchmarks.pictures import pictures_in
 from sgmethod.fit import Clock, Parameters, Picture, Recorder, fit
 from sgmethod.native_module import native
 from sgmethod.placement import place
@@ -32,7 +33,6 @@ SIZE = (768, 512)
 FIT_TARGET_S = 10.0  # 1,000 steps of profile paper's fit, regularisation included, two cores
 TARGETS_MS = {"forward": 2.0, "forward + backward": 8.0}  # best instruction set, two cores
 BUSY = 0.5  # load of the last minute above which the cores are not ours alone
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,10 @@ def load(folder: Path | None) -> tuple[str, NDArray[np.float32]]:
     """Name and pixels of the folder's first picture, or of a test picture, brought to SIZE."""
     path = ROOT / "tests" / "data" / "kodim23-crop.png"
     if folder is not None:
-        path = min((p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES), default=path)
-        if path.parent != folder:
+        pictures = pictures_in(folder)
+        if not pictures:
             raise SystemExit(f"there is no picture in {folder}")
+        path = pictures[0]
     with Image.open(path) as picture:
         fitted = ImageOps.fit(picture.convert("RGB"), SIZE, Image.Resampling.LANCZOS)
     return path.name, np.asarray(fitted, np.float32) / 255

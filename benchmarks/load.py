@@ -32,13 +32,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from benchmarks.machine import ROOT, in_words, origin
+from benchmarks.pictures import pictures_in
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
 RATE, LIVE_RATE = 50.0, 20.0
 TARGETS_MS = {"decode p50": 12.0, "decode p99": 40.0, "livez p99": 20.0}
 SOAK_SIZE = (4000, 3000)
 PATIENCE_S = 300.0
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 
 
 def made_picture(width: int, height: int, seed: int = 0) -> NDArray[np.uint8]:
@@ -62,11 +62,11 @@ def picture(folder: Path | None) -> tuple[str, bytes]:
     """Name and PNG of the folder's first picture brought to SIZE, or of one that is made here."""
     if folder is None:
         return "a made picture", png(Image.fromarray(made_picture(*SIZE)))
-    path = min((p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES), default=None)
-    if path is None:
+    pictures = pictures_in(folder)
+    if not pictures:
         raise SystemExit(f"there is no picture in {folder}")
-    with Image.open(path) as image:
-        return path.name, png(ImageOps.fit(image.convert("RGB"), SIZE, Image.Resampling.LANCZOS))
+    with Image.open(pictures[0]) as image:
+        return pictures[0].name, png(ImageOps.fit(image.convert("RGB"), SIZE, Image.Resampling.LANCZOS))
 
 
 def png(image: Image.Image) -> bytes:

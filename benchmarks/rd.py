@@ -27,12 +27,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks.machine import ROOT, in_words, origin, write_json
+from benchmarks.pictures import pictures_in
 from sgmethod import Budget, decode, encode, info
 from sgmethod.image import read_image
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import PROFILE_NAMES
 
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 DECODES = 5  # the median of their times is reported
 
 # GaussianImage on Kodak: (bpp, PSNR in dB, MS-SSIM), means over the 24 pictures. Rates follow from its field
@@ -338,7 +338,7 @@ def main() -> None:
     codecs: list[Codec] = [Sg(name) for name in options.profiles.split(",") if name]
     codecs += [rival() for rival in RIVALS] if options.rivals else []
     rates = [float(rate) for rate in options.bpp.split(",")]
-    paths = sorted(p for p in options.images.iterdir() if p.suffix.lower() in SUFFIXES)
+    paths = pictures_in(options.images)
     if not paths:
         parser.error(f"there is no picture in {options.images}")
 

@@ -17,14 +17,13 @@ import numpy as np
 import torch
 
 from benchmarks.machine import ROOT, in_words, origin, write_json
+from benchmarks.pictures import pictures_in
 from sgmethod import bitstream_rd
 from sgmethod.fit import Clock, Plan, Recorder, run
 from sgmethod.image import read_image
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import RD, RdSettings
 from sgmethod.rd import Goal, RdFit
-
-SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
 
 
 def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, Any]:
@@ -55,7 +54,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=RD.steps)
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "representation.json")
     options = parser.parse_args()
-    pictures = sorted(p for p in options.images.iterdir() if p.suffix.lower() in SUFFIXES)
+    pictures = pictures_in(options.images)
     if not pictures:
         raise SystemExit(f"there is no picture in {options.images}")
     settings = replace(RD, steps=options.steps, rounding_from=2.0)
