@@ -113,6 +113,11 @@ class Parameters:
         """A copy of plain arrays."""
         return cls(*(torch.tensor(a) for a in (gaussians.means, gaussians.factors, gaussians.colors)))
 
+    @classmethod
+    def empty(cls, n: int) -> Parameters:
+        """n Gaussians whose values are not set, for kernels to fill."""
+        return cls(torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3))
+
     def numpy(self) -> Gaussians:
         """Plain arrays."""
         return Gaussians(*(np.ascontiguousarray(t.detach().numpy()) for t in (self.means, self.factors, self.colors)))
@@ -158,8 +163,7 @@ class Picture:
         colors = p.colors.contiguous()
         raster.render(colors, self._image)
         mse, _ = self._loss(self._image, self._grad)
-        n = len(p.means)
-        out = Parameters(torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3))
+        out = Parameters.empty(len(p.means))
         raster.backward(colors, self._grad, out.means, out.factors, out.colors)
         if self.spacing != 1:
             out.means /= self.spacing

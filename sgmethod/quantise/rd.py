@@ -30,7 +30,7 @@ def error_per_bit(quantum: float) -> float:
 def dithered(p: Parameters, quantum: float, generator: torch.Generator) -> Parameters:
     """p with uniform noise as wide as the quantiser's steps: what rounding does, but with useful gradients."""
     noise = torch.rand(len(p.means), 8, generator=generator) - 0.5
-    out = Parameters(torch.empty_like(p.means), torch.empty_like(p.factors), torch.empty_like(p.colors))
+    out = Parameters.empty(len(p.means))
     native.rd_dither(quantum, p.means, p.factors, p.colors, noise, out.means, out.factors, out.colors)
     return out
 
@@ -63,7 +63,7 @@ class Coder:
 
     def rounded(self, p: Parameters) -> Parameters:
         """What the decoder will see; colour 0 where nothing of a Gaussian is left."""
-        out = Parameters(torch.empty_like(p.means), torch.empty_like(p.factors), torch.empty_like(p.colors))
+        out = Parameters.empty(len(p.means))
         means, factors, colors = (t.contiguous() for t in (p.means, p.factors, p.colors))
         native.rd_quantise(self._parameters, means, factors, colors, out.means, out.factors, out.colors)
         return out
