@@ -23,6 +23,7 @@ The pipeline, in the order in which it runs; each module imports only from those
     quantise/   quantisers: lattice, codebook and paper (LSQ, ABQ, RVQ), rd (steps from sensitivity, noise, rate)
     growth      where another Gaussian would pay
     paper       profiles paper and baseline
+    rd_finish   profile rd, from fitted Gaussians to the file that meets the goal best
     rd          profile rd: how many Gaussians, where and how fine
     codec       encode(): a profile, then the measured result
     client      the same encode by a service elsewhere

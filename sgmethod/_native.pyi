@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-CUTOFF: float
+MAX_CUTOFF: float
 TILE_WIDTH: int
 TILE_HEIGHT: int
 
@@ -20,7 +20,14 @@ class Rasterization:
     """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""
 
     def __init__(
-        self, means: Any, factors: Any, width: int, height: int, isa: int = -1, max_pairs: int = 2**31
+        self,
+        means: Any,
+        factors: Any,
+        width: int,
+        height: int,
+        cutoff: float = 5.5,
+        isa: int = -1,
+        max_pairs: int = 2**31,
     ) -> None: ...
     def render(self, colors: Any, image: Any) -> None:
         """Fill image [3, height, width]."""
@@ -79,6 +86,20 @@ def rd_quantise(
     """Fill out_* with what decoding an encoding would give; colour 0 where nothing of a Gaussian is left."""
 
 def rd_encode(parameters: RdParameters, means: Any, factors: Any, colors: Any) -> bytes: ...
+def rd_refine(
+    parameters: RdParameters,
+    means: Any,
+    factors: Any,
+    colors: Any,
+    target: Any,
+    cutoff: float,
+    price: float,
+    sweeps: int,
+    seconds: float,
+    max_bytes: int,
+) -> bytes:
+    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/rd_refine.h)."""
+
 def rd_decode(
     parameters: RdParameters, data: bytes, prefix: bool = False
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:

@@ -22,6 +22,7 @@ VERSION = 1
 PROFILE_CODES = {"baseline": 0, "paper": 1}
 CODEBOOK_STAGES, CODEBOOK_ENTRIES, COLOR_INDEX_BITS = 2, 8, 3
 MIN_BITWIDTH, MAX_BITWIDTH = 1, 16
+CUTOFF = 5.5  # sigma at which a Gaussian of version 1 ends
 MAX_SIDE = 65_535
 
 

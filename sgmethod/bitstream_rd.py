@@ -1,4 +1,4 @@
-"""The .sg file, version 2 (profile rd): a short header, then one range-coded payload.
+"""The .sg file, version 2 (profile rd): a short header, then one entropy-coded payload.
 
 The payload's model is native (sgmethod/native/rd_codec.cpp), written once for both directions; docs/format.md
 describes it.
@@ -23,6 +23,7 @@ VERSION = 2
 HEADER = struct.Struct(">BHHH3B")  # flags, width, height, quantum code, background
 HEADER_BYTES = PREFIX_BYTES + HEADER.size
 FLAG_GREY, FLAG_UPRIGHT = 1, 2
+CUTOFF = 3.0  # sigma at which a Gaussian of this version ends
 MIN_QUANTUM, MAX_QUANTUM = 2.0**-10, 16.0
 
 

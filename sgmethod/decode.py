@@ -36,9 +36,13 @@ def _levels(codes: NDArray[np.uint16], value_range: NDArray[np.float32], bits: i
 
 
 def render_pixels(
-    gaussians: Gaussians, width: int, height: int, background: tuple[int, int, int] = (0, 0, 0)
+    gaussians: Gaussians,
+    width: int,
+    height: int,
+    background: tuple[int, int, int] = (0, 0, 0),
+    cutoff: float = bitstream.CUTOFF,
 ) -> NDArray[np.uint8]:
-    """Pixels [height, width, 3] of Gaussians over an 8-bit background colour.
+    """Pixels [height, width, 3] of Gaussians, which end at sigma = cutoff, over an 8-bit background colour.
 
     They are the same on every instruction set and for every number of threads.
 
@@ -49,7 +53,7 @@ def render_pixels(
     # them); a hostile file could make every Gaussian cover everything.
     max_pairs = 16 * len(gaussians) + 256 * tiles
     try:
-        raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, max_pairs=max_pairs)
+        raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, cutoff, max_pairs=max_pairs)
     except OverflowError as error:
         raise BitstreamError("the file's Gaussians overlap beyond what a picture needs") from error
     pixels = np.empty((height, width, 3), np.uint8)
@@ -66,16 +70,18 @@ def decode(data: bytes, max_pixels: int = MAX_PIXELS, view: View = WHOLE) -> NDA
     """
     if _version(data) == bitstream_rd.VERSION:
         coded = bitstream_rd.parse(data, max_pixels)
-        size, gaussians, background = (coded.width, coded.height), coded.gaussians(view.prefix), coded.background
+        size, gaussians = (coded.width, coded.height), coded.gaussians(view.prefix)
+        background, cutoff = coded.background, bitstream_rd.CUTOFF
     else:
         stream = bitstream.parse(data, max_pixels)
         if view.prefix < 1:
             raise ViewError(f"profile {stream.profile} has no order that a prefix could follow")
-        size, gaussians, background = (stream.width, stream.height), dequantise(stream), (0, 0, 0)
+        size, gaussians = (stream.width, stream.height), dequantise(stream)
+        background, cutoff = (0, 0, 0), bitstream.CUTOFF
     width, height = view.size(*size)
     if width * height > max_pixels:
         raise BitstreamError(f"{width} x {height} pixels are more than the limit of {max_pixels}")
-    return render_pixels(view.apply(gaussians, *size), width, height, background)
+    return render_pixels(view.apply(gaussians, *size, cutoff), width, height, background, cutoff)
 
 
 def _version(data: bytes) -> int:

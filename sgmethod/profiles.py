@@ -71,28 +71,41 @@ class Settings(OptimiserSettings):
 class RdSettings(OptimiserSettings):
     """Hyper-parameters of profile rd: ours (docs/design.md). Times are parts of the schedule."""
 
-    steps: int = 3000
+    steps: int = 1500
     start_share: float = 0.1  # of the expected Gaussians, placed by structure; the others grow where the error is
     growth_at: tuple[float, ...] = (0.03, 0.09, 0.15, 0.21, 0.27, 0.33, 0.39, 0.45, 0.55, 0.65)
-    growth: float = 0.35  # at most this part of the Gaussians is added at once
+    growth: float = 1.0  # at most this part of the Gaussians is added at once
     bits_of_new: float = 20.0  # a Gaussian is added where it gains more than so many bits are worth
     bits_of_dropped: float = 25.0  # and dropped at the end of the growth and after where its energy is worth less
     bits_of_nothing: float = 4.3  # likewise before: such a Gaussian rounds to nothing
     rate_weight: float = 2.0  # of the theoretical price of a bit
-    color_solve_steps: int = 10  # conjugate-gradient steps for the start's colours and for the last ones
+    color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
     # While Gaussians are few a picture of half the size, or a quarter, serves as well.
     halvings: int = 2
     pixels_per_gaussian: float = 20.0
     halved_until: float = 0.5
-    rounding_from: float = 0.75  # noise before, rounding with straight-through gradients after
     # Steering of the quantum towards a size or a PSNR
     steering_from: float = 0.12
     steering_exponent: float = 0.9
     steering_limit: float = 1.35  # the quantum's largest change at a time
     early_db: float = 2.0  # below the final PSNR, right when steering begins
-    trim_at: tuple[float, ...] = (0.78, 0.82, 0.86, 0.9)
-    trim_exponent: float = 0.6
+    missed_db: float = 0.3  # Gaussians whose loss would take the PSNR so far below its goal stay
+    trim_at: tuple[float, ...] = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
+    trim_exponent: float = 1.0
+    excess: float = 0.5  # over the size asked for, until and from when it is given up
+    excess_from: float = 0.45
+    excess_until: float = 0.97
+    most: float = 5.0  # Gaussians at any time, of those expected
     db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles
+    # The end: integers refined
+    fit_share: float = 0.9  # of a time limit; what is left is for this
+    refine_weight: float = 0.35  # of the theoretical price of a bit
+    refine_sweeps: int = 6
+    least_used: float = 0.985  # of the size; below, a finer quantum is tried
+    quantum_per_size: float = 1.4  # the quantum goes with about this power of the size's inverse
+    far_from_size: float = 1.1  # a fit that was cut short: fewer Gaussians may be better than coarser ones
+    psnr_tries: int = 7
+    psnr_slack_db: float = 0.05
 
 
 PAPER = Settings()

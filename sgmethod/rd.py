@@ -8,40 +8,26 @@ One number, the quantum, sets all steps and the price of a bit. A goal in bytes 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from sgmethod import bitstream_rd, growth
-from sgmethod.bitstream_rd import RdStream
-from sgmethod.decode import decode
+from sgmethod.bitstream_rd import CUTOFF
 from sgmethod.errors import BudgetError
 from sgmethod.fit import FrameAdam, Parameters, Picture, Plan, Recorder, Task, run
 from sgmethod.gaussians import FloatArray
-from sgmethod.metrics import psnr
 from sgmethod.placement import place
 from sgmethod.profiles import PAPER, RdSettings
 from sgmethod.quantise import rd as quantiser
 from sgmethod.quantise.rd import Coder
+from sgmethod.rd_finish import Finish, Goal
 
 GREY_TOLERANCE = 0.25 / 255  # channels that differ by less than this everywhere are one
-SMALLEST_FILE = bitstream_rd.HEADER_BYTES + 8  # without any Gaussian the payload is shorter than this
+SMALLEST_FILE = bitstream_rd.HEADER_BYTES  # without any Gaussian there is no payload
 GAUSSIANS_QUALITY = 75.0  # at which a number of Gaussians asked for is fitted
 SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
 BIT_GUESS = 30.0  # bits of a Gaussian, for the first guess of how many
-
-
-@dataclass(frozen=True)
-class Goal:
-    """What steers the quantum: a size in bytes never to exceed, a PSNR in dB to reach, or neither (both None: the
-    quantum given stays); and a number of Gaussians not to exceed."""
-
-    quantum: float
-    max_bytes: int | None = None
-    psnr: float | None = None
-    max_gaussians: int | None = None
 
 
 class RdFit:
@@ -54,7 +40,7 @@ class RdFit:
         background = bitstream_rd.background_of(pixels)
         grey = float(np.ptp(pixels, axis=2).max()) < GREY_TOLERANCE and len(set(background)) == 1
         self.coder = Coder((self.width, self.height), goal.quantum, background, grey)
-        self.picture = Picture((pixels - np.array(background, np.float32) / 255).astype(np.float32), 0.0)
+        self.picture = Picture((pixels - np.array(background, np.float32) / 255).astype(np.float32), 0.0, CUTOFF)
         self.values = self.picture.target.numel()
         self.pictures = [self.picture]  # each half the size of the one before
         for _ in range(settings.halvings):
@@ -68,7 +54,6 @@ class RdFit:
         self.p.colors = self.picture.solve_colors(self.p.means, self.p.factors, settings.color_solve_steps)
         self.adam = FrameAdam(start, settings)
         self.size = 0
-        self.source = np.zeros((0, 0, 3), np.uint8)
         self.due = sorted([*settings.growth_at, *settings.trim_at])
 
     def _placed(self, n: int, rng: np.random.Generator) -> Parameters:
@@ -89,17 +74,14 @@ class RdFit:
         most = self.height * self.width
         if self.goal.max_gaussians is not None:
             return min(most, self.goal.max_gaussians)
-        return min(most, int(2.5 * self.expected)) if self.goal.max_bytes is not None else most
+        return min(most, int(self.settings.most * self.expected)) if self.goal.max_bytes is not None else most
 
     def step(self, rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         """One optimiser step, after whatever is due at this part of the schedule."""
         while self.due and progress >= self.due[0]:
             self._reconsider(self.due.pop(0))
         quantum = self.coder.quantum
-        if progress >= self.settings.rounding_from:
-            shown = self.coder.rounded(self.p)
-        else:
-            shown = quantiser.dithered(self.p, quantum, self.generator)
+        shown = quantiser.dithered(self.p, quantum, self.generator)
         picture = self._picture_at(progress)
         mse, grad = picture.gradients(shown)
         if picture is self.picture:
@@ -132,12 +114,13 @@ class RdFit:
         """Remove Gaussians whose energy is not worth so many bits."""
         least = bits * quantiser.error_per_bit(self.coder.quantum)
         keep = torch.nonzero(quantiser.energies(self.p) > least)[:, 0]
-        if len(keep) < len(self.p.means):
-            self._keep(keep)
-
-    def _keep(self, index: torch.Tensor) -> None:
-        self.p = _rows(self.p, index)
-        self.adam.select(index)
+        if len(keep) == len(self.p.means):
+            return
+        kept = _rows(self.p, keep)
+        if self.goal.psnr is not None and self._rounded_psnr(kept) < self.goal.psnr - self.settings.missed_db:
+            return  # none would come back once the growth is over
+        self.p = kept
+        self.adam.select(keep)
 
     def _grow(self) -> None:
         n = len(self.p.means)
@@ -169,103 +152,22 @@ class RdFit:
             return
         ratio = 1.0
         if self.goal.max_bytes is not None:
-            # The whole size from the first: the fine steps that this means while Gaussians are few serve them well.
-            ratio = (self.size / self.goal.max_bytes) ** exponent
+            # More than the whole size from the first: the fine steps that this means serve Gaussians well while they
+            # are few; then there are more than can stay, and those that gain least for their bits go.
+            past = min(max((at - s.excess_from) / (s.excess_until - s.excess_from), 0), 1)
+            ratio = (self.size / self.goal.max_bytes / (1 + s.excess * (1 - past))) ** exponent
         elif self.goal.psnr is not None:
             # Early in the growth a larger error than the final one is right.
             missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
             aim = self.goal.psnr - s.early_db * missing
-            ratio = 2 ** ((self._rounded_psnr() - aim) / s.db_per_doubling * exponent)
+            ratio = 2 ** ((self._rounded_psnr(self.p) - aim) / s.db_per_doubling * exponent)
         if ratio != 1.0:
             limit = s.steering_limit
             self.coder = self.coder.with_quantum(self.coder.quantum * min(max(ratio, 1 / limit), limit))
 
-    def _rounded_psnr(self) -> float:
-        residual = self.picture.residual(self.coder.rounded(self.p))
+    def _rounded_psnr(self, p: Parameters) -> float:
+        residual = self.picture.residual(self.coder.rounded(p))
         return -10 * math.log10(max(residual.square().mean().item(), 1e-12))
-
-    def finish(self, source: NDArray[np.uint8]) -> RdStream:
-        """The coded picture that meets the goal best; source [H, W, 3] at 8 bits is what it is measured against."""
-        self.source = source
-        if self.goal.psnr is not None:
-            stream = self._at_psnr(self.goal.psnr)
-        elif self.goal.max_bytes is not None:
-            stream = self._within(self.goal.max_bytes)
-        else:
-            stream = self.coder.stream(self.p)
-        # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
-        background = self.coder.stream(_rows(self.p, torch.arange(0)))
-        enough = min(self._decoded_psnr(stream), self.goal.psnr or math.inf)
-        return background if self._decoded_psnr(background) >= enough else stream
-
-    def _within(self, limit: int) -> RdStream:
-        """The best of: coarser or finer steps until the size fits; fewer Gaussians at the steps as they are; and the
-        better of these with colours solved anew for its rounded geometry. A fit that went well needs only the first,
-        by a percent or two; one that was cut short can be far from its size, and then the others save it."""
-        tried = [(self._coder_within(self.p, limit), self.p)]
-        if max(self._bytes(*tried[0]), self._bytes(self.coder, self.p)) > limit:
-            tried.append((self.coder, self._cut(limit)))
-        coder, p = self._best(tried, limit)
-        solved = self._with_solved_colors(coder, p)
-        coder, p = self._best([(coder, p), (self._coder_within(solved, limit), solved)], limit)
-        return coder.stream(p)
-
-    def _best(self, tried: list[tuple[Coder, Parameters]], limit: int) -> tuple[Coder, Parameters]:
-        """The one nearest to the source of those within the limit; even the coarsest steps may not bring one there."""
-        within = [option for option in tried if self._bytes(*option) <= limit]
-        return max(within, key=lambda option: self._decoded_psnr(option[0].stream(option[1])))
-
-    @staticmethod
-    def _bytes(coder: Coder, p: Parameters) -> int:
-        return len(bitstream_rd.serialise(coder.stream(p)))
-
-    def _coder_within(self, p: Parameters, limit: int) -> Coder:
-        """With the finest quantum, by bisection from near the steered one, at which p fits the limit."""
-        low, high = math.log(0.8 * self.coder.quantum), math.log(1.02 * self.coder.quantum)
-        while len(bitstream_rd.serialise(self.coder.with_quantum(math.exp(high)).stream(p))) > limit:
-            low, high = high, high + math.log(2)
-            if high > math.log(bitstream_rd.MAX_QUANTUM):
-                break
-        for _ in range(8):
-            middle = (low + high) / 2
-            fits = len(bitstream_rd.serialise(self.coder.with_quantum(math.exp(middle)).stream(p))) <= limit
-            low, high = (low, middle) if fits else (middle, high)
-        return self.coder.with_quantum(math.exp(high))
-
-    def _with_solved_colors(self, coder: Coder, p: Parameters) -> Parameters:
-        """p with the colours that fit best on top of its rounded geometry."""
-        shown = coder.rounded(p)
-        change = self.picture.solve_colors(
-            shown.means, shown.factors, self.settings.color_solve_steps, residual_of=self.picture.residual(shown)
-        )
-        return Parameters(p.means, p.factors, shown.colors + change)
-
-    def _decoded_psnr(self, stream: RdStream) -> float:
-        return psnr(decode(bitstream_rd.serialise(stream)), self.source)
-
-    def _at_psnr(self, target_db: float) -> RdStream:
-        """With the coarsest quantum, by bisection around the steered one, that reaches the target; else the best."""
-        low, high = math.log(self.coder.quantum / 16), math.log(4 * self.coder.quantum)
-        best = self.coder.with_quantum(math.exp(low)).stream(self.p)
-        for _ in range(12):
-            middle = (low + high) / 2
-            stream = self.coder.with_quantum(math.exp(middle)).stream(self.p)
-            if self._decoded_psnr(stream) >= target_db:
-                low, best = middle, stream
-            else:
-                high = middle
-        return best
-
-    def _cut(self, limit: int) -> Parameters:
-        """p without as few of the least Gaussians as fit the limit."""
-        order = torch.argsort(quantiser.energies(self.p), descending=True, stable=True)
-        low, high = 0, len(order)
-        while high - low > 1:
-            middle = (low + high) // 2
-            kept = _rows(self.p, order[:middle].sort().values)
-            fits = len(bitstream_rd.serialise(self.coder.stream(kept))) <= limit
-            low, high = (middle, high) if fits else (low, middle)
-        return _rows(self.p, order[:low].sort().values)
 
 
 def _rows(p: Parameters, index: torch.Tensor) -> Parameters:
@@ -279,9 +181,11 @@ def encode(task: Task, settings: RdSettings) -> tuple[bytes, int]:
         raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {goal.max_bytes}")
     with torch.no_grad():
         fit = RdFit(task.pixels, goal, settings, task.seed, task.recorder)
-        plan = Plan("joint", settings.steps, task.until_s(), patience=1.0)
+        until = task.until_s()
+        plan = Plan("joint", settings.steps, None if until is None else settings.fit_share * until, patience=1.0)
         done = run(plan, task.recorder, fit.step, settings.final_rate)
-        return bitstream_rd.serialise(fit.finish(task.source())), done
+        stream = Finish(fit.p, fit.coder, fit.picture, goal, settings, task).stream()
+        return bitstream_rd.serialise(stream), done
 
 
 def _goal(task: Task) -> Goal:

@@ -51,23 +51,29 @@ class View:
         _, _, w, h = self.area(width, height)
         return max(round(w * self.scale), 1), max(round(h * self.scale), 1)
 
-    def apply(self, gaussians: Gaussians, width: int, height: int) -> Gaussians:
-        """The Gaussians in output pixels, low-passed where that is a reduction."""
+    def apply(self, gaussians: Gaussians, width: int, height: int, cutoff: float) -> Gaussians:
+        """The Gaussians, which end at sigma = cutoff, in output pixels, low-passed where that is a reduction."""
         if self.scale == 1 and self.region is None:
             return gaussians
         x, y, w, h = self.area(width, height)
         out_width, out_height = self.size(width, height)
         # The two may differ by rounding, so that the output's edges are the region's edges.
-        return _resized(gaussians, (x, y), (out_width / w, out_height / h))
+        return _resized(gaussians, (x, y), (out_width / w, out_height / h), PIXEL_VARIANCE / _variance(cutoff))
 
 
-def _resized(gaussians: Gaussians, origin: tuple[int, int], scale: tuple[float, float]) -> Gaussians:
+def _variance(cutoff: float) -> float:
+    """Of a weight exp(-sigma) - exp(-cutoff), in those of a whole Gaussian: its second moment over its integral."""
+    floor = math.exp(-cutoff)
+    return (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
+
+
+def _resized(gaussians: Gaussians, origin: tuple[int, int], scale: tuple[float, float], widening: float) -> Gaussians:
     l1, _, l3 = gaussians.factors.T
     drawn = (l1 > 0) & (l3 > 0)  # the others add nothing, and must not after they are widened
     sx, sy = scale
     means = (gaussians.means[drawn].astype(np.float64) - origin) * scale
     l1, l2, l3 = (gaussians.factors[drawn].astype(np.float64) * (sx, sy, sy)).T
-    wide_x, wide_y = (max(1 - s * s, 0.0) * PIXEL_VARIANCE for s in scale)
+    wide_x, wide_y = (max(1 - s * s, 0.0) * widening for s in scale)
     n1 = np.sqrt(l1 * l1 + wide_x)
     slant = l2 / n1
     n2, n3 = l1 * slant, np.sqrt(l3 * l3 + wide_y + slant * slant * wide_x)

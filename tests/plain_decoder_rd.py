@@ -6,16 +6,18 @@ Each part follows one section of that text, in its order.
 from __future__ import annotations
 
 import math
+import re
 import struct
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 Gaussian = tuple[float, float, float, float, float, tuple[float, float, float]]  # x, y, l1, l2, l3, colour
 
-CUTOFF = 5.5
+CUTOFF = 3.0
 MAX_VALUE, MAX_SHAPE, MAX_ASPECT = 2**20, 2**16, 20
-SLACK = 8  # bytes past the end
+FORMAT = Path(__file__).parents[1] / "docs" / "format.md"
 
 
 class RefusedError(Exception):
@@ -59,94 +61,82 @@ def parse_header(data: bytes) -> Header:
     return Header(bool(flags & 1), bool(flags & 2), width, height, value, (red, green, blue))
 
 
+def start_tables() -> dict[str, list[list[int]]]:
+    """The text's table of where models begin: for each name, fifteen numbers a model."""
+    tables: dict[str, list[list[int]]] = {}
+    for name, row in re.findall(r"^\| ([a-z ]+) \d+ \| `([0-9a-f]{30})` \|$", FORMAT.read_text("utf-8"), re.M):
+        tables.setdefault(name, []).append(list(bytes.fromhex(row)))
+    return tables
+
+
 class Model:
-    def __init__(self) -> None:
-        self.fast, self.slow, self.seen = 32768, 32768, 1
+    def __init__(self, start: list[int]) -> None:
+        self.fast = [0, *(256 * s for s in start)]
+        self.slow = list(self.fast)
+        self.seen = 0
 
-    def adapt(self, bit: int) -> None:
-        i, j = min(self.seen + 1, 4), min(self.seen + 1, 6)
-        self.seen = min(self.seen + 1, 6)
-        if bit:
-            self.fast -= self.fast >> i
-            self.slow -= self.slow >> j
-        else:
-            self.fast += (65535 - self.fast) >> i
-            self.slow += (65535 - self.slow) >> j
+    def edge(self, i: int) -> int:
+        if i == 16:
+            return 32768
+        mean = (self.fast[i] + self.slow[i] + 1) // 2
+        return mean // 2 - mean // 1024 + 4 * i
+
+    def adapt(self, symbol: int) -> None:
+        shift = (self.seen + 16).bit_length() - 1
+        self.seen = min(self.seen + 1, 128)
+        for values, most in (self.fast, 5), (self.slow, 7):
+            for i in range(16):
+                if i <= symbol:
+                    values[i] -= values[i] >> min(shift, most)
+                else:
+                    values[i] += (65535 - values[i]) >> min(shift, most)
 
 
-class RangeDecoder:
+class Coder:
     def __init__(self, payload: bytes) -> None:
-        self.payload, self.at = payload, 0
-        self.range, self.code = 2**32 - 1, 0
-        for _ in range(4):
-            self.code = self.code * 256 + self.byte()
-        refuse_unless(self.code < self.range, "start")
+        self.payload, self.at, self.state = payload, 0, 0
+        self.state = self.word() * 65536 + self.word()
 
-    def byte(self) -> int:
-        self.at += 1
-        return self.payload[self.at - 1] if self.at <= len(self.payload) else 0
+    def word(self) -> int:
+        self.at += 2
+        high, low = (self.payload[i] if i < len(self.payload) else 0 for i in (self.at - 2, self.at - 1))
+        return 256 * high + low
 
     @property
-    def past_end(self) -> int:
-        return max(self.at - len(self.payload), 0)
+    def past_end(self) -> bool:
+        return self.at > len(self.payload)
 
-    def normalise(self) -> None:
-        while self.range < 2**24:
-            self.range *= 256
-            self.code = self.code * 256 + self.byte()
+    def refill(self) -> None:
+        if self.state < 65536:
+            self.state = self.state * 65536 + self.word()
 
-    def bit(self, model: Model) -> int:
-        p = (model.fast + model.slow) // 2
-        bound = self.range // 65536 * min(max(p, 64), 65472)
-        bit = int(self.code >= bound)
-        if bit:
-            self.code -= bound
-            self.range -= bound
-        else:
-            self.range = bound
-        model.adapt(bit)
-        self.normalise()
-        return bit
+    def symbol(self, model: Model) -> int:
+        place = self.state % 32768
+        symbol = next(i for i in range(16) if place < model.edge(i + 1))
+        share = model.edge(symbol + 1) - model.edge(symbol)
+        self.state = share * (self.state // 32768) + place - model.edge(symbol)
+        model.adapt(symbol)
+        self.refill()
+        return symbol
 
     def raw(self, count: int) -> int:
-        value = 0
-        for _ in range(count):
-            self.range >>= 1
-            bit = int(self.code >= self.range)
-            if bit:
-                self.code -= self.range
-            value = 2 * value + bit
-            self.normalise()
-        return value
+        high = 0
+        if count > 16:
+            high, count = self.raw(count - 16) << 16, 16
+        value = self.state % 2**count
+        self.state >>= count
+        self.refill()
+        return high + value
 
-
-class Magnitude:
-    def __init__(self) -> None:
-        self.exponent = [Model() for _ in range(31)]
-        self.high = [Model() for _ in range(32)]
-
-    def read(self, coder: RangeDecoder) -> int:
-        e = 0
-        while e < 31 and coder.bit(self.exponent[e]):
-            e += 1
-        top = 1
-        if e >= 1:
-            top = 2 * top + coder.bit(self.high[e])
-        if e >= 2:
-            top = 2 ** (e - 1) * top + coder.raw(e - 1)
-        return top - 1
-
-
-class Signed:
-    def __init__(self) -> None:
-        self.magnitude, self.sign = Magnitude(), Model()
-
-    def read(self, coder: RangeDecoder) -> int:
-        value = self.magnitude.read(coder)
-        refuse_unless(value <= MAX_VALUE, "value")
-        if value == 0:
-            return 0
-        return -value if coder.bit(self.sign) else value
+    def number(self, model: Model) -> int:
+        s = self.symbol(model)
+        if s < 4:
+            return s
+        if s == 15:
+            n = self.raw(5)
+            return 2**n + self.raw(n)
+        n = s // 2 - 1
+        return (2 + s % 2) * 2**n + self.raw(n)
 
 
 def level(x: int) -> int:
@@ -155,10 +145,10 @@ def level(x: int) -> int:
 
 class Models:
     def __init__(self) -> None:
-        self.count, self.distance = Magnitude(), Magnitude()
-        self.luma = Signed()
-        self.a, self.b = ([Signed() for _ in range(4)] for _ in range(2))
-        self.v, self.r = ([Signed() for _ in range(8)] for _ in range(2))
+        of = {name: [Model(start) for start in rows] for name, rows in start_tables().items()}
+        (self.count,), (self.distance,), (self.luma,) = of["count"], of["distance"], of["luma"]
+        self.a, self.b, self.v, self.r = of["a"], of["b"], of["v"], of["r"]
+        self.color_signs, self.shape_signs = of["colour signs"], of["shape signs"]
 
 
 def size(k: int) -> float:
@@ -175,21 +165,29 @@ def deinterleave(number: int) -> tuple[int, int]:
     return column, row
 
 
-def read_gaussians(header: Header, coder: RangeDecoder, part: bool) -> Iterator[Gaussian]:
+def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussian]:
     """The Gaussians of a payload; of a part of one, until EndError."""
 
     def check_end() -> None:
-        if part and coder.past_end:
-            raise EndError
+        if coder.past_end:
+            if part:
+                raise EndError
+            raise RefusedError("end")
 
+    if not coder.payload:
+        return
     models = Models()
     most = min(header.width * header.height, 2**24, 8 * len(coder.payload) + 64)
+    first = 28 - coder.raw(6)
+    last = first - coder.raw(6)
+    check_end()
+    refuse_unless(coder.state >= 65536 and last >= -4, "start")
     total = 0
-    for k in range(28, -5, -1):
+    for k in range(first, last - 1, -1):
         g = max(0, (k + 1) // 2)
         columns = min(header.width // 2**g + 5, 65536)
         rows = min(header.height // 2**g + 5, 65536)
-        n = models.count.read(coder)
+        n = coder.number(models.count)
         check_end()
         refuse_unless(part or total + n <= most, "count")
         t, mean = 0, columns * rows // max(n, 1)
@@ -200,36 +198,40 @@ def read_gaussians(header: Header, coder: RangeDecoder, part: bool) -> Iterator[
             if total == most:
                 raise EndError
             total += 1
-            cell += models.distance.read(coder) * 2**t
+            cell += coder.number(models.distance) * 2**t
             cell += coder.raw(t)
             refuse_unless(cell < 2**32, "cell")
             column, row = deinterleave(cell)
             refuse_unless(column < columns and row < rows, "cell")
             gaussian = read_gaussian(header, coder, models, k, (column, row))
             check_end()
-            refuse_unless(coder.past_end <= SLACK, "end")
             yield gaussian
-    refuse_unless(coder.past_end <= SLACK, "end")
+    refuse_unless(coder.state == 65536, "last state")
     refuse_unless(part or not any(coder.payload[coder.at :]), "rest")
 
 
-def read_gaussian(header: Header, coder: RangeDecoder, models: Models, k: int, cell: tuple[int, int]) -> Gaussian:
+def read_gaussian(header: Header, coder: Coder, models: Models, k: int, cell: tuple[int, int]) -> Gaussian:
     # Colour, and the steps that follow from it
-    y = models.luma.read(coder)
-    a = 0 if header.grey else models.a[level(y)].read(coder)
-    b = 0 if header.grey else models.b[level(a)].read(coder)
+    y = coder.number(models.luma)
+    a = 0 if header.grey else coder.number(models.a[level(y)])
+    b = 0 if header.grey else coder.number(models.b[level(a)])
     refuse_unless(y != 0 or a != 0 or b != 0, "no colour")
-    m = math.sqrt(y * y + a * a + b * b)
-    f, e = math.frexp(m)
-    h = e - 1 if f < 0.70710678118654752 else e
-    bucket, u_bits = min(max(h, 0), 7), min(max(h - 1, 0), 8)
+    refuse_unless(max(y, a, b) <= MAX_VALUE, "colour")
+    signs = coder.symbol(models.color_signs[4 * (y != 0) + 2 * (a != 0) + (b != 0)])
+    y, a, b = (-value if signs & bit else value for value, bit in ((y, 4), (a, 2), (b, 1)))
+    square = y * y + a * a + b * b
+    h = square.bit_length() // 2
+    bucket, u_bits = min(h, 7), min(max(h - 1, 0), 8)
 
     # Shape
     u = coder.raw(u_bits)
-    v = models.v[bucket].read(coder)
-    r = 0 if header.upright else models.r[bucket].read(coder)
+    v = coder.number(models.v[bucket])
+    r = 0 if header.upright else coder.number(models.r[bucket])
+    refuse_unless(max(v, r) <= MAX_SHAPE and v * 2.0**-h <= MAX_ASPECT, "shape")
+    if v or r:
+        signs = coder.symbol(models.shape_signs[2 * (v != 0) + (r != 0)])
+        v, r = -v if signs & 2 else v, -r if signs & 1 else r
     shape_v, shape_r = v * 2.0**-h, r * (2 * 2.0**-h)
-    refuse_unless(abs(v) <= MAX_SHAPE and abs(r) <= MAX_SHAPE and abs(shape_v) <= MAX_ASPECT, "shape")
     within = ((u + 0.5) / 2**u_bits - 0.5) * 0.34657359027997264
     least = round32(0.3)
     l1 = max(size(k) * exponential(within + shape_v), least)
@@ -238,16 +240,16 @@ def read_gaussian(header: Header, coder: RangeDecoder, models: Models, k: int, c
 
     # Place
     side = 2 ** max(0, (k + 1) // 2)
-    step = 1.4142135623730951 / m
-    px = halvings(side / (step * l1 / math.sqrt(1 + shape_r * shape_r)))
-    py = halvings(side / (step * l3))
+    fineness = square * (side * side / 2)
+    px = halvings(fineness * (1 + shape_r * shape_r) / (l1 * l1))
+    py = halvings(fineness / (l3 * l3))
     part_x = coder.raw(px)
     part_y = coder.raw(py)
     place_x = (cell[0] - 2 + (part_x + 0.5) / 2**px) * side
     place_y = (cell[1] - 2 + (part_y + 0.5) / 2**py) * side
 
     # Colour, in numbers
-    c = header.quantum / (size(k) * 1.7724538509055160)
+    c = header.quantum / (size(k) * 1.5)
     p = y * c * 0.57735026918962576
     q = a * c * 0.70710678118654752
     s = b * c * 0.40824829046386302
@@ -257,28 +259,27 @@ def read_gaussian(header: Header, coder: RangeDecoder, models: Models, k: int, c
 
 def exponential(x: float) -> float:
     z = x / 1024
-    e = 1.0
-    for i in range(12, 0, -1):
-        e = 1 + e * z / i
+    e = 1 + z * (1 + z * (0.5 + z * (0.16666666666666666 + z * 0.041666666666666664)))
     for _ in range(10):
         e = e * e
     return e
 
 
 def halvings(q: float) -> int:
-    return min(max(math.frexp(q)[1], 0), 12)
+    """The least number of halvings n >= 0, at most 12, with 4^n > q."""
+    return min(max((math.frexp(q)[1] - 1 >> 1) + 1, 0), 12)
 
 
 def parse(data: bytes) -> tuple[Header, list[Gaussian]]:
     """The header and the Gaussians."""
     header = parse_header(data)
-    return header, list(read_gaussians(header, RangeDecoder(data[18:]), part=False))
+    return header, list(read_gaussians(header, Coder(data[18:]), part=False))
 
 
 def parse_part(data: bytes, part: float) -> tuple[Header, list[Gaussian]]:
     """The header, and the Gaussians in a part, above 0 and below 1, of the payload."""
     header = parse_header(data)
-    coder = RangeDecoder(data[18:][: math.ceil(part * (len(data) - 18))])
+    coder = Coder(data[18:][: math.ceil(part * (len(data) - 18))])
     found = []
     try:
         for gaussian in read_gaussians(header, coder, part=True):
@@ -320,7 +321,9 @@ def view(data: bytes, scale: float, region: tuple[int, int, int, int] | None = N
     left, top, w, h = region or (0, 0, header.width, header.height)
     width, height = max(round(w * scale), 1), max(round(h * scale), 1)
     sx, sy = width / w, height / h
-    vx, vy = max(1 - sx**2, 0) / 12, max(1 - sy**2, 0) / 12
+    floor = math.exp(-CUTOFF)
+    k = (1 - floor * (1 + CUTOFF + CUTOFF**2 / 2)) / (1 - floor * (1 + CUTOFF))
+    vx, vy = max(1 - sx**2, 0) / (12 * k), max(1 - sy**2, 0) / (12 * k)
     shown = []
     for x, y, l1, l2, l3, color in gaussians:
         a, b, d = sx * l1, sy * l2, sy * l3

@@ -238,7 +238,7 @@ DECODE = "decode picture.sg out.png "
         (ENCODE + "--bpp inf", "positive"),
         (ENCODE + "--bytes 10.5", "whole"),
         (ENCODE + "--bytes 1e400", "positive"),
-        (ENCODE + "--bytes 20", "at least"),
+        (ENCODE + "--bytes 17", "at least"),
         (ENCODE + "--bpp 1e-9", "at least"),
         (ENCODE + "--psnr 99", "at most 60"),
         (ENCODE + "--gaussians 0", "positive"),

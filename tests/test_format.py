@@ -69,7 +69,7 @@ def test_tables_and_limits() -> None:
     assert f"At offset {offset}, for each group" in TEXT
     assert f"| tables | {bitstream.TABLE_BYTES} |" in TEXT
     assert f"| group list | {bitstream.GROUP_BYTES} for each group |" in TEXT
-    assert f"exp(-{native.CUTOFF})" in TEXT
+    assert f"exp(-{bitstream.CUTOFF})" in TEXT
     assert f"max_pixels={MAX_PIXELS:_}" in TEXT
     assert f"{native.TILE_WIDTH} x {native.TILE_HEIGHT}" in TEXT
     for profile, code in bitstream.PROFILE_CODES.items():

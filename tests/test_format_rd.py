@@ -22,6 +22,7 @@ from sgmethod.gaussians import Gaussians
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View
 
 DATA = Path(__file__).parent / "data"
+ROOT = Path(__file__).parents[1]
 GOLDEN = {path.stem: path.read_bytes() for path in sorted(DATA.glob("v2-*.sg"))}
 HASHES = json.loads((DATA / "v2.json").read_text())
 
@@ -79,6 +80,13 @@ def test_every_quantum_code() -> None:
                 plain_decoder_rd.parse_header(bytes(data))
 
 
+def test_start_tables() -> None:
+    """The table in the text, which the plain decoder reads, is the code's."""
+    code = (ROOT / "sgmethod" / "native" / "rd_start_tables.h").read_text()
+    rows = [[int(n) for n in row.split(",")] for row in re.findall(r"\{([\d, ]+)\}", code)]
+    assert rows == [row for rows in plain_decoder_rd.start_tables().values() for row in rows]
+
+
 def test_views_in_the_text() -> None:
     text = " ".join(TEXT.split())
     assert f"s, 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
@@ -128,7 +136,7 @@ def test_the_plain_decoder_draws_the_same_views(name: str, view: View) -> None:
 def test_the_plain_decoder_shares_nothing() -> None:
     source = Path(plain_decoder_rd.__file__).read_text()
     imports = re.findall(r"^(?:from|import) ([\w.]+)", source, re.MULTILINE)
-    assert set(imports) == {"__future__", "collections.abc", "dataclasses", "math", "struct", "zlib"}
+    assert set(imports) == {"__future__", "collections.abc", "dataclasses", "math", "pathlib", "re", "struct", "zlib"}
 
 
 @settings(max_examples=700, deadline=None, derandomize=True, database=None)

@@ -1,6 +1,6 @@
 """Damaged and hostile files of version 2: BitstreamError, or pixels of the size that the header says; nothing else.
 
-A changed bit changes all that follows in a range-coded payload, so one mutation explores more than in version 1.
+A changed bit changes all that follows in an entropy-coded payload, so one mutation explores more than in version 1.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ def gaussians(n: int, seed: int) -> Parameters:
 
 
 def color_step(factors: Tensor, quantum: float) -> Tensor:
-    return quantum / (math.sqrt(math.pi) * (factors[:, 0] * factors[:, 2]).sqrt())
+    return quantum / (1.5 * (factors[:, 0] * factors[:, 2]).sqrt())
 
 
 def rate_bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
@@ -75,11 +75,11 @@ def test_noise_is_as_wide_as_the_steps() -> None:
     l1, l2, l3 = factors.unbind(1)
     d = noise[:, :2] * math.sqrt(2) / m[:, None]
     u, v = noise[:, 2] * (math.sqrt(0.5) / m).clamp_max(CLASS_WIDTH), noise[:, 3] / m
-    r = l2 / l3 + noise[:, 4] * 2 / m
-    n3 = l3 * torch.exp(u - v)
+    n1, n3 = l1 * torch.exp(u + v), l3 * torch.exp(u - v)
+    n2 = l2 / l1 * n1 + noise[:, 4] * 2 / m * n3  # of the slope l2 / l1
     wanted = Parameters(
         means + torch.stack([l1 * d[:, 0], l2 * d[:, 0] + l3 * d[:, 1]], 1),
-        torch.stack([l1 * torch.exp(u + v), r * n3, n3], 1),
+        torch.stack([n1, n2, n3], 1),
         colors + noise[:, 5:] * step[:, None],
     )
     for found, value in zip(

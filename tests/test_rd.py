@@ -14,8 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod import Budget, BudgetError, Encoded, bitstream_rd, codec, decode, encode, rd
+from sgmethod.bitstream_rd import CUTOFF
 from sgmethod.fit import Clock
-from sgmethod.growth import SCALES_PX, candidates
+from sgmethod.growth import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.image import read_image
 from sgmethod.profiles import RD
 from sgmethod.reference import render
@@ -81,7 +82,7 @@ def test_a_few_bytes_are_never_exceeded(
 
 
 def test_fewer_bytes_than_a_file_has() -> None:
-    with pytest.raises(BudgetError, match="at least 26 bytes"):
+    with pytest.raises(BudgetError, match="at least 18 bytes"):
         encode(crop(), Budget("bytes", rd.SMALLEST_FILE - 1))
 
 
@@ -208,12 +209,12 @@ def planted(
 ) -> FloatArray:
     """The residual [H, W, 3] of one missing round Gaussian."""
     means, factors, colors = (torch.tensor([v]) for v in (at, (scale, 0.0, scale), color))
-    return np.ascontiguousarray(render(means, factors, colors, size).numpy().transpose(1, 2, 0))
+    return np.ascontiguousarray(render(means, factors, colors, size, CUTOFF).numpy().transpose(1, 2, 0))
 
 
-@pytest.mark.parametrize("scale", SCALES_PX[1:5])
-def test_growth_finds_a_planted_gaussian(scale: float) -> None:
-    color = (0.3, -0.2, 0.1)
+@pytest.mark.parametrize("blur", BLURS_PX[1:5])
+def test_growth_finds_a_planted_gaussian(blur: float) -> None:
+    scale, color = blur * SCALE_OF_BLUR, (0.3, -0.2, 0.1)
     found = candidates(planted(scale, (80.5, 70.5), color, (161, 140)), 1, 0.0)
     assert len(found) == 1
     assert found.means[0] == pytest.approx((80.5, 70.5), abs=0.1 + 0.1 * scale)
@@ -232,10 +233,10 @@ def test_growth_takes_the_best_first_and_no_more_than_asked() -> None:
 
 
 def test_growth_respects_the_least_gain() -> None:
-    """The gain is the energy of the Gaussian that is missing, pi s^2 |c|^2."""
-    energy = math.pi * 9 * 3 * 0.4**2
-    residual = planted(3.0, (60.5, 50.5), (0.4, 0.4, 0.4), (121, 100))
-    assert len(candidates(residual, 10, 1.05 * energy)) == 0
+    """The gain is the energy of the Gaussian that is missing, within a tenth: the blur is by a whole one."""
+    residual = planted(3.0 * SCALE_OF_BLUR, (60.5, 50.5), (0.4, 0.4, 0.4), (121, 100))
+    energy = float(np.square(residual).sum())
+    assert len(candidates(residual, 10, 1.12 * energy)) == 0
     assert len(candidates(residual, 10, 0.9 * energy)) == 1
     assert len(candidates(np.zeros((40, 40, 3), np.float32), 10, 0.0)) == 0
 

@@ -78,7 +78,7 @@ def test_decoding_gives_what_rounding_gives(seed: int) -> None:
 
 @pytest.mark.parametrize("n", range(12))
 def test_few(n: int) -> None:
-    """The last bytes of a payload are the ones that may be left out."""
+    """Short payloads, where the first state is most of what there is."""
     for seed in range(40):
         values = scattered(n, (40, 30), seed)
         assert_round_trip(native.RdParameters(40, 30, 0.05), values)
@@ -146,7 +146,7 @@ def test_errors_stay_within_the_steps() -> None:
         for g in (values, rounded)
     )
     k = np.round(0.5 * np.log(before[1][:, 0] * before[1][:, 2]) / CLASS_WIDTH)
-    color_step = quantum / (2 ** (k / 2) * math.sqrt(math.pi))
+    color_step = quantum / (2 ** (k / 2) * 1.5)
     slack = 1 + 1e-4
     assert (np.abs(after[2] - before[2]) <= slack * 0.5 * color_step[:, None]).all()
     m = np.linalg.norm(after[2], axis=1) / color_step
@@ -156,7 +156,9 @@ def test_errors_stay_within_the_steps() -> None:
         l1, l2, l3 = factors.T
         return 0.5 * np.log(l1 * l3), 0.5 * np.log(l1 / l3), l2 / l3
 
-    (u0, v0, r0), (u1, v1, r1) = frame(before[1]), frame(after[1])
+    (u0, v0, _), (u1, v1, r1) = frame(before[1]), frame(after[1])
+    # The slope l2 / l1 is what is kept, in the scales that are decoded.
+    r0 = before[1][:, 1] / before[1][:, 0] * after[1][:, 0] / after[1][:, 2]
     assert (np.abs(u1 - u0) <= slack * 0.5 * CLASS_WIDTH / 2 ** np.clip(h - 1, 0, 8)).all()
     assert (np.abs(v1 - v0) <= slack * 0.5 * 2**-h + 1e-6).all()
     assert (np.abs(r1 - r0) <= slack * 2**-h + 1e-6).all()
@@ -243,7 +245,7 @@ def test_every_cut_gives_the_first_gaussians(seed: int) -> None:
     assert counts == sorted(counts)
     assert counts[0] == 0
     assert counts[len(payload) // 2] > 0.35 * len(whole)
-    assert counts[-1] >= len(whole) - 8  # the coder reads ahead by four bytes
+    assert counts[-1] == len(whole)
 
 
 def test_prefix_of_a_stream() -> None:
@@ -251,6 +253,7 @@ def test_prefix_of_a_stream() -> None:
     stream = RdStream.of(values, (120, 90), 0.05, (1, 2, 3), False)
     whole = stream.gaussians()
     sizes = np.sqrt(whole.factors[:, 0] * whole.factors[:, 2])
+    sizes = sizes[sizes > 1]  # of the smallest, one side may be at its least
     assert (sizes[1:] <= sizes[:-1] * math.sqrt(2) * 1.001).all()  # by classes, from the largest down
     for prefix in (1e-9, 0.2, 0.5, 0.999):
         part = stream.gaussians(prefix)
@@ -262,14 +265,13 @@ def test_prefix_of_a_stream() -> None:
 def test_a_cut_payload_is_refused(cut: int) -> None:
     parameters = native.RdParameters(120, 90, 0.1)
     payload = encoded(parameters, scattered(150, (120, 90)))
-    if cut > 8:
-        with pytest.raises(RuntimeError):
-            decoded(parameters, payload[:-cut])
+    with pytest.raises(RuntimeError):
+        decoded(parameters, payload[:-cut])
     with pytest.raises(RuntimeError, match="behind the last"):
         decoded(parameters, payload + b"\0" * 8 + b"\1")
     assert np.array_equal(rows(decoded(parameters, payload + b"\0" * cut)), rows(decoded(parameters, payload)))
     with pytest.raises(RuntimeError, match="begins"):
-        decoded(parameters, b"\xff\xff\xff\xff" + payload)
+        decoded(parameters, b"\0\0\xff\xff" + payload)
 
 
 def test_exact_bytes() -> None:
@@ -281,7 +283,7 @@ def test_exact_bytes() -> None:
     )
     data = bitstream_rd.serialise(RdStream.of(values, (64, 48), 0.1, (128, 64, 32), False))
     assert data.hex() == (
-        "53474d022712673800004000300" + "89a804020004f35714fdc7dfd4ded66a78b6d452f33b7db4964b5be501470785cee30"
+        "53474d02ff74d1ef00004000300" + "89a80402005fd21d79042ace09b7ef0239b28feb4040634421dc4a7950ad091c11dafad4c"
     )
 
 
@@ -324,7 +326,7 @@ def test_stream_round_trip() -> None:
         (11, b"\0\0", "x 0"),
         (13, b"\0\1", "quantum"),
         (13, b"\x0f\0", "quantum"),
-        (18, b"\xff" * 4, "begins"),
+        (18, b"\0\0", "begins"),
     ],
 )
 def test_refused_headers(at: int, value: bytes, why: str) -> None:

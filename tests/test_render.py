@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sgmethod import reference
+from sgmethod import bitstream, reference
 from sgmethod.native_module import native
 from sgmethod.render import render
 
@@ -277,7 +277,7 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
     assert lit.min() == -np.floor(reach)
     assert lit.max() == np.floor(reach)
     assert row[50].item() == pytest.approx(1 - np.exp(-reference.CUTOFF), abs=1e-6)  # worst seen 0
-    assert native.CUTOFF == reference.CUTOFF
+    assert native.MAX_CUTOFF == reference.CUTOFF == bitstream.CUTOFF
 
 
 NOT_DRAWN = {

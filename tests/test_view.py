@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from sgmethod import BitstreamError, ViewError, bitstream_rd, decode, view
+from sgmethod import BitstreamError, ViewError, bitstream, bitstream_rd, decode, view
 from sgmethod.bitstream_rd import RdStream
 from sgmethod.decode import render_pixels
 from sgmethod.gaussians import Gaussians
@@ -112,20 +112,24 @@ def test_sizes(data: bytes, scale: float, region: tuple[int, int, int, int] | No
 
 def test_each_gaussian_keeps_its_integral() -> None:
     gaussians = scattered()
-    shrunk = View(0.2).apply(gaussians, WIDTH, HEIGHT)
+    shrunk = View(0.2).apply(gaussians, WIDTH, HEIGHT, 5.5)
     before, after = ((g.colors.T * g.factors[:, 0] * g.factors[:, 2]).astype(float) for g in (gaussians, shrunk))
     assert np.allclose(after, before * 0.2**2, rtol=1e-5)
 
 
-def test_the_covariance_grows_by_what_is_missing() -> None:
+@pytest.mark.parametrize("cutoff", [bitstream.CUTOFF, bitstream_rd.CUTOFF])
+def test_the_covariance_grows_by_what_is_missing(cutoff: float) -> None:
     gaussians = scattered()
-    shrunk = View(0.25).apply(gaussians, WIDTH, HEIGHT)
+    shrunk = View(0.25).apply(gaussians, WIDTH, HEIGHT, cutoff)
     before, after = (np.zeros((len(gaussians), 2, 2)) for _ in range(2))
     for covariance, factors in ((before, gaussians.factors), (after, shrunk.factors)):
         lower = np.zeros_like(covariance)
         lower[:, 0, 0], lower[:, 1, 0], lower[:, 1, 1] = factors.T
         covariance[:] = lower @ lower.transpose(0, 2, 1)
-    expected = before / 16 + (1 - 1 / 16) / 12 * np.eye(2)
+    sigma = (np.arange(100_000) + 0.5) * cutoff / 100_000
+    weight = np.exp(-sigma) - np.exp(-cutoff)
+    share = (weight * sigma).sum() / weight.sum()  # of a whole Gaussian's variance that one that ends there has
+    expected = before / 16 + (1 - 1 / 16) / 12 / share * np.eye(2)
     assert np.allclose(after, expected, rtol=1e-4, atol=1e-6)
 
 
@@ -138,7 +142,7 @@ def test_what_adds_nothing_stays_so() -> None:
     for asked in (View(0.3), View(region=(5, 5, 100, 100))):
         size = asked.size(WIDTH, HEIGHT)
         with_them, without = (
-            render_pixels(asked.apply(g, WIDTH, HEIGHT), *size, (90, 90, 90)) for g in (gaussians, visible)
+            render_pixels(asked.apply(g, WIDTH, HEIGHT, 5.5), *size, (90, 90, 90)) for g in (gaussians, visible)
         )
         assert np.array_equal(with_them, without)
 

@@ -12,6 +12,7 @@
 #include "optimiser.h"
 #include "rasterization.h"
 #include "rd_codec.h"
+#include "rd_refine.h"
 #include "thread_pool.h"
 
 namespace nb = nanobind;
@@ -47,15 +48,16 @@ nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>> own(std::vector<float>&& v
   return nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>(kept->data(), {kept->size() / Columns, Columns}, owner);
 }
 
-sg::Rasterization* make(Rows<2> means, Rows<3> factors, int width, int height, int isa, int64_t max_pairs) {
+sg::Rasterization* make(Rows<2> means, Rows<3> factors, int width, int height, float cutoff, int isa, int64_t max_pairs) {
   require(means.shape(0) == factors.shape(0), "means and factors differ in number");
   require(width > 0 && height > 0, "the image must have pixels");
   require(width <= kMaxSide && height <= kMaxSide, "the image is too large");
+  require(cutoff > 0 && cutoff <= sg::kMaxCutoff, "the cutoff is out of range");
   const int n = static_cast<int>(means.shape(0));
   const int best = sg::best_isa();
   require(isa <= best, "this processor lacks the instruction set");
   nb::gil_scoped_release release;
-  return new sg::Rasterization(means.data(), factors.data(), n, width, height, isa < 0 ? best : isa, max_pairs);
+  return new sg::Rasterization(means.data(), factors.data(), n, width, height, cutoff, isa < 0 ? best : isa, max_pairs);
 }
 
 // The loss and a share in the array it refers to.
@@ -71,7 +73,7 @@ struct LossOfTarget {
 
 NB_MODULE(_native, m) {
   m.doc() = "Compiled kernels; see sgmethod.render for their meaning.";
-  m.attr("CUTOFF") = sg::kCutoff;
+  m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
   m.attr("TILE_WIDTH") = sg::kTileWidth;
   m.attr("TILE_HEIGHT") = sg::kTileHeight;
   m.def("best_isa", &sg::best_isa);
@@ -79,7 +81,8 @@ NB_MODULE(_native, m) {
   m.def("set_thread_count", &sg::set_thread_count, "count"_a);
 
   nb::class_<sg::Rasterization>(m, "Rasterization")
-      .def(nb::new_(&make), "means"_a, "factors"_a, "width"_a, "height"_a, "isa"_a = -1, "max_pairs"_a = kNoLimit)
+      .def(nb::new_(&make), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kMaxCutoff,
+           "isa"_a = -1, "max_pairs"_a = kNoLimit)
       .def("render",
            [](const sg::Rasterization& r, Rows<3> colors, ImageOut image) {
              require(colors.shape(0) == static_cast<size_t>(r.gaussians()), "one colour per Gaussian");
@@ -182,6 +185,19 @@ NB_MODULE(_native, m) {
     const std::vector<uint8_t> bytes = sg::rd_encode(p, means.data(), factors.data(), colors.data(), static_cast<int>(n));
     return nb::bytes(bytes.data(), bytes.size());
   });
+  m.def("rd_refine", [](const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Image target, float cutoff, double price,
+                        int sweeps, double seconds, uint64_t max_bytes) {
+    const auto n = means.shape(0);
+    require(factors.shape(0) == n && colors.shape(0) == n, "one row per Gaussian");
+    require_size(target, p.width, p.height);
+    std::vector<uint8_t> bytes;
+    {
+      nb::gil_scoped_release release;
+      bytes = sg::rd_refine(p, means.data(), factors.data(), colors.data(), static_cast<int>(n), target.data(),
+                            {cutoff, price, sweeps, seconds, max_bytes});
+    }
+    return nb::bytes(bytes.data(), bytes.size());
+  }, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a, "cutoff"_a, "price"_a, "sweeps"_a, "seconds"_a, "max_bytes"_a);
   m.def("rd_decode", [](const sg::RdParameters& p, nb::bytes data, bool prefix) {
     sg::GaussianArrays decoded = sg::rd_decode(p, static_cast<const uint8_t*>(data.data()), data.size(), prefix);
     return std::make_tuple(own<2>(std::move(decoded.means)), own<3>(std::move(decoded.factors)), own<3>(std::move(decoded.colors)));

@@ -12,11 +12,31 @@ int best_isa();
 
 constexpr int kPairGradients = 8;  // mean x, y; l1, l2, l3; colour r, g, b
 
+// A run of rows in one strip of columns.
+struct Span {
+  int strip, first_row, last_row;  // inclusive
+};
+
+// A picture of strips: [strips][height][3][kTileWidth].
+struct Strips {
+  float* values;
+  int width, height;
+  float* row(int strip, int row) const {
+    return values + (static_cast<int64_t>(strip) * height + row) * (3 * kTileWidth);
+  }
+};
+
 struct TileKernels {
   // accumulators [kTileHeight][3][kTileWidth] += sum over the tile's Gaussians of colour times weight.
   void (*forward)(const Rasterization&, int tile, const float* colors, float* accumulators);
   // pair_gradients [pairs of the tile][kPairGradients] from the tile's image gradient, laid out as above.
   void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
+  // Pixels [rows][columns][3] of 8 bits, rows `stride` bytes apart, from accumulators clamped to [0, 1].
+  void (*bytes)(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride);
+  // picture += color [3] times the weights of one Gaussian.
+  void (*add)(const Footprint&, float floor, const Span* spans, int count, const float* color, const Strips& picture);
+  // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight.
+  void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture, float* products);
 };
 
 const TileKernels& kernels(int isa);

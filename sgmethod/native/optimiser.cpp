@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "rd_symbols.h"
 #include "thread_pool.h"
 
 namespace sg {
 namespace {
 
 constexpr int kBlock = 512;  // Gaussians a task
-constexpr float kSqrtPi = 1.7724538509f;
 constexpr float kInverseLn2 = 1.4426950409f;
 constexpr float kClassWidth = 0.3465735903f;                                 // of u, within which it is coded
 constexpr float kUStep = 0.7071067812f, kRStep = 2.0f, kMeanStep = 1.4142135624f;  // over m; that of v is 1
@@ -23,7 +23,7 @@ void for_each(int n, const Each& each) {
   });
 }
 
-float color_step(const float* l, float quantum) { return quantum / (kSqrtPi * std::sqrt(l[0] * l[2])); }
+float color_step(const float* l, float quantum) { return quantum / (static_cast<float>(kColorScale) * std::sqrt(l[0] * l[2])); }
 
 }  // namespace
 
@@ -60,12 +60,11 @@ void rd_dither(float quantum, int n, const ConstGaussians& p, const float* noise
     const float m = std::max(std::sqrt(color[0] * color[0] + color[1] * color[1] + color[2] * color[2]) / step, 1.0f);
     const float dx = e[0] * kMeanStep / m, dy = e[1] * kMeanStep / m;
     const float u = e[2] * std::min(kUStep / m, kClassWidth), v = e[3] / m;
-    const float r = l[1] / l[2] + e[4] * kRStep / m;
     out.means[2 * i] = mean[0] + l[0] * dx;
     out.means[2 * i + 1] = mean[1] + l[1] * dx + l[2] * dy;
-    const float l3 = l[2] * std::exp(u - v);
-    out.factors[3 * i] = l[0] * std::exp(u + v);
-    out.factors[3 * i + 1] = r * l3;
+    const float l1 = l[0] * std::exp(u + v), l3 = l[2] * std::exp(u - v);
+    out.factors[3 * i] = l1;
+    out.factors[3 * i + 1] = l[1] / l[0] * l1 + e[4] * kRStep / m * l3;  // the slope is what is rounded
     out.factors[3 * i + 2] = l3;
     for (int k = 0; k < 3; ++k) out.colors[3 * i + k] = color[k] + e[5 + k] * step;
   });

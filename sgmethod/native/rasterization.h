@@ -9,24 +9,11 @@
 #include <memory>
 #include <vector>
 
+#include "footprint.h"
+
 namespace sg {
 
-constexpr int kTileWidth = 16;
 constexpr int kTileHeight = 64;
-
-// docs/format.md: the ellipse sigma <= kCutoff carries the Gaussian, and the weight is exp(-sigma) - kFloor
-// there, so that it meets zero at the rim.
-constexpr float kCutoff = 5.5f;
-constexpr float kFloor = 0.004086771438464067f;  // exp(-5.5)
-
-// One Gaussian prepared for the kernels. z1 = dx / l1, z2 = (dy - shear dx) / l3, sigma = (z1^2 + z2^2) / 2.
-struct Footprint {
-  float x, y;              // mean, pixels; pixel (row, column) has its centre at (column + 0.5, row + 0.5)
-  float inv_l1, inv_l3;    // 1 / l1, 1 / l3
-  float shear;             // l2 / l1
-  float decay;             // exp(-1 / l3^2): what the ratio of two neighbouring rows loses per row
-  int segment;             // rows after which the recurrence starts anew
-};
 
 struct Pair {
   int32_t gaussian;
@@ -44,7 +31,8 @@ class Rasterization {
   // means [n, 2] in pixels, factors [n, 3] = (l1, l2, l3) in pixels. Gaussians that are not finite or have
   // l1 or l3 <= 0 contribute nothing. Throws std::overflow_error if more than max_pairs (Gaussian, tile) pairs
   // would be needed: memory and time follow that number.
-  Rasterization(const float* means, const float* factors, int n, int width, int height, int isa, int64_t max_pairs);
+  Rasterization(const float* means, const float* factors, int n, int width, int height, float cutoff, int isa,
+                int64_t max_pairs);
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;
@@ -57,6 +45,7 @@ class Rasterization {
   int width() const { return width_; }
   int height() const { return height_; }
 
+  float floor() const { return floor_; }  // exp(-cutoff)
   const Footprint& footprint(int gaussian) const { return footprints_[gaussian]; }
   int strips() const { return strips_; }
   const Pair* tile_begin(int tile) const { return pairs_.get() + tile_start_[tile]; }
@@ -68,7 +57,6 @@ class Rasterization {
     std::vector<Pair> pairs;
     std::vector<int32_t> tiles;  // the tile of each pair
   };
-  Footprint prepare(const float* mean, const float* factor) const;
   template <typename Visit>
   int spans(int gaussian, const Visit& visit) const;
   void bin(int gaussian, Bin& bin) const;
@@ -77,6 +65,7 @@ class Rasterization {
   int64_t pairs_up_to(int64_t limit) const;
 
   int n_, width_, height_, strips_, blocks_, isa_;
+  float reach_, floor_;
   std::vector<Footprint> footprints_;
   std::vector<float> factors_;
   std::unique_ptr<Pair[]> pairs_;           // sorted by tile, then by Gaussian

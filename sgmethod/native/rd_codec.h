@@ -9,7 +9,7 @@ namespace sg {
 
 struct RdParameters {
   int width, height;
-  double quantum;   // error energy of one step of any parameter, square-rooted; image in [0, 1]
+  double quantum;   // about the root of the error energy of one step of any parameter; image in [0, 1]
   bool grey;        // no chroma in the stream
   bool upright;     // no shear in the stream
 };

@@ -5,6 +5,7 @@
 #include <cstring>
 
 #define SG_INLINE inline __attribute__((always_inline))
+#define SG_INLINE_LAMBDA __attribute__((always_inline))
 
 namespace sg {
 

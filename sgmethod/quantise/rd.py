@@ -2,7 +2,7 @@
 
 The integers and the exact rounding live in native code (sgmethod/native/rd_codec.cpp), where also the derivation of
 the steps stands. All of them follow from the size s = sqrt(l1 l3), the quantum q and m, the length of the colour in
-its steps of q / (s sqrt(pi)):
+its steps of q / (1.5 s):
 
     u = log s: 0.707 / m    v = log(l1 / l3) / 2: 1 / m    r = l2 / l3: 2 / m    mean in units of L: 1.414 / m
 
@@ -16,7 +16,7 @@ import math
 import torch
 from torch import Tensor
 
-from sgmethod.bitstream_rd import RdStream, quantum_code, quantum_of
+from sgmethod.bitstream_rd import CUTOFF, RdStream, quantum_code, quantum_of
 from sgmethod.fit import Parameters
 from sgmethod.native_module import native
 
@@ -71,3 +71,20 @@ class Coder:
     def stream(self, p: Parameters) -> RdStream:
         """The coded picture."""
         return RdStream.of(p.numpy(), self.size, self.quantum, self.background, self.grey)
+
+    def refined(
+        self, p: Parameters, target: Tensor, price: float, sweeps: int, seconds: float, max_payload: int
+    ) -> RdStream:
+        """The coded picture, with integers changed one Gaussian at a time where that lowers squared error plus price
+        times bits; then without those that gain least for their bits, until the payload has at most max_payload bytes.
+
+        target [3, H, W]: picture less background; price: squared error summed over the picture; sweeps over all
+        Gaussians, at most, and no longer than seconds.
+        """
+        upright = not bool(p.factors[:, 1].any())
+        parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
+        means, factors, colors = (t.contiguous() for t in (p.means, p.factors, p.colors))
+        payload = native.rd_refine(
+            parameters, means, factors, colors, target, CUTOFF, price, sweeps, seconds, max_payload
+        )
+        return RdStream(*self.size, self.quantum, self.background, self.grey, upright, payload)

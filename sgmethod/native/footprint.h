@@ -1,0 +1,69 @@
+// One Gaussian over a pixel grid: what the kernels need of it, and which rows it covers in which strip of columns.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+namespace sg {
+
+constexpr int kTileWidth = 16;  // columns of a strip
+
+// docs/format.md: the ellipse sigma <= cutoff carries the Gaussian, and the weight is exp(-sigma) - exp(-cutoff)
+// there, so that it meets zero at the rim. Every version of the format has a cutoff of its own, at most this:
+constexpr float kMaxCutoff = 5.5f;
+
+// exp(-x) rounded from double: the C library's may differ from machine to machine, which pixels must not.
+float exp_minus(double x);
+
+// One Gaussian prepared for the kernels. z1 = dx / l1, z2 = (dy - shear dx) / l3, sigma = (z1^2 + z2^2) / 2.
+struct Footprint {
+  Footprint() = default;
+  // Left at segment 0 if the values are not finite or l1 or l3 not positive: nothing is to be drawn.
+  Footprint(const float* mean, const float* factor);
+
+  float x, y;            // mean, pixels; pixel (row, column) has its centre at (column + 0.5, row + 0.5)
+  float inv_l1, inv_l3;  // 1 / l1, 1 / l3
+  float shear;           // l2 / l1
+  float decay;           // exp(-1 / l3^2): what the ratio of two neighbouring rows loses per row
+  int segment = 0;       // rows after which the recurrence starts anew
+};
+
+// A value that is not a number, which geometry beyond single precision can come to, gives low.
+inline int clamp_to_int(float v, int low, int high) {
+  if (!(v > static_cast<float>(low))) return low;
+  return v < static_cast<float>(high) ? static_cast<int>(v) : high;
+}
+
+// The rows that the ellipse within `reach` of its own axes covers in each strip of a picture. The edge above dx is
+// shear dx + l3 sqrt(reach^2 - (dx / l1)^2), concave, with its summit at dx = reach l1 l2 / sqrt(l2^2 + l3^2).
+// Calls visit(strip, first row, last row) for each strip in which there are any; returns the strips looked at.
+template <typename Visit>
+int spans(const Footprint& f, const float* l, float reach, int width, int height, const Visit& visit) {
+  constexpr float kMargin = 0.01f;  // pixels by which a footprint is widened: far more than its rounding error
+  if (f.segment == 0) return 0;
+  const int strips = (width + kTileWidth - 1) / kTileWidth;
+  const float half_width = reach * l[0];
+  const float half_height = std::sqrt(l[1] * l[1] + l[2] * l[2]);
+  const float summit = half_width * l[1] / half_height;
+  const float beyond = reach * 1.001f * half_height + 1.0f;  // far more than any rounding error
+  if (f.y + beyond < 0.0f || f.y - beyond > static_cast<float>(height)) return 0;
+  const auto edge = [&](float dx) {
+    const float z = dx * f.inv_l1;
+    return l[2] * std::sqrt(std::max(reach * reach - z * z, 0.0f));
+  };
+  const int s0 = clamp_to_int(std::floor((f.x - half_width - kMargin - 0.5f) / kTileWidth), 0, strips);
+  const int s1 = clamp_to_int(std::floor((f.x + half_width + kMargin) / kTileWidth), -1, strips - 1);
+  for (int strip = s0; strip <= s1; ++strip) {
+    const float left = std::clamp(static_cast<float>(strip * kTileWidth) - f.x, -half_width, half_width);
+    const float right = std::clamp(static_cast<float>((strip + 1) * kTileWidth) - f.x, -half_width, half_width);
+    const float top_dx = std::clamp(-summit, left, right), bottom_dx = std::clamp(summit, left, right);
+    const float top = f.y + f.shear * top_dx - edge(top_dx) - kMargin;
+    const float bottom = f.y + f.shear * bottom_dx + edge(bottom_dx) + kMargin;
+    const int row0 = clamp_to_int(std::ceil(top - 0.5f), 0, height);
+    const int row1 = clamp_to_int(std::floor(bottom - 0.5f), -1, height - 1);
+    if (row0 <= row1) visit(strip, row0, row1);
+  }
+  return std::max(s1 - s0 + 1, 0);
+}
+
+}  // namespace sg
