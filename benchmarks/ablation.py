@@ -1,9 +1,9 @@
 """What each part of profile rd is worth: the same pictures at the same rate with one part left out at a time.
 
-    python -m benchmarks.ablation --images FOLDER [--bpp 0.25] [--steps 2000] [--most 6]
+    python -m benchmarks.ablation --images FOLDER [--bpp 0.25] [--steps N] [--most 6]
 
 Files are real and decoded again; all are of the same size within a percent, so the difference in PSNR is the part's
-worth. Fewer steps than an encode's are enough to rank parts and take less time; the table says how many.
+worth.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Part:
     patched: Callable[[], AbstractContextManager[Any]] = nullcontext
 
 
-def _keep_all(_: Any, _bits: float) -> None:
+def _keep_all(_: Any, _bits: float, _most: int) -> None:
     """In place of dropping Gaussians."""
 
 
@@ -49,12 +49,9 @@ PARTS = (
     Part("a price for existing (anything may grow)", {"bits_of_new": 0.0}),
     Part("a price for bits while fitting", {}, lambda: patch.object(quantiser, "add_rate_gradient")),
     Part("noise while fitting", {}, lambda: patch.object(quantiser, "dithered", lambda p, *_: p)),
-    Part("rounding while fitting", {"rounding_from": 2.0}),
-    Part(
-        "colours solved anew at the end",
-        {},
-        lambda: patch.object(rd.RdFit, "_with_solved_colors", lambda _self, _coder, p: p),
-    ),
+    Part("more than the size at first", {"excess": 0.0}),
+    Part("refined integers", {"refine_sweeps": 0}),
+    Part("a price for bits while refining", {"refine_weight": 0.0}),
 )
 
 
@@ -80,7 +77,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.ablation", description="Profile rd, part by part.")
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--bpp", type=float, default=0.25)
-    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--steps", type=int, default=RD.steps)
     parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
     parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "ablation.json")
     options = parser.parse_args()

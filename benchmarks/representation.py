@@ -57,7 +57,7 @@ def main() -> None:
     pictures = pictures_in(options.images)
     if not pictures:
         raise SystemExit(f"there is no picture in {options.images}")
-    settings = replace(RD, steps=options.steps, rounding_from=2.0)
+    settings = replace(RD, steps=options.steps)
     torch.set_num_threads(1)
     rows: list[dict[str, Any]] = []
     print("| Gaussians | image | used | PSNR | MS-SSIM | seconds |\n|---|---|---|---|---|---|")

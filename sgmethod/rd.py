@@ -49,7 +49,7 @@ class RdFit:
         self.mse = 1.0
         self.generator = torch.Generator().manual_seed(seed)
         self.expected = self._expected_gaussians()
-        start = min(max(int(self.expected * settings.start_share), 4), self._most())
+        start = min(max(int(self.expected * settings.start_share), 4), self._most(1.0))
         self.p = self._placed(start, np.random.default_rng(seed))
         self.p.colors = self.picture.solve_colors(self.p.means, self.p.factors, settings.color_solve_steps)
         self.adam = FrameAdam(start, settings)
@@ -70,10 +70,16 @@ class RdFit:
             return max(int(8 * self.goal.max_bytes / BIT_GUESS), 1)
         return max(self.height * self.width // 250, 1)
 
-    def _most(self) -> int:
+    def _excess(self, at: float) -> float:
+        """How many times what was asked for there may be: Gaussians, or bytes."""
+        s = self.settings
+        past = min(max((at - s.excess_from) / (s.excess_until - s.excess_from), 0), 1)
+        return 1 + s.excess * (1 - past)
+
+    def _most(self, at: float) -> int:
         most = self.height * self.width
         if self.goal.max_gaussians is not None:
-            return min(most, self.goal.max_gaussians)
+            return min(most, int(self.goal.max_gaussians * self._excess(at)))
         return min(most, int(self.settings.most * self.expected)) if self.goal.max_bytes is not None else most
 
     def step(self, rate: float, progress: float) -> tuple[float, tuple[int, int]]:
@@ -105,15 +111,17 @@ class RdFit:
         """Drop Gaussians, steer the quantum and, while growing, add Gaussians."""
         s = self.settings
         growing = at in s.growth_at
-        self._drop(s.bits_of_dropped if at >= s.growth_at[-1] else s.bits_of_nothing)
+        self._drop(s.bits_of_dropped if at >= s.growth_at[-1] else s.bits_of_nothing, self._most(at))
         self._steer(at, s.steering_exponent if growing else s.trim_exponent)
         if growing:
-            self._grow()
+            self._grow(self._most(at))
 
-    def _drop(self, bits: float) -> None:
-        """Remove Gaussians whose energy is not worth so many bits."""
-        least = bits * quantiser.error_per_bit(self.coder.quantum)
-        keep = torch.nonzero(quantiser.energies(self.p) > least)[:, 0]
+    def _drop(self, bits: float, most: int) -> None:
+        """Remove Gaussians whose energy is not worth so many bits, and the least of those beyond so many."""
+        energies = quantiser.energies(self.p)
+        if len(energies) > most:
+            energies[torch.argsort(energies, stable=True)[: len(energies) - most]] = 0
+        keep = torch.nonzero(energies > bits * quantiser.error_per_bit(self.coder.quantum))[:, 0]
         if len(keep) == len(self.p.means):
             return
         kept = _rows(self.p, keep)
@@ -122,7 +130,7 @@ class RdFit:
         self.p = kept
         self.adam.select(keep)
 
-    def _grow(self) -> None:
+    def _grow(self, most: int) -> None:
         n = len(self.p.means)
         # Where no size is given the price alone decides how many; each time the number may double.
         share = self.settings.growth if self.goal.max_bytes is not None else 1.0
@@ -131,7 +139,7 @@ class RdFit:
         least = price * self.settings.bits_of_new
         residual = self.picture.residual(self.p)
         planes = np.ascontiguousarray(residual.numpy().transpose(1, 2, 0))
-        new = growth.candidates(planes, min(wanted, self._most() - n), least)
+        new = growth.candidates(planes, min(wanted, most - n), least)
         if len(new):
             added = Parameters.of(new)
             # Neighbours overlap: their colours are solved together, or they would overshoot.
@@ -154,8 +162,7 @@ class RdFit:
         if self.goal.max_bytes is not None:
             # More than the whole size from the first: the fine steps that this means serve Gaussians well while they
             # are few; then there are more than can stay, and those that gain least for their bits go.
-            past = min(max((at - s.excess_from) / (s.excess_until - s.excess_from), 0), 1)
-            ratio = (self.size / self.goal.max_bytes / (1 + s.excess * (1 - past))) ** exponent
+            ratio = (self.size / (self.goal.max_bytes * self._excess(at))) ** exponent
         elif self.goal.psnr is not None:
             # Early in the growth a larger error than the final one is right.
             missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
