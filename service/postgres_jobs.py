@@ -15,8 +15,8 @@ from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
 from service.jobs import BackendError, JobRules
+from service.postgres_engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.postgres_engine import SCHEMA as ENGINE_SCHEMA
-from service.postgres_engine import TOKENS_WAITING, Engine, in_words
 from service.sql_jobs import WATCHED, SqlJobs
 from service.sql_statements import OVERDUE, SCHEMA, Cursor, Database
 from service.stopping import StopSignal
@@ -44,7 +44,6 @@ CONNECT: dict[str, str | int] = {
     "application_name": "sgmethod",
 }
 CONNECTIONS = 8
-PATIENCE_S = 5.0  # for a database that is being restarted
 SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
 CLAIMABLE = f"""
 WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)

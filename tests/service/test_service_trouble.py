@@ -24,6 +24,7 @@ from service_process import (
 
 from benchmarks.postgres_server import PostgresServer
 
+PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
 
 
@@ -108,6 +109,41 @@ def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: 
     assert (job["state"], job["attempt"]) == ("done", 1)
     assert service.wait(service.accepted())["attempt"] == 1
     wait_until(lambda: len(service.files()) == 2)
+
+
+def test_the_end_does_not_wait_for_a_database(start_service: StartService, postgres: PostgresServer) -> None:
+    service = start_service(database_url=postgres.new_database())
+    assert service.wait(service.accepted())["state"] == "done"
+    postgres.stop("immediate")
+    try:
+        assert service.client.get("/readyz").status_code == 503
+        assert service.stop() == 0
+    finally:
+        postgres.start()
+    log = service.log.read_text()
+    assert "is killed" not in log
+    assert "Traceback" not in log
+
+
+def test_a_storage_that_breaks(start_service: StartService) -> None:
+    """What cannot be had just now is a 503, what is lost a 500, and a job can be removed all the same."""
+    web = start_service("web")
+    lost, damaged, unreachable = (web.published(PICTURE) for _ in range(3))
+    folder = web.data_dir / "bitstreams"
+    (folder / f"{lost}.1.sg").unlink()
+    (folder / f"{damaged}.1.sg").write_bytes(PICTURE[:-1])
+    assert_problem(web.client.get(f"/bitstreams/{lost}.sg"), 500, "missing")
+    assert_problem(web.client.get(f"/decode/{lost}.png"), 500, "missing")
+    assert_problem(web.client.get(f"/decode/{damaged}.png"), 500, "damaged")
+    folder.rename(web.data_dir / "aside")
+    folder.write_bytes(b"")
+    for path in (f"/bitstreams/{unreachable}.sg", f"/decode/{unreachable}.png"):
+        answer = web.client.get(path)
+        assert_problem(answer, 503, "storage")
+        assert answer.headers["retry-after"]
+    assert web.client.delete(f"/jobs/{unreachable}").status_code == 204
+    assert web.client.get(f"/jobs/{unreachable}").status_code == 404
+    assert "Traceback" not in web.log.read_text()
 
 
 def test_workers_that_share_only_a_database_and_a_bucket(
