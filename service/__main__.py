@@ -19,6 +19,7 @@ from service.listening import is_loopback, listen, url
 from service.settings import Settings, unknown_settings
 from service.stopping import StopSignal
 from service.sweeping import ORPHAN_AGE_S, sweep
+from sgmethod.errors import SgError
 
 BAD_SETTING = 2
 TROUBLE = 1
@@ -42,7 +43,7 @@ def main() -> int:
         print(f"{name} is no setting of this service, and does nothing", file=sys.stderr)
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
-    except (OSError, BackendError) as error:
+    except (OSError, BackendError, SgError) as error:
         verb = "sweep" if arguments.command == "sweep" else "start"
         print(f"cannot {verb}: {' '.join(str(error).split())}", file=sys.stderr)
         return TROUBLE

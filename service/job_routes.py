@@ -30,7 +30,7 @@ from sgmethod.profiles import PROFILE_NAMES
 log = logging.getLogger(__name__)
 router = APIRouter()
 
-RETRY_AFTER_QUEUE_S = "10"
+RETRY_AFTER_QUEUE_S = "5"
 NEVER_STORED = {"Cache-Control": "no-store"}
 
 FIELD_SCHEMAS: dict[str, dict[str, Any]] = {

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
-from service_process import SMALL, Service, StartService, assert_problem, wait_until
+from service_process import SMALL, Service, StartService, assert_problem
+
+from benchmarks.service_process import wait_until
 
 BOUNDARY = "frontier"
 HEAD = (

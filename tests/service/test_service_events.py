@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from service_process import SMALL, Service, StartService, assert_problem, wait_until
+from service_process import SMALL, Service, StartService, assert_problem
+
+from benchmarks.service_process import wait_until
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
 Event = tuple[str, dict[str, Any]]

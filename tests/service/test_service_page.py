@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 from browser import Browser
-from service_process import SMALL, Service, StartService, wait_until
+from service_process import SMALL, Service, StartService
 
+from benchmarks.service_process import wait_until
 from service.keys import digest
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_process import ROOT, wait_until
+from service_process import ROOT
 
+from benchmarks.service_process import wait_until
 from service import settings as settings_module
 from service import supervisor
 from service.settings import Settings, available_cores

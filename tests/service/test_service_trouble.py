@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -11,18 +12,12 @@ from pathlib import Path
 
 import psycopg
 import pytest
+from PIL import Image
 from s3_server import S3Server
-from service_process import (
-    ROOT,
-    StartService,
-    assert_problem,
-    encoder_of,
-    parent_of,
-    processes,
-    wait_until,
-)
+from service_process import ROOT, StartService, assert_problem
 
 from benchmarks.postgres_server import PostgresServer
+from benchmarks.service_process import encoder_of, processes, wait_until
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
@@ -88,7 +83,7 @@ def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgr
     """A row without a job of the engine gets one."""
     database_url = postgres.new_database()
     service = start_service(database_url=database_url)
-    (worker,) = service.children("worker")
+    (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGSTOP)
     job_id = service.accepted()
     with psycopg.connect(database_url, options="-c search_path=sgmethod_engine") as db:
@@ -159,7 +154,9 @@ def test_workers_that_share_only_a_database_and_a_bucket(
             command = [sys.executable, "-m", "service", "worker"]
             workers.append(subprocess.Popen(command, cwd=ROOT, env=environment, stderr=log))
     jobs = [web.accepted() for _ in range(5)]
-    victim = wait_until(lambda: [parent_of(number) for job in jobs if (number := encoder_of(job))])[0]
+    victim = wait_until(lambda: [process.parent for job in jobs if (process := processes().get(encoder_of(job) or 0))])[
+        0
+    ]
     wait_until(lambda: all("attempt 1" in (tmp_path / f"{name}.log").read_text() for name in ("a", "b")))
     os.kill(victim, signal.SIGKILL)
     assert [web.wait(job_id)["state"] for job_id in jobs] == ["done"] * 5
@@ -188,7 +185,7 @@ def test_supervisor_killed_alone(start_service: StartService) -> None:
     service = start_service()
     job_id = service.accepted_slow()
     encoder = wait_until(lambda: encoder_of(job_id))
-    orphans = {encoder, *service.children("web"), *service.children("worker")}
+    orphans = {encoder, *service.ours("web"), *service.ours("worker")}
     service.process.kill()
     service.process.wait()
     wait_until(lambda: not orphans & set(processes()))
@@ -202,8 +199,11 @@ def test_interrupt_stops_too(start_service: StartService) -> None:
 
 
 def test_memory_limit(start_service: StartService) -> None:
-    """An encode that wants more memory than it may have crashes, and nothing else does."""
-    service = start_service(job_memory_bytes=2**28, max_attempts=1)
-    job = service.wait(service.accepted_slow())
-    assert (job["state"], job["error"]["code"]) == ("failed", "crashed")
+    """An encode that wants more memory than it may have fails, and nothing else does."""
+    service = start_service(job_memory_bytes=500 * 2**20, max_pixels=10**8)
+    file = io.BytesIO()
+    Image.new("RGB", (9000, 9000)).save(file, "PNG")
+    job = service.wait(service.accepted(file.getvalue()))
+    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "refused")
+    assert "memory" in job["error"]["detail"]
     assert service.client.get("/livez").status_code == 200
