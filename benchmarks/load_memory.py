@@ -76,6 +76,7 @@ def _measure(images: list[bytes], encodes: int, minutes: float, time_limit_s: fl
     chance = random.Random(1)
     with tempfile.TemporaryDirectory() as temporary, running(Path(temporary) / "data", **SETTINGS) as service:
         watch = Watch(service)
+        service.client.get("/readyz").raise_for_status()
         start = watch.sample()
         _use(service, images[0], time_limit_s)
         floor = watch.sample()
