@@ -24,6 +24,8 @@ serve: $(STAMP)
 test: $(STAMP)
 	@command -v initdb >/dev/null || ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || \
 	  echo "PostgreSQL is missing, so its tests will be skipped: sudo apt install postgresql" >&2
+	@command -v chromedriver >/dev/null && command -v chromium >/dev/null || \
+	  echo "Chromium is missing, so the page will not be tested: sudo apt install chromium chromium-driver" >&2
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy

@@ -221,8 +221,8 @@ def ledger(service: ChaosService, submitter: Submitter, chaos: Chaos) -> tuple[d
         "done, but not to be fetched": len(done - set(fetched)),
         "published twice": len(twice),
         "files that kills left behind, removed by the sweep": orphans,
-        "files left over after that": len(service.files() - published),
-        "files missing": len(published - service.files()),
+        "files left over after that": len(set(service.files()) - published),
+        "files missing": len(published - set(service.files())),
         "processes left over": len(service.processes_left()),
     }
     free = ("accepted", "done", "failed", "cancelled", "files that kills left behind, removed by the sweep")

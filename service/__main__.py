@@ -16,31 +16,39 @@ from service import lifeline
 from service.backends import open_backend, open_storage
 from service.jobs import BackendError
 from service.listening import is_loopback, listen, url
-from service.settings import Settings
+from service.settings import Settings, unknown_settings
 from service.stopping import StopSignal
 from service.sweeping import ORPHAN_AGE_S, sweep
+from sgmethod.errors import SgError
 
 BAD_SETTING = 2
 TROUBLE = 1
+INTERRUPTED = 128 + signal.SIGINT
 
 
 def main() -> int:
-    """Run one command. Exit status: 0 after a wished end, 2 for a bad setting, 1 for trouble."""
+    """Run one command. Exit status: 0 after a wished end, 2 for a bad setting, 1 for trouble, 130 for Ctrl-C while
+    nothing runs yet."""
     arguments = _parser().parse_args()
+    signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     try:
         settings = Settings()
     except ValidationError as error:
         for fault in error.errors():
             name = f"SG_{fault['loc'][0]}: ".upper() if fault["loc"] else ""
-            print(f"{name}{fault['msg']}", file=sys.stderr)
+            print(f"{name}{fault['msg'].removeprefix('Value error, ')}", file=sys.stderr)
         return BAD_SETTING
+    for name in unknown_settings(os.environ):
+        print(f"{name} is no setting of this service, and does nothing", file=sys.stderr)
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
-    except (OSError, BackendError) as error:
+    except (OSError, BackendError, SgError) as error:
         verb = "sweep" if arguments.command == "sweep" else "start"
-        print(f"cannot {verb}: {error}", file=sys.stderr)
+        print(f"cannot {verb}: {' '.join(str(error).split())}", file=sys.stderr)
         return TROUBLE
+    except KeyboardInterrupt:
+        return INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -69,7 +77,9 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
     stop = StopSignal()
     stop.on_signals()
-    open_backend(settings).close()  # trouble with the folder shows here, not as processes that keep dying
+    # Trouble with folder, database or bucket shows here, not as processes that keep dying.
+    open_backend(settings).close()
+    open_storage(settings).check()
     supervise(settings, _announce(settings), stop)
 
 

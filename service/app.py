@@ -21,7 +21,7 @@ from service.gate import Gate
 from service.health_routes import VERSION
 from service.keys import KeyRing, RateLimit
 from service.metrics import RequestMetrics
-from service.middleware import BodyGuard, BodyLimits, ResponseHeaders
+from service.middleware import AnswerGuard, BodyGuard, BodyLimits, Outflow, ResponseHeaders
 from service.parts import Parts
 from service.problems import install_problem_handlers, problems
 from service.settings import Settings
@@ -74,6 +74,7 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
         PictureCache(settings.decode_cache_bytes),
         CapacityLimiter(UPLOADS_IN_MEMORY),
         CapacityLimiter(settings.max_event_streams),
+        Outflow(settings.max_answer_bytes),
         stopping or asyncio.Event(),
     )
     install_problem_handlers(app)
@@ -96,4 +97,4 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
     secret = settings.link_secret.get_secret_value()
     gate = Gate(app, keys, RateLimit(settings.key_request_rate), secret)
     guarded = BodyGuard(gate, _body_limits(settings))
-    return ResponseHeaders(RequestMetrics(guarded, parts.metrics))
+    return AnswerGuard(ResponseHeaders(RequestMetrics(guarded, parts.metrics)), parts.outflow)

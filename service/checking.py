@@ -14,6 +14,7 @@ from service.backends import open_backend, open_storage
 from service.jobs import BackendError
 from service.settings import Settings
 from service.storage import PROBE_FOLDER
+from sgmethod.errors import SgError
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
@@ -44,7 +45,7 @@ def check(settings: Settings) -> Iterator[Check]:
     for name, run in checks.items():
         try:
             yield Check(name, True, run(settings))
-        except (CheckError, BackendError, OSError, ImportError) as error:
+        except (CheckError, BackendError, SgError, OSError, ImportError) as error:
             yield Check(name, False, str(error))
 
 

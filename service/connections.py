@@ -19,7 +19,7 @@ BETWEEN_REQUESTS, IN_HEAD, IN_BODY = range(3)
 @dataclass(frozen=True)
 class ConnectionLimits:
     """most: connections at once; head_bytes, head_timeout_s: of a request line with its headers;
-    send_timeout_s: how long a client may take nothing of an answer.
+    send_timeout_s: for how long a client may leave an answer, or a piece of a large one, untaken.
     """
 
     most: int
@@ -45,13 +45,15 @@ class _Connection(HttpToolsProtocol):
         self._place = BETWEEN_REQUESTS
         self._head_bytes = 0
         self._head_timer: asyncio.TimerHandle | None = None
+        self._send_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
         if len(self.connections) > self.LIMITS.most:
             self._refuse(ProblemError(503, "there are too many connections"))
             return
-        # The system ends a connection whose peer acknowledges nothing or keeps its window shut for so long.
+        # The system ends a connection whose peer acknowledges nothing or keeps its window shut for so long: what the
+        # system has taken over of an answer is out of sight here.
         raw = transport.get_extra_info("socket")
         if raw is not None and raw.family != socket.AF_UNIX:
             milliseconds = int(1000 * self.LIMITS.send_timeout_s)
@@ -60,7 +62,17 @@ class _Connection(HttpToolsProtocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._stop_timer()
-        super().connection_lost(exc)
+        super().connection_lost(exc)  # which resumes writing
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._send_timer = self.loop.call_later(self.LIMITS.send_timeout_s, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        if self._send_timer is not None:
+            self._send_timer.cancel()
+            self._send_timer = None
+        super().resume_writing()
 
     def data_received(self, data: bytes) -> None:
         if self.transport.is_closing():

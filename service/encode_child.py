@@ -31,6 +31,7 @@ TRACE, REFUSED, STATS, BITSTREAM = b"T", b"E", b"R", b"D"
 # Beneath the web process, so that answers come at once while every core encodes.
 NICENESS = 10
 PARENT_GONE = 3
+NO_MEMORY = b"the encode needs more memory than it may have here"
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,9 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
         )
     except SgError as error:
         send(pipe, REFUSED, str(error).encode())
+        return
+    except MemoryError:  # which another attempt would not have more of
+        send(pipe, REFUSED, NO_MEMORY)
         return
     send(pipe, STATS, to_json(encoded.stats.to_dict()))
     send(pipe, BITSTREAM, encoded.data)

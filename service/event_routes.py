@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from typing import Annotated
 
@@ -11,10 +12,11 @@ from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service import views
-from service.jobs import FINAL_STATES
-from service.parts import KnownJob, UseParts
+from service.jobs import FINAL_STATES, BackendError, Job
+from service.parts import KnownJob, Parts, UseParts
 from service.problems import ProblemError, problems
 
+log = logging.getLogger(__name__)
 router = APIRouter()
 
 POLL_S = 0.5  # workers write progress down as often
@@ -41,6 +43,14 @@ async def events(job: KnownJob, parts: UseParts, _: Annotated[None, Depends(_pla
     Every stream tells the whole story, so one that broke is simply opened again; a state with another attempt
     begins a new trace.
     """
+    try:
+        async for event in _story(job, parts):
+            yield event
+    except BackendError as error:
+        log.error("a stream of events ends early: %s", error)
+
+
+async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:
     last: views.JobSummary | None = None
     attempt, sent, progress = 0, 0, 0.0
     while True:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from importlib.metadata import version
 
 from anyio import fail_after, to_thread
@@ -40,8 +39,8 @@ async def ready(parts: UseParts) -> views.HealthView:
         raise ProblemError(503, "the job table does not answer")
     if not await _storage_answers(parts):
         raise ProblemError(503, "the storage does not answer")
-    if census.waiting_since is not None:
-        stalled_s = time.time() - max(census.waiting_since, census.worked_at or 0.0)
+    if census.waiting_s is not None:
+        stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
         if stalled_s > parts.settings.stall_s:
             raise ProblemError(503, f"jobs wait, and no worker has been heard from for {stalled_s:.0f} s")
     return views.HealthView(status="ok", version=VERSION)

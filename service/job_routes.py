@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from typing import Annotated, Any
 
@@ -26,9 +27,10 @@ from service.submission import (
 from sgmethod.budget import BUDGET_KINDS
 from sgmethod.profiles import PROFILE_NAMES
 
+log = logging.getLogger(__name__)
 router = APIRouter()
 
-RETRY_AFTER_QUEUE_S = "10"
+RETRY_AFTER_QUEUE_S = "5"
 NEVER_STORED = {"Cache-Control": "no-store"}
 
 FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
@@ -113,11 +115,21 @@ def _accept(parts: Parts, wanted: Wanted, image: bytes, key: str | None, owner: 
     try:
         parts.storage.put(source_key(new.id), image)
     except OSError as error:
-        raise ProblemError(503, f"the image cannot be stored: {error.strerror}") from error
+        log.error("an image cannot be stored: %s", error)
+        retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
+        raise ProblemError(503, "the image cannot be stored just now", headers=retry) from error
     job, accepted = _submit(parts, new)
     if not accepted:
-        parts.storage.delete(source_key(new.id))
+        _discard(parts, source_key(new.id))
     return job
+
+
+def _discard(parts: Parts, key: str) -> None:
+    """Remove what no job needs any more. Where that fails it is left to the sweep: what was asked for is done."""
+    try:
+        parts.storage.delete(key)
+    except OSError as error:
+        log.warning("%s cannot be removed yet: %s", key, error)
 
 
 def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
@@ -131,7 +143,7 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
         refusal = _queue_full()
     except KeyReusedError:
         refusal = ProblemError(422, "this Idempotency-Key was used for another request")
-    parts.storage.delete(source_key(new.id))
+    _discard(parts, source_key(new.id))
     raise refusal
 
 
@@ -183,6 +195,6 @@ def remove(job: KnownJob, parts: UseParts) -> None:
     if removed is None:
         return
     # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.
-    parts.storage.delete(source_key(removed.id))
+    _discard(parts, source_key(removed.id))
     if removed.result is not None:
-        parts.storage.delete(removed.result.bitstream_key)
+        _discard(parts, removed.result.bitstream_key)

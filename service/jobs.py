@@ -160,15 +160,15 @@ class Job:
 
 @dataclass(frozen=True)
 class Census:
-    """The table at a glance. Times are seconds since 1970 (UTC).
+    """The table at a glance.
 
-    jobs: how many are in each state; waiting_since: when the oldest queued job was accepted, None if none
-    waits; claimed_at: when a job was last claimed, None if none ever was.
+    jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
+    any worker was last heard from, None if none ever was. Seconds, by the table's own clock.
     """
 
     jobs: Mapping[JobState, int]
-    waiting_since: float | None
-    worked_at: float | None
+    waiting_s: float | None
+    silent_s: float | None
 
 
 class JobBackend(Protocol):
@@ -212,9 +212,10 @@ class JobBackend(Protocol):
         ...
 
     def reconcile(self) -> list[Job]:
-        """Put running jobs whose lease is over back into the queue; those that crashed too often fail.
+        """Put running jobs whose worker is lost back into the queue; those that crashed too often fail.
 
-        Returns the jobs that failed.
+        A worker is lost when it has not renewed its lease in time, and this table object has watched it not do so
+        for a while: call this every now and then. Returns the jobs that failed.
         """
         ...
 

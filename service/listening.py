@@ -13,7 +13,11 @@ BACKLOG = 512
 def listen(settings: Settings) -> socket.socket:
     """A listening socket at the host and port of the settings. Raises OSError, as when the port is taken."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+    try:
+        return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise OSError(f"SG_HOST and SG_PORT, {settings.host}:{settings.port}: {why}") from error
 
 
 def url(listener: socket.socket) -> str:

@@ -47,11 +47,10 @@ class Metrics:
         self._table.set(census is not None)
         if census is None:
             return
-        now = time.time()
         for state, count in census.jobs.items():
             self._jobs.labels(state).set(count)
-        self._waiting.set(0.0 if census.waiting_since is None else now - census.waiting_since)
-        self._silence.set(0.0 if census.worked_at is None else max(0.0, now - census.worked_at))
+        self._waiting.set(census.waiting_s or 0.0)
+        self._silence.set(max(0.0, census.silent_s or 0.0))
 
     def text(self) -> bytes:
         """Everything, in Prometheus's text format."""

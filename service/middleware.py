@@ -1,7 +1,8 @@
-"""What stands before the application: limits on request bodies, and headers on every answer.
+"""What stands before the application: limits on the bodies of requests and answers, and headers on every answer.
 
 No server limits how large or how slow a body may be, and a framework reads the whole of it before it
-looks at anything else; so both limits hold here, while the bytes come in.
+looks at anything else; so both limits hold here, while the bytes come in. Nor does one limit how much waits in memory
+for clients that are slow to take it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from service.problems import ProblemError
 # answer. So after an early answer the rest of the body is read and dropped, for a while.
 LINGER_S = 2.0
 RETRY_AFTER_S = "5"
+PIECE_BYTES = 1 << 18  # of an answer that are handed over at once
 
 STRICT_POLICY = "default-src 'none'; frame-ancestors 'none'"
 RESPONSE_HEADERS = {
@@ -132,6 +134,44 @@ class _Exchange:
                     self._unread = message.get("more_body", False)
         except TimeoutError:
             return
+
+
+class Outflow:
+    """What is on its way to clients, in bytes, and how much that may be before there are no more pictures."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self.bytes = 0
+
+    def check(self) -> None:
+        """Raises ProblemError 503 if clients have too much to take already."""
+        if self.bytes > self._max_bytes:
+            detail = "too many pictures are on their way to clients"
+            raise ProblemError(503, detail, headers={"Retry-After": RETRY_AFTER_S})
+
+
+class AnswerGuard:
+    """Middleware: hands large answers over piece by piece, as fast as clients take them, and counts what is left."""
+
+    def __init__(self, app: ASGIApp, outflow: Outflow) -> None:
+        self._app = app
+        self._outflow = outflow
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_in_pieces(message: Message) -> None:
+            body = message.get("body", b"")
+            if len(body) <= PIECE_BYTES:
+                await send(message)
+                return
+            self._outflow.bytes += len(body)
+            try:
+                for start in range(0, len(body), PIECE_BYTES):
+                    more = start + PIECE_BYTES < len(body) or message.get("more_body", False)
+                    await send({**message, "body": body[start : start + PIECE_BYTES], "more_body": more})
+            finally:
+                self._outflow.bytes -= len(body)
+
+        await self._app(scope, receive, send_in_pieces)
 
 
 class ResponseHeaders:

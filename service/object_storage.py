@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from obstore.store import from_url
 
 from service.storage import check_key
 
+ENDPOINT = "AWS_ENDPOINT_URL"
 TIMEOUT = timedelta(seconds=60)  # of one request; the largest image fits in at 1 MB a second
 RETRIES_END_AFTER = timedelta(seconds=20)
 
@@ -37,6 +39,9 @@ class ObjectStorage:
     """
 
     def __init__(self, url: str) -> None:
+        endpoint = os.environ.get(ENDPOINT, "")
+        if endpoint and not endpoint.startswith(("http://", "https://")):  # at which obstore panics later
+            raise OSError(errno.EINVAL, f"{ENDPOINT} must begin with http:// or https://, got {endpoint!r}")
         with _as_os_errors():
             self._store = from_url(
                 url,

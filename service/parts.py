@@ -14,6 +14,7 @@ from service.decoding import PictureCache, PictureDecoder
 from service.gate import Caller
 from service.jobs import Job, JobBackend, is_job_id
 from service.metrics import Metrics
+from service.middleware import Outflow
 from service.problems import ProblemError
 from service.settings import Settings
 from service.storage import Storage
@@ -27,8 +28,8 @@ class Parts:
     """The pieces of the running service.
 
     accepting: taken while an upload is held in memory, which bounds what all of them take together;
-    streams: of events; stopping: set when the service is to stop; watching: threads of probes, which must not
-    queue behind work.
+    streams: of events; outflow: what clients have yet to take; stopping: set when the service is to stop;
+    watching: threads of probes, which must not queue behind work.
     """
 
     settings: Settings
@@ -38,6 +39,7 @@ class Parts:
     pictures: PictureCache
     accepting: CapacityLimiter
     streams: CapacityLimiter
+    outflow: Outflow
     stopping: asyncio.Event
     metrics: Metrics = field(default_factory=Metrics)
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))

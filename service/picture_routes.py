@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Annotated, Any
 
 from anyio import to_thread
@@ -15,6 +16,7 @@ from service.pictures import MEDIA_TYPES, PictureFormat
 from service.problems import ProblemError, problems
 from sgmethod.errors import BitstreamError
 
+log = logging.getLogger(__name__)
 router = APIRouter()
 
 BITSTREAM_TYPE = "application/octet-stream"
@@ -55,14 +57,22 @@ def _has_already(request: Request, etag: str) -> bool:
 def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
     try:
         return parts.storage.get(result.bitstream_key)
-    except FileNotFoundError:
+    except FileNotFoundError as error:
         if parts.backend.get(job.id) is None:  # removed while we looked
             raise no_such_job() from None
-        raise
+        raise _damaged(job, error) from error
 
 
 def _draw_job(parts: Parts, job: Job, result: EncodeResult, drawing: Drawing) -> bytes:
-    return draw(_bitstream(parts, job, result), drawing)
+    try:
+        return draw(_bitstream(parts, job, result), drawing)
+    except BitstreamError as error:
+        raise _damaged(job, error) from error
+
+
+def _damaged(job: Job, error: Exception) -> ProblemError:
+    log.error("job %s: its bitstream is not as it was: %s", job.id, error)
+    return ProblemError(500, "the bitstream of this job is missing or damaged")
 
 
 @router.head("/decode/{job_id}.{kind}", include_in_schema=False)
@@ -84,6 +94,7 @@ async def picture(
     file = parts.pictures.get(headers["ETag"])
     parts.metrics.cache.labels("no" if file is None else "yes").inc()
     if file is None:
+        parts.outflow.check()
         with parts.metrics.decode_seconds.time():
             file = await parts.decoder.run(_draw_job, parts, job, result, drawing)
         parts.pictures.put(headers["ETag"], file)
@@ -99,6 +110,7 @@ async def picture(
 async def picture_of_body(wanted: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
     """A picture of the bitstream in the body, as PNG. Nothing is stored."""
     limits = parts.settings
+    parts.outflow.check()
     async with body_as_file(request, limits.max_bitstream_bytes) as upload, parts.accepting:
         data = await upload.read()
         try:

@@ -28,7 +28,9 @@ TASK = "encode_next"
 # The engine forgets a notification that comes while it fetches; it looks by itself as often as this.
 POLL_S = 1.0
 TIDY_S = 1.0
+INSIST_S = 2.0
 PAUSE_AFTER_TROUBLE_S = 1.0
+PATIENCE_S = 5.0  # for a database that is being restarted
 
 TOKENS_WAITING = "SELECT count(*) AS tokens FROM procrastinate_jobs WHERE status = 'todo'"
 SCHEMA: str = SchemaManager.get_schema()
@@ -44,7 +46,7 @@ class Engine:
     def __init__(self, conninfo: str, lease_s: float) -> None:
         self._conninfo = conninfo
         self._lease_s = lease_s
-        logging.getLogger("procrastinate").setLevel(logging.WARNING)
+        logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # tracebacks of what is one line below
         self._deferrer = App(connector=SyncPsycopgConnector())  # works on connections that it is lent alone
 
     def defer(self, connection: psycopg.Connection[psycopg.rows.DictRow]) -> None:
@@ -64,7 +66,11 @@ class Engine:
 
     async def _serve(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
         """Work until stopping is requested, which cancels this, or until the database is lost."""
-        app = App(connector=PsycopgConnector(conninfo=self._conninfo, min_size=1, max_size=2))
+        # Without these it would wait for up to minutes after an outage, and when it is to stop during one.
+        connector = PsycopgConnector(
+            conninfo=self._conninfo, min_size=1, max_size=2, timeout=PATIENCE_S, reconnect_timeout=PATIENCE_S
+        )
+        app = App(connector=connector)
         app.task(name=TASK, queue=QUEUE)(run_next)
         # What the engine could not write down, such as the end of a token that is another worker's by now.
         asyncio.get_running_loop().set_exception_handler(_log)
@@ -107,12 +113,16 @@ def in_words(error: BaseException) -> str:
 
 
 def _cancel_on(stop: StopSignal) -> None:
-    """Cancel the current task once stopping is requested. The engine then ends when its running task has."""
+    """Cancel the current task once stopping is requested, and again until it ends.
+
+    At the first call the engine waits for its running task, and then for the database to say goodbye to.
+    """
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task is not None
 
     def cancel() -> None:
         loop.remove_reader(stop.fileno())
         task.cancel()
+        loop.call_later(INSIST_S, cancel)
 
     loop.add_reader(stop.fileno(), cancel)

@@ -15,10 +15,10 @@ from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
 from service.jobs import BackendError, JobRules
+from service.postgres_engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.postgres_engine import SCHEMA as ENGINE_SCHEMA
-from service.postgres_engine import TOKENS_WAITING, Engine, in_words
-from service.sql_jobs import SqlJobs
-from service.sql_statements import SCHEMA, STALE, Cursor, Database
+from service.sql_jobs import WATCHED, SqlJobs
+from service.sql_statements import OVERDUE, SCHEMA, Cursor, Database
 from service.stopping import StopSignal
 
 log = logging.getLogger(__name__)
@@ -44,13 +44,12 @@ CONNECT: dict[str, str | int] = {
     "application_name": "sgmethod",
 }
 CONNECTIONS = 8
-PATIENCE_S = 5.0  # for a database that is being restarted
 SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
 CLAIMABLE = f"""
 WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
 SELECT (SELECT count(*) FROM jobs LEFT JOIN busy USING (owner)
         WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?))
-     + (SELECT count(*) FROM jobs {STALE}) AS jobs
+     + (SELECT count(*) FROM jobs {OVERDUE}) AS jobs
 """
 
 
@@ -94,6 +93,7 @@ class PostgresJobs(SqlJobs):
             min_size=1,
             max_size=CONNECTIONS,
             timeout=PATIENCE_S,
+            reconnect_timeout=PATIENCE_S,  # else the pauses between its tries double up to minutes
             check=ConnectionPool.check_connection,
             open=True,
             connection_class=psycopg.Connection[DictRow],
@@ -147,12 +147,12 @@ class PostgresJobs(SqlJobs):
 
     def _top_up(self) -> None:
         """As many tokens as there are rows that a worker would find something to do about."""
-        limit = self._rules.max_running_per_owner
+        limit, lease_s = self._rules.max_running_per_owner, self._rules.lease_s
         try:
             with self._transaction() as db:
                 if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
                     return  # another worker is at it
-                rows = db.execute(CLAIMABLE, (limit, limit)).fetchone()["jobs"]
+                rows = db.execute(CLAIMABLE, (limit, limit, WATCHED * lease_s, lease_s)).fetchone()["jobs"]
                 tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
                 for _ in range(rows - tokens):
                     self._wake(db)

@@ -107,6 +107,12 @@ async def _on_backend_unavailable(_request: Request, error: Exception) -> Respon
     return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
 
 
+async def _on_storage_unavailable(_request: Request, error: Exception) -> Response:
+    log.error("the storage cannot be reached: %s", error)
+    detail = "the storage cannot be reached just now"
+    return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
+
+
 async def _on_disconnect(_request: Request, _error: Exception) -> Response:
     return problem_response(ProblemError(400, "the request ended before its body did"))
 
@@ -122,5 +128,6 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
     app.add_exception_handler(BackendError, _on_backend_unavailable)
+    app.add_exception_handler(OSError, _on_storage_unavailable)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_anything)

@@ -7,6 +7,7 @@ holds the same table; a test compares the two.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 
@@ -16,6 +17,9 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 from service.keys import parse_keys
 
 MIN_SECRET_LENGTH = 32
+LONGEST_S = 86_400.0  # what the system and both databases can surely count
+MOST = 10**9
+OTHER_NAMES = frozenset({"SG_API_KEY"})  # the client's
 CGROUP_CPU_LIMIT = Path("/sys/fs/cgroup/cpu.max")
 
 
@@ -34,10 +38,23 @@ def default_workers() -> int:
     return max(1, available_cores() // 4)
 
 
+def unknown_settings(names: Iterable[str]) -> list[str]:
+    """Those of the names that look like settings and are none, as misspelt ones do."""
+    known = {f"SG_{field}".upper() for field in Settings.model_fields} | OTHER_NAMES
+    return sorted(name for name in names if name.startswith("SG_") and name not in known)
+
+
+def _named_keys(setting: str, text: str) -> dict[str, str]:
+    try:
+        return parse_keys(text)
+    except ValueError as error:
+        raise ValueError(f"{setting}: {error}") from error
+
+
 class Settings(BaseSettings):
     """What the operator may set; every value is checked once, at start."""
 
-    model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True)
+    model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)
 
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
@@ -79,9 +96,19 @@ class Settings(BaseSettings):
 
     max_connections: int = Field(default=1000, ge=1, description="connections at once before new ones get 503")
     max_header_bytes: int = Field(default=32_768, ge=1024, description="bytes of a request line with its headers")
-    header_timeout_s: float = Field(default=10.0, gt=0, description="seconds for a request line with its headers")
+    header_timeout_s: float = Field(
+        default=10.0, gt=0, le=LONGEST_S, description="seconds for a request line with its headers"
+    )
     send_timeout_s: float = Field(
-        default=60.0, ge=1, description="seconds a client may take nothing of an answer before it is cut off"
+        default=60.0,
+        ge=1,
+        le=LONGEST_S,
+        description="seconds for which a client may leave 256 KiB of an answer untaken before it is cut off",
+    )
+    max_answer_bytes: int = Field(
+        default=512 * 2**20,
+        ge=1,
+        description="bytes of answers that clients have yet to take before new pictures get 503",
     )
     max_uploads: int = Field(default=100, ge=1, description="request bodies coming in at once before new ones get 503")
     max_event_streams: int = Field(default=100, ge=1, description="streams of events at once before new ones get 503")
@@ -104,11 +131,13 @@ class Settings(BaseSettings):
         description="seconds, the longest time limit of an encode, and the one it has unasked",
     )
     job_timeout_s: float = Field(default=600.0, gt=0, description="seconds after which a running encode is ended")
-    job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, description="bytes of memory of one encode")
-    lease_s: float = Field(default=15.0, ge=1, description="seconds after which a lost worker's job goes to another")
-    max_attempts: int = Field(default=4, ge=1, description="crashes after which a job has failed")
+    job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, le=2**62, description="bytes of memory of one encode")
+    lease_s: float = Field(
+        default=15.0, ge=1, le=LONGEST_S, description="seconds after which a lost worker's job goes to another"
+    )
+    max_attempts: int = Field(default=4, ge=1, le=MOST, description="crashes after which a job has failed")
     max_running_per_key: int = Field(
-        default=0, ge=0, description="jobs of one API key that run at once; 0 for any number"
+        default=0, ge=0, le=MOST, description="jobs of one API key that run at once; 0 for any number"
     )
 
     max_decodes: int = Field(default=2, ge=1, description="pictures decoded at once")
@@ -119,33 +148,38 @@ class Settings(BaseSettings):
     stall_s: float = Field(
         default=60.0, gt=0, description="seconds that jobs wait without any worker's sign of life before /readyz fails"
     )
-    stop_grace_s: float = Field(default=10.0, gt=0, description="seconds to stop in before processes are killed")
+    stop_grace_s: float = Field(
+        default=10.0, gt=0, le=LONGEST_S, description="seconds to stop in before processes are killed"
+    )
 
     @model_validator(mode="after")
     def _keys_can_be_read(self) -> Settings:
         _ = self.key_names
         if 0 < len(self.link_secret.get_secret_value()) < MIN_SECRET_LENGTH:
-            raise ValueError(f"link_secret must have {MIN_SECRET_LENGTH} characters or more")
+            raise ValueError(f"SG_LINK_SECRET must have {MIN_SECRET_LENGTH} characters or more")
         return self
 
     @model_validator(mode="after")
     def _limit_before_timeout(self) -> Settings:
         if self.max_time_limit_s >= self.job_timeout_s:
-            raise ValueError("max_time_limit_s must be less than job_timeout_s, or no encode could use it")
+            raise ValueError("SG_MAX_TIME_LIMIT_S must be less than SG_JOB_TIMEOUT_S, or no encode could use it")
         return self
 
     @cached_property
     def key_names(self) -> dict[str, str]:
         """Names of API keys by their SHA-256; empty if there are none. Raises ValueError."""
-        text = self.api_keys
+        keys = _named_keys("SG_API_KEYS", self.api_keys)
         if self.api_keys_file is not None:
             try:
-                text += "\n" + self.api_keys_file.read_text()
+                text = self.api_keys_file.read_text()
             except OSError as error:
-                raise ValueError(f"api_keys_file cannot be read: {error.strerror}") from error
-            if not parse_keys(text):
-                raise ValueError("api_keys_file holds no key")
-        return parse_keys(text)
+                raise ValueError(f"SG_API_KEYS_FILE cannot be read: {error.strerror}") from error
+            except UnicodeDecodeError as error:
+                raise ValueError("SG_API_KEYS_FILE is no text") from error
+            keys |= _named_keys("SG_API_KEYS_FILE", text)
+        if not keys and (self.api_keys or self.api_keys_file):
+            raise ValueError("SG_API_KEYS and SG_API_KEYS_FILE hold no key, which would leave all open")
+        return keys
 
     @property
     def encode_threads(self) -> int:

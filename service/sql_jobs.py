@@ -7,11 +7,12 @@ postgres_jobs.py.
 from __future__ import annotations
 
 import json
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
 
 from service.jobs import (
     JOB_STATES,
@@ -29,10 +30,15 @@ from service.jobs import (
     QueueFullError,
     SourceImage,
 )
-from service.sql_statements import CLAIM, CRASH, MINE, SELECT_JOB, SERVED, STALE, TRACE_POINT, Database
+from service.sql_statements import CLAIM, CRASH, LOST, MINE, OVERDUE, SELECT_JOB, SERVED, TRACE_POINT, Database
 from service.storage import bitstream_key, source_key
 
-LOST = JobError("crashed", "the worker of this job was lost")
+WORKER_LOST = JobError("crashed", "the worker of this job was lost")
+NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
+# When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
+WATCHED = 1 / 2
+
+T = TypeVar("T")
 
 
 def _job(row: Any) -> Job:
@@ -44,16 +50,22 @@ def _job(row: Any) -> Job:
         priority=row["priority"],
         state=row["state"],
         position=row["position"],
-        request=EncodeRequest(**json.loads(row["request"])),
-        image=SourceImage(**json.loads(row["image"])),
+        request=_known(EncodeRequest, row["request"]),
+        image=_known(SourceImage, row["image"]),
         attempt=row["attempt"],
         crashes=row["crashes"],
         created_at=row["created_at"],
         started_at=row["started_at"],
         finished_at=row["finished_at"],
-        result=EncodeResult(**json.loads(result)) if result else None,
-        error=JobError(**json.loads(error)) if error else None,
+        result=_known(EncodeResult, result) if result else None,
+        error=_known(JobError, error) if error else None,
     )
+
+
+def _known(kind: type[T], text: str) -> T:
+    """A dataclass from its JSON; what a later version of this service has added is left out."""
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    return kind(**{name: value for name, value in json.loads(text).items() if name in names})
 
 
 def _queued(db: Database, owner: str | None = None) -> int:
@@ -71,6 +83,7 @@ class SqlJobs(ABC):
 
     def __init__(self, rules: JobRules) -> None:
         self._rules = rules
+        self._overdue: dict[tuple[int, int, float], float] = {}  # claims, and since when (monotonic seconds)
 
     @abstractmethod
     def _connection(self) -> AbstractContextManager[Database]:
@@ -131,16 +144,17 @@ class SqlJobs(ABC):
     def census(self) -> Census:
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
-            times = db.execute(
-                "SELECT (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_since,"
-                " (SELECT max(at) FROM served) AS claimed_at,"
-                " (SELECT max(lease_until) FROM jobs) AS lease_until"
+            ages = db.execute(
+                "SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting,"
+                " epoch() - (SELECT max(at) FROM served) AS claimed,"
+                " epoch() - (SELECT max(lease_until) FROM jobs) AS lease_over"
             ).fetchone()
         counts = {row["state"]: row["jobs"] for row in rows}
         jobs = {state: counts.get(state, 0) for state in JOB_STATES}
         # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
-        alive = [times["claimed_at"], times["lease_until"] and times["lease_until"] - self._rules.lease_s]
-        return Census(jobs, times["waiting_since"], max((at for at in alive if at is not None), default=None))
+        lease_over = ages["lease_over"]
+        alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
+        return Census(jobs, ages["waiting"], min((age for age in alive if age is not None), default=None))
 
     def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner}
@@ -161,17 +175,33 @@ class SqlJobs(ABC):
         return None if row is None else _job(row)
 
     def reconcile(self) -> list[Job]:
-        with self._connection() as db:  # most calls find nothing, and need no lock to see it
-            if db.execute(f"SELECT 1 FROM jobs {STALE} LIMIT 1").fetchone() is None:
-                return []
-        most = self._rules.max_attempts
+        lost = self._lost_claims()
+        if not lost:
+            return []
+        error, most = _json(WORKER_LOST), self._rules.max_attempts
+        statement = f"UPDATE jobs SET {CRASH} {LOST} RETURNING *, NULL AS position"
         with self._transaction() as db:
-            statement = f"UPDATE jobs SET {CRASH} {STALE} RETURNING *, NULL AS position"
-            lost = [_job(row) for row in db.execute(statement, (_json(LOST), most, most)).fetchall()]
-            for job in lost:
+            rows = [db.execute(statement, (error, most, most, *claim)).fetchone() for claim in lost]
+            jobs = [_job(row) for row in rows if row is not None]
+            for job in jobs:
                 if job.state == "queued":
                     self._wake(db)
-        return [job for job in lost if job.state == "failed"]
+        return [job for job in jobs if job.state == "failed"]
+
+    def _lost_claims(self) -> list[tuple[int, int, float]]:
+        """Claims that are overdue, and have been watched for as long as a lease allows.
+
+        One look is not enough: clocks jump, and at the end of an outage of the database every lease is over. A worker
+        that lives renews its own meanwhile.
+        """
+        watched_s = WATCHED * self._rules.lease_s
+        query = f"SELECT number, attempt, lease_until FROM jobs {OVERDUE}"
+        with self._connection() as db:
+            rows = db.execute(query, (watched_s, self._rules.lease_s)).fetchall()
+        now = time.monotonic()
+        claims = [(row["number"], row["attempt"], row["lease_until"]) for row in rows]
+        self._overdue = {claim: self._overdue.get(claim, now) for claim in claims}
+        return [claim for claim, since in self._overdue.items() if now - since >= watched_s]
 
     def claim(self, worker: str) -> Claim | None:
         if self.queued() == 0:  # asked several times a second: look before taking a lock
@@ -184,7 +214,11 @@ class SqlJobs(ABC):
                 return None
             db.execute(SERVED, (row["number"],))
             db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
-            return Claim(row["id"], row["attempt"], EncodeRequest(**json.loads(row["request"])))
+            try:
+                return Claim(row["id"], row["attempt"], EncodeRequest(**json.loads(row["request"])))
+            except TypeError:  # to leave out what is not understood would encode something else
+                self._crash(db, row["id"], row["attempt"], NOT_UNDERSTOOD)
+                return None
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
         with self._transaction() as db:
@@ -204,14 +238,18 @@ class SqlJobs(ABC):
             return row is not None and row["result"] == text
 
     def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
-        text, most = _json(error), self._rules.max_attempts
         with self._transaction() as db:
             if not retry:
-                return self._change(db, claim, "state = 'failed', error = ?, finished_at = epoch()", text)
-            mine = self._change(db, claim, CRASH, text, most, most)
-            if mine:
-                self._wake(db)  # in vain if the job has failed, which does no harm
-            return mine
+                return self._change(db, claim, "state = 'failed', error = ?, finished_at = epoch()", _json(error))
+            return self._crash(db, claim.job_id, claim.attempt, error)
+
+    def _crash(self, db: Database, job_id: str, attempt: int, error: JobError) -> bool:
+        most = self._rules.max_attempts
+        values = (_json(error), most, most, job_id, attempt)
+        mine = db.execute(f"UPDATE jobs SET {CRASH} {MINE}", values).rowcount == 1
+        if mine:
+            self._wake(db)  # in vain if the job has failed, which does no harm
+        return mine
 
     def release(self, claim: Claim) -> bool:
         with self._transaction() as db:

@@ -73,7 +73,9 @@ state = CASE WHEN crashes + 1 < ? THEN 'queued' ELSE 'failed' END,
 finished_at = CASE WHEN crashes + 1 < ? THEN NULL ELSE epoch() END
 """
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
-STALE = "WHERE state = 'running' AND lease_until < epoch()"
+# A lease that was not renewed in time, or is longer than any because the clock was put back.
+OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"
+LOST = "WHERE number = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
 
 
 class Cursor(Protocol):

@@ -42,14 +42,36 @@ class SqliteJobs(SqlJobs):
         super().__init__(rules)
         self._path = path
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
+        path.touch(mode=0o600)
+        self._file = self._identity()
+        self._set_up()
+
+    def _set_up(self) -> None:
+        """Make the tables if there are none, or bring them up to date."""
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
-                raise BackendError(f"{path} was written by a newer version of this service")
+                raise BackendError(f"{self._path} was written by a newer version of this service")
             if version < SCHEMA_VERSION:
                 for statement in SCRIPTS[version].split(";")[:-1]:
                     db.execute(statement)
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+    def _identity(self) -> tuple[int, int]:
+        """Which file is at the path. Raises BackendError if there is none: SQLite would make an empty one."""
+        try:
+            found = self._path.stat()
+        except OSError as error:
+            raise BackendError(f"{self._path}: {error.strerror}") from error
+        return found.st_dev, found.st_ino
+
+    def _follow_file(self) -> None:
+        """Let go of a file that was removed or replaced: what is written to it would be lost with its last reader."""
+        file = self._identity()
+        if file != self._file:
+            self.close()
+            self._file, self._idle = file, queue.LifoQueue()
+            self._set_up()
 
     def _connect(self) -> sqlite3.Connection:
         # A connection serves one thread at a time, though not always the same one.
@@ -68,10 +90,11 @@ class SqliteJobs(SqlJobs):
     @contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
         """After an SQLite error the connection is thrown away, so the next try is fresh."""
-        db: sqlite3.Connection | None = None
+        self._follow_file()
+        idle, db = self._idle, None
         try:
             try:
-                db = self._idle.get_nowait()
+                db = idle.get_nowait()
             except queue.Empty:
                 db = self._connect()
             yield db
@@ -81,9 +104,9 @@ class SqliteJobs(SqlJobs):
             raise BackendError(f"{self._path}: {error}") from error
         except BaseException:
             if db is not None:
-                self._idle.put(db)
+                idle.put(db)
             raise
-        self._idle.put(db)
+        idle.put(db)
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:

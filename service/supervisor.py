@@ -36,9 +36,9 @@ class Supervised:
         self._start()
 
     def _start(self) -> None:
+        self._started = time.monotonic()
         # A group of its own: Ctrl-C reaches the supervisor alone, which stops everything in order.
         self.process = subprocess.Popen(self._command, pass_fds=self._descriptors, process_group=0)
-        self._started = time.monotonic()
         self._restart_at: float | None = None
 
     def keep_alive(self) -> None:
@@ -46,15 +46,24 @@ class Supervised:
         now = time.monotonic()
         if self._restart_at is not None:
             if now >= self._restart_at:
-                self._start()
+                self._try_to_start()
             return
         status = self.process.poll()
-        if status is None:
-            return
+        if status is not None:
+            self._start_later(f"ended ({status})")
+
+    def _try_to_start(self) -> None:
+        try:
+            self._start()
+        except OSError as error:  # as when the system has no memory or no process to spare
+            self._start_later(f"cannot be started: {error}")
+
+    def _start_later(self, why: str) -> None:
+        now = time.monotonic()
         steady = now - self._started > STEADY_AFTER_S
         self._pause_s = FIRST_PAUSE_S if steady else min(2 * self._pause_s, LONGEST_PAUSE_S)
         self._restart_at = now + self._pause_s
-        log.error("%s ended (%d); it starts again in %.1f s", self.name, status, self._pause_s)
+        log.error("%s %s; next try in %.1f s", self.name, why, self._pause_s)
 
     def terminate(self) -> None:
         """Ask the process to stop."""

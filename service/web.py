@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import resource
 import signal
 import socket
 from types import FrameType
@@ -37,10 +38,19 @@ def run_web(settings: Settings, listener: socket.socket) -> None:
         timeout_keep_alive=KEEP_ALIVE_S,
         timeout_graceful_shutdown=max(1, int(settings.stop_grace_s / 2)),
     )
+    server = _Server(config, stopping)
     for wanted_end in (signal.SIGTERM, signal.SIGINT):
-        # uvicorn raises the signal again once it has stopped; a wished end is not a failure.
-        signal.signal(wanted_end, lambda _number, _frame: None)
-    _Server(config, stopping).run(sockets=[listener])
+        # Until uvicorn's own handlers stand, and once it has stopped, when it raises the signal again: a wished end is
+        # no failure.
+        signal.signal(wanted_end, server.handle_exit)
+    _allow_many_files()
+    server.run(sockets=[listener])
+
+
+def _allow_many_files() -> None:
+    """As many descriptors as the system lets us have: connections, uploads and the job table all take some."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 class _Server(uvicorn.Server):

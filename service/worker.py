@@ -8,6 +8,7 @@ import os
 import socket
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from service.encode_child import Spec
@@ -62,33 +63,37 @@ Outcome = Encoded | Refused | Crashed | TimedOut
 class Pulse:
     """The heartbeat of one claim; carries the trace along."""
 
-    def __init__(self, backend: JobBackend, claim: Claim, lease_s: float) -> None:
+    def __init__(self, backend: JobBackend, claim: Claim) -> None:
         self._backend = backend
         self._claim = claim
-        self._lease_s = lease_s
         self._points: list[JsonObject] = []
         self._sent = 0
-        self._last = time.monotonic()
+        self._heard = time.monotonic()
+        self._next = self._heard + HEARTBEAT_S
 
     def add(self, point: JsonObject) -> None:
         """Note a trace point for the next beat."""
         self._points.append(point)
 
     def beat(self, *, now: bool = False) -> None:
-        """Renew the lease if it is time to, or now. Raises ClaimLostError."""
-        silence = time.monotonic() - self._last
-        if silence < HEARTBEAT_S and not now:
+        """Renew the lease if it is time to, or now. Raises ClaimLostError.
+
+        However long the table is out of reach, the encode goes on: nobody else may have noticed, and if another
+        worker has, the table will say so.
+        """
+        if time.monotonic() < self._next and not now:
             return
         try:
             alive = self._backend.heartbeat(self._claim, self._points, self._sent)
         except BackendError as error:
+            silence = time.monotonic() - self._heard
             log.warning("job %s: no heartbeat for %.1f s: %s", self._claim.job_id, silence, error)
-            if silence > self._lease_s:
-                raise ClaimLostError from error
+            self._next = time.monotonic() + PAUSE_AFTER_TROUBLE_S
             return
         if not alive:
             raise ClaimLostError
-        self._last = time.monotonic()
+        self._heard = time.monotonic()
+        self._next = self._heard + HEARTBEAT_S
         self._sent += len(self._points)
         self._points.clear()
 
@@ -119,8 +124,8 @@ class Worker:
         try:
             self._sweep_now_and_then()
             return self.run_one()
-        except (BackendError, OSError):
-            log.exception("worker %s: trouble", self._name)
+        except (BackendError, OSError) as error:
+            log.error("worker %s: %s", self._name, error)
             self._stop.wait(PAUSE_AFTER_TROUBLE_S)
             return False
 
@@ -141,7 +146,7 @@ class Worker:
         if claim is None:
             return False
         log.info("job %s: attempt %d", claim.job_id, claim.attempt)
-        pulse = Pulse(self._backend, claim, self._settings.lease_s)
+        pulse = Pulse(self._backend, claim)
         try:
             self._conclude(claim, self._encode(claim, pulse), pulse)
         except ClaimLostError:
@@ -206,7 +211,7 @@ class Worker:
                 detail = f"the encode took longer than {self._settings.job_timeout_s:g} s"
                 error, retry = JobError("timed_out", detail), False
         log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, error.code, error.detail)
-        if not self._backend.fail(claim, error, retry=retry):
+        if not self._insist(claim, lambda: self._backend.fail(claim, error, retry=retry)):
             raise ClaimLostError
 
     def _publish(self, claim: Claim, encoded: Encoded, pulse: Pulse) -> None:
@@ -214,7 +219,7 @@ class Worker:
         key = bitstream_key(claim.job_id, claim.attempt)
         self._store(key, encoded.bitstream, pulse)
         result = EncodeResult(key, hashlib.sha256(encoded.bitstream).hexdigest(), encoded.stats)
-        if not self._finish(claim, result):
+        if not self._insist(claim, lambda: self._backend.finish(claim, result)):
             self._storage.delete(key)
             raise ClaimLostError
         log.info("job %s: done, %d bytes", claim.job_id, len(encoded.bitstream))
@@ -231,13 +236,13 @@ class Worker:
                 raise StoppedError
             pulse.beat()
 
-    def _finish(self, claim: Claim, result: EncodeResult) -> bool:
-        """Publish, however long the table is out of reach. Raises BackendError when this worker is to stop."""
+    def _insist(self, claim: Claim, last_word: Callable[[], bool]) -> bool:
+        """Write the end down, however long the table is out of reach. Raises BackendError if this worker is to stop."""
         while True:
             try:
-                return self._backend.finish(claim, result)
+                return last_word()
             except BackendError as error:
-                log.warning("job %s: cannot publish yet: %s", claim.job_id, error)
+                log.warning("job %s: its end cannot be written down yet: %s", claim.job_id, error)
                 if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
                     raise
 

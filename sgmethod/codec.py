@@ -6,6 +6,8 @@ image -> structure -> Gaussians -> fit -> quantise -> bitstream, and back once t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from types import TracebackType
 
@@ -67,7 +69,7 @@ def encode(
     the same file on the same machine unless time_limit_s (seconds, whole encode) cuts it short;
     on_progress: called with each point of the trace, and may raise to abandon the encode.
 
-    Raises ImageError for an array that is no such image, BudgetError for a budget no file can meet.
+    Raises ImageError for an array that is no such image, BudgetError for a budget no file can meet, MemoryError.
     """
     _check_image(pixels)
     if profile not in PROFILES:
@@ -78,12 +80,23 @@ def encode(
         np.ascontiguousarray(pixels, np.float32), budget, profile, seed, Recorder(Clock(time_limit_s), on_progress)
     )
     settings = PROFILES[profile]
-    with _SingleTorchThread():
+    with _SingleTorchThread(), _memory_errors():
         if isinstance(settings, RdSettings):
             data, steps = rd.encode(task, settings)
         else:
             data, steps = paper.encode(task, settings)
     return _measured(task, data, steps)
+
+
+@contextmanager
+def _memory_errors() -> Iterator[None]:
+    """Torch says with a RuntimeError of its own what everybody else says with MemoryError."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "can't allocate memory" not in str(error):
+            raise
+        raise MemoryError("there is not enough memory for this encode") from error
 
 
 def _measured(task: Task, data: bytes, steps: int) -> Encoded:

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, NoReturn
+
 from sgmethod.errors import NativeModuleError
 
-try:
+
+class _Missing:
+    """Stands in for kernels that cannot be loaded, until one is needed: imports and --help do without."""
+
+    def __init__(self, error: ImportError) -> None:
+        self._error = error
+
+    def __getattr__(self, _name: str) -> NoReturn:
+        raise NativeModuleError(
+            f"the compiled part of sgmethod cannot be loaded ({self._error}); "
+            "build it with: pip install --force-reinstall ."
+        ) from self._error
+
+
+if TYPE_CHECKING:
     from sgmethod import _native as native
-except ImportError as error:  # pragma: no cover - an installation without its compiled part
-    raise NativeModuleError(
-        f"the compiled part of sgmethod cannot be loaded ({error}); build it with: pip install --force-reinstall ."
-    ) from error
+else:
+    try:
+        from sgmethod import _native as native
+    except ImportError as error:
+        native = _Missing(error)
 
 __all__ = ["native"]

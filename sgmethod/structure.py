@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from skimage.segmentation import slic
 
 FloatArray = NDArray[np.float32]
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
@@ -37,6 +36,8 @@ def analyse(image: FloatArray, regions: int, compactness: float, smoothing: floa
     regions: superpixels asked of SLIC; compactness: its balance of distance and colour;
     smoothing: standard deviation in pixels of the structure tensor's window.
     """
+    from skimage.segmentation import slic  # a third of a second that profile rd has no use for
+
     grey = image @ _LUMA
     gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)

@@ -548,3 +548,32 @@ def test_python_of_the_readme() -> None:
     assert time.perf_counter() - began < 60
     assert names() >= {"photo.sg", "photo.png"}
     assert np.array_equal(np.asarray(Image.open("photo.png")), decode(Path("photo.sg").read_bytes()))
+
+
+@pytest.mark.parametrize("command", ["encode photo.png out.sg", "decode in.sg out.png", "info in.sg"])
+def test_missing_kernels_are_one_clear_line(tmp_path: Path, command: str) -> None:
+    PHOTO.save(tmp_path / "photo.png")
+    (tmp_path / "in.sg").write_bytes((DATA / "v2-color.sg").read_bytes())
+    script = "import sys; sys.modules['sgmethod._native'] = None; from sgmethod.cli import main; sys.exit(main())"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run(
+        [sys.executable, "-c", script, *command.split()],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 2
+    assert re.fullmatch(r"sgmethod: the compiled part .* pip install --force-reinstall \.\n", ran.stderr)
+    assert not (tmp_path / "out.sg").exists()
+
+
+def test_an_encode_that_torch_has_no_memory_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It says so with an error of its own."""
+    PHOTO.save(tmp_path / "photo.png")
+    monkeypatch.setattr(codec.rd, "encode", lambda *_: codec.torch.empty(1 << 55, dtype=codec.torch.uint8))
+    status = cli.main(["encode", str(tmp_path / "photo.png"), str(tmp_path / "out.sg")])
+    assert (status, capsys.readouterr().err) == (2, "sgmethod: there is not enough memory\n")

@@ -1,8 +1,18 @@
 "use strict";
 
 const POLL_MS = 400;
+const RETRY_MS = 2000;
+const RETRIES = 30;
 const $ = (id) => document.getElementById(id);
 const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
+
+/** What came in place of what was asked for. */
+class Refusal extends Error {
+  constructor(status, detail) {
+    super(detail);
+    this.status = status;
+  }
+}
 
 function size(bytes) {
   if (bytes < 1000) return `${bytes} B`;
@@ -11,10 +21,18 @@ function size(bytes) {
 
 async function ask(path, options = {}) {
   const key = $("key").value.trim();
-  const response = await fetch(path, key ? { ...options, headers: { Authorization: `Bearer ${key}` } } : options);
+  if (key) options = { ...options, headers: { Authorization: `Bearer ${key}` } };
+  const response = await fetch(path, options).catch(() => {
+    throw new Refusal(503, "the service cannot be reached");
+  });
   if (response.ok) return response;
-  if (response.status === 401) $("key-field").hidden = false;
-  throw new Error((await response.json()).detail);
+  if (response.status === 401) {
+    $("key-field").hidden = false;
+    $("key").focus();
+    throw new Refusal(401, key ? "this API key is not known here" : "this service needs an API key");
+  }
+  const problem = await response.json().catch(() => ({})); // a proxy's answer may be anything
+  throw new Refusal(response.status, problem.detail ?? `the service answers with status ${response.status}`);
 }
 
 const json = async (path, options) => (await ask(path, options)).json();
@@ -26,21 +44,31 @@ function say(text, bad = false) {
   $("status").className = bad ? "bad" : "";
 }
 
+/** Show a picture with its caption, and no picture at all where the browser cannot show it. */
+function picture(id, source, caption) {
+  URL.revokeObjectURL($(id).src);
+  $(id).hidden = true;
+  $(id).src = source;
+  $(`${id}-size`).textContent = caption;
+  $(`${id}-figure`).hidden = false;
+}
+
+for (const id of ["original", "decoded"]) {
+  $(id).addEventListener("load", () => ($(id).hidden = false));
+}
+
 function choose() {
   const file = $("file").files[0];
   if (!file) return;
   $("name").textContent = `${file.name}, ${size(file.size)}`;
-  URL.revokeObjectURL($("original").src);
-  $("original").src = URL.createObjectURL(file);
-  $("original-size").textContent = `original, ${size(file.size)}`;
-  $("decoded").removeAttribute("src");
-  $("decoded-size").textContent = "";
-  $("download").hidden = true;
-  $("pictures").hidden = false;
+  picture("original", URL.createObjectURL(file), `original, ${size(file.size)}`);
+  $("decoded-figure").hidden = true;
+  $("work").hidden = true;
 }
 
 function draw(trace) {
   const points = trace.filter((point) => point.psnr !== null);
+  $("curve").toggleAttribute("hidden", points.length < 2);
   if (points.length < 2) return;
   const psnrs = points.map((point) => point.psnr);
   const [low, high, end] = [Math.min(...psnrs), Math.max(...psnrs), points.at(-1).seconds || 1];
@@ -56,52 +84,74 @@ function report(job) {
   const last = job.trace.at(-1);
   if (!last) return say("starting the encoder");
   const psnr = last.psnr === null ? "" : `, ${last.psnr.toFixed(2)} dB`;
-  return say(`${last.phase}, step ${last.step} of ${last.steps}${psnr}, ${last.seconds.toFixed(1)} s`);
+  return say(`step ${last.step} of ${last.steps}${psnr}, ${last.seconds.toFixed(1)} s`);
 }
 
 async function show(job) {
   const { bytes, bpp, psnr, gaussians } = job.result;
   const times = (job.image.bytes / bytes).toFixed(0);
   const quality = psnr === null ? "without error" : `${psnr.toFixed(2)} dB`;
-  say(`${gaussians} Gaussians, ${bpp.toFixed(3)} bits per pixel, ${quality}`);
-  $("decoded").src = await blobUrl(job.decode_url);
-  $("decoded-size").textContent = `decoded from ${size(bytes)}, ${times} times smaller`;
+  picture("decoded", await blobUrl(job.decode_url), `decoded from ${size(bytes)}, ${times} times smaller`);
   $("download").href = await blobUrl(job.bitstream_url);
   $("download").download = `${job.id}.sg`;
-  $("download").hidden = false;
+  say(`${gaussians} Gaussians, ${bpp.toFixed(3)} bits per pixel, ${quality}`);
 }
 
-async function encode() {
-  const form = new FormData();
-  form.append("image", $("file").files[0]);
-  form.append("bpp", $("bpp").value);
-  $("work").hidden = false;
-  $("progress").removeAttribute("value");
-  $("curve").firstElementChild.setAttribute("points", "");
-  say("sending");
-  const accepted = await json("/encode", { method: "POST", body: form });
-  for (;;) {
-    const job = await json(accepted.status_url);
+async function follow(id) {
+  history.replaceState(null, "", `#${id}`); // a page that is loaded again finds its job
+  $("cancel").hidden = false;
+  $("encode").hidden = true;
+  for (let tries = 0; ; ) {
+    let job;
+    try {
+      job = await json(`/jobs/${id}`);
+      tries = 0;
+    } catch (error) {
+      // The service may be restarting; the job waits for it.
+      if (error.status === 404) throw new Error("the job was removed");
+      if (!(error.status >= 500) || ++tries > RETRIES) throw error;
+      say("the service does not answer; trying again");
+      await sleep(RETRY_MS);
+      continue;
+    }
     report(job);
     if (job.state === "done") return show(job);
     await sleep(POLL_MS);
   }
 }
 
-$("form").addEventListener("submit", async (event) => {
-  event.preventDefault();
-  const button = event.target.querySelector("button");
-  button.disabled = true;
+async function submit() {
+  const form = new FormData();
+  form.append("image", $("file").files[0]);
+  form.append("bpp", $("bpp").value);
+  say("sending");
+  return follow((await json("/encode", { method: "POST", body: form })).id);
+}
+
+async function work(task) {
+  $("encode").disabled = true; // until there is a job to cancel
+  $("work").hidden = $("progress").hidden = false;
+  $("decoded-figure").hidden = true;
+  $("progress").removeAttribute("value");
+  draw([]);
   try {
-    await encode();
+    await task();
   } catch (error) {
-    $("progress").value = 0;
+    $("progress").hidden = true;
     say(error.message, true);
   } finally {
-    button.disabled = false;
+    $("encode").disabled = $("encode").hidden = false;
+    $("cancel").hidden = true;
   }
-});
+}
 
+$("form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  work(submit);
+});
+$("cancel").addEventListener("click", () =>
+  ask(`/jobs/${location.hash.slice(1)}`, { method: "DELETE" }).catch((error) => say(error.message, true)),
+);
 $("file").addEventListener("change", choose);
 for (const kind of ["dragover", "dragleave", "drop"]) {
   $("drop").addEventListener(kind, (event) => {
@@ -115,3 +165,8 @@ for (const kind of ["dragover", "dragleave", "drop"]) {
 const showRate = () => ($("rate").textContent = `${Number($("bpp").value).toFixed(2)} bpp`);
 $("bpp").addEventListener("input", showRate);
 showRate();
+
+$("key").value = sessionStorage.getItem("key") ?? "";
+$("key-field").hidden = !$("key").value;
+$("key").addEventListener("input", () => sessionStorage.setItem("key", $("key").value));
+if (/^#[0-9a-f]{32}$/.test(location.hash)) work(() => follow(location.hash.slice(1)));

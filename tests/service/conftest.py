@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import browser as browser_module
 import pytest
+from browser import Browser, find_driver
 from job_table import LONG_S, OpenTable, open_table
 from s3_server import S3Server
 from service_process import Service, StartService
@@ -35,6 +37,19 @@ def s3() -> Iterator[S3Server]:
     server = S3Server()
     yield server
     server.stop()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """A browser for all tests that need one."""
+    driver = find_driver()
+    if driver is None:
+        if os.environ.get(browser_module.REQUIRED) == "required":
+            pytest.fail(browser_module.HINT)
+        pytest.skip(browser_module.HINT)
+    browser = Browser(driver)
+    yield browser
+    browser.close()
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

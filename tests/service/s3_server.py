@@ -8,7 +8,7 @@ import sys
 import urllib.error
 import urllib.request
 
-from service_process import wait_until
+from benchmarks.service_process import wait_until
 
 
 class S3Server:

@@ -1,45 +1,27 @@
-"""A real service in processes of its own, with its own data folder, and real requests to it."""
+"""Real requests to a real service, with pictures and files of its own to go with them."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import io
-import os
-import signal
 import socket
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import httpx
 import numpy as np
 from PIL import Image
 
 import sgmethod
+from benchmarks.service_process import PATIENCE_S, ServiceProcess, wait_until
 from service.backends import open_backend, open_storage
 from service.jobs import EncodeRequest, EncodeResult, NewJob, SourceImage, new_job_id
 from service.settings import Settings
 from service.storage import bitstream_key
 
-T = TypeVar("T")
-
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 60.0  # far more than anything takes; a test that needs it fails
-
-
-def wait_until(what: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
-    """The first true value of what(); fails if there is none in time."""
-    deadline = time.monotonic() + patience_s
-    while time.monotonic() < deadline:
-        value = what()
-        if value:
-            return value
-        time.sleep(0.02)
-    raise AssertionError("nothing happened in time")
 
 
 def png(width: int, height: int, seed: int = 0) -> bytes:
@@ -57,104 +39,32 @@ SMALL = png(64, 48)
 SLOW = png(768, 768)
 
 
-def parent_of(process: int) -> int:
-    """The number of the process that started this one. Raises OSError if there is no such process."""
-    return int(Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[1])
+class Service(ServiceProcess):
+    """One `python -m service` with one worker and short leases, and a client that talks to it.
 
-
-def processes() -> dict[int, str]:
-    """Process numbers and command lines, of those that are alive."""
-    found = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdecimal():
-            with contextlib.suppress(OSError):
-                state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
-                if state != "Z":
-                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-    return found
-
-
-def encoder_of(job_id: str) -> int | None:
-    """The process that encodes a job, if there is one."""
-    for number, command in processes().items():
-        if "service.encode_child" in command and job_id in command:
-            return number
-    return None
-
-
-def encoders_under(workers: Sequence[int]) -> list[int]:
-    """The encoding processes of these workers."""
-    found = []
-    for number, command in processes().items():
-        with contextlib.suppress(OSError):
-            if "service.encode_child" in command and parent_of(number) in workers:
-                found.append(number)
-    return found
-
-
-class Service:
-    """One `python -m service` and a client that talks to it.
-
-    Give settings by name, such as queue_length=2. With command "web" nothing is ever encoded. extra: more
-    environment variables.
+    With command "web" nothing is ever encoded.
     """
 
     def __init__(
         self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
     ) -> None:
-        self.data_dir = data_dir
-        chosen = {"port": 0, "data_dir": data_dir, "workers": 1, "lease_s": 1, **settings}
-        self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}}
-        self.environment.update(extra or {})
-        self._command = [sys.executable, "-m", "service", command]
-        self.log = data_dir.with_name(data_dir.name + ".log")
-        self.start()
+        super().__init__(data_dir, command, extra, **{"workers": 1, "lease_s": 1, **settings})
 
     def start(self) -> None:
-        """Start the processes, again after a stop or kill."""
-        with self.log.open("a") as log:
-            self.process = subprocess.Popen(
-                self._command, cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=log, text=True
-            )
-        assert self.process.stdout is not None
-        with self.process.stdout as output:
-            announcement = output.readline()
-        if not announcement.startswith("sgmethod service on http"):
-            self.process.kill()
-            self.process.wait()
-            raise AssertionError(self.log.read_text())
-        self.url = announcement.split()[3].rstrip(",")
+        super().start()
         self.client = httpx.Client(base_url=self.url, timeout=PATIENCE_S)
 
-    def children(self, command: str) -> list[int]:
-        """The supervisor's processes of that command ("web" or "worker")."""
-        found = []
-        for number, line in processes().items():
-            with contextlib.suppress(OSError):
-                if f"-m service {command}" in line and parent_of(number) == self.process.pid:
-                    found.append(number)
-        return found
-
     def stop(self) -> int:
-        """Stop as an operator does; the exit status."""
         self.client.close()
-        self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(PATIENCE_S)
+        return super().stop()
 
     def kill_all(self) -> None:
-        """End every process at once, without a chance to say anything."""
         self.client.close()
-        workers = self.children("worker")
-        victims = [self.process.pid, *self.children("web"), *workers, *encoders_under(workers)]
-        for number in victims:
-            with contextlib.suppress(ProcessLookupError):
-                os.kill(number, signal.SIGKILL)
-        self.process.wait(PATIENCE_S)
-        wait_until(lambda: not set(victims) & set(processes()))
+        super().kill_all()
 
     def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
         """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
-        form = {name: str(value) for name, value in {"time_limit_s": 0.5, **(fields or {"bpp": 1})}.items()}
+        form = {name: str(value) for name, value in {"time_limit_s": 0.1, **(fields or {"bpp": 1})}.items()}
         headers = {"Idempotency-Key": key} if key else {}
         return self.client.post("/encode", files={"image": ("any.png", image)}, data=form, headers=headers)
 
@@ -199,7 +109,7 @@ class Service:
         assert claim is not None
         key = bitstream_key(job.id, claim.attempt)
         open_storage(settings).put(key, bitstream)
-        stats = {"width": width, "height": height, "bytes": len(bitstream)}
+        stats = {"width": width, "height": height, "bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, "gaussians": 9}
         assert backend.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
         backend.close()
         return job.id
@@ -218,11 +128,6 @@ class Service:
                 while data := connection.recv(65536):
                     answer += data
             return answer
-
-    def files(self) -> list[str]:
-        """What lies in the storage."""
-        folders = ("sources", "bitstreams", "unfinished")
-        return sorted(f"{f}/{path.name}" for f in folders for path in (self.data_dir / f).iterdir())
 
 
 StartService = Callable[..., Service]

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
-from service_process import SMALL, Service, StartService, assert_problem, wait_until
+from service_process import SMALL, Service, StartService, assert_problem
+
+from benchmarks.service_process import wait_until
 
 BOUNDARY = "frontier"
 HEAD = (
@@ -85,6 +87,14 @@ def test_a_chunked_body_beyond_the_limit(web: Service, piece: int) -> None:
 
     answer = web.client.post("/encode", content=endless(), headers=FORM)
     assert_problem(answer, 413, str(LIMIT))
+
+
+def test_a_part_with_endless_headers(web: Service) -> None:
+    """They would be held in memory, and copied for each piece that comes."""
+    for flood in (b"X-Long: " + b"x" * 100_000, b"X-Short: x\r\n" * 10_000):
+        head = f'--{BOUNDARY}\r\nContent-Disposition: form-data; name="image"; filename="a.png"\r\n'.encode()
+        answer = web.client.post("/encode", content=head + flood + b"\r\n\r\n" + SMALL + TAIL, headers=FORM)
+        assert_problem(answer, 400)
 
 
 def test_a_body_that_stops_coming(web: Service) -> None:

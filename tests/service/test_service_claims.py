@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
+from dataclasses import asdict
 from pathlib import Path
 
+import pytest
 from job_table import (
     CRASH,
     LONG_S,
@@ -19,12 +22,14 @@ from job_table import (
     what_all_say,
 )
 
+from service import sql_jobs
 from service.jobs import (
     Claim,
     EncodeResult,
     JobBackend,
     JobError,
 )
+from service.sql_jobs import SqlJobs
 
 
 def test_jobs_are_claimed_in_order_and_once(backend: JobBackend) -> None:
@@ -166,13 +171,78 @@ def test_leases_that_are_over_count_as_crashes(open_backend: OpenTable) -> None:
     assert state(hasty, job_id) == "failed"
 
 
-def test_a_live_lease_is_left_alone(open_backend: OpenTable) -> None:
-    hasty = open_backend(NO_TIME_S)
-    job_id = submitted(hasty)
-    claim = claimed(hasty)
-    assert open_backend(LONG_S).heartbeat(claim, [], 0)
-    assert hasty.reconcile() == []
-    assert state(hasty, job_id) == "running"
+def test_a_live_lease_is_left_alone(open_backend: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = open_backend(LONG_S)
+    job_id = submitted(backend)
+    claimed(backend)
+    assert backend.reconcile() == []
+    pass_time(monkeypatch, 10 * LONG_S)
+    assert backend.reconcile() == []
+    assert state(backend, job_id) == "running"
+
+
+def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """Let so much time pass for who watches leases, and none for the leases."""
+    now = sql_jobs.time.monotonic()
+    monkeypatch.setattr(sql_jobs.time, "monotonic", lambda: now + seconds)
+
+
+def move_clock(backend: JobBackend, seconds: float) -> None:
+    """Put the table's clock forward after all that was written."""
+    assert isinstance(backend, SqlJobs)
+    with backend._transaction() as db:
+        db.execute("UPDATE jobs SET lease_until = lease_until - ?", (seconds,))
+
+
+@pytest.mark.parametrize("jump_s", [1000.0, -1000.0])
+def test_a_clock_that_jumps_costs_nobody_a_job(
+    open_backend: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
+) -> None:
+    """Nor does an outage, after which every lease is over: who lives has renewed it by the second look."""
+    backend = open_backend(LONG_S)
+    submitted(backend)
+    claim = claimed(backend)
+    move_clock(backend, jump_s)
+    assert backend.reconcile() == []
+    assert backend.heartbeat(claim, [], 0)
+    pass_time(monkeypatch, LONG_S)
+    assert backend.reconcile() == []
+    job = backend.get(claim.job_id)
+    assert job is not None
+    assert (job.state, job.crashes) == ("running", 0)
+
+
+@pytest.mark.parametrize("jump_s", [1000.0, -1000.0])
+def test_a_clock_that_jumps_keeps_no_job(
+    open_backend: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
+) -> None:
+    """A worker that is gone is noticed even if its lease lies far in the future by now."""
+    backend = open_backend(LONG_S)
+    job_id = submitted(backend)
+    claimed(backend)
+    move_clock(backend, jump_s)
+    assert backend.reconcile() == []
+    assert state(backend, job_id) == "running"
+    pass_time(monkeypatch, LONG_S)
+    assert backend.reconcile() == []
+    assert state(backend, job_id) == "queued"
+
+
+def test_a_request_of_another_version_holds_up_nobody(backend: JobBackend) -> None:
+    """It is not encoded as if what is new in it were not there, and it fails when nobody has understood it."""
+    assert isinstance(backend, SqlJobs)
+    strange = submitted(backend)
+    with backend._transaction() as db:
+        request = json.dumps({**asdict(REQUEST), "effort": 9})
+        db.execute("UPDATE jobs SET request = ? WHERE id = ?", (request, strange))
+    plain = submitted(backend)
+    claims = [backend.claim("w") for _ in range(4)]
+    assert [claim.job_id for claim in claims if claim is not None] == [plain]
+    job = backend.get(strange)
+    assert job is not None
+    assert job.error is not None
+    assert (job.state, job.crashes, job.request) == ("failed", 3, REQUEST)
+    assert "another version" in job.error.detail
 
 
 def test_a_released_job_keeps_its_place_and_counts_no_crash(backend: JobBackend) -> None:

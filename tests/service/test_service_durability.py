@@ -13,17 +13,9 @@ from functools import partial
 
 import httpx
 import pytest
-from service_process import (
-    PATIENCE_S,
-    SLOW,
-    Service,
-    StartService,
-    encoder_of,
-    encoders_under,
-    parent_of,
-    processes,
-    wait_until,
-)
+from service_process import SLOW, Service, StartService
+
+from benchmarks.service_process import PATIENCE_S, encoder_of, processes, wait_until
 
 
 @pytest.fixture
@@ -42,7 +34,7 @@ def assert_settled(service: Service, *done: str) -> None:
     jobs = service.client.get("/jobs?limit=200").json()["jobs"]
     assert {job["id"] for job in jobs if job["state"] == "done"} == set(done)
     assert {job["state"] for job in jobs} <= {"done", "failed"}
-    assert encoders_under(service.children("worker")) == []
+    assert service.ours("encoder") == []
     published = sorted(f"bitstreams/{job['id']}.{job['attempt']}.sg" for job in jobs if job["state"] == "done")
     wait_until(lambda: service.files() == published)
     for job_id in done:
@@ -53,12 +45,12 @@ def test_rule_1_accepted_jobs_survive_the_web_process(start_service: StartServic
     """The web process is killed right after its 202: the encode goes on, and requests find its successor."""
     service = start_service()
     job_id = service.accepted()
-    (web,) = service.children("web")
+    (web,) = service.ours("web")
     os.kill(web, signal.SIGKILL)
     service.client.close()
     service.client = httpx.Client(base_url=service.url, timeout=PATIENCE_S)
     assert service.wait(job_id)["attempt"] == 1
-    assert service.children("web") != [web]
+    assert service.ours("web") != [web]
     assert_settled(service, job_id)
 
 
@@ -90,7 +82,7 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(start_service: StartService) 
     service = start_service(workers=2)
     job_id = service.accepted_slow()
     encoder = running(job_id)
-    sleeper = parent_of(encoder)
+    sleeper = processes()[encoder].parent
     os.kill(sleeper, signal.SIGSTOP)
     try:
         wait_until(lambda: service.job(job_id)["attempt"] == 2)
@@ -101,7 +93,7 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(start_service: StartService) 
     job = service.job(job_id)
     assert (job["state"], job["attempt"]) == ("running", 2)
     assert service.client.delete(f"/jobs/{job_id}").status_code == 204
-    wait_until(lambda: not encoders_under(service.children("worker")))
+    wait_until(lambda: not service.ours("encoder"))
     assert_settled(service)
 
 
@@ -110,7 +102,7 @@ def test_rule_3_published_once(start_service: StartService) -> None:
     service = start_service(workers=2)
     job_id = service.accepted()
     encoder = running(job_id)
-    sleeper = parent_of(encoder)
+    sleeper = processes()[encoder].parent
     os.kill(sleeper, signal.SIGSTOP)
     try:
         job = service.wait(job_id)
@@ -128,11 +120,11 @@ def test_rule_4_the_encoder_ends_with_its_worker(start_service: StartService) ->
     service = start_service()
     job_id = service.accepted()
     encoder = running(job_id)
-    (worker,) = service.children("worker")
+    (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGKILL)
     wait_until(lambda: encoder not in processes())
     assert service.wait(job_id)["attempt"] == 2
-    assert service.children("worker") != [worker]
+    assert service.ours("worker") != [worker]
     assert_settled(service, job_id)
 
 
@@ -194,7 +186,7 @@ def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     service = start_service(max_attempts=1)
     job_id = service.accepted_slow()
     encoder = running(job_id)
-    ours = {service.process.pid, encoder, *service.children("web"), *service.children("worker")}
+    ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
     assert service.stop() == 0
     assert not ours & set(processes())
     service.start()

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from service_process import SMALL, Service, StartService, assert_problem, wait_until
+from service_process import SMALL, Service, StartService, assert_problem
+
+from benchmarks.service_process import wait_until
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
 Event = tuple[str, dict[str, Any]]
@@ -68,6 +70,22 @@ def test_a_job_that_is_removed(web: Service) -> None:
         assert web.client.delete(f"/jobs/{job_id}").status_code == 204
         assert list(events) == [("removed", {})]
     assert_problem(web.client.get(f"/jobs/{job_id}/events"), 404)
+
+
+def test_a_job_table_that_goes_away(start_service: StartService) -> None:
+    """The stream ends, and can be opened again once the table is back."""
+    web = start_service("web")
+    job_id = web.accepted()
+    table, aside = web.data_dir / "jobs.sqlite3", web.data_dir / "aside"
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+        table.rename(aside)
+        assert list(events) == []
+    assert_problem(web.client.get(f"/jobs/{job_id}/events"), 503)
+    aside.rename(table)
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+    assert "Traceback" not in web.log.read_text()
 
 
 def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: StartService) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import httpx
 import pytest
-from service_process import Service, StartService, assert_problem, wait_until
+from service_process import Service, StartService, assert_problem
+
+from benchmarks.service_process import wait_until
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
 

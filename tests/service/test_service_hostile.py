@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import resource
 import socket
 import struct
 import time
@@ -12,9 +14,12 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import httpx
 import pytest
 from PIL import Image
-from service_process import SMALL, Service, StartService, assert_problem, wait_until
+from service_process import SMALL, Service, StartService, assert_problem
+
+from benchmarks.service_process import wait_until
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
 HEADER_LIMIT = 4096
@@ -178,6 +183,44 @@ def test_a_client_that_never_reads(strict: Service) -> None:
             return False
 
         assert wait_until(cut_off)
+
+
+def test_what_slow_readers_hold_in_memory_is_limited(start_service: StartService) -> None:
+    """A client that takes its answer by the spoonful keeps others waiting for a while, and is cut off."""
+    web = start_service("web", max_answer_bytes=1000, send_timeout_s=1, decode_cache_bytes=0)
+    done = web.published(PICTURE)
+    picture = f"/decode/{done}.png?scale=64"
+    with web.connect() as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.sendall(8 * f"GET {picture} HTTP/1.1\r\nHost: test\r\n\r\n".encode())  # more than buffers hold
+        answer = wait_until(lambda: (answer := web.client.get(picture)).status_code == 503 and answer)
+        assert isinstance(answer, httpx.Response)
+        assert_problem(answer, 503, "on their way")
+        assert answer.headers["retry-after"]
+        assert web.client.get(f"/bitstreams/{done}.sg").status_code == 200
+
+        def served_again() -> bool:
+            with contextlib.suppress(ConnectionError):
+                connection.recv(1000)
+            return web.client.get(picture).status_code == 200
+
+        assert wait_until(served_again)
+
+
+def test_few_descriptors_are_no_limit(start_service: StartService) -> None:
+    """The system's soft limit is raised: it is often lower than the number of connections that are allowed."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (64, hard))
+    try:
+        web = start_service("web")
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    crowd = [web.connect() for _ in range(200)]
+    try:
+        assert web.post().status_code == 202
+    finally:
+        for connection in crowd:
+            connection.close()
 
 
 def test_connections_are_limited_and_made_free(start_service: StartService) -> None:

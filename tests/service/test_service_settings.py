@@ -13,7 +13,9 @@ from typing import Any
 import pytest
 from service_process import ROOT
 
+from benchmarks.service_process import wait_until
 from service import settings as settings_module
+from service import supervisor
 from service.settings import Settings, available_cores
 from sgmethod.image import DEFAULT_LIMITS
 
@@ -90,13 +92,33 @@ def test_a_containers_processor_quota_counts(
         ("SG_PORT", "70000"),
         ("SG_WORKERS", "0"),
         ("SG_LEASE_S", "nan"),
+        ("SG_STOP_GRACE_S", "inf"),
+        ("SG_SEND_TIMEOUT_S", "1e9"),
+        ("SG_MAX_ATTEMPTS", "9" * 30),
+        ("SG_JOB_MEMORY_BYTES", "9" * 30),
+        ("SG_API_KEYS", "ann:secret"),
+        ("SG_API_KEYS_FILE", "/dev/null/keys"),
         ("SG_MAX_SIDE", "-1"),
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(name: str, value: str) -> None:
     result = run("serve", **{name: value})
     assert result.returncode == 2
-    assert re.fullmatch(rf"{name}: .+\n", result.stderr)
+    assert re.fullmatch(rf"{name}[: ].+\n", result.stderr)
+
+
+def test_keys_that_are_none_do_not_leave_all_open() -> None:
+    result = run("serve", SG_API_KEYS=",")
+    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
+    assert "leave all open" in result.stderr
+
+
+def test_a_misspelt_setting_is_named() -> None:
+    result = run("serve", SG_WORKER="3", SG_API_KEY="the-clients", SG_HOST="no.such.host.invalid")
+    assert result.returncode == 1
+    misspelt, trouble = result.stderr.splitlines()
+    assert misspelt.startswith("SG_WORKER is no setting")
+    assert trouble.startswith("cannot start: SG_HOST and SG_PORT, no.such.host.invalid:")
 
 
 def test_an_empty_setting_means_its_default(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,7 +128,7 @@ def test_an_empty_setting_means_its_default(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_time_limit_and_timeout_must_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SG_JOB_TIMEOUT_S", "10")
-    with pytest.raises(ValueError, match="max_time_limit_s"):
+    with pytest.raises(ValueError, match="SG_MAX_TIME_LIMIT_S"):
         Settings()
 
 
@@ -117,13 +139,63 @@ def test_a_taken_port_is_one_clear_line(tmp_path: Path) -> None:
     assert re.fullmatch(r"cannot start: .*[Aa]ddress already in use.*\n", result.stderr)
 
 
-def test_a_data_folder_that_cannot_be_is_one_clear_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    result = run("serve", SG_PORT="0", SG_DATA_DIR=str(tmp_path / "file" / "data"))
+@pytest.mark.parametrize("command", ["serve", "web", "worker", "sweep"])
+@pytest.mark.parametrize("file", ["data", "data/jobs.sqlite3", "data/sources"])
+def test_a_data_folder_that_cannot_be_is_one_clear_line(tmp_path: Path, file: str, command: str) -> None:
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text("this is neither a folder nor a database" * 100)
+    result = run(command, SG_PORT="0", SG_DATA_DIR=str(tmp_path / "data"))
     assert result.returncode == 1
-    assert re.fullmatch(r"cannot start: .+\n", result.stderr)
+    verb = "sweep" if command == "sweep" else "start"
+    (line,) = [line for line in result.stderr.splitlines() if "INFO" not in line]
+    assert re.fullmatch(rf"cannot {verb}: .+", line)
+
+
+def test_an_object_store_that_has_no_address_is_one_clear_line() -> None:
+    result = run("serve", SG_STORAGE_URL="s3://bucket", AWS_ENDPOINT_URL="store.example")
+    assert result.returncode == 1
+    assert re.fullmatch(r"cannot start: .*AWS_ENDPOINT_URL must begin with http.*\n", result.stderr)
+
+
+@pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])
+def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) -> None:
+    """SIGTERM as soon as there is a sign of life: exit status 0 all the same."""
+    environment = {**os.environ, "SG_PORT": "0", "SG_DATA_DIR": str(tmp_path / "data"), "SG_WORKERS": "1"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "service", command],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert first_words in process.stdout.readline()
+        process.terminate()
+        rest = process.stdout.read()
+    assert process.returncode == 0
+    assert "Traceback" not in rest
+    assert "is killed" not in rest
 
 
 def test_web_process_and_worker_never_import_torch() -> None:
     script = "import sys, service.app, service.worker, service.supervisor; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=60, check=False).returncode == 0
+
+
+def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when the system is out of memory or processes for a moment: the supervisor outlives it."""
+    monkeypatch.setattr(supervisor, "FIRST_PAUSE_S", 0.0)
+    process = supervisor.Supervised("worker 1", ["--help"], ())
+    process.process.wait()
+    start, refusals = subprocess.Popen, iter([OSError(11, "Resource temporarily unavailable")] * 3)
+
+    def popen(*arguments: Any, **named: Any) -> subprocess.Popen[bytes]:
+        for error in refusals:
+            raise error
+        return start(*arguments, **named)
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    first = process.process
+    wait_until(lambda: process.keep_alive() or process.process is not first)
+    process.process.wait()

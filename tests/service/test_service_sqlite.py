@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from job_table import (
     RESULT,
     RULES,
+    submitted,
 )
 
 from service.jobs import (
@@ -32,6 +34,27 @@ def test_a_table_of_a_later_version(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(BackendError, match="newer"):
         SqliteJobs(path, RULES)
+
+
+def test_a_table_that_is_removed_or_replaced(tmp_path: Path) -> None:
+    """Nothing is accepted into a file that nobody else sees."""
+    folder, aside = tmp_path / "data", tmp_path / "aside"
+    folder.mkdir()
+    backend = SqliteJobs(folder / "jobs.sqlite3", RULES)
+    first = submitted(backend)
+    folder.rename(aside)
+    with pytest.raises(BackendError, match="No such file"):
+        submitted(backend)
+    folder.mkdir()
+    (folder / "jobs.sqlite3").touch()
+    second = submitted(backend)
+    other = SqliteJobs(folder / "jobs.sqlite3", RULES)
+    assert [job.id for job in other.page(10)] == [second]
+    shutil.rmtree(folder)
+    aside.rename(folder)
+    assert [job.id for job in backend.page(10)] == [first]
+    backend.close()
+    other.close()
 
 
 def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:

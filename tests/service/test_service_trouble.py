@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -11,19 +12,14 @@ from pathlib import Path
 
 import psycopg
 import pytest
+from PIL import Image
 from s3_server import S3Server
-from service_process import (
-    ROOT,
-    StartService,
-    assert_problem,
-    encoder_of,
-    parent_of,
-    processes,
-    wait_until,
-)
+from service_process import ROOT, StartService, assert_problem
 
 from benchmarks.postgres_server import PostgresServer
+from benchmarks.service_process import encoder_of, processes, wait_until
 
+PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
 
 
@@ -87,7 +83,7 @@ def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgr
     """A row without a job of the engine gets one."""
     database_url = postgres.new_database()
     service = start_service(database_url=database_url)
-    (worker,) = service.children("worker")
+    (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGSTOP)
     job_id = service.accepted()
     with psycopg.connect(database_url, options="-c search_path=sgmethod_engine") as db:
@@ -110,6 +106,41 @@ def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: 
     wait_until(lambda: len(service.files()) == 2)
 
 
+def test_the_end_does_not_wait_for_a_database(start_service: StartService, postgres: PostgresServer) -> None:
+    service = start_service(database_url=postgres.new_database())
+    assert service.wait(service.accepted())["state"] == "done"
+    postgres.stop("immediate")
+    try:
+        assert service.client.get("/readyz").status_code == 503
+        assert service.stop() == 0
+    finally:
+        postgres.start()
+    log = service.log.read_text()
+    assert "is killed" not in log
+    assert "Traceback" not in log
+
+
+def test_a_storage_that_breaks(start_service: StartService) -> None:
+    """What cannot be had just now is a 503, what is lost a 500, and a job can be removed all the same."""
+    web = start_service("web")
+    lost, damaged, unreachable = (web.published(PICTURE) for _ in range(3))
+    folder = web.data_dir / "bitstreams"
+    (folder / f"{lost}.1.sg").unlink()
+    (folder / f"{damaged}.1.sg").write_bytes(PICTURE[:-1])
+    assert_problem(web.client.get(f"/bitstreams/{lost}.sg"), 500, "missing")
+    assert_problem(web.client.get(f"/decode/{lost}.png"), 500, "missing")
+    assert_problem(web.client.get(f"/decode/{damaged}.png"), 500, "damaged")
+    folder.rename(web.data_dir / "aside")
+    folder.write_bytes(b"")
+    for path in (f"/bitstreams/{unreachable}.sg", f"/decode/{unreachable}.png"):
+        answer = web.client.get(path)
+        assert_problem(answer, 503, "storage")
+        assert answer.headers["retry-after"]
+    assert web.client.delete(f"/jobs/{unreachable}").status_code == 204
+    assert web.client.get(f"/jobs/{unreachable}").status_code == 404
+    assert "Traceback" not in web.log.read_text()
+
+
 def test_workers_that_share_only_a_database_and_a_bucket(
     tmp_path: Path, start_service: StartService, postgres: PostgresServer, s3: S3Server
 ) -> None:
@@ -123,7 +154,9 @@ def test_workers_that_share_only_a_database_and_a_bucket(
             command = [sys.executable, "-m", "service", "worker"]
             workers.append(subprocess.Popen(command, cwd=ROOT, env=environment, stderr=log))
     jobs = [web.accepted() for _ in range(5)]
-    victim = wait_until(lambda: [parent_of(number) for job in jobs if (number := encoder_of(job))])[0]
+    victim = wait_until(lambda: [process.parent for job in jobs if (process := processes().get(encoder_of(job) or 0))])[
+        0
+    ]
     wait_until(lambda: all("attempt 1" in (tmp_path / f"{name}.log").read_text() for name in ("a", "b")))
     os.kill(victim, signal.SIGKILL)
     assert [web.wait(job_id)["state"] for job_id in jobs] == ["done"] * 5
@@ -152,7 +185,7 @@ def test_supervisor_killed_alone(start_service: StartService) -> None:
     service = start_service()
     job_id = service.accepted_slow()
     encoder = wait_until(lambda: encoder_of(job_id))
-    orphans = {encoder, *service.children("web"), *service.children("worker")}
+    orphans = {encoder, *service.ours("web"), *service.ours("worker")}
     service.process.kill()
     service.process.wait()
     wait_until(lambda: not orphans & set(processes()))
@@ -166,8 +199,11 @@ def test_interrupt_stops_too(start_service: StartService) -> None:
 
 
 def test_memory_limit(start_service: StartService) -> None:
-    """An encode that wants more memory than it may have crashes, and nothing else does."""
-    service = start_service(job_memory_bytes=2**28, max_attempts=1)
-    job = service.wait(service.accepted_slow())
-    assert (job["state"], job["error"]["code"]) == ("failed", "crashed")
+    """An encode that wants more memory than it may have fails, and nothing else does."""
+    service = start_service(job_memory_bytes=500 * 2**20, max_pixels=10**8)
+    file = io.BytesIO()
+    Image.new("RGB", (9000, 9000)).save(file, "PNG")
+    job = service.wait(service.accepted(file.getvalue()))
+    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "refused")
+    assert "memory" in job["error"]["detail"]
     assert service.client.get("/livez").status_code == 200

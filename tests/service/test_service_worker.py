@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import time
+import sqlite3
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 
 from service import worker as worker_module
-from service.encode_process import Encoded
+from service.encode_process import Encoded, Refused
 from service.jobs import (
     BackendError,
     Claim,
@@ -110,11 +111,11 @@ def test_two_attempts_and_one_result(backend: Unsteady, worker: Worker, claim: C
     assert backend.release(claim)
     second = backend.claim("other")
     assert second is not None
-    pulse = Pulse(backend, claim, LONG_S)
+    pulse = Pulse(backend, claim)
     with pytest.raises(ClaimLostError):
         worker._conclude(claim, Encoded({}, b"of the first"), pulse)
     assert bitstreams(tmp_path) == []
-    worker._conclude(second, Encoded({}, b"of the second"), Pulse(backend, second, LONG_S))
+    worker._conclude(second, Encoded({}, b"of the second"), Pulse(backend, second))
     with pytest.raises(ClaimLostError):
         worker._conclude(claim, Encoded({}, b"of the first, later"), pulse)
     key = bitstream_key(claim.job_id, 2)
@@ -126,7 +127,7 @@ def test_two_attempts_and_one_result(backend: Unsteady, worker: Worker, claim: C
 def test_a_lost_answer_loses_no_result(backend: Unsteady, worker: Worker, claim: Claim, tmp_path: Path) -> None:
     """Rule 7: publishing is tried again, and an update that had happened all the same counts."""
     backend.lost_answers = 2
-    worker._conclude(claim, Encoded({"bytes": 4}, b"data"), Pulse(backend, claim, LONG_S))
+    worker._conclude(claim, Encoded({"bytes": 4}, b"data"), Pulse(backend, claim))
     assert result_of(backend, claim) == bitstream_key(claim.job_id, 1)
     assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
 
@@ -138,13 +139,13 @@ def test_stopping_while_the_table_is_out_of_reach(
     backend.lost_answers = 100
     stop.request()
     with pytest.raises(BackendError):
-        worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim, LONG_S))
+        worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim))
     assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
 
 
 def test_a_result_waits_for_space(backend: Unsteady, worker: Worker, storage: Full, claim: Claim) -> None:
     storage.refusals = 3
-    worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim, LONG_S))
+    worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim))
     assert result_of(backend, claim) == bitstream_key(claim.job_id, 1)
 
 
@@ -154,7 +155,7 @@ def test_stopping_while_the_disk_is_full(
     storage.refusals = 100
     stop.request()
     with pytest.raises(StoppedError):
-        worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim, LONG_S))
+        worker._conclude(claim, Encoded({}, b"data"), Pulse(backend, claim))
 
 
 def test_a_storage_out_of_reach_does_not_count_against_the_job(
@@ -174,7 +175,7 @@ def test_a_storage_out_of_reach_does_not_count_against_the_job(
 
 
 def test_a_pulse_sends_each_point_once(backend: Unsteady, claim: Claim) -> None:
-    pulse = Pulse(backend, claim, LONG_S)
+    pulse = Pulse(backend, claim)
     pulse.add({"step": 0})
     pulse.beat()  # too early
     assert backend.trace(claim.job_id) == []
@@ -187,19 +188,45 @@ def test_a_pulse_sends_each_point_once(backend: Unsteady, claim: Claim) -> None:
     assert backend.trace(claim.job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
 
 
-def test_a_pulse_that_nobody_hears_gives_up_with_the_lease(backend: Unsteady, claim: Claim) -> None:
+def test_a_pulse_that_nobody_hears_goes_on(backend: Unsteady, claim: Claim, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rule 2: that a job is lost is the table's word, which silence is not."""
+    clock = [1000.0]
+    monkeypatch.setattr(worker_module.time, "monotonic", lambda: clock[0])
     backend.lost_answers = 100
-    patient, hasty = Pulse(backend, claim, LONG_S), Pulse(backend, claim, 0.01)
-    time.sleep(0.02)
-    patient.beat(now=True)
-    with pytest.raises(ClaimLostError):
-        hasty.beat(now=True)
+    pulse = Pulse(backend, claim)
+    pulse.add({"step": 0})
+    for _ in range(50):
+        clock[0] += 10 * LONG_S
+        pulse.beat()
+    backend.lost_answers = 0
+    pulse.beat(now=True)
+    assert backend.trace(claim.job_id) == [{"step": 0}]
+
+
+@pytest.mark.parametrize("outcome", [Refused("no"), Encoded({}, b"data")])
+def test_an_end_is_written_down_however_long_it_takes(
+    backend: Unsteady, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | Refused
+) -> None:
+    """Rule 7: else the lease would run out, and that counts as a crash."""
+    refusals = iter([BackendError("out of reach")] * 5)
+    connection = backend._connection
+
+    def out_of_reach() -> AbstractContextManager[sqlite3.Connection]:
+        for error in refusals:
+            raise error
+        return connection()
+
+    monkeypatch.setattr(backend, "_connection", out_of_reach)
+    worker._conclude(claim, outcome, Pulse(backend, claim))
+    job = backend.get(claim.job_id)
+    assert job is not None
+    assert (job.state, job.crashes) == ("done" if isinstance(outcome, Encoded) else "failed", 0)
 
 
 def test_a_pulse_notices_a_removed_job(backend: Unsteady, claim: Claim) -> None:
     backend.remove(claim.job_id)
     with pytest.raises(ClaimLostError):
-        Pulse(backend, claim, LONG_S).beat(now=True)
+        Pulse(backend, claim).beat(now=True)
 
 
 def test_a_source_that_is_gone(backend: Unsteady, storage: DiskStorage, worker: Worker, claim: Claim) -> None:
