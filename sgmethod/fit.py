@@ -67,7 +67,7 @@ class Recorder:
 
 
 RESERVE_S = 0.15  # plus RESERVE_S_PER_MEGAPIXEL, kept back of a time limit for writing and measuring the file
-RESERVE_S_PER_MEGAPIXEL = 1.3
+RESERVE_S_PER_MEGAPIXEL = 0.5
 
 
 @dataclass(frozen=True)

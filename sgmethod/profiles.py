@@ -81,7 +81,7 @@ class RdSettings(OptimiserSettings):
     rate_weight: float = 2.0  # of the theoretical price of a bit
     color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
     # While Gaussians are few a picture of half the size, or a quarter, serves as well.
-    halvings: int = 2
+    halvings: int = 3
     pixels_per_gaussian: float = 20.0
     halved_until: float = 0.5
     # Steering of the quantum towards a size or a PSNR
@@ -89,10 +89,11 @@ class RdSettings(OptimiserSettings):
     steering_exponent: float = 0.9
     steering_limit: float = 1.35  # the quantum's largest change at a time
     early_db: float = 2.0  # below the final PSNR, right when steering begins
-    missed_db: float = 0.3  # Gaussians whose loss would take the PSNR so far below its goal stay
+    missed_db: float = 0.1  # Gaussians whose loss would take the PSNR so far below its goal stay
     trim_at: tuple[float, ...] = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
     trim_exponent: float = 1.0
     excess: float = 0.5  # over the size asked for, until and from when it is given up
+    finer_early: float = 4.0  # times a quantum that is given is finer at first
     excess_from: float = 0.45
     excess_until: float = 0.97
     most: float = 5.0  # Gaussians at any time, of those expected
@@ -102,6 +103,7 @@ class RdSettings(OptimiserSettings):
     refine_weight: float = 0.35  # of the theoretical price of a bit
     refine_sweeps: int = 6
     least_used: float = 0.985  # of the size; below, a finer quantum is tried
+    size_tries: int = 4
     quantum_per_size: float = 1.4  # the quantum goes with about this power of the size's inverse
     far_from_size: float = 1.1  # a fit that was cut short: fewer Gaussians may be better than coarser ones
     psnr_tries: int = 7

@@ -24,10 +24,13 @@ from sgmethod.quantise.rd import Coder
 from sgmethod.rd_finish import Finish, Goal
 
 GREY_TOLERANCE = 0.25 / 255  # channels that differ by less than this everywhere are one
+GREY_PROBE = 16  # every so many pixels are looked at first
 SMALLEST_FILE = bitstream_rd.HEADER_BYTES  # without any Gaussian there is no payload
-GAUSSIANS_QUALITY = 75.0  # at which a number of Gaussians asked for is fitted
+GAUSSIANS_QUALITY = 85.0  # at which a number of Gaussians asked for is fitted
 SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
-BIT_GUESS = 30.0  # bits of a Gaussian, for the first guess of how many
+# First guesses of how many Gaussians there will be: by the bits of one, and by pixels over the quantum.
+BIT_GUESS = 30.0
+GAUSSIANS_GUESS = 0.0023
 
 
 class RdFit:
@@ -38,7 +41,7 @@ class RdFit:
         self.goal, self.settings, self.recorder = goal, settings, recorder
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = bitstream_rd.background_of(pixels)
-        grey = float(np.ptp(pixels, axis=2).max()) < GREY_TOLERANCE and len(set(background)) == 1
+        grey = len(set(background)) == 1 and _is_grey(pixels[::GREY_PROBE, ::GREY_PROBE]) and _is_grey(pixels)
         self.coder = Coder((self.width, self.height), goal.quantum, background, grey)
         self.picture = Picture((pixels - np.array(background, np.float32) / 255).astype(np.float32), 0.0, CUTOFF)
         self.values = self.picture.target.numel()
@@ -51,14 +54,14 @@ class RdFit:
         self.expected = self._expected_gaussians()
         start = min(max(int(self.expected * settings.start_share), 4), self._most(1.0))
         self.p = self._placed(start, np.random.default_rng(seed))
-        self.p.colors = self.picture.solve_colors(self.p.means, self.p.factors, settings.color_solve_steps)
+        self.p.colors = self._smallest(start).solve_colors(self.p.means, self.p.factors, settings.color_solve_steps)
         self.adam = FrameAdam(start, settings)
         self.size = 0
         self.due = sorted([*settings.growth_at, *settings.trim_at])
 
     def _placed(self, n: int, rng: np.random.Generator) -> Parameters:
-        """n Gaussians where the structure is. They are few, so half the picture's size shows enough of it."""
-        picture = self.pictures[:2][-1]
+        """n Gaussians where the structure is. They are few, so a smaller picture shows enough of it."""
+        picture = self._smallest(n)
         image = picture.target.permute(1, 2, 0).numpy() + np.array(self.coder.background, np.float32) / 255
         placed = Parameters.of(place(np.ascontiguousarray(image), n, PAPER, rng))
         return Parameters(placed.means * picture.spacing, placed.factors * picture.spacing, placed.colors)
@@ -68,13 +71,20 @@ class RdFit:
             return self.goal.max_gaussians
         if self.goal.max_bytes is not None:
             return max(int(8 * self.goal.max_bytes / BIT_GUESS), 1)
-        return max(self.height * self.width // 250, 1)
+        return max(int(GAUSSIANS_GUESS * self.height * self.width / self.goal.quantum), 1)
+
+    def _early(self, at: float) -> float:
+        """1 while there may be more than was asked for, falling to 0."""
+        s = self.settings
+        return 1 - min(max((at - s.excess_from) / (s.excess_until - s.excess_from), 0), 1)
 
     def _excess(self, at: float) -> float:
         """How many times what was asked for there may be: Gaussians, or bytes."""
-        s = self.settings
-        past = min(max((at - s.excess_from) / (s.excess_until - s.excess_from), 0), 1)
-        return 1 + s.excess * (1 - past)
+        return 1 + self.settings.excess * self._early(at)
+
+    def _given_quantum(self, at: float) -> float:
+        """The goal's; finer early, where a size or a PSNR would have steered it to."""
+        return self.goal.quantum / self.settings.finer_early ** self._early(at)
 
     def _most(self, at: float) -> int:
         most = self.height * self.width
@@ -100,12 +110,15 @@ class RdFit:
         return self.mse, (len(self.p.means), 8 * self.size)
 
     def _picture_at(self, progress: float) -> Picture:
-        """The smallest picture that still tells the Gaussians what they need; the whole one in the end."""
+        """The smallest picture that will do; the whole one in the end."""
         if progress >= self.settings.halved_until:
             return self.picture
-        enough = self.settings.pixels_per_gaussian * len(self.p.means)
-        large = [p for p in self.pictures if p.height * p.width >= enough]
-        return large[-1] if large else self.picture
+        return self._smallest(len(self.p.means))
+
+    def _smallest(self, n: int) -> Picture:
+        """The smallest picture that tells n Gaussians what they need."""
+        enough = self.settings.pixels_per_gaussian * n
+        return [self.picture, *(p for p in self.pictures if p.height * p.width >= enough)][-1]
 
     def _reconsider(self, at: float) -> None:
         """Drop Gaussians, steer the quantum and, while growing, add Gaussians."""
@@ -156,6 +169,8 @@ class RdFit:
         """Move the quantum towards the goal."""
         self.size = len(bitstream_rd.serialise(self.coder.stream(self.p)))
         s = self.settings
+        if self.goal.max_bytes is None and self.goal.psnr is None:
+            self.coder = self.coder.with_quantum(self._given_quantum(at))
         if at < s.steering_from:
             return
         ratio = 1.0
@@ -175,6 +190,11 @@ class RdFit:
     def _rounded_psnr(self, p: Parameters) -> float:
         residual = self.picture.residual(self.coder.rounded(p))
         return -10 * math.log10(max(residual.square().mean().item(), 1e-12))
+
+
+def _is_grey(pixels: FloatArray) -> bool:
+    red, green, blue = pixels.transpose(2, 0, 1)
+    return all(bool((np.abs(a - b) < GREY_TOLERANCE).all()) for a, b in ((red, green), (green, blue), (red, blue)))
 
 
 def _rows(p: Parameters, index: torch.Tensor) -> Parameters:
@@ -210,6 +230,6 @@ def _goal(task: Task) -> Goal:
 
 
 def quality_quantum(quality: float) -> float:
-    """The quantum of a quality in 0 .. 100: 16 points halve it, 0 is 1.6. On photographs of 0.4 megapixels, 50 comes
-    to about 0.15 bpp and 75 to about 0.5."""
-    return 1.6 * 2 ** (-quality / 16)
+    """The quantum of a quality in 0 .. 100: 16 points halve it, 0 is 3.2. On photographs of 0.4 megapixels 25 comes to
+    about 0.05 bpp, 50 to 0.2, 75 to 0.8, 100 to 2.3."""
+    return 3.2 * 2 ** (-quality / 16)

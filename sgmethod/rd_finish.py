@@ -70,15 +70,18 @@ class Finish:
     def _within(self, limit: int) -> RdStream:
         """With the finest quantum at which the Gaussians fit; or, where the fit was cut short and far from its size,
         with the quantum as it was and fewer Gaussians, if that is better."""
-        coder = self._coder_within(limit)
-        best = self._refined(coder, limit)
-        used = len(best.payload) / limit if limit else 1.0
-        if used < self.settings.least_used:  # refining changes the size by a percent, more in small files
-            finer = coder.with_quantum(coder.quantum * used**self.settings.quantum_per_size)
-            best = max(best, self._refined(finer, limit), key=self._psnr)
-        if len(self.coder.stream(self.p).payload) > self.settings.far_from_size * limit:
-            best = max(best, self._refined(self.coder, limit), key=self._psnr)
-        return best
+        s, coder = self.settings, self._coder_within(limit)
+        found = [self._refined(coder, limit)]
+        # Refining makes files smaller, by a percent or, where the fit was short, a fifth.
+        for _ in range(s.size_tries):
+            used = len(found[-1].payload) / max(limit, 1)
+            if used >= s.least_used or used == 0 or self._left_s() == 0:
+                break
+            coder = coder.with_quantum(coder.quantum * used**s.quantum_per_size)
+            found.append(self._refined(coder, limit))
+        if len(self.coder.stream(self.p).payload) > s.far_from_size * limit:
+            found.append(self._refined(self.coder, limit))
+        return max(found, key=self._psnr)
 
     def _coder_within(self, limit: int) -> Coder:
         """By bisection from near the steered quantum; even the coarsest may leave too much."""

@@ -117,7 +117,7 @@ def test_quality_is_monotone_in_size_and_error() -> None:
 
 def test_quality_is_a_quantum() -> None:
     """16 points halve it, and it is not steered."""
-    assert rd.quality_quantum(0) == 1.6
+    assert rd.quality_quantum(0) == 3.2
     assert rd.quality_quantum(48) == pytest.approx(rd.quality_quantum(32) / 2)
     coded = stream(encode(crop(), Budget("quality", 40)))
     assert coded.quantum == pytest.approx(rd.quality_quantum(40), rel=1 / 256)
