@@ -1,5 +1,6 @@
-"""Float quality at a fixed number of Gaussians: profile rd's fit with steps so fine and bits so cheap that they do
-not count. What a set of Gaussians can show, before any is coded; for comparison with representations of that size.
+"""Float quality at a fixed number of Gaussians: what a set of them can show, before any is coded; for comparison with
+representations of that size. Profile rd's fit, with noise and price of fine steps while Gaussians come and go, which
+decides well which are to stay, and without either in the end.
 
     python -m benchmarks.representation --images FOLDER [--gaussians 5000,10000] [--steps 4000]
 """
@@ -23,16 +24,26 @@ from sgmethod.fit import Clock, Plan, Recorder, run
 from sgmethod.image import read_image
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import RD, RdSettings
-from sgmethod.rd import Goal, RdFit
+from sgmethod.rd import GAUSSIANS_GUESS, RdFit
+from sgmethod.rd_finish import Goal
+
+FREE_FROM = 0.85  # of the schedule
 
 
 def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, Any]:
     """PSNR and MS-SSIM of the float Gaussians, rendered and rounded to 8 bits."""
     pixels = read_image(picture.read_bytes())
     recorder = Recorder(Clock(), None)
+    quantum = 0.8 * GAUSSIANS_GUESS * pixels.shape[0] * pixels.shape[1] / gaussians  # leaves a few more to choose from
     began = time.perf_counter()
-    fit = RdFit(pixels, Goal(bitstream_rd.MIN_QUANTUM, max_gaussians=gaussians), settings, 0, recorder)
-    run(Plan("fit", settings.steps, patience=1.0), recorder, fit.step, settings.final_rate)
+    fit = RdFit(pixels, Goal(quantum, max_gaussians=gaussians), settings, 0, recorder)
+
+    def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
+        if progress >= FREE_FROM:
+            fit.coder = fit.coder.with_quantum(bitstream_rd.MIN_QUANTUM)
+        return fit.step(rate, progress)
+
+    run(Plan("fit", settings.steps, patience=1.0), recorder, step, settings.final_rate)
     seconds = time.perf_counter() - began
     shown = pixels - fit.picture.residual(fit.p).permute(1, 2, 0).numpy()
     levels = np.round(np.clip(shown, 0, 1) * 255).astype(np.uint8)

@@ -84,7 +84,7 @@ class RdFit:
 
     def _given_quantum(self, at: float) -> float:
         """The goal's; finer early, where a size or a PSNR would have steered it to."""
-        return self.goal.quantum / self.settings.finer_early ** self._early(at)
+        return self.goal.quantum / float(self.settings.finer_early ** self._early(at))
 
     def _most(self, at: float) -> int:
         most = self.height * self.width
