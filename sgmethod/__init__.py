@@ -15,7 +15,7 @@ The pipeline, in the order in which it runs; each module imports only from those
     structure   gradients, regions, complexity of a picture
     placement   structure-guided start
     bitstream   version 1 of the file (profiles paper, baseline): syntax elements <-> bytes
-    bitstream_rd  version 2 (profile rd)
+    bitstream_rd  version 3 (profile rd)
     view        any size, any part
     decode      bytes -> Gaussians -> pixels
     metrics     PSNR, MS-SSIM

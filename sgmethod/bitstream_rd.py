@@ -1,4 +1,4 @@
-"""The .sg file, version 2 (profile rd): a short header, then one entropy-coded payload.
+"""The .sg file, version 3 (profile rd): a short header, then one entropy-coded payload.
 
 The payload's model is native (sgmethod/native/rd_codec.cpp), written once for both directions; docs/format.md
 describes it.
@@ -19,7 +19,7 @@ from sgmethod.errors import BitstreamError
 from sgmethod.gaussians import Gaussians
 from sgmethod.native_module import native
 
-VERSION = 2
+VERSION = 3
 HEADER = struct.Struct(">BHHH3B")  # flags, width, height, quantum code, background
 HEADER_BYTES = PREFIX_BYTES + HEADER.size
 FLAG_GREY, FLAG_UPRIGHT = 1, 2
@@ -44,7 +44,7 @@ def quantum_of(code: int) -> float:
 
 @dataclass(frozen=True)
 class RdStream:
-    """A version 2 file.
+    """A version 3 file.
 
     quantum: root of the picture energy (image in [0, 1], summed over pixels and channels) that one quantiser step
     of any parameter stands for; background: 8-bit RGB below all Gaussians; grey: no chroma in the payload;
@@ -93,7 +93,7 @@ def serialise(stream: RdStream) -> bytes:
 
 
 def parse(data: bytes, max_pixels: int | None = None) -> RdStream:
-    """The header and payload of a version 2 file. Raises BitstreamError for anything but a whole, intact file."""
+    """The header and payload of a version 3 file. Raises BitstreamError for anything but a whole, intact file."""
     if len(data) < HEADER_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
     body = memoryview(data)[PREFIX_BYTES:]

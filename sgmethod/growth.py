@@ -1,7 +1,7 @@
 """Where another Gaussian would pay: matching pursuit on the residual at a few scales (profile rd).
 
 For a round Gaussian w of scale s at a place, the best colour is <w, e> / <w, w> with e the residual, and it takes
-<w, e>^2 / <w, w> off the squared error. A Gaussian that ends at sigma = 3, as those of version 2 do, is as wide as a
+<w, e>^2 / <w, w> off the squared error. A Gaussian that ends at sigma = 3, as those of version 3 do, is as wide as a
 whole one of b = 0.849 s, has an integral of 0.801 2 pi s^2 and an energy of 0.412 2 pi s^2. With g the residual
 blurred by a normalised Gaussian of scale b that is a gain of 4.33 pi b^2 |g|^2 with colour 1.95 g. A place qualifies
 where the gain is a local maximum over its own size and exceeds what the Gaussian's bits are worth.

@@ -1,4 +1,4 @@
-"""Where the models of version 2 begin: python tests/make_start_tables.py FOLDER counts the symbols of its .sg files
+"""Where the models of version 3 begin: python tests/make_start_tables.py FOLDER counts the symbols of its .sg files
 and writes the tables of docs/format.md and sgmethod/native/rd_start_tables.h.
 
 A change of these tables changes the format, so this is run when the format gets another version. The tables there

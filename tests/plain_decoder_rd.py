@@ -1,4 +1,4 @@
-"""A second decoder of version 2, written from docs/format.md alone: plain Python, slow, sharing nothing with sgmethod.
+"""A second decoder of version 3, written from docs/format.md alone: plain Python, slow, sharing nothing with sgmethod.
 
 Each part follows one section of that text, in its order.
 """
@@ -51,7 +51,7 @@ class Header:
 def parse_header(data: bytes) -> Header:
     refuse_unless(len(data) >= 18, "too short")
     refuse_unless(data[0:3] == b"SGM", "magic")
-    refuse_unless(data[3] == 2, "version")
+    refuse_unless(data[3] == 3, "version")
     refuse_unless(struct.unpack_from(">I", data, 4)[0] == zlib.crc32(data[8:]), "checksum")
     flags, width, height, quantum, red, green, blue = struct.unpack_from(">BHHHBBB", data, 8)
     refuse_unless(flags <= 3, "flags")

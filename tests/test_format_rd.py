@@ -1,4 +1,4 @@
-"""Version 2 in docs/format.md against the code, a decoder written from it alone against ours, and pinned bytes."""
+"""Version 3 in docs/format.md against the code, a decoder written from it alone against ours, and pinned bytes."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View
 
 DATA = Path(__file__).parent / "data"
 ROOT = Path(__file__).parents[1]
-GOLDEN = {path.stem: path.read_bytes() for path in sorted(DATA.glob("v2-*.sg"))}
-HASHES = json.loads((DATA / "v2.json").read_text())
+GOLDEN = {path.stem: path.read_bytes() for path in sorted(DATA.glob("v3-*.sg"))}
+HASHES = json.loads((DATA / "v3.json").read_text())
 
 # Seen on the golden streams and on 12 views of them: no sample differs. A difference needs an exact value within
 # 1e-5 or so of the border between two levels.
@@ -46,7 +46,7 @@ def assert_same_pixels(plain: tuple[int, int, bytes], pixels: np.ndarray) -> Non
 
 
 def test_header_table() -> None:
-    fields = table("Header of version 2")
+    fields = table("Header of version 3")
     assert [row["field"] for row in fields] == ["flags", "width", "height", "quantum", "background"]
     at = bitstream_rd.PREFIX_BYTES
     for row, size in zip(fields, (struct.calcsize(f) for f in (">B", ">H", ">H", ">H", ">3B")), strict=True):
@@ -65,7 +65,7 @@ def test_header_table() -> None:
 
 def test_every_quantum_code() -> None:
     """The range in the table is exactly what our decoder takes."""
-    single, low, high = (int(n) for n in re.findall(r"\d+", table("Header of version 2")[3]["range"]))
+    single, low, high = (int(n) for n in re.findall(r"\d+", table("Header of version 3")[3]["range"]))
     empty = RdStream(3, 2, 1.0, (0, 0, 0), False, False, b"")
     for code in (*range(520), *range(3500, 4200), 0xFFFF):
         data = bytearray(bitstream_rd.serialise(empty))
@@ -105,7 +105,7 @@ def test_golden_streams_show_everything() -> None:
     streams = {name: bitstream_rd.parse(data) for name, data in GOLDEN.items()}
     assert {(s.grey, s.upright) for s in streams.values()} == {(False, False), (True, False), (False, True)}
     assert {(s.width, s.height, len(s.gaussians())) for s in streams.values()} >= {(7, 5, 0), (1, 1, 1)}
-    factors = streams["v2-every-class"].gaussians().factors.astype(np.float64)
+    factors = streams["v3-every-class"].gaussians().factors.astype(np.float64)
     sizes = np.round(np.log2(factors[:, 0] * factors[:, 2]))  # a class is one in log2(s^2)
     assert set(sizes[sizes >= -2]) == set(range(-2, 29))
 
@@ -141,7 +141,7 @@ def test_the_plain_decoder_shares_nothing() -> None:
 
 @settings(max_examples=700, deadline=None, derandomize=True, database=None)
 @given(
-    st.sampled_from(["v2-color", "v2-grey", "v2-upright", "v2-empty", "v2-pixel"]),
+    st.sampled_from(["v3-color", "v3-grey", "v3-upright", "v3-empty", "v3-pixel"]),
     st.floats(0, 1),
     st.binary(min_size=1, max_size=4),
     st.integers(-3, 12),

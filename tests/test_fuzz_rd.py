@@ -1,4 +1,4 @@
-"""Damaged and hostile files of version 2: BitstreamError, or pixels of the size that the header says; nothing else.
+"""Damaged and hostile files of version 3: BitstreamError, or pixels of the size that the header says; nothing else.
 
 A changed bit changes all that follows in an entropy-coded payload, so one mutation explores more than in version 1.
 """
@@ -24,7 +24,7 @@ MUTATIONS = 4000  # in each of two tests
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
 MAX_SECONDS = 2.0  # 0.14 s is the worst seen
 
-GOLDEN = [path.read_bytes() for path in sorted((Path(__file__).parent / "data").glob("v2-*.sg"))]
+GOLDEN = [path.read_bytes() for path in sorted((Path(__file__).parent / "data").glob("v3-*.sg"))]
 
 places = st.floats(0, 1, exclude_max=True)
 numbers = st.integers(0, 2**32 - 1)
@@ -120,7 +120,7 @@ def explore(seeds: list[bytes], views: st.SearchStrategy[View], fits: st.SearchS
     def mutate(data: bytes, steps: list[tuple[Mutator, float, int]], view: View, fits: bool) -> None:
         for mutator, place, number in steps:
             data = mutator(data, place, number)
-        if data[:4] == b"SGM\2":
+        if data[:4] == b"SGM\3":
             seen[outcome(with_checksum(data) if fits else data, view)] += 1
 
     mutate()
@@ -151,4 +151,4 @@ def test_mutations_seen_in_part() -> None:
 def test_any_payload(payload: bytes, number: int, flags: int, quantum: int) -> None:
     size = struct.pack(">HH", 1 + number % 500, 1 + number // 500 % 500)
     body = bytes([flags]) + size + struct.pack(">H", quantum) + b"\1\2\3" + payload
-    outcome(with_checksum(b"SGM\2" + bytes(4) + body), View(prefix=0.5 if number % 3 == 0 else 1.0))
+    outcome(with_checksum(b"SGM\3" + bytes(4) + body), View(prefix=0.5 if number % 3 == 0 else 1.0))

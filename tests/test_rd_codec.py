@@ -283,7 +283,7 @@ def test_exact_bytes() -> None:
     )
     data = bitstream_rd.serialise(RdStream.of(values, (64, 48), 0.1, (128, 64, 32), False))
     assert data.hex() == (
-        "53474d02ff74d1ef00004000300" + "89a80402005fd21d79042ace09b7ef0239b28feb4040634421dc4a7950ad091c11dafad4c"
+        "53474d03ff74d1ef00004000300" + "89a80402005fd21d79042ace09b7ef0239b28feb4040634421dc4a7950ad091c11dafad4c"
     )
 
 

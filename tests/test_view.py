@@ -174,7 +174,7 @@ def test_a_prefix_has_views(data: bytes) -> None:
 
 
 def test_background_is_everywhere() -> None:
-    empty = (DATA / "v2-empty.sg").read_bytes()
+    empty = (DATA / "v3-empty.sg").read_bytes()
     for asked in (View(), View(0.1), View(5), View(1, (1, 1, 2, 2)), View(prefix=0.4)):
         assert np.unique(decode(empty, view=asked).reshape(-1, 3), axis=0).tolist() == [[120, 90, 60]]
 

@@ -1,4 +1,4 @@
-// The stream of profile rd (docs/format.md, version 2).
+// The stream of profile rd (docs/format.md, version 3).
 //
 // Order: classes of size from the largest down; within a class Gaussians by the Morton code of their cell, which is
 // about as wide as they are. A cell's position is coded as the distance along that curve, which spends nothing on the

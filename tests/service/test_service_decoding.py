@@ -19,7 +19,7 @@ from service.problems import ProblemError
 from sgmethod.errors import BitstreamError
 from sgmethod.view import View
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 INFO = sgmethod.info(PICTURE)
 SIZE = (int(str(INFO["width"])), int(str(INFO["height"])))
 NO_LIMIT = 10**9

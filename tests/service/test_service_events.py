@@ -13,7 +13,7 @@ from service_process import SMALL, Service, StartService, assert_problem
 
 from benchmarks.service_process import wait_until
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 Event = tuple[str, dict[str, Any]]
 
 

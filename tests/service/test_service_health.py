@@ -12,7 +12,7 @@ from service_process import Service, StartService, assert_problem
 
 from benchmarks.service_process import wait_until
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 
 
 def figures(service: Service) -> dict[str, float]:

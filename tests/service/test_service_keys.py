@@ -17,7 +17,7 @@ from service import keys
 from service.keys import KeyRing, Link, RateLimit, digest, parse_keys
 from service.settings import Settings
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 SECRET = "0123456789abcdef" * 2
 ANN, BOB = "key-of-ann", "key-of-bob"
 KEYS = f"ann:{digest(ANN)},bob:{digest(BOB)}"

@@ -12,7 +12,7 @@ from service_process import Service, StartService
 from service import views
 from service.keys import digest
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 # Valid against the document and refused all the same: a region beyond the picture, a form with two budgets.
 NOT_CHECKED = "positive_data_acceptance"
 

@@ -12,7 +12,7 @@ from service_process import SMALL, Service, StartService
 from benchmarks.service_process import wait_until
 from service.keys import digest
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 
 
 @pytest.fixture

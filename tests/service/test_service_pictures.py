@@ -15,7 +15,7 @@ from service_process import SMALL, Service, StartService, assert_problem
 import sgmethod
 from sgmethod.view import View
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 OTHER = (Path(__file__).parents[1] / "data" / "v1-paper.sg").read_bytes()
 
 

@@ -19,7 +19,7 @@ from service_process import ROOT, StartService, assert_problem
 from benchmarks.postgres_server import PostgresServer
 from benchmarks.service_process import encoder_of, processes, wait_until
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v2-color.sg").read_bytes()
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
 
 
