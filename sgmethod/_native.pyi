@@ -35,6 +35,9 @@ class Rasterization:
     def render_bytes(self, colors: Any, image: Any, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
         """Fill image [height, width, 3], uint8: background plus Gaussians."""
 
+    def squared_error(self, colors: Any, target: Any, means: Any, factors: Any, out_colors: Any) -> float:
+        """The mean squared error against target [3, height, width]; fills its gradients as backward does."""
+
     def backward(self, colors: Any, grad: Any, means: Any, factors: Any, out_colors: Any) -> None:
         """Fill the gradients by means [N, 2], factors [N, 3] and colours [N, 3], given that by the image."""
 

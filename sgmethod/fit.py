@@ -164,10 +164,13 @@ class Picture:
         """Mean squared error, and the gradients of MSE + lambda_g L_g by each parameter."""
         raster = self.rasterise(p.means, p.factors)
         colors = p.colors.contiguous()
-        raster.render(colors, self._image)
-        mse, _ = self._loss(self._image, self._grad)
         out = Parameters.empty(len(p.means))
-        raster.backward(colors, self._grad, out.means, out.factors, out.colors)
+        if self.lambda_g == 0:
+            mse = raster.squared_error(colors, self.target, out.means, out.factors, out.colors)
+        else:
+            raster.render(colors, self._image)
+            mse, _ = self._loss(self._image, self._grad)
+            raster.backward(colors, self._grad, out.means, out.factors, out.colors)
         if self.spacing != 1:
             out.means /= self.spacing
             out.factors /= self.spacing

@@ -102,6 +102,13 @@ NB_MODULE(_native, m) {
              r.render_bytes(colors.data(), below, image.data());
            },
           "colors"_a, "image"_a.noconvert(), "background"_a = std::make_tuple(0.0f, 0.0f, 0.0f))
+      .def("squared_error", [](const sg::Rasterization& r, Rows<3> colors, Image target, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> out) {
+        const auto n = static_cast<size_t>(r.gaussians());
+        require(colors.shape(0) == n && means.shape(0) == n && factors.shape(0) == n && out.shape(0) == n, "one row per Gaussian");
+        require_size(target, r.width(), r.height());
+        nb::gil_scoped_release release;
+        return r.squared_error(colors.data(), target.data(), {means.data(), factors.data(), out.data()});
+      }, "colors"_a, "target"_a, "means"_a.noconvert(), "factors"_a.noconvert(), "out_colors"_a.noconvert())
       .def("backward", [](const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> out) {
         const auto n = static_cast<size_t>(r.gaussians());
         require(colors.shape(0) == n && means.shape(0) == n && factors.shape(0) == n && out.shape(0) == n, "one row per Gaussian");

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 #include <memory>
+#include <numeric>
 #include <stdexcept>
 
 #include "kernels.h"
@@ -133,11 +134,45 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
                     columns * sizeof(float));
     kernels(isa_).backward(*this, tile, colors, gradient, pair_gradients.get() + tile_start_[tile] * kPairGradients);
   });
-  // One thread, in order of tile: a few per cent of the time, and the sums are the same for every number of threads.
+  sum_pairs(pair_gradients.get(), out);
+}
+
+double Rasterization::squared_error(const float* colors, const float* target, const Gradients& out) const {
+  const int64_t plane = static_cast<int64_t>(width_) * height_;
+  const float scale = 2.0f / static_cast<float>(3 * plane);
+  const std::unique_ptr<float[]> pair_gradients(new float[tile_start_.back() * kPairGradients]);  // all written below
+  std::vector<double> errors(static_cast<size_t>(strips_) * blocks_);
+  parallel_for(strips_ * blocks_, [&](int tile) {
+    alignas(64) float acc[kTileFloats] = {};
+    kernels(isa_).forward(*this, tile, colors, acc);
+    const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
+    const int columns = std::min(kTileWidth, width_ - x0), rows = std::min(kTileHeight, height_ - y0);
+    double error = 0;
+    for (int row = 0; row < rows; ++row)
+      for (int k = 0; k < 3; ++k) {
+        const float* wanted = target + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0;
+        float* values = acc + (row * 3 + k) * kTileWidth;
+        float sum = 0;
+        for (int column = 0; column < columns; ++column) {
+          const float difference = values[column] - wanted[column];
+          sum += difference * difference;
+          values[column] = scale * difference;
+        }
+        std::fill(values + columns, values + kTileWidth, 0.0f);
+        error += sum;
+      }
+    errors[tile] = error;
+    kernels(isa_).backward(*this, tile, colors, acc, pair_gradients.get() + tile_start_[tile] * kPairGradients);
+  });
+  sum_pairs(pair_gradients.get(), out);
+  return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);
+}
+
+// One thread, in order of tile: a few per cent of the time, and the sums are the same for every number of threads.
+void Rasterization::sum_pairs(const float* gradient, const Gradients& out) const {
   std::fill_n(out.means, 2 * static_cast<int64_t>(n_), 0.0f);
   std::fill_n(out.factors, 3 * static_cast<int64_t>(n_), 0.0f);
   std::fill_n(out.colors, 3 * static_cast<int64_t>(n_), 0.0f);
-  const float* gradient = pair_gradients.get();
   for (int64_t p = 0; p < tile_start_.back(); ++p) {
     const int64_t i = pairs_[p].gaussian;
     for (int k = 0; k < 2; ++k) out.means[2 * i + k] += gradient[k];

@@ -40,6 +40,9 @@ class Rasterization {
   void render_bytes(const float* colors, const float* background, uint8_t* image) const;
   // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
   void backward(const float* colors, const float* image_grad, const Gradients& out) const;
+  // The mean squared error against target [3, height, width], and its gradients: render, loss and backward at once, so
+  // that no picture goes through memory.
+  double squared_error(const float* colors, const float* target, const Gradients& out) const;
 
   int gaussians() const { return n_; }
   int width() const { return width_; }
@@ -60,6 +63,7 @@ class Rasterization {
   template <typename Visit>
   int spans(int gaussian, const Visit& visit) const;
   void bin(int gaussian, Bin& bin) const;
+  void sum_pairs(const float* pair_gradients, const Gradients& out) const;
   // What all Gaussians come to, counted until it exceeds the limit: each its pairs, or the strips looked at for
   // them where those are more. Takes no memory.
   int64_t pairs_up_to(int64_t limit) const;
