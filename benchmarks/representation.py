@@ -1,6 +1,6 @@
 """Float quality at a fixed number of Gaussians: what a set of them can show, before any is coded; for comparison with
-representations of that size. Profile rd's fit, with noise and price of fine steps while Gaussians come and go, which
-decides well which are to stay, and without either in the end.
+representations of that size. Profile rd's fit, with a price of bits while Gaussians come and go, which decides well
+which are to stay, and without in the end.
 
     python -m benchmarks.representation --images FOLDER [--gaussians 5000,10000] [--steps 4000]
 """

@@ -20,7 +20,7 @@ The pipeline, in the order in which it runs; each module imports only from those
     decode      bytes -> Gaussians -> pixels
     metrics     PSNR, MS-SSIM
     fit         the optimiser, its schedule and its trace
-    quantise/   quantisers: lattice, codebook and paper (LSQ, ABQ, RVQ), rd (steps from sensitivity, noise, rate)
+    quantise/   quantisers: lattice, codebook and paper (LSQ, ABQ, RVQ), rd (steps from sensitivity, rate)
     growth      where another Gaussian would pay
     paper       profiles paper and baseline
     rd_finish   profile rd, from fitted Gaussians to the file that meets the goal best

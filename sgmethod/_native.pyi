@@ -70,11 +70,6 @@ def frame_adam(
 ) -> None:
     """One step of sgmethod.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], age [N, 1]."""
 
-def rd_dither(
-    quantum: float, means: Any, factors: Any, colors: Any, noise: Any, out_means: Any, out_factors: Any, out_colors: Any
-) -> None:
-    """Fill out_* with the Gaussians under the quantiser's noise; noise [N, 8] is uniform in [-0.5, 0.5)."""
-
 def rd_rate_gradient(quantum: float, weight: float, factors: Any, colors: Any, by_factors: Any, by_colors: Any) -> None:
     """Add the gradient that sgmethod.quantise.rd.add_rate_gradient describes to by_factors and by_colors."""
 

@@ -1,8 +1,8 @@
 """Profile rd: how many Gaussians, where, and how fine, decided together by rate and distortion.
 
-Few Gaussians are placed by structure; then, while all are fitted under the quantiser's noise and the price of their
-bits, Gaussians are added where they take more error away than their bits are worth and dropped where they do not.
-One number, the quantum, sets all steps and the price of a bit. A goal in bytes or decibels steers it.
+Few Gaussians are placed by structure; then, while all are fitted under the price of their bits, Gaussians are added
+where they take more error away than their bits are worth and dropped where they do not. One number, the quantum, sets
+all steps and the price of a bit. A goal in bytes or decibels steers it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,6 @@ class RdFit:
             if min(self.pictures[-1].height, self.pictures[-1].width) >= SMALLEST_SIDE:
                 self.pictures.append(self.pictures[-1].halved())
         self.mse = 1.0
-        self.generator = torch.Generator().manual_seed(seed)
         self.expected = self._expected_gaussians()
         start = min(max(int(self.expected * settings.start_share), 4), self._most(1.0))
         self.p = self._placed(start, np.random.default_rng(seed))
@@ -96,16 +95,14 @@ class RdFit:
         """One optimiser step, after whatever is due at this part of the schedule."""
         while self.due and progress >= self.due[0]:
             self._reconsider(self.due.pop(0))
-        quantum = self.coder.quantum
-        shown = quantiser.dithered(self.p, quantum, self.generator)
         picture = self._picture_at(progress)
-        mse, grad = picture.gradients(shown)
+        mse, grad = picture.gradients(self.p)
         if picture is self.picture:
             self.mse = mse
         elif self.recorder.due():
-            self.mse = self.picture.residual(shown).square().mean().item()
-        price = self.settings.rate_weight * quantiser.error_per_bit(quantum) / self.values
-        quantiser.add_rate_gradient(self.p, grad, quantum, price)
+            self.mse = self.picture.residual(self.p).square().mean().item()
+        price = self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum) / self.values
+        quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, price)
         self.adam.step(self.p, grad, rate)
         return self.mse, (len(self.p.means), 8 * self.size)
 

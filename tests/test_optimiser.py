@@ -3,20 +3,17 @@ noise, the price of bits."""
 
 from __future__ import annotations
 
-import math
-
 import pytest
 import torch
 from torch import Tensor
 
 from sgmethod.fit import FrameAdam, Parameters
 from sgmethod.profiles import RD
-from sgmethod.quantise.rd import add_rate_gradient, dithered
+from sgmethod.quantise.rd import add_rate_gradient
 
 COLOR_AXES = torch.tensor(
     [[3**-0.5] * 3, [2**-0.5, 0.0, -(2**-0.5)], [6**-0.5, -2 * 6**-0.5, 6**-0.5]], dtype=torch.float64
 )
-CLASS_WIDTH = math.log(2) / 2
 
 
 def gaussians(n: int, seed: int) -> Parameters:
@@ -63,29 +60,6 @@ def test_rate_gradient_is_finite_where_nothing_is_left() -> None:
     add_rate_gradient(p, grad, 0.1, 1.0)
     assert torch.equal(grad.colors, torch.zeros(1, 3))
     assert grad.factors.isfinite().all()
-
-
-def test_noise_is_as_wide_as_the_steps() -> None:
-    p, quantum = gaussians(4000, 3), 0.15
-    out = dithered(p, quantum, torch.Generator().manual_seed(5))
-    noise = (torch.rand(4000, 8, generator=torch.Generator().manual_seed(5)) - 0.5).double()
-    means, factors, colors = p.means.double(), p.factors.double(), p.colors.double()
-    step = color_step(factors, quantum)
-    m = (colors.square().sum(1).sqrt() / step).clamp_min(1.0)
-    l1, l2, l3 = factors.unbind(1)
-    d = noise[:, :2] * math.sqrt(2) / m[:, None]
-    u, v = noise[:, 2] * (math.sqrt(0.5) / m).clamp_max(CLASS_WIDTH), noise[:, 3] / m
-    n1, n3 = l1 * torch.exp(u + v), l3 * torch.exp(u - v)
-    n2 = l2 / l1 * n1 + noise[:, 4] * 2 / m * n3  # of the slope l2 / l1
-    wanted = Parameters(
-        means + torch.stack([l1 * d[:, 0], l2 * d[:, 0] + l3 * d[:, 1]], 1),
-        torch.stack([n1, n2, n3], 1),
-        colors + noise[:, 5:] * step[:, None],
-    )
-    for found, value in zip(
-        (out.means, out.factors, out.colors), (wanted.means, wanted.factors, wanted.colors), strict=True
-    ):
-        torch.testing.assert_close(found.double(), value, rtol=2e-6, atol=1e-4)  # atol: of means around 500
 
 
 def test_adam_in_the_gaussians_frame() -> None:

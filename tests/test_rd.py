@@ -127,7 +127,7 @@ def test_quality_is_a_quantum() -> None:
 def test_gaussians_are_at_most_as_many_as_asked(n: int) -> None:
     encoded = encode(crop(), Budget("gaussians", n))
     assert_sound(encoded, crop())
-    assert 0.8 * n <= encoded.stats.gaussians <= n
+    assert n - max(n // 5, 1) <= encoded.stats.gaussians <= n  # one that is not worth its bits goes
 
 
 @pytest.mark.parametrize("budget", [Budget("bytes", 4000), Budget("quality", 80), Budget("psnr", 45)])

@@ -151,16 +151,6 @@ NB_MODULE(_native, m) {
                    {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), age.data());
   }, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(), "colors"_a.noconvert(), "by_means"_a, "by_factors"_a,
      "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(), "age"_a.noconvert());
-  m.def("rd_dither", [](float quantum, Rows<2> means, Rows<3> factors, Rows<3> colors, Rows<8> noise, RowsOut<2> out_means,
-                        RowsOut<3> out_factors, RowsOut<3> out_colors) {
-    const auto n = means.shape(0);
-    require(factors.shape(0) == n && colors.shape(0) == n && noise.shape(0) == n && out_means.shape(0) == n &&
-                out_factors.shape(0) == n && out_colors.shape(0) == n, "one row per Gaussian");
-    nb::gil_scoped_release release;
-    sg::rd_dither(quantum, static_cast<int>(n), {means.data(), factors.data(), colors.data()}, noise.data(),
-                  {out_means.data(), out_factors.data(), out_colors.data()});
-  }, "quantum"_a, "means"_a, "factors"_a, "colors"_a, "noise"_a, "out_means"_a.noconvert(), "out_factors"_a.noconvert(),
-     "out_colors"_a.noconvert());
   m.def("rd_rate_gradient", [](float quantum, float weight, Rows<3> factors, Rows<3> colors, RowsOut<3> by_factors, RowsOut<3> by_colors) {
     const auto n = factors.shape(0);
     require(colors.shape(0) == n && by_factors.shape(0) == n && by_colors.shape(0) == n, "one row per Gaussian");

@@ -11,8 +11,7 @@ namespace {
 
 constexpr int kBlock = 512;  // Gaussians a task
 constexpr float kInverseLn2 = 1.4426950409f;
-constexpr float kClassWidth = 0.3465735903f;                                 // of u, within which it is coded
-constexpr float kUStep = 0.7071067812f, kRStep = 2.0f, kMeanStep = 1.4142135624f;  // over m; that of v is 1
+constexpr float kRStep = 2.0f;  // over m; that of v is 1
 constexpr float kTinySquare = 1e-12f;
 
 template <typename Each>
@@ -50,23 +49,6 @@ void frame_adam(const AdamSettings& s, int n, const MutableGaussians& p, const C
     l[0] = std::max(l[0] * grow1, s.min_scale);
     l[2] = std::max(l[2] * grow3, s.min_scale);
     for (int k = 0; k < 3; ++k) color[k] += move[5 + k];
-  });
-}
-
-void rd_dither(float quantum, int n, const ConstGaussians& p, const float* noise, const MutableGaussians& out) {
-  for_each(n, [&](int i) {
-    const float *mean = p.means + 2 * i, *l = p.factors + 3 * i, *color = p.colors + 3 * i, *e = noise + 8 * i;
-    const float step = color_step(l, quantum);
-    const float m = std::max(std::sqrt(color[0] * color[0] + color[1] * color[1] + color[2] * color[2]) / step, 1.0f);
-    const float dx = e[0] * kMeanStep / m, dy = e[1] * kMeanStep / m;
-    const float u = e[2] * std::min(kUStep / m, kClassWidth), v = e[3] / m;
-    out.means[2 * i] = mean[0] + l[0] * dx;
-    out.means[2 * i + 1] = mean[1] + l[1] * dx + l[2] * dy;
-    const float l1 = l[0] * std::exp(u + v), l3 = l[2] * std::exp(u - v);
-    out.factors[3 * i] = l1;
-    out.factors[3 * i + 1] = l[1] / l[0] * l1 + e[4] * kRStep / m * l3;  // the slope is what is rounded
-    out.factors[3 * i + 2] = l3;
-    for (int k = 0; k < 3; ++k) out.colors[3 * i + k] = color[k] + e[5 + k] * step;
   });
 }
 

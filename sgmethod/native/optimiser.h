@@ -1,5 +1,5 @@
 // What a step of the fit does to each Gaussian alone, apart from rendering: Adam in the Gaussian's own frame
-// (sgmethod/fit.py), and for profile rd the quantiser's noise and the price of bits (sgmethod/quantise/rd.py).
+// (sgmethod/fit.py), and for profile rd the price of bits (sgmethod/quantise/rd.py).
 #pragma once
 
 namespace sg {
@@ -23,9 +23,6 @@ struct ConstGaussians {
 // One step against the gradients. first, second [n, 8] are Adam's averages, age [n] the steps of each Gaussian so far.
 void frame_adam(const AdamSettings& settings, int n, const MutableGaussians& p, const ConstGaussians& grad, float* first, float* second,
                 float* age);
-
-// out = p with noise [n, 8], uniform in [-0.5, 0.5), as wide as the quantiser's steps: d (2), u, v, r, colour (3).
-void rd_dither(float quantum, int n, const ConstGaussians& p, const float* noise, const MutableGaussians& out);
 
 // Adds the gradient that sgmethod.quantise.rd.add_rate_gradient describes to grad_factors and grad_colors.
 void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,

@@ -1,4 +1,4 @@
-"""The quantiser of profile rd as the fit sees it: steps from sensitivity, noise, rate.
+"""The quantiser of profile rd as the fit sees it: steps from sensitivity, and the rate.
 
 The integers and the exact rounding live in native code (sgmethod/native/rd_codec.cpp), where also the derivation of
 the steps stands. All of them follow from the size s = sqrt(l1 l3), the quantum q and m, the length of the colour in
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 
-import torch
 from torch import Tensor
 
 from sgmethod.bitstream_rd import CUTOFF, RdStream, quantum_code, quantum_of
@@ -25,14 +24,6 @@ def error_per_bit(quantum: float) -> float:
     """What one bit buys at the margin, in squared error summed over the picture: of a uniform quantiser's error
     q^2 / 12 a further bit takes away 3/4, that is -d(q^2 / 12)/d(bits) = q^2 ln(2) / 6."""
     return quantum**2 * math.log(2) / 6
-
-
-def dithered(p: Parameters, quantum: float, generator: torch.Generator) -> Parameters:
-    """p with uniform noise as wide as the quantiser's steps: what rounding does, but with useful gradients."""
-    noise = torch.rand(len(p.means), 8, generator=generator) - 0.5
-    out = Parameters.empty(len(p.means))
-    native.rd_dither(quantum, p.means, p.factors, p.colors, noise, out.means, out.factors, out.colors)
-    return out
 
 
 def add_rate_gradient(p: Parameters, grad: Parameters, quantum: float, weight: float) -> None:
