@@ -80,7 +80,7 @@ class RdSettings(OptimiserSettings):
     bits_of_nothing: float = 4.3  # likewise before: such a Gaussian rounds to nothing
     rate_weight: float = 2.0  # of the theoretical price of a bit
     color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
-    # While Gaussians are few a picture of half the size, or a quarter, serves as well.
+    # While Gaussians are few a picture of half the size, or less, serves as well.
     halvings: int = 3
     pixels_per_gaussian: float = 20.0
     halved_until: float = 0.5
@@ -92,10 +92,10 @@ class RdSettings(OptimiserSettings):
     missed_db: float = 0.1  # Gaussians whose loss would take the PSNR so far below its goal stay
     trim_at: tuple[float, ...] = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
     trim_exponent: float = 1.0
-    excess: float = 0.5  # over the size asked for, until and from when it is given up
-    finer_early: float = 4.0  # times a quantum that is given is finer at first
-    excess_from: float = 0.45
-    excess_until: float = 0.97
+    excess: float = 0.5  # of bytes, or of Gaussians, over what was asked for at first
+    finer_early: float = 4.0  # how many times finer a quantum that was given is at first
+    excess_from: float = 0.45  # from here on both are given up,
+    excess_until: float = 0.97  # and here they are gone
     most: float = 5.0  # Gaussians at any time, of those expected
     db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles
     # The end: integers refined
