@@ -1,6 +1,6 @@
 """The .sg file, version 3 (profile rd): a short header, then one entropy-coded payload.
 
-The payload's model is native (sgmethod/native/rd_codec.cpp), written once for both directions; docs/format.md
+The payload's model is native (sgmethod/native/rd_models.h), written once for both directions; docs/format.md
 describes it.
 """
 

@@ -31,6 +31,8 @@ SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
 # First guesses of how many Gaussians there will be: by the bits of one, and by pixels over the quantum.
 BIT_GUESS = 30.0
 GAUSSIANS_GUESS = 0.0023
+PIXELS_OF_FIRST_GUESS = 20  # a Gaussian, at least; growth may put more
+GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 
 
 class RdFit:
@@ -68,9 +70,10 @@ class RdFit:
     def _expected_gaussians(self) -> int:
         if self.goal.max_gaussians is not None:
             return self.goal.max_gaussians
+        pixels = self.height * self.width
         if self.goal.max_bytes is not None:
-            return max(int(8 * self.goal.max_bytes / BIT_GUESS), 1)
-        return max(int(GAUSSIANS_GUESS * self.height * self.width / self.goal.quantum), 1)
+            return max(min(int(8 * self.goal.max_bytes / BIT_GUESS), pixels), 1)
+        return max(min(int(GAUSSIANS_GUESS * pixels / self.goal.quantum), pixels // PIXELS_OF_FIRST_GUESS), 1)
 
     def _early(self, at: float) -> float:
         """1 while there may be more than was asked for, falling to 0."""
@@ -93,8 +96,11 @@ class RdFit:
 
     def step(self, rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         """One optimiser step, after whatever is due at this part of the schedule."""
+        at = None
         while self.due and progress >= self.due[0]:
-            self._reconsider(self.due.pop(0))
+            at = self.due.pop(0)
+        if at is not None:  # of several that one slow step has passed, the last
+            self._reconsider(at)
         picture = self._picture_at(progress)
         mse, grad = picture.gradients(self.p)
         if picture is self.picture:
@@ -104,7 +110,19 @@ class RdFit:
         price = self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum) / self.values
         quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, price)
         self.adam.step(self.p, grad, rate)
+        self._stay_in_grid()
         return self.mse, (len(self.p.means), 8 * self.size)
+
+    def _stay_in_grid(self) -> None:
+        """Keep centres where the file can put them: within two cells of the picture, each about as wide as they are."""
+        reach = GRID_REACH * (self.p.factors[:, 0] * self.p.factors[:, 2]).sqrt()[:, None]
+        size = torch.tensor([[float(self.width), float(self.height)]])
+        self.p.means = torch.minimum(torch.maximum(self.p.means, -reach), size + reach)
+
+    def settle(self) -> None:
+        """What the end of the schedule does, and a time limit may have skipped."""
+        if self.goal.max_gaussians is not None:
+            self._drop(self.settings.bits_of_nothing, self.goal.max_gaussians)
 
     def _picture_at(self, progress: float) -> Picture:
         """The smallest picture that will do; the whole one in the end."""
@@ -208,6 +226,7 @@ def encode(task: Task, settings: RdSettings) -> tuple[bytes, int]:
         until = task.until_s()
         plan = Plan("joint", settings.steps, None if until is None else settings.fit_share * until, patience=1.0)
         done = run(plan, task.recorder, fit.step, settings.final_rate)
+        fit.settle()
         stream = Finish(fit.p, fit.coder, fit.picture, goal, settings, task).stream()
         return bitstream_rd.serialise(stream), done
 
@@ -221,7 +240,8 @@ def _goal(task: Task) -> Goal:
         return Goal(min(0.1 * 2 ** ((34 - budget.value) / 2.5), 0.4), psnr=budget.value)
     if budget.kind == "gaussians":
         return Goal(quality_quantum(GAUSSIANS_QUALITY), max_gaussians=task.gaussians_asked())
-    max_bytes = budget.max_bytes(width, height) or 0
+    # More bytes than the picture has samples would ask for steps so fine that nothing is left of the method.
+    max_bytes = min(budget.max_bytes(width, height) or 0, SMALLEST_FILE + 3 * width * height)
     bpp = max(8 * max_bytes / (width * height), 1e-3)
     return Goal(0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes)
 

@@ -50,7 +50,7 @@ class Finish:
         elif self.goal.max_bytes is not None:
             best = self._within(self.goal.max_bytes - HEADER_BYTES)
         else:
-            best = self._refined(self.coder)
+            best = self._refined(self.coder.with_quantum(self.goal.quantum))
         # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
         background = self.coder.stream(Parameters.empty(0))
         enough = min(self._psnr(best), self.goal.psnr or math.inf)
@@ -99,7 +99,7 @@ class Finish:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
     def _at_psnr(self, target_db: float) -> RdStream:
-        """With the coarsest quantum found that reaches the target; the finest tried if none does."""
+        """With the coarsest quantum found that reaches the target; the nearest if none does."""
         tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
         at, streams, took = math.log2(self.coder.quantum), {}, 0.0
         for _ in range(self.settings.psnr_tries):
@@ -110,8 +110,10 @@ class Finish:
             if 0 <= tried[at] <= self.settings.psnr_slack_db or took > self._left_s():
                 break
             at = self._next_quantum(tried)
+            if at in tried:
+                break
         reached = [q for q, beyond in tried.items() if beyond >= 0]
-        return streams[max(reached) if reached else min(streams)]
+        return streams[max(reached) if reached else max(tried, key=lambda q: tried[q])]
 
     def _next_quantum(self, tried: dict[float, float]) -> float:
         """By the line through the two nearest to the target, aimed a little above it."""

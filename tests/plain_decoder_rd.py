@@ -178,10 +178,11 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
         return
     models = Models()
     most = min(header.width * header.height, 2**24, 8 * len(coder.payload) + 64)
+    begun = coder.state >= 65536
     first = 28 - coder.raw(6)
     last = first - coder.raw(6)
     check_end()
-    refuse_unless(coder.state >= 65536 and last >= -4, "start")
+    refuse_unless(begun and last >= -4, "start")
     total = 0
     for k in range(first, last - 1, -1):
         g = max(0, (k + 1) // 2)
@@ -206,7 +207,7 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
             gaussian = read_gaussian(header, coder, models, k, (column, row))
             check_end()
             yield gaussian
-    refuse_unless(coder.state == 65536, "last state")
+    refuse_unless(part or coder.state == 65536, "last state")
     refuse_unless(part or not any(coder.payload[coder.at :]), "rest")
 
 

@@ -122,6 +122,18 @@ def test_the_plain_decoder_finds_the_same_gaussians(name: str) -> None:
         assert rows(stream.gaussians(part)) == plain_decoder_rd.parse_part(GOLDEN[name], part)[1]
 
 
+@pytest.mark.parametrize("payload", ["0d22f0588931", "00000d188bc18931"])
+def test_a_first_state_that_no_encoder_leaves_is_refused(payload: str) -> None:
+    """Though the next words would lift it to one."""
+    data = bytearray(bitstream_rd.serialise(RdStream(9, 9, 1.0, (0, 0, 0), False, False, bytes.fromhex(payload))))
+    data[18:20] = b"\0\0"
+    data[4:8] = struct.pack(">I", zlib.crc32(data[8:]))
+    with pytest.raises(BitstreamError, match="begins"):
+        bitstream_rd.parse(bytes(data)).gaussians()
+    with pytest.raises(plain_decoder_rd.RefusedError, match="start"):
+        plain_decoder_rd.parse(bytes(data))
+
+
 @pytest.mark.parametrize("name", GOLDEN)
 def test_the_plain_decoder_draws_the_same_picture(name: str) -> None:
     assert_same_pixels(plain_decoder_rd.decode(GOLDEN[name]), decode(GOLDEN[name]))

@@ -94,6 +94,27 @@ def test_a_psnr_is_met_closely(target_db: float) -> None:
     assert encoded.stats.psnr < target_db + 1.5  # one Gaussian more or less matters on so small a picture
 
 
+def test_a_fit_stays_where_the_file_can_put_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Centres that drifted off were moved back by the file, and the quantum ran away: 10,388 bytes at 42.3 dB."""
+    monkeypatch.setattr(codec, "PROFILES", {**codec.PROFILES, "rd": RD})
+    pixels = read_image((DATA / "kodim05-crop.png").read_bytes())
+    encoded = encode(pixels, Budget("psnr", 36), seed=1)
+    assert 36 <= encoded.stats.psnr < 36.5
+    assert len(encoded.data) < 5000
+
+
+def test_more_bytes_than_anyone_needs_are_not_filled_with_gaussians() -> None:
+    """As many as pixels at the start: 16.5 dB."""
+    assert encode(noise(48, 64), Budget("bytes", 10**12)).stats.psnr > 25
+
+
+def test_a_given_number_and_quality_hold_under_a_time_limit() -> None:
+    pixels = np.ascontiguousarray(np.tile(crop(), (4, 4, 1)))
+    assert encode(pixels, Budget("gaussians", 60), time_limit_s=0.3).stats.gaussians <= 60
+    coded = stream(encode(pixels, Budget("quality", 25), time_limit_s=0.3))
+    assert coded.quantum == pytest.approx(rd.quality_quantum(25), rel=1 / 256)
+
+
 def test_growth_goes_on_in_small_pictures() -> None:
     """Seen: 33 dB; 23 while scales as wide as the picture hid the places where something was missing."""
     assert encode(crop(), Budget("quality", 85)).stats.psnr > 30

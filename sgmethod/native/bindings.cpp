@@ -163,6 +163,7 @@ NB_MODULE(_native, m) {
           "__init__",
           [](sg::RdParameters* p, int width, int height, double quantum, bool grey, bool upright) {
             require(width > 0 && height > 0 && quantum > 0, "parameters must be positive");
+            require(width <= 65535 && height <= 65535, "a side is more than 65535 pixels");
             new (p) sg::RdParameters{width, height, quantum, grey, upright};
           },
           "width"_a, "height"_a, "quantum"_a, "grey"_a = false, "upright"_a = false);

@@ -1,6 +1,6 @@
 // Adaptive models of 16 symbols, and rANS over them (J. Duda, "Asymmetric numeral systems", 2013; state and words as
-// in F. Giesen's public-domain rans_word_sse41). Integers only, so that every machine decodes the same. Decoding has
-// no division and, but for escapes, no branch that depends on the data.
+// in F. Giesen's public-domain rans_word_sse41). Integers only, so that every machine decodes the same. Decoding a
+// symbol has no division and no branch that depends on the data.
 #pragma once
 
 #include <emmintrin.h>

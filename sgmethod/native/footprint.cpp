@@ -8,7 +8,7 @@ constexpr double kMaxDecay = 80.0;  // exp(-80): a neighbouring row is far outsi
 
 // A lane with sigma <= kMaxCutoff somewhere in a segment of `rows` has |z2| < sqrt(2 kMaxCutoff) + rows / l3 at its
 // first row; sigma < 80 there asks for rows / l3 <= 9.
-int segment_rows(float l3) { return std::clamp(static_cast<int>(9.0f * l3), 1, kMaxSegment); }
+int segment_rows(float l3) { return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment); }
 
 // exp(-inv_l3^2). It is multiplied up to 120 times, so single precision within would show.
 float decay(float inv_l3) { return exp_minus(std::min(static_cast<double>(inv_l3) * inv_l3, kMaxDecay)); }

@@ -1,7 +1,7 @@
 // Down one column the weight of a Gaussian is exp(-sigma) with sigma quadratic in the row, so
 //     e[r + 1] = e[r] ratio[r],   ratio[r + 1] = ratio[r] exp(-1 / l3^2):
 // two multiplications in place of an exponential. Rounding errors grow with the square of the length and an
-// underflow would be for ever, so the recurrence starts anew every `segment` rows, chosen (rasterization.cpp)
+// underflow would be for ever, so the recurrence starts anew every `segment` rows, chosen (footprint.cpp)
 // such that a lane that matters anywhere in a segment has sigma < kFar at its first row.
 #include "kernels.h"
 

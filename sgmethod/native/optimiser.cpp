@@ -54,7 +54,7 @@ void frame_adam(const AdamSettings& s, int n, const MutableGaussians& p, const C
 
 void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,
                       float* grad_colors) {
-  // Rows: luma-like and two chroma-like axes, orthonormal, as in rd_codec.cpp: equal steps are equal errors in RGB.
+  // Rows: luma-like and two chroma-like axes, orthonormal, as in rd_symbols.cpp: equal steps are equal errors in RGB.
   static const float basis[3][3] = {{0.5773502692f, 0.5773502692f, 0.5773502692f},
                                     {0.7071067812f, 0, -0.7071067812f},
                                     {0.4082482905f, -0.8164965809f, 0.4082482905f}};

@@ -65,13 +65,14 @@ class Decoding {
 
   // False where a prefix ended. Throws std::runtime_error on what no encoder writes.
   bool run() {
+    const bool begun = coder_.state() >= kStateLow;
     const int first = kMaxClass - static_cast<int>(coder_.raw(0, kClassBits));
     const int last = first - static_cast<int>(coder_.raw(0, kClassBits));
     if (prefix_ && overrun()) return false;
-    if (coder_.state() < kStateLow || last < kMinClass) throw std::runtime_error("no encoder begins like this");
+    if (!begun || last < kMinClass) throw std::runtime_error("no encoder begins like this");
     for (int c = first; c >= last; --c)
       if (!size_class(c)) return false;
-    if (coder_.state() != kStateLow) throw std::runtime_error("the last Gaussian does not end as it should");
+    if (!prefix_ && coder_.state() != kStateLow) throw std::runtime_error("the last Gaussian does not end as it should");
     return true;
   }
 

@@ -12,7 +12,7 @@ struct RefineSettings {
   float cutoff;      // sigma at which a Gaussian ends
   double price;      // squared error, summed over pixels and channels, that one bit is worth
   int sweeps;        // over all Gaussians, at most
-  double seconds;    // after which no further Gaussian is looked at
+  double seconds;    // after which no further sweep begins, and one under way ends soon
   uint64_t max_bytes;  // of the payload; Gaussians that gain least for their bits go until it fits
 };
 

@@ -8,10 +8,9 @@
 //     v = log sqrt(l1 / l3)       d^2 pi s^2 |c|^2
 //     r = l2 / l3                 d^2 pi s^2 |c|^2 / 4
 //     the mean, in units of L     d^2 pi s^2 |c|^2 / 2
-// Were the quantum's square the energy of a step, colours would be coded in steps of quantum / (s sqrt(pi)), and with m the
-// length of the integer colour vector, equal energy would mean steps of 0.707 / m in u, 1 / m in v, 2 / m in r and 1.414 / m
-// in the mean: only m decides. These are what is used, but for colours, whose errors are made good best afterwards
-// (rd_refine.cpp): their steps are quantum / (1.5 s).
+// Colours are coded in steps of quantum / (1.5 s), where sqrt(pi) for 1.5 would make the quantum's square the energy of a
+// step. With m the length of the integer colour vector, steps of equal energy are then 0.707 / m in u, 1 / m in v, 2 / m in
+// r and 1.414 / m in the mean: only m decides.
 #pragma once
 
 #include <algorithm>
