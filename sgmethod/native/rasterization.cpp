@@ -95,13 +95,17 @@ void Rasterization::bin(int gaussian, Bin& bin) const {
   });
 }
 
+Rasterization::Area Rasterization::area(int tile) const {
+  const int x = (tile % strips_) * kTileWidth, y = (tile / strips_) * kTileHeight;
+  return {x, y, std::min(kTileWidth, width_ - x), std::min(kTileHeight, height_ - y)};
+}
+
 void Rasterization::render(const float* colors, float* image) const {
   const int64_t plane = static_cast<int64_t>(width_) * height_;
   parallel_for(strips_ * blocks_, [&](int tile) {
     alignas(64) float acc[kTileFloats] = {};
     kernels(isa_).forward(*this, tile, colors, acc);
-    const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
-    const int columns = std::min(kTileWidth, width_ - x0), rows = std::min(kTileHeight, height_ - y0);
+    const auto [x0, y0, columns, rows] = area(tile);
     for (int row = 0; row < rows; ++row)
       for (int k = 0; k < 3; ++k)
         std::memcpy(image + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0, acc + (row * 3 + k) * kTileWidth,
@@ -115,8 +119,7 @@ void Rasterization::render_bytes(const float* colors, const float* background, u
     for (int i = 0; i < 3 * kTileWidth; ++i) acc[i] = background[i / kTileWidth];
     for (int row = 1; row < kTileHeight; ++row) std::copy_n(acc, 3 * kTileWidth, acc + row * 3 * kTileWidth);
     kernels(isa_).forward(*this, tile, colors, acc);
-    const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
-    const int columns = std::min(kTileWidth, width_ - x0), rows = std::min(kTileHeight, height_ - y0);
+    const auto [x0, y0, columns, rows] = area(tile);
     kernels(isa_).bytes(acc, columns, rows, image + 3 * (static_cast<int64_t>(y0) * width_ + x0), 3 * int64_t{width_});
   });
 }
@@ -126,8 +129,7 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
   const std::unique_ptr<float[]> pair_gradients(new float[tile_start_.back() * kPairGradients]);  // all written below
   parallel_for(strips_ * blocks_, [&](int tile) {
     alignas(64) float gradient[kTileFloats] = {};
-    const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
-    const int columns = std::min(kTileWidth, width_ - x0), rows = std::min(kTileHeight, height_ - y0);
+    const auto [x0, y0, columns, rows] = area(tile);
     for (int row = 0; row < rows; ++row)
       for (int k = 0; k < 3; ++k)
         std::memcpy(gradient + (row * 3 + k) * kTileWidth, image_grad + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0,
@@ -145,8 +147,7 @@ double Rasterization::squared_error(const float* colors, const float* target, co
   parallel_for(strips_ * blocks_, [&](int tile) {
     alignas(64) float acc[kTileFloats] = {};
     kernels(isa_).forward(*this, tile, colors, acc);
-    const int x0 = (tile % strips_) * kTileWidth, y0 = (tile / strips_) * kTileHeight;
-    const int columns = std::min(kTileWidth, width_ - x0), rows = std::min(kTileHeight, height_ - y0);
+    const auto [x0, y0, columns, rows] = area(tile);
     double error = 0;
     for (int row = 0; row < rows; ++row)
       for (int k = 0; k < 3; ++k) {

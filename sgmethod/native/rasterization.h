@@ -56,6 +56,10 @@ class Rasterization {
   int64_t tile_offset(int tile) const { return tile_start_[tile]; }
 
  private:
+  struct Area {
+    int x, y, columns, rows;  // the tile's first pixel, and how much of the tile lies within the picture
+  };
+  Area area(int tile) const;
   struct Bin {
     std::vector<Pair> pairs;
     std::vector<int32_t> tiles;  // the tile of each pair

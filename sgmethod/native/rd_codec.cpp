@@ -137,7 +137,7 @@ std::vector<Symbols> quantised(const RdParameters& p, const float* means, const 
   for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
     if (s) all[i] = *s;
   });
-  all.erase(std::remove_if(all.begin(), all.end(), [](const Symbols& s) { return s.y == 0 && s.a == 0 && s.b == 0; }), all.end());
+  erase_empty(all);
   return all;
 }
 

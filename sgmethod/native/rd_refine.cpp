@@ -76,7 +76,7 @@ class Refinement {
 
  private:
   std::vector<uint8_t> encode() {
-    all_.erase(std::remove_if(all_.begin(), all_.end(), [](const Symbols& s) { return s.y == 0 && s.a == 0 && s.b == 0; }), all_.end());
+    erase_empty(all_);
     models_ = Models();
     return encode_symbols(p_, all_, models_);
   }
@@ -135,16 +135,15 @@ class Refinement {
     c.cost = cost(c, products);
     if (c.cost < best.cost) best = c;
     const float color[3] = {products[0] / products[3], products[1] / products[3], products[2] / products[3]};
-    Candidate ideal;
-    if (!quantised(c.mean, c.factor, color, ideal)) return;
-    const Symbols rounded = ideal.symbols;
+    Symbols rounded{};
+    if (!quantise(p_, c.mean, c.factor, color, rounded)) return;
     for (int toward = 0; toward < 4; ++toward) {  // as rounded; then one part a step nearer to zero
       Symbols s = rounded;
       if (toward > 0) {
         int& part = toward == 1 ? s.y : toward == 2 ? s.a : s.b;
         if (part == 0) continue;
         part -= part > 0 ? 1 : -1;
-        if (s.y == 0 && s.a == 0 && s.b == 0) continue;
+        if (s.empty()) continue;
       }
       weigh(s, c, products, best);
     }
@@ -175,7 +174,6 @@ class Refinement {
   }
 
   bool visit(Symbols& s) {
-    if (s.y == 0 && s.a == 0 && s.b == 0) return false;
     const Candidate now = decoded(s);
     add(now, 1.0f);
     Candidate best{};  // none at all
@@ -204,19 +202,14 @@ class Refinement {
         if (std::abs(moved.v) > kMaxShape || std::abs(moved.r) > kMaxShape || std::abs(moved.v) * steps.v() > kMaxAspect) continue;
         if (moved.px >> g.x_bits || moved.py >> g.y_bits) continue;
         c = decoded(moved);
-        if (which < 2) {
-          // The place keeps its value, whatever the parts of the cell are now.
-          std::copy_n(now.mean, 2, c.mean);
-          Candidate placed;
-          if (!quantised(c.mean, c.factor, c.color, placed)) continue;
-          c = placed;
-        }
+        // With another shape the place keeps its value, whatever the parts of the cell are now.
+        if (which < 2 && !quantised(now.mean, c.factor, c.color, c)) continue;
         consider(c, best);
       }
     }
     const bool changed = std::memcmp(&best.symbols, &s, sizeof s) != 0;
     s = best.symbols;
-    if (s.y != 0 || s.a != 0 || s.b != 0) add(best, -1.0f);
+    if (!s.empty()) add(best, -1.0f);
     return changed;
   }
 

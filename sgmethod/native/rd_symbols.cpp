@@ -116,7 +116,7 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   s.y = round_to(l.y / color_step, kMaxColor);
   s.a = p.grey ? 0 : round_to(l.a / color_step, kMaxColor);
   s.b = p.grey ? 0 : round_to(l.b / color_step, kMaxColor);
-  if (s.y == 0 && s.a == 0 && s.b == 0) return false;
+  if (s.empty()) return false;
   const Steps steps(s);
   const double levels = static_cast<double>(1u << steps.u_bits());
   s.u = static_cast<uint32_t>(std::clamp(std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels), 0.0, levels - 1));
@@ -138,6 +138,10 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   const uint32_t cx = place(mean[0], p.width, g.x_bits, s.px), cy = place(mean[1], p.height, g.y_bits, s.py);
   s.cell = spread_bits(cx) | spread_bits(cy) << 1;
   return true;
+}
+
+void erase_empty(std::vector<Symbols>& all) {
+  all.erase(std::remove_if(all.begin(), all.end(), [](const Symbols& s) { return s.empty(); }), all.end());
 }
 
 void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, float* mean, float* factor, float* color) {

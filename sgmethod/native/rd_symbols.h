@@ -34,6 +34,8 @@ struct Symbols {
   uint32_t u;     // within the class
   int v, r;
   uint32_t px, py;  // within the cell
+
+  bool empty() const { return y == 0 && a == 0 && b == 0; }  // nothing is left of it
 };
 
 // Steps that follow from the colour: halvings of the class width, and powers of two for v and r.
@@ -62,6 +64,7 @@ bool in_grid(const RdParameters& p, int bits, uint32_t cell);
 
 // Rounds one Gaussian to integers. False if nothing of it is left.
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s);
+void erase_empty(std::vector<Symbols>& all);
 // What is left of n Gaussians.
 std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n);
 void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, float* mean, float* factor, float* color);
