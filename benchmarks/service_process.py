@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+import httpx
+
 from benchmarks.machine import ROOT
 
 T = TypeVar("T")
@@ -67,11 +69,13 @@ def encoder_of(job_id: str) -> int | None:
 
 
 class ServiceProcess:
-    """One `python -m service`, started at once.
+    """One `python -m service`, started at once, and a client of it.
 
     Give settings by name, such as queue_length=2; extra: more environment variables. What it writes to standard error
     is appended to a log beside its data folder.
     """
+
+    timeout_s = PATIENCE_S  # of the client's requests
 
     def __init__(
         self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
@@ -97,6 +101,7 @@ class ServiceProcess:
             self.process.wait()
             raise AssertionError(self.log.read_text())
         self.url = words[3].rstrip(",")
+        self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
 
     def family(self) -> dict[int, str]:
         """All its processes that are alive, by number, with their command lines."""
@@ -112,11 +117,13 @@ class ServiceProcess:
 
     def stop(self) -> int:
         """Stop it as an operator does; the exit status."""
+        self.client.close()
         self.process.terminate()
         return self.process.wait(PATIENCE_S)
 
     def kill_all(self) -> None:
         """End every process at once, without a chance to say anything."""
+        self.client.close()
         victims = self.family()
         for number in victims:
             with contextlib.suppress(ProcessLookupError):

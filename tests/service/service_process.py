@@ -40,7 +40,7 @@ SLOW = png(768, 768)
 
 
 class Service(ServiceProcess):
-    """One `python -m service` with one worker and short leases, and a client that talks to it.
+    """One `python -m service` with one worker and short leases.
 
     With command "web" nothing is ever encoded.
     """
@@ -49,18 +49,6 @@ class Service(ServiceProcess):
         self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
     ) -> None:
         super().__init__(data_dir, command, extra, **{"workers": 1, "lease_s": 1, **settings})
-
-    def start(self) -> None:
-        super().start()
-        self.client = httpx.Client(base_url=self.url, timeout=PATIENCE_S)
-
-    def stop(self) -> int:
-        self.client.close()
-        return super().stop()
-
-    def kill_all(self) -> None:
-        self.client.close()
-        super().kill_all()
 
     def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
         """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
