@@ -1,10 +1,13 @@
-"""Types of the compiled module (sgmethod/native/bindings.cpp). Arrays are C-contiguous float32 on the CPU,
-numpy or torch."""
+"""Types of the compiled module (sgmethod/native/bindings.cpp). Arrays are C-contiguous float32.
 
-from typing import Any
+Only numpy's are typed, though tensors would be taken: torch hands its memory over in Python code, where an interrupt
+that arrives is lost, because the binding takes any error there for "not an array of this kind".
+"""
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sgmethod.gaussians import FloatArray
 
 MAX_CUTOFF: float
 TILE_WIDTH: int
@@ -21,31 +24,37 @@ class Rasterization:
 
     def __init__(
         self,
-        means: Any,
-        factors: Any,
+        means: FloatArray,
+        factors: FloatArray,
         width: int,
         height: int,
         cutoff: float = 5.5,
         isa: int = -1,
         max_pairs: int = 2**31,
     ) -> None: ...
-    def render(self, colors: Any, image: Any) -> None:
+    def render(self, colors: FloatArray, image: FloatArray) -> None:
         """Fill image [3, height, width]."""
 
-    def render_bytes(self, colors: Any, image: Any, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+    def render_bytes(
+        self, colors: FloatArray, image: NDArray[np.uint8], background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> None:
         """Fill image [height, width, 3], uint8: background plus Gaussians."""
 
-    def squared_error(self, colors: Any, target: Any, means: Any, factors: Any, out_colors: Any) -> float:
+    def squared_error(
+        self, colors: FloatArray, target: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
+    ) -> float:
         """The mean squared error against target [3, height, width]; fills its gradients as backward does."""
 
-    def backward(self, colors: Any, grad: Any, means: Any, factors: Any, out_colors: Any) -> None:
+    def backward(
+        self, colors: FloatArray, grad: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
+    ) -> None:
         """Fill the gradients by means [N, 2], factors [N, 3] and colours [N, 3], given that by the image."""
 
 class ReconstructionLoss:
     """MSE + lambda_g L_g against a target [3, height, width]."""
 
-    def __init__(self, target: Any, lambda_g: float) -> None: ...
-    def __call__(self, image: Any, grad: Any) -> tuple[float, float]:
+    def __init__(self, target: FloatArray, lambda_g: float) -> None: ...
+    def __call__(self, image: FloatArray, grad: FloatArray) -> tuple[float, float]:
         """(MSE, L_g); fills grad with the gradient by the image."""
 
 class AdamSettings:
@@ -58,19 +67,26 @@ class AdamSettings:
 def frame_adam(
     settings: AdamSettings,
     rate: float,
-    means: Any,
-    factors: Any,
-    colors: Any,
-    by_means: Any,
-    by_factors: Any,
-    by_colors: Any,
-    first: Any,
-    second: Any,
-    age: Any,
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    by_means: FloatArray,
+    by_factors: FloatArray,
+    by_colors: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    age: FloatArray,
 ) -> None:
     """One step of sgmethod.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], age [N, 1]."""
 
-def rd_rate_gradient(quantum: float, weight: float, factors: Any, colors: Any, by_factors: Any, by_colors: Any) -> None:
+def rd_rate_gradient(
+    quantum: float,
+    weight: float,
+    factors: FloatArray,
+    colors: FloatArray,
+    by_factors: FloatArray,
+    by_colors: FloatArray,
+) -> None:
     """Add the gradient that sgmethod.quantise.rd.add_rate_gradient describes to by_factors and by_colors."""
 
 class RdParameters:
@@ -79,17 +95,23 @@ class RdParameters:
     def __init__(self, width: int, height: int, quantum: float, grey: bool = False, upright: bool = False) -> None: ...
 
 def rd_quantise(
-    parameters: RdParameters, means: Any, factors: Any, colors: Any, out_means: Any, out_factors: Any, out_colors: Any
+    parameters: RdParameters,
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    out_means: FloatArray,
+    out_factors: FloatArray,
+    out_colors: FloatArray,
 ) -> None:
     """Fill out_* with what decoding an encoding would give; colour 0 where nothing of a Gaussian is left."""
 
-def rd_encode(parameters: RdParameters, means: Any, factors: Any, colors: Any) -> bytes: ...
+def rd_encode(parameters: RdParameters, means: FloatArray, factors: FloatArray, colors: FloatArray) -> bytes: ...
 def rd_refine(
     parameters: RdParameters,
-    means: Any,
-    factors: Any,
-    colors: Any,
-    target: Any,
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    target: FloatArray,
     cutoff: float,
     price: float,
     sweeps: int,
@@ -98,7 +120,5 @@ def rd_refine(
 ) -> bytes:
     """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/rd_refine.h)."""
 
-def rd_decode(
-    parameters: RdParameters, data: bytes, prefix: bool = False
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+def rd_decode(parameters: RdParameters, data: bytes, prefix: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(means, factors, colors); raises RuntimeError on data no encoder writes. prefix: data may be cut anywhere."""

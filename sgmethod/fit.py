@@ -120,8 +120,8 @@ class Parameters:
         return cls(torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3))
 
     def numpy(self) -> Gaussians:
-        """Plain arrays."""
-        return Gaussians(*(np.ascontiguousarray(t.detach().numpy()) for t in (self.means, self.factors, self.colors)))
+        """Plain arrays, which share the tensors' memory where that is contiguous."""
+        return Gaussians(*(t.contiguous().numpy() for t in (self.means, self.factors, self.colors)))
 
 
 class Picture:
@@ -139,7 +139,7 @@ class Picture:
         self.spacing = spacing
         self.lambda_g = lambda_g
         self.cutoff = cutoff
-        self._loss = native.ReconstructionLoss(self.target, lambda_g)
+        self._loss = native.ReconstructionLoss(self.target.numpy(), lambda_g)
         self._image = torch.empty_like(self.target)
         self._grad = torch.empty_like(self.target)
 
@@ -158,19 +158,22 @@ class Picture:
         """The geometry over this picture's pixels."""
         if self.spacing != 1:
             means, factors = means / self.spacing, factors / self.spacing
-        return native.Rasterization(means.contiguous(), factors.contiguous(), self.width, self.height, self.cutoff)
+        arrays = means.contiguous().numpy(), factors.contiguous().numpy()
+        return native.Rasterization(*arrays, self.width, self.height, self.cutoff)
 
     def gradients(self, p: Parameters) -> tuple[float, Parameters]:
         """Mean squared error, and the gradients of MSE + lambda_g L_g by each parameter."""
         raster = self.rasterise(p.means, p.factors)
-        colors = p.colors.contiguous()
+        colors = p.colors.contiguous().numpy()
         out = Parameters.empty(len(p.means))
+        by = out.numpy()
         if self.lambda_g == 0:
-            mse = raster.squared_error(colors, self.target, out.means, out.factors, out.colors)
+            mse = raster.squared_error(colors, self.target.numpy(), by.means, by.factors, by.colors)
         else:
-            raster.render(colors, self._image)
-            mse, _ = self._loss(self._image, self._grad)
-            raster.backward(colors, self._grad, out.means, out.factors, out.colors)
+            image, grad = self._image.numpy(), self._grad.numpy()
+            raster.render(colors, image)
+            mse, _ = self._loss(image, grad)
+            raster.backward(colors, grad, by.means, by.factors, by.colors)
         if self.spacing != 1:
             out.means /= self.spacing
             out.factors /= self.spacing
@@ -178,7 +181,7 @@ class Picture:
 
     def residual(self, p: Parameters) -> Tensor:
         """Target minus picture [3, H, W], in this picture's pixels; valid until gradients() is called."""
-        self.rasterise(p.means, p.factors).render(p.colors.contiguous(), self._grad)
+        self.rasterise(p.means, p.factors).render(p.colors.contiguous().numpy(), self._grad.numpy())
         return torch.sub(self.target, self._grad, out=self._grad)
 
     def solve_colors(
@@ -191,11 +194,15 @@ class Picture:
         """
         raster, n = self.rasterise(means, factors), len(means)
         energy = (math.pi / self.spacing**2 * factors[:, :1] * factors[:, 2:]).clamp_min(1e-12)
-        zero, geometry = torch.zeros(n, 3), (torch.empty(n, 2), torch.empty(n, 3))
+        zero, by_means, by_factors = (
+            np.zeros((n, 3), np.float32),
+            np.empty((n, 2), np.float32),
+            np.empty((n, 3), np.float32),
+        )
 
         def transpose(image: Tensor) -> Tensor:
             out = torch.empty(n, 3)
-            raster.backward(zero, image, *geometry, out)
+            raster.backward(zero, image.numpy(), by_means, by_factors, out.numpy())
             return out
 
         colors = torch.zeros(n, 3)
@@ -203,7 +210,7 @@ class Picture:
         direction = z = residual / energy
         rz = (residual * z).sum(0)
         for _ in range(steps):
-            raster.render(direction, self._image)
+            raster.render(direction.numpy(), self._image.numpy())
             q = transpose(self._image) + damping * energy * direction
             alpha = rz / (direction * q).sum(0).clamp_min(1e-30)
             colors = colors + alpha * direction
@@ -246,8 +253,18 @@ class FrameAdam:
 
     def step(self, p: Parameters, grad: Parameters, rate: float) -> None:
         """Move p, in place, against its gradients; rate scales all rates."""
-        values = (p.means, p.factors, p.colors, grad.means, grad.factors, grad.colors)
-        native.frame_adam(self._settings, rate, *values, self.first, self.second, self.age)
+        values = (
+            p.means,
+            p.factors,
+            p.colors,
+            grad.means,
+            grad.factors,
+            grad.colors,
+            self.first,
+            self.second,
+            self.age,
+        )
+        native.frame_adam(self._settings, rate, *(t.numpy() for t in values))
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,10 @@ class _Render(torch.autograd.Function):
     def forward(ctx: Any, means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]) -> Tensor:
         width, height = size
         means, factors, colors = (t.detach().contiguous() for t in (means, factors, colors))
-        ctx.raster = native.Rasterization(means, factors, width, height)
+        ctx.raster = native.Rasterization(means.numpy(), factors.numpy(), width, height)
         ctx.save_for_backward(colors)
         image = torch.empty(3, height, width)
-        ctx.raster.render(colors, image)
+        ctx.raster.render(colors.numpy(), image.numpy())
         return image
 
     @staticmethod
@@ -29,7 +29,7 @@ class _Render(torch.autograd.Function):
         (colors,) = ctx.saved_tensors
         n = colors.shape[0]
         out = torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3)
-        ctx.raster.backward(colors, grads[0].contiguous(), *out)
+        ctx.raster.backward(colors.numpy(), grads[0].contiguous().numpy(), *(t.numpy() for t in out))
         return *out, None
 
 

@@ -260,6 +260,21 @@ def test_arrays_that_are_no_image(wrong: NDArray[np.float32]) -> None:
 
 
 @pytest.mark.parametrize("profile", PROFILES_TESTED)
+def test_kernels_get_no_tensors(profile: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tensors are handed over in Python code, where an interrupt that arrives is lost."""
+    seen = []
+    by_torch = torch.Tensor.__dlpack__
+
+    def watched(*arguments: object, **named: object) -> object:
+        seen.append(arguments)
+        return by_torch(*arguments, **named)
+
+    monkeypatch.setattr(torch.Tensor, "__dlpack__", watched)
+    encode(small(), Budget("bpp", 4), profile=profile)
+    assert not seen
+
+
+@pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_the_trace_runs_through_all_phases(profile: str) -> None:
     seen: list[TracePoint] = []
     encoded = encode(small(), Budget("bytes", 400), profile, on_progress=seen.append)

@@ -32,7 +32,8 @@ def add_rate_gradient(p: Parameters, grad: Parameters, quantum: float, weight: f
     That is log2(1 + |value| / step) of every coded value, and log2(1 + m) for u and both coordinates, whose range
     does not depend on their value.
     """
-    native.rd_rate_gradient(quantum, weight, p.factors, p.colors, grad.factors, grad.colors)
+    values = (p.factors, p.colors, grad.factors, grad.colors)
+    native.rd_rate_gradient(quantum, weight, *(t.numpy() for t in values))
 
 
 def energies(p: Parameters) -> Tensor:
@@ -54,10 +55,12 @@ class Coder:
 
     def rounded(self, p: Parameters) -> Parameters:
         """What the decoder will see; colour 0 where nothing of a Gaussian is left."""
-        out = Parameters.empty(len(p.means))
-        means, factors, colors = (t.contiguous() for t in (p.means, p.factors, p.colors))
-        native.rd_quantise(self._parameters, means, factors, colors, out.means, out.factors, out.colors)
-        return out
+        rounded, given = Parameters.empty(len(p.means)), p.numpy()
+        out = rounded.numpy()
+        native.rd_quantise(
+            self._parameters, given.means, given.factors, given.colors, out.means, out.factors, out.colors
+        )
+        return rounded
 
     def stream(self, p: Parameters) -> RdStream:
         """The coded picture."""
@@ -74,8 +77,7 @@ class Coder:
         """
         upright = not bool(p.factors[:, 1].any())
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
-        means, factors, colors = (t.contiguous() for t in (p.means, p.factors, p.colors))
-        payload = native.rd_refine(
-            parameters, means, factors, colors, target, CUTOFF, price, sweeps, seconds, max_payload
-        )
+        given = p.numpy()
+        arrays = (given.means, given.factors, given.colors, target.numpy())
+        payload = native.rd_refine(parameters, *arrays, CUTOFF, price, sweeps, seconds, max_payload)
         return RdStream(*self.size, self.quantum, self.background, self.grey, upright, payload)
