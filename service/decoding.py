@@ -82,9 +82,9 @@ def draw(bitstream: bytes, drawing: Drawing) -> bytes:
     return encode_picture(sgmethod.decode(bitstream, view=drawing.view), drawing.kind)
 
 
-def draw_unknown(bitstream: bytes, wanted: ViewQuery, max_pixels: int) -> bytes:
+def draw_unknown(bitstream: bytes, wanted: ViewQuery, max_pixels: int, max_gaussians: int) -> bytes:
     """PNG of a bitstream of which nothing is known yet. Raises BitstreamError, ProblemError 422."""
-    fields = sgmethod.info(bitstream)
+    fields = sgmethod.info(bitstream, max_gaussians)  # a few kilobytes can hold millions of equal ones
     size = (int(str(fields["width"])), int(str(fields["height"])))
     return draw(bitstream, Drawing.of(wanted, "png", size, max_pixels))
 

@@ -115,7 +115,9 @@ async def picture_of_body(wanted: Annotated[ViewQuery, Query()], parts: UseParts
         data = await upload.read()
         try:
             with parts.metrics.decode_seconds.time():
-                file = await parts.decoder.run(draw_unknown, data, wanted, limits.max_decode_pixels)
+                file = await parts.decoder.run(
+                    draw_unknown, data, wanted, limits.max_decode_pixels, limits.max_decode_gaussians
+                )
         except BitstreamError as error:
             raise ProblemError(422, str(error)) from error
     return Response(file, headers=NOTHING_KEPT, media_type=MEDIA_TYPES["png"])

@@ -144,6 +144,9 @@ class Settings(BaseSettings):
     max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
     decode_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="bytes of picture files kept in memory")
     max_decode_pixels: int = Field(default=50_000_000, ge=1, description="pixels of one decoded picture or view")
+    max_decode_gaussians: int = Field(
+        default=1_000_000, ge=1, description="Gaussians of a bitstream posted to be decoded"
+    )
     max_bitstream_bytes: int = Field(default=16 * 2**20, ge=1, description="bytes of a bitstream posted to be decoded")
     stall_s: float = Field(
         default=60.0, gt=0, description="seconds that jobs wait without any worker's sign of life before /readyz fails"

@@ -120,5 +120,8 @@ def rd_refine(
 ) -> bytes:
     """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/rd_refine.h)."""
 
-def rd_decode(parameters: RdParameters, data: bytes, prefix: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(means, factors, colors); raises RuntimeError on data no encoder writes. prefix: data may be cut anywhere."""
+def rd_decode(
+    parameters: RdParameters, data: bytes, prefix: bool = False, max_gaussians: int = ...
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(means, factors, colors); raises RuntimeError on data no encoder writes, OverflowError for more than
+    max_gaussians. prefix: data may be cut anywhere."""

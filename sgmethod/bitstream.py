@@ -142,11 +142,11 @@ def serialise(stream: Stream) -> bytes:
     return MAGIC + bytes([VERSION]) + struct.pack(">I", zlib.crc32(body)) + bytes(body)
 
 
-def parse(data: bytes, max_pixels: int | None = None) -> Stream:
+def parse(data: bytes, max_pixels: int | None = None, max_gaussians: int | None = None) -> Stream:
     """The syntax elements of a file.
 
-    Raises BitstreamError for anything but a whole, intact file, and for a picture of more than max_pixels
-    before anything behind the header is read.
+    Raises BitstreamError for anything but a whole, intact file, and for a picture of more than max_pixels or
+    max_gaussians before anything behind the header is read.
     """
     if len(data) < HEADER_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
@@ -178,6 +178,8 @@ def parse(data: bytes, max_pixels: int | None = None) -> Stream:
         at += GROUP_BYTES
     if sum(n for _, n in counts) > pixels:
         raise BitstreamError(f"the file claims more Gaussians than its picture's {pixels} pixels")
+    if max_gaussians is not None and sum(n for _, n in counts) > max_gaussians:
+        raise BitstreamError(f"the file has more Gaussians than the limit of {max_gaussians}")
     return Stream(profile, *size, *tables, _read_groups(body[at:], header["position_bits"], counts))
 
 

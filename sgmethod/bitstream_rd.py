@@ -70,14 +70,20 @@ class RdStream:
         payload = native.rd_encode(parameters, gaussians.means, gaussians.factors, gaussians.colors)
         return cls(*size, quantum, background, grey, upright, payload)
 
-    def gaussians(self, prefix: float = 1.0) -> Gaussians:
-        """The Gaussians, largest first; with prefix < 1 those in that part of the payload. Raises BitstreamError."""
+    def gaussians(self, prefix: float = 1.0, max_gaussians: int | None = None) -> Gaussians:
+        """The Gaussians, largest first; with prefix < 1 those in that part of the payload.
+
+        Raises BitstreamError, also for more than max_gaussians.
+        """
+        limit = {} if max_gaussians is None else {"max_gaussians": max_gaussians}
         parameters = native.RdParameters(self.width, self.height, self.quantum, self.grey, self.upright)
         cut = math.ceil(prefix * len(self.payload))
         try:
-            return Gaussians(*native.rd_decode(parameters, self.payload[:cut], prefix < 1))
+            return Gaussians(*native.rd_decode(parameters, self.payload[:cut], prefix < 1, **limit))
         except RuntimeError as error:
             raise BitstreamError(f"the file is damaged: {error}") from error
+        except OverflowError as error:
+            raise BitstreamError(f"the file has more Gaussians than the limit of {max_gaussians}") from error
 
     def size_bits(self) -> dict[str, int]:
         """Bits spent on the header and on the payload, which mixes all attributes."""

@@ -89,11 +89,14 @@ def _version(data: bytes) -> int:
     return data[3] if len(data) > 3 and data[:3] == bitstream.MAGIC else 0
 
 
-def info(data: bytes) -> dict[str, object]:
-    """Every header field of an .sg file, and the bits spent on each part. Raises BitstreamError."""
+def info(data: bytes, max_gaussians: int | None = None) -> dict[str, object]:
+    """Every header field of an .sg file, and the bits spent on each part.
+
+    Raises BitstreamError, also for more than max_gaussians, before memory is taken for them.
+    """
     if _version(data) == bitstream_rd.VERSION:
-        return _rd_info(data)
-    stream = bitstream.parse(data)
+        return _rd_info(data, max_gaussians)
+    stream = bitstream.parse(data, max_gaussians=max_gaussians)
     return {
         "bytes": len(data),
         "bpp": 8 * len(data) / (stream.width * stream.height),
@@ -112,7 +115,7 @@ def info(data: bytes) -> dict[str, object]:
     }
 
 
-def _rd_info(data: bytes) -> dict[str, object]:
+def _rd_info(data: bytes, max_gaussians: int | None) -> dict[str, object]:
     stream = bitstream_rd.parse(data)
     return {
         "bytes": len(data),
@@ -122,7 +125,7 @@ def _rd_info(data: bytes) -> dict[str, object]:
         "profile": "rd",
         "width": stream.width,
         "height": stream.height,
-        "gaussians": len(stream.gaussians()),
+        "gaussians": len(stream.gaussians(max_gaussians=max_gaussians)),
         "quantum": stream.quantum,
         "background": list(stream.background),
         "grey": stream.grey,

@@ -336,6 +336,16 @@ def test_refused_headers(at: int, value: bytes, why: str) -> None:
         bitstream_rd.parse(data if at == 4 else repaired(data)).gaussians()
 
 
+def test_a_limit_of_gaussians() -> None:
+    stream = RdStream.of(
+        gaussians([[35, 25]] * 3000, [[9, 0, 9]] * 3000, [[0.5, 0, 0]] * 3000), (70, 50), 0.1, (9, 8, 7), False
+    )
+    assert len(stream.gaussians(max_gaussians=3000)) == 3000
+    for prefix in (1.0, 0.9):
+        with pytest.raises(BitstreamError, match=r"limit of 2999$"):
+            stream.gaussians(prefix, max_gaussians=2999)
+
+
 def test_limits_of_parse() -> None:
     data = bitstream_rd.serialise(RdStream.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
     assert bitstream_rd.parse(data, max_pixels=3500).width == 70

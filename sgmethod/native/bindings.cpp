@@ -196,8 +196,14 @@ NB_MODULE(_native, m) {
     }
     return nb::bytes(bytes.data(), bytes.size());
   }, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a, "cutoff"_a, "price"_a, "sweeps"_a, "seconds"_a, "max_bytes"_a);
-  m.def("rd_decode", [](const sg::RdParameters& p, nb::bytes data, bool prefix) {
-    sg::GaussianArrays decoded = sg::rd_decode(p, static_cast<const uint8_t*>(data.data()), data.size(), prefix);
+  m.def("rd_decode", [](const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max_gaussians) {
+    sg::GaussianArrays decoded;
+    {
+      const auto* bytes = static_cast<const uint8_t*>(data.data());
+      const size_t size = data.size();
+      nb::gil_scoped_release release;
+      decoded = sg::rd_decode(p, bytes, size, prefix, max_gaussians);
+    }
     return std::make_tuple(own<2>(std::move(decoded.means)), own<3>(std::move(decoded.factors)), own<3>(std::move(decoded.colors)));
-  }, "parameters"_a, "data"_a, "prefix"_a = false);
+  }, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
 }

@@ -15,7 +15,6 @@ namespace sg {
 namespace {
 
 constexpr int kClassBits = 6;
-constexpr uint64_t kMaxGaussians = 1 << 24;
 constexpr int kQuantiseChunk = 256;  // Gaussians of one task
 
 // Low bits of a distance along the curve that are sent as they are: with `count` Gaussians scattered over the class's
@@ -60,8 +59,8 @@ void for_each_quantised(const RdParameters& p, const float* means, const float* 
 // Decodes `size` bytes; with prefix = true, up to the first Gaussian that needs more.
 class Decoding {
  public:
-  Decoding(GaussianArrays& out, const RdParameters& p, const uint8_t* data, size_t size, bool prefix)
-      : out_(out), p_(p), size_(size), prefix_(prefix), most_(most_in(p, size)), coder_(data) {}
+  Decoding(GaussianArrays& out, const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit)
+      : out_(out), p_(p), size_(size), prefix_(prefix), most_(most_in(p, size)), limit_(limit), coder_(data) {}
 
   // False where a prefix ended. Throws std::runtime_error on what no encoder writes.
   bool run() {
@@ -86,6 +85,7 @@ class Decoding {
     const size_t done = out_.means.size() / 2;
     if (!prefix_ && count > most_ - done) throw std::runtime_error("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most_ - done);
+    if (done + room > limit_) throw std::overflow_error("more Gaussians than the limit");
     resize(done + room);
     Symbols s{};
     s.size_class = c;
@@ -125,7 +125,7 @@ class Decoding {
   const RdParameters& p_;
   const size_t size_;
   const bool prefix_;
-  const uint64_t most_;
+  const uint64_t most_, limit_;
   RansDecoder coder_;
   Models models_;
 };
@@ -187,12 +187,12 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
   return encode_symbols(p, all, models);
 }
 
-GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix) {
+GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
   GaussianArrays out;
   if (size == 0) return out;
   std::vector<uint8_t> padded(size + RansDecoder::kSlack);
   std::copy_n(data, size, padded.begin());
-  Decoding decoding(out, p, padded.data(), size, prefix);
+  Decoding decoding(out, p, padded.data(), size, prefix, max_gaussians);
   const auto behind = [&] {
     return std::any_of(data + std::min(decoding.read(), size), data + size, [](uint8_t byte) { return byte != 0; });
   };

@@ -14,6 +14,8 @@ struct RdParameters {
   bool upright;     // no shear in the stream
 };
 
+constexpr uint64_t kMaxGaussians = 1 << 24;
+
 struct GaussianArrays {
   std::vector<float> means, factors, colors;  // [n, 2], [n, 3], [n, 3]
 };
@@ -29,7 +31,9 @@ std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* mean
                                int n);
 
 // Throws std::runtime_error on data that no encoder writes. With prefix = true, data may be cut anywhere: the
-// Gaussians up to there are returned, at most 8 for each byte and 64.
-GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix);
+// Gaussians up to there are returned, at most 8 for each byte and 64. Throws std::overflow_error for more than
+// max_gaussians, before memory is taken for them.
+GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
+                         uint64_t max_gaussians = kMaxGaussians);
 
 }  // namespace sg

@@ -19,7 +19,8 @@ from service.problems import ProblemError
 from sgmethod.errors import BitstreamError
 from sgmethod.view import View
 
-PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
+DATA = Path(__file__).parents[1] / "data"
+PICTURE = (DATA / "v3-color.sg").read_bytes()
 INFO = sgmethod.info(PICTURE)
 SIZE = (int(str(INFO["width"])), int(str(INFO["height"])))
 NO_LIMIT = 10**9
@@ -56,7 +57,16 @@ def test_decodes_are_bounded_and_leave_the_loop_free() -> None:
 
 def test_what_is_no_bitstream() -> None:
     with pytest.raises(BitstreamError):
-        draw_unknown(b"not a bitstream", ViewQuery(), NO_LIMIT)
+        draw_unknown(b"not a bitstream", ViewQuery(), NO_LIMIT, NO_LIMIT)
+
+
+@pytest.mark.parametrize("name", ["v1-paper.sg", "v3-color.sg"])
+def test_gaussians_of_a_bitstream_are_limited(name: str) -> None:
+    data = (DATA / name).read_bytes()
+    count = int(str(sgmethod.info(data)["gaussians"]))
+    assert draw_unknown(data, ViewQuery(), NO_LIMIT, count) == encode_picture(sgmethod.decode(data), "png")
+    with pytest.raises(BitstreamError, match=f"limit of {count - 1}$"):
+        draw_unknown(data, ViewQuery(), NO_LIMIT, count - 1)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 7), (7, 1), (64, 48), (333, 3)])

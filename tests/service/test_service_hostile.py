@@ -36,6 +36,7 @@ def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
         send_timeout_s=1,
         max_pixels=1_000_000,
         max_side=3000,
+        max_decode_gaussians=10,
         queue_length=10_000,
     )
     yield service
@@ -317,6 +318,12 @@ def test_everybody_else_is_served_meanwhile(strict: Service) -> None:
     finally:
         for connection in crowd:
             connection.close()
+
+
+def test_a_bitstream_of_too_many_gaussians(strict: Service) -> None:
+    """Millions of equal ones take a few bytes each thousand, and minutes to draw. Our own results are not limited."""
+    assert_problem(strict.client.post("/decode", content=PICTURE), 422, "limit of 10")
+    assert strict.client.get(f"/decode/{strict.published(PICTURE)}.png").status_code == 200
 
 
 def test_many_decodes_at_once_are_refused_and_not_piled_up(start_service: StartService) -> None:
