@@ -30,7 +30,18 @@ from service.jobs import (
     QueueFullError,
     SourceImage,
 )
-from service.sql_statements import CLAIM, CRASH, LOST, MINE, OVERDUE, SELECT_JOB, SERVED, TRACE_POINT, Database
+from service.sql_statements import (
+    CLAIM,
+    CRASH,
+    LOST,
+    MINE,
+    OVERDUE,
+    SELECT_JOB,
+    SELECT_JOBS,
+    SERVED,
+    TRACE_POINT,
+    Database,
+)
 from service.storage import bitstream_key, source_key
 
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
@@ -160,7 +171,7 @@ class SqlJobs(ABC):
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner}
         chosen = {condition: value for condition, value in conditions.items() if value is not None}
         where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
-        query = f"{SELECT_JOB} {where} ORDER BY number DESC LIMIT ?"
+        query = f"{SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
         with self._connection() as db:
             return [_job(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 

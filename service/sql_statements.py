@@ -49,6 +49,13 @@ SELECT jobs.*, CASE WHEN state = 'queued' THEN (
     AND (waiting.priority = 'bulk', waiting.number) <= (jobs.priority = 'bulk', jobs.number)
 ) END AS position FROM jobs
 """
+# For many jobs at once: each place counted by itself takes a tenth of a second a page where thousands wait.
+SELECT_JOBS = """
+WITH waiting AS (
+    SELECT number, row_number() OVER (ORDER BY priority = 'bulk', number) AS position FROM jobs WHERE state = 'queued'
+)
+SELECT jobs.*, waiting.position FROM jobs LEFT JOIN waiting USING (number)
+"""
 # Owners take turns by what they have running just now, however many jobs of theirs wait.
 CLAIM = """
 UPDATE jobs SET state = 'running', attempt = attempt + 1, worker = ?, started_at = epoch(), lease_until = epoch() + ?
