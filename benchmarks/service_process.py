@@ -20,7 +20,8 @@ from benchmarks.machine import ROOT
 T = TypeVar("T")
 Kind = Literal["web", "worker", "encoder"]
 
-PATIENCE_S = 60.0  # far more than anything takes
+PATIENCE_S = 120.0  # far more than anything takes, on a busy machine too
+POLL_S = 0.05  # seldom enough to take little of a core
 COMMANDS: dict[Kind, str] = {
     "web": "-m service web",
     "worker": "-m service worker",
@@ -35,7 +36,7 @@ def wait_until(what: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
         value = what()
         if value:
             return value
-        time.sleep(0.02)
+        time.sleep(POLL_S)
     raise AssertionError("nothing happened in time")
 
 

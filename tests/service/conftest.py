@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,9 +14,10 @@ import pytest
 from browser import Browser, find_driver
 from job_table import LONG_S, OpenTable, open_table
 from s3_server import S3Server
-from service_process import Service, StartService
+from service_process import Outcome, RunCommand, Service, StartService
 
 from benchmarks.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
+from service.__main__ import main
 from service.jobs import JobBackend
 
 
@@ -50,6 +53,24 @@ def browser() -> Iterator[Browser]:
     browser = Browser(driver)
     yield browser
     browser.close()
+
+
+@pytest.fixture
+def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[RunCommand]:
+    """Runs `python -m service` within this process, which takes a moment where a process of its own takes a second."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+
+    def run(*arguments: str, **settings: object) -> Outcome:
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "argv", ["service", *arguments])
+            for name, value in settings.items():
+                patch.setenv(name if name.isupper() else f"SG_{name}".upper(), str(value))
+            status = main()
+        return Outcome(status, *capsys.readouterr())
+
+    yield run
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -115,8 +136,6 @@ def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
         max_side=3000,
         max_pixels=1_000_000,
         queue_length=10_000,
-        body_chunk_timeout_s=0.5,
-        body_timeout_s=2,
     )
     yield service
     assert service.stop() == 0

@@ -7,6 +7,7 @@ import hashlib
 import io
 import socket
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +89,9 @@ class Service(ServiceProcess):
         """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
         fields = sgmethod.info(bitstream)
         width, height = int(str(fields["width"])), int(str(fields["height"]))
-        settings = Settings(data_dir=self.data_dir, lease_s=60)
+        settings = Settings(
+            data_dir=self.data_dir, database_url=self.environment.get("SG_DATABASE_URL", ""), lease_s=60
+        )
         backend = open_backend(settings)
         request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", width, height, 10)
         job, _ = backend.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
@@ -119,6 +122,18 @@ class Service(ServiceProcess):
 
 
 StartService = Callable[..., Service]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended, and what it said."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+RunCommand = Callable[..., Outcome]
 
 
 def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:

@@ -24,6 +24,15 @@ FORM = {"Content-Type": f"multipart/form-data; boundary={BOUNDARY}"}
 LIMIT = 200_000 + 16 * 1024  # the fixture's, and what multipart may add
 
 
+@pytest.fixture(scope="module")
+def hasty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process that does not wait long for bodies; for tests alone in which none arrives."""
+    folder = tmp_path_factory.mktemp("hasty") / "data"
+    service = Service(folder, "web", body_chunk_timeout_s=0.5, body_timeout_s=2)
+    yield service
+    assert service.stop() == 0
+
+
 def connect(web: Service, *headers: str) -> socket.socket:
     """A connection that has sent the head of POST /encode."""
     connection = web.connect()
@@ -97,22 +106,21 @@ def test_a_part_with_endless_headers(web: Service) -> None:
         assert_problem(answer, 400)
 
 
-def test_a_body_that_stops_coming(web: Service) -> None:
-    before = web.files()
-    with connect(web, "Content-Length: 5000") as connection:
+def test_a_body_that_stops_coming(hasty: Service) -> None:
+    with connect(hasty, "Content-Length: 5000") as connection:
         connection.sendall(HEAD + SMALL[:1000])
         problem_from(connection, 408)
-    assert web.files() == before
+    assert hasty.files() == []
 
 
-def test_a_body_that_never_starts(web: Service) -> None:
-    with connect(web, "Transfer-Encoding: chunked") as connection:
+def test_a_body_that_never_starts(hasty: Service) -> None:
+    with connect(hasty, "Transfer-Encoding: chunked") as connection:
         problem_from(connection, 408)
 
 
-def test_a_body_that_trickles(web: Service) -> None:
+def test_a_body_that_trickles(hasty: Service) -> None:
     """Never long without a byte, but in all longer than the 2 s that a body may take."""
-    with connect(web, "Content-Length: 5000") as connection:
+    with connect(hasty, "Content-Length: 5000") as connection:
         connection.sendall(HEAD)
         for _ in range(100):
             if select.select([connection], [], [], 0.1)[0]:

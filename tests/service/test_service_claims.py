@@ -23,12 +23,14 @@ from job_table import (
 )
 
 from service import sql_jobs
+from service.backends import open_backend as open_backend_of
 from service.jobs import (
     Claim,
     EncodeResult,
     JobBackend,
     JobError,
 )
+from service.settings import Settings
 from service.sql_jobs import SqlJobs
 
 
@@ -76,6 +78,18 @@ def test_running_jobs_of_an_owner_are_limited(open_backend: OpenTable) -> None:
     assert state(backend, second) == "queued"
     assert backend.finish(claim, RESULT)
     assert claimed(backend).job_id == second
+
+
+def test_the_operators_limits_reach_the_table(tmp_path: Path) -> None:
+    backend = open_backend_of(Settings(data_dir=tmp_path, max_running_per_key=1, max_attempts=2, lease_s=LONG_S))
+    first, second = [submitted(backend, owner="anna") for _ in range(2)]
+    for crashes in (1, 2):
+        claim = claimed(backend)
+        assert (claim.job_id, backend.claim("w")) == (first, None)
+        assert backend.fail(claim, CRASH, retry=True)
+        assert state(backend, first) == ("queued" if crashes == 1 else "failed")
+    assert claimed(backend).job_id == second
+    backend.close()
 
 
 def test_heartbeat_carries_the_trace(backend: JobBackend) -> None:

@@ -14,6 +14,7 @@ import pytest
 from service_process import ROOT, SMALL, Service, StartService
 
 import sgmethod
+from benchmarks.service_process import wait_until
 from service.keys import digest
 from sgmethod import Budget
 from sgmethod.client import Client
@@ -58,9 +59,17 @@ def test_what_the_server_refuses(service: Service) -> None:
 def test_a_job_that_somebody_removes(web: Service) -> None:
     with Client(web.url) as client:
         job_id = client.submit(SMALL, Budget("bpp", 1))
-        threading.Timer(0.5, lambda: web.client.delete(f"/jobs/{job_id}")).start()
+        thread = threading.Thread(target=remove_while_watched, args=(web, job_id))
+        thread.start()
         with pytest.raises(ServerError, match="removed"):
             client.wait(job_id)
+        thread.join()
+
+
+def remove_while_watched(web: Service, job_id: str) -> None:
+    watched = 'sgmethod_requests_total{method="GET",route="/jobs/{job_id}/events",status="200"} 1.0'
+    wait_until(lambda: watched in web.client.get("/metrics").text)
+    assert web.client.delete(f"/jobs/{job_id}").status_code == 204
 
 
 def test_a_server_that_is_not_there() -> None:
@@ -89,7 +98,7 @@ def test_a_full_queue_is_waited_for(start_service: StartService) -> None:
 def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
     service = start_service()
     with Client(service.url) as client:
-        job_id = client.submit(SMALL, Budget("bpp", 2), time_limit_s=3)
+        job_id = client.submit(SMALL, Budget("bpp", 2), time_limit_s=1)
         port = service.url.rpartition(":")[2]
 
         def restart() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -15,6 +16,7 @@ import httpx
 import pytest
 from service_process import SLOW, Service, StartService
 
+from benchmarks.postgres_server import PostgresServer
 from benchmarks.service_process import PATIENCE_S, encoder_of, processes, wait_until
 
 
@@ -22,6 +24,52 @@ from benchmarks.service_process import PATIENCE_S, encoder_of, processes, wait_u
 def start_service(start_service: StartService, database_url: str) -> StartService:
     """Every test here runs once on either database."""
     return partial(start_service, database_url=database_url)
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
+    """Gives SG_DATABASE_URL of empty job tables, all in one kind of database."""
+    if request.param == "sqlite":
+        return lambda: "sqlite"
+    server: PostgresServer = request.getfixturevalue("postgres")
+    return server.new_database
+
+
+@pytest.fixture(scope="module")
+def one_worker(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service for all tests that leave it as they found it."""
+    service = Service(tmp_path_factory.mktemp("one") / "data", database_url=new_table())
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.fixture(scope="module")
+def two_workers(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """The same with two workers, and leases long enough that a worker on a busy machine is not taken for lost."""
+    service = Service(tmp_path_factory.mktemp("two") / "data", database_url=new_table(), workers=2, lease_s=2)
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.fixture
+def solo(one_worker: Service) -> Iterator[Service]:
+    """A service with one worker and no jobs."""
+    yield one_worker
+    clear(one_worker)
+
+
+@pytest.fixture
+def duo(two_workers: Service) -> Iterator[Service]:
+    """A service with two workers and no jobs."""
+    yield two_workers
+    clear(two_workers)
+
+
+def clear(service: Service) -> None:
+    """Remove all jobs; nothing is left of them."""
+    for job in service.client.get("/jobs?limit=200").json()["jobs"]:
+        service.client.delete(f"/jobs/{job['id']}")
+    wait_until(lambda: not service.ours("encoder") and service.files() == [])
 
 
 def running(job_id: str) -> int:
@@ -41,9 +89,9 @@ def assert_settled(service: Service, *done: str) -> None:
         assert service.client.get(f"/bitstreams/{job_id}.sg").status_code == 200
 
 
-def test_rule_1_accepted_jobs_survive_the_web_process(start_service: StartService) -> None:
+def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     """The web process is killed right after its 202: the encode goes on, and requests find its successor."""
-    service = start_service()
+    service = solo
     job_id = service.accepted()
     (web,) = service.ours("web")
     os.kill(web, signal.SIGKILL)
@@ -74,12 +122,13 @@ def test_rule_1_one_key_one_job(start_service: StartService) -> None:
     assert {answer.status_code for answer in answers} == {202}
     ids = {answer.json()["id"] for answer in answers}
     assert len(ids) == 1
+    assert [job["id"] for job in service.client.get("/jobs").json()["jobs"]] == list(ids)
     assert service.files() == [f"sources/{ids.pop()}"]
 
 
-def test_rule_2_a_sleeping_worker_has_lost_its_job(start_service: StartService) -> None:
+def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
     """A worker that sleeps beyond its lease ends its encoder when it wakes up, and changes nothing."""
-    service = start_service(workers=2)
+    service = duo
     job_id = service.accepted_slow()
     encoder = running(job_id)
     sleeper = processes()[encoder].parent
@@ -97,9 +146,9 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(start_service: StartService) 
     assert_settled(service)
 
 
-def test_rule_3_published_once(start_service: StartService) -> None:
+def test_rule_3_published_once(duo: Service) -> None:
     """A worker sleeps while its encoder finishes; another publishes; the first wakes up with a result in hand."""
-    service = start_service(workers=2)
+    service = duo
     job_id = service.accepted()
     encoder = running(job_id)
     sleeper = processes()[encoder].parent
@@ -115,9 +164,9 @@ def test_rule_3_published_once(start_service: StartService) -> None:
     assert_settled(service, job_id)
 
 
-def test_rule_4_the_encoder_ends_with_its_worker(start_service: StartService) -> None:
+def test_rule_4_the_encoder_ends_with_its_worker(solo: Service) -> None:
     """The worker is killed: its encoder ends too, and the job goes to the next worker when the lease is over."""
-    service = start_service()
+    service = solo
     job_id = service.accepted()
     encoder = running(job_id)
     (worker,) = service.ours("worker")
@@ -128,9 +177,9 @@ def test_rule_4_the_encoder_ends_with_its_worker(start_service: StartService) ->
     assert_settled(service, job_id)
 
 
-def test_rule_4_cancelled_in_every_state(start_service: StartService) -> None:
+def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
     """DELETE of a running job ends its encoder; in any state nothing remains of the job."""
-    service = start_service()
+    service = solo
     done = service.accepted()
     failed = service.accepted(bytes=1)
     assert [service.wait(job_id)["state"] for job_id in (done, failed)] == ["done", "failed"]
@@ -154,9 +203,9 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
     assert_settled(service)
 
 
-def test_rule_5_a_killed_encoder_starts_again(start_service: StartService) -> None:
+def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
     """The encoding process alone dies: its worker starts the job again at once."""
-    service = start_service()
+    service = solo
     job_id = service.accepted()
     os.kill(running(job_id), signal.SIGKILL)
     job = service.wait(job_id)
@@ -164,9 +213,9 @@ def test_rule_5_a_killed_encoder_starts_again(start_service: StartService) -> No
     assert_settled(service, job_id)
 
 
-def test_rule_5_poison(start_service: StartService) -> None:
+def test_rule_5_poison(solo: Service) -> None:
     """A job whose encoder always dies fails after four attempts, with its last error."""
-    service = start_service()
+    service = solo
     job_id = service.accepted()
     killed: set[int] = set()
     while len(killed) < 4:

@@ -31,7 +31,7 @@ def test_probes(web: Service, path: str) -> None:
 
 
 def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> None:
-    web = start_service("web", stall_s=0.5)
+    web = start_service("web", stall_s=2)
     assert web.client.get("/readyz").status_code == 200
     job_id = web.accepted()
     problem = wait_until(lambda: (answer := web.client.get("/readyz")).status_code == 503 and answer)
@@ -47,11 +47,11 @@ def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> No
 
 
 def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
-    service = start_service(stall_s=1)
+    service = start_service(stall_s=2)
     service.wait(service.accepted_slow(), "running")
     service.accepted()
     started = figures(service)["process_start_time_seconds"]
-    wait_until(lambda: figures(service)["sgmethod_oldest_job_waits_seconds"] > 2)
+    wait_until(lambda: figures(service)["sgmethod_oldest_job_waits_seconds"] > 3)
     assert service.client.get("/readyz").status_code == 200
     assert figures(service)["process_start_time_seconds"] == started
 

@@ -23,16 +23,16 @@ from benchmarks.service_process import wait_until
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 HEADER_LIMIT = 4096
+HEADER_TIMEOUT_S = 0.5
 
 
 @pytest.fixture(scope="module")
 def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A web process that waits for nobody."""
+    """A web process with small limits."""
     service = Service(
         tmp_path_factory.mktemp("strict") / "data",
         "web",
         max_header_bytes=HEADER_LIMIT,
-        header_timeout_s=0.5,
         send_timeout_s=1,
         max_pixels=1_000_000,
         max_side=3000,
@@ -41,6 +41,14 @@ def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     )
     yield service
     assert service.client.get("/livez").status_code == 200
+    assert service.stop() == 0
+
+
+@pytest.fixture(scope="module")
+def hasty(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process that does not wait long for headers."""
+    service = Service(tmp_path_factory.mktemp("hasty") / "data", "web", header_timeout_s=HEADER_TIMEOUT_S)
+    yield service
     assert service.stop() == 0
 
 
@@ -65,14 +73,14 @@ def closes(connection: socket.socket) -> bytes:
     return answer
 
 
-def test_a_connection_that_says_nothing(strict: Service) -> None:
-    with strict.connect() as connection:
+def test_a_connection_that_says_nothing(hasty: Service) -> None:
+    with hasty.connect() as connection:
         assert closes(connection) == b""
 
 
 @pytest.mark.parametrize("drip", [b"X-A: b\r\n", b"x", b"\r\n"])
-def test_headers_that_trickle(strict: Service, drip: bytes) -> None:
-    with strict.connect() as connection:
+def test_headers_that_trickle(hasty: Service, drip: bytes) -> None:
+    with hasty.connect() as connection:
         if drip != b"\r\n":
             connection.sendall(b"GET /livez HTTP/1.1\r\nHost: test\r\n")
         connection.settimeout(0.05)
@@ -92,21 +100,21 @@ def test_headers_that_trickle(strict: Service, drip: bytes) -> None:
         assert answer == b"" or status_of(answer) == 408
 
 
-def test_a_second_request_that_trickles(strict: Service) -> None:
-    with strict.connect() as connection:
+def test_a_second_request_that_trickles(hasty: Service) -> None:
+    with hasty.connect() as connection:
         connection.sendall(b"GET /livez HTTP/1.1\r\nHost: test\r\n\r\n")
         assert connection.recv(65536).startswith(b"HTTP/1.1 200")
         connection.sendall(b"GET /livez HTTP/1.1\r\n")
         assert status_of(closes(connection)) == 408
 
 
-def test_a_slow_answer_is_not_cut_off_by_the_time_for_headers(strict: Service) -> None:
-    job_id = strict.accepted()
-    with strict.connect() as connection:
+def test_a_slow_answer_is_not_cut_off_by_the_time_for_headers(hasty: Service) -> None:
+    job_id = hasty.accepted()
+    with hasty.connect() as connection:
         connection.sendall(f"GET /jobs/{job_id}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
         assert connection.recv(65536).startswith(b"HTTP/1.1 200")
-        time.sleep(1.5)  # three times what headers may take
-        strict.client.delete(f"/jobs/{job_id}")
+        time.sleep(3 * HEADER_TIMEOUT_S)
+        hasty.client.delete(f"/jobs/{job_id}")
         text = b""
         while b"event: removed" not in text:
             data = connection.recv(65536)

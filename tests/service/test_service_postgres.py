@@ -10,6 +10,7 @@ import pytest
 from job_table import RULES, claimed, submitted
 
 from benchmarks.postgres_server import PostgresServer
+from benchmarks.service_process import PATIENCE_S
 from service.jobs import BackendError
 from service.postgres_jobs import PostgresJobs
 from service.stopping import StopSignal
@@ -80,20 +81,21 @@ def test_a_table_of_a_later_version(url: str, jobs: PostgresJobs) -> None:
 
 def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobs) -> None:
     """Each job is announced by a call; what was called for nothing does no harm."""
-    stop, called = StopSignal(), threading.Semaphore(0)
+    stop, taken = StopSignal(), threading.Semaphore(0)
 
     def run_next() -> bool:
-        claim = jobs.claim("w")
-        called.release()
-        return claim is not None
+        if jobs.claim("w") is None:
+            return False
+        taken.release()
+        return True
 
     thread = threading.Thread(target=jobs.deliver, args=(run_next, stop))
     thread.start()
     for _ in range(3):
         submitted(jobs)
     for _ in range(3):
-        assert called.acquire(timeout=30)
+        assert taken.acquire(timeout=PATIENCE_S)
     stop.request()
-    thread.join(30)
+    thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert jobs.census().jobs["running"] == 3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import struct
-import threading
 import zlib
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -283,21 +282,6 @@ def test_one_key_makes_one_job(web: Service) -> None:
     assert_problem(web.post(SMALL, key="once", bpp=2), 422, "Idempotency-Key")
     assert_problem(web.post(png(64, 48, seed=1), key="once", bpp=1), 422, "Idempotency-Key")
     assert web.files() == files
-
-
-def test_one_key_from_many_clients_at_once(start_service: StartService) -> None:
-    web = start_service("web")
-    together = threading.Barrier(8)
-
-    def post(_: int) -> str:
-        together.wait()
-        return str(web.post(key="at-once").json()["id"])
-
-    with ThreadPoolExecutor(8) as clients:
-        ids = set(clients.map(post, range(8)))
-    assert len(ids) == 1
-    assert [job["id"] for job in web.client.get("/jobs").json()["jobs"]] == list(ids)
-    assert web.files() == [f"sources/{ids.pop()}"]
 
 
 def test_full_queue(start_service: StartService) -> None:

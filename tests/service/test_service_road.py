@@ -11,6 +11,7 @@ from PIL import Image
 from service_process import SMALL, Service, assert_problem, png
 
 import sgmethod
+from benchmarks.service_process import wait_until
 from sgmethod.profiles import DEFAULT_PROFILE
 
 
@@ -93,8 +94,7 @@ def test_the_two_etags_differ(service: Service, done: dict[str, Any]) -> None:
 
 
 def test_only_the_bitstream_is_kept(service: Service, done: dict[str, Any]) -> None:
-    kept = [name for name in service.files() if done["id"] in name]
-    assert kept == [f"bitstreams/{done['id']}.1.sg"]
+    wait_until(lambda: [name for name in service.files() if done["id"] in name] == [f"bitstreams/{done['id']}.1.sg"])
 
 
 def test_what_the_codec_refuses_fails_at_once(service: Service) -> None:
@@ -104,7 +104,7 @@ def test_what_the_codec_refuses_fails_at_once(service: Service) -> None:
     assert job["error"]["detail"]
     problem = assert_problem(service.client.get(job["decode_url"]), 409, job["error"]["detail"])
     assert problem["state"] == "failed"
-    assert not [name for name in service.files() if job["id"] in name]
+    wait_until(lambda: not [name for name in service.files() if job["id"] in name])
 
 
 def test_an_image_with_a_good_header_and_missing_pixels_is_refused(service: Service) -> None:

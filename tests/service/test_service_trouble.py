@@ -17,7 +17,7 @@ from s3_server import S3Server
 from service_process import ROOT, StartService, assert_problem
 
 from benchmarks.postgres_server import PostgresServer
-from benchmarks.service_process import encoder_of, processes, wait_until
+from benchmarks.service_process import PATIENCE_S, encoder_of, processes, wait_until
 
 PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
@@ -50,19 +50,17 @@ def fill(disk: Path) -> Path:
 
 def test_full_disk_while_accepting(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """Rule 1: what cannot be kept is not accepted, and nothing of it stays."""
-    service = start_service(database_url=database_url, lease_s=30)
-    first = service.accepted()
-    assert service.wait(first)["state"] == "done"
-    before = wait_until(lambda: len(service.files()) == 1 and service.files())
+    web = start_service("web", database_url=database_url)
+    done = web.published(PICTURE)
+    before = web.files()
     ballast = fill(small_disk)
-    assert_problem(service.post(), 503)
-    assert service.files() == before
-    assert service.client.get(f"/jobs/{first}").status_code == 200
-    assert service.client.get(f"/decode/{first}.png").status_code == 200
+    assert_problem(web.post(), 503)
+    assert web.files() == before
+    assert web.client.get(f"/jobs/{done}").status_code == 200
+    assert web.client.get(f"/decode/{done}.png").status_code == 200
     ballast.unlink()
-    second = service.accepted()
-    assert service.wait(second)["state"] == "done"
-    wait_until(lambda: len(service.files()) == 2)
+    job_id = web.accepted()
+    assert web.files() == [*before, f"sources/{job_id}"]
 
 
 def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
@@ -153,20 +151,20 @@ def test_workers_that_share_only_a_database_and_a_bucket(
         with (tmp_path / f"{name}.log").open("w") as log:
             command = [sys.executable, "-m", "service", "worker"]
             workers.append(subprocess.Popen(command, cwd=ROOT, env=environment, stderr=log))
-    jobs = [web.accepted() for _ in range(5)]
+    jobs = [web.accepted() for _ in range(3)]
     victim = wait_until(lambda: [process.parent for job in jobs if (process := processes().get(encoder_of(job) or 0))])[
         0
     ]
     wait_until(lambda: all("attempt 1" in (tmp_path / f"{name}.log").read_text() for name in ("a", "b")))
     os.kill(victim, signal.SIGKILL)
-    assert [web.wait(job_id)["state"] for job_id in jobs] == ["done"] * 5
+    assert [web.wait(job_id)["state"] for job_id in jobs] == ["done"] * 3
     for job_id in jobs:
         assert web.client.get(f"/decode/{job_id}.png").status_code == 200
     assert not (tmp_path / "a").exists()
     assert not (tmp_path / "b").exists()
     for worker in workers:
         worker.terminate()
-        assert worker.wait(30) == (-signal.SIGKILL if worker.pid == victim else 0)
+        assert worker.wait(PATIENCE_S) == (-signal.SIGKILL if worker.pid == victim else 0)
 
 
 def test_a_worker_by_itself(start_service: StartService) -> None:
@@ -177,7 +175,7 @@ def test_a_worker_by_itself(start_service: StartService) -> None:
         worker = subprocess.Popen(command, cwd=ROOT, env=web.environment, stderr=log)
     assert web.wait(web.accepted())["state"] == "done"
     worker.send_signal(signal.SIGTERM)
-    assert worker.wait(30) == 0
+    assert worker.wait(PATIENCE_S) == 0
 
 
 def test_supervisor_killed_alone(start_service: StartService) -> None:
@@ -195,7 +193,7 @@ def test_interrupt_stops_too(start_service: StartService) -> None:
     service = start_service()
     service.client.close()
     service.process.send_signal(signal.SIGINT)
-    assert service.process.wait(30) == 0
+    assert service.process.wait(PATIENCE_S) == 0
 
 
 def test_memory_limit(start_service: StartService) -> None:
