@@ -118,17 +118,24 @@ def start_service(tmp_path: Path) -> Iterator[StartService]:
             service.stop()
 
 
-@pytest.fixture(scope="module")
-def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A whole service with its defaults, shared by the tests of a module."""
+@pytest.fixture(scope="session")
+def shared_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A whole service with its defaults."""
     service = Service(tmp_path_factory.mktemp("service") / "data")
     yield service
     assert service.stop() == 0
 
 
 @pytest.fixture(scope="module")
+def service(shared_service: Service) -> Iterator[Service]:
+    """A whole service with its defaults, which has no jobs when a module's tests begin."""
+    yield shared_service
+    shared_service.clear()
+
+
+@pytest.fixture(scope="session")
 def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A web process without any worker, with small limits, shared by the tests of a module."""
+    """A web process without any worker, with small limits, shared by all tests that leave it able to serve."""
     service = Service(
         tmp_path_factory.mktemp("web") / "data",
         "web",

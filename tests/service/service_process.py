@@ -18,7 +18,7 @@ from PIL import Image
 import sgmethod
 from benchmarks.service_process import PATIENCE_S, ServiceProcess, wait_until
 from service.backends import open_backend, open_storage
-from service.jobs import EncodeRequest, EncodeResult, NewJob, SourceImage, new_job_id
+from service.jobs import Claim, EncodeRequest, EncodeResult, JobBackend, JobError, NewJob, SourceImage, new_job_id
 from service.settings import Settings
 from service.storage import bitstream_key
 
@@ -85,25 +85,54 @@ class Service(ServiceProcess):
         assert job
         return job
 
+    def clear(self) -> None:
+        """Remove all jobs; returns when nothing is left of them."""
+        while jobs := self.client.get("/jobs?limit=200").json()["jobs"]:
+            for job in jobs:
+                assert self.client.delete(f"/jobs/{job['id']}").status_code in (204, 404)
+        wait_until(lambda: not self.ours("encoder") and self.files() == [])
+
     def published(self, bitstream: bytes, owner: str | None = None) -> str:
         """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
         fields = sgmethod.info(bitstream)
         width, height = int(str(fields["width"])), int(str(fields["height"]))
-        settings = Settings(
-            data_dir=self.data_dir, database_url=self.environment.get("SG_DATABASE_URL", ""), lease_s=60
-        )
-        backend = open_backend(settings)
         request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", width, height, 10)
+        backend = self._open_backend()
         job, _ = backend.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
-        while (claim := backend.claim("test")) is not None and claim.job_id != job.id:
-            pass  # what other tests left waiting runs forever now
-        assert claim is not None
-        key = bitstream_key(job.id, claim.attempt)
-        open_storage(settings).put(key, bitstream)
+        backend.close()
+        self.publish(job.id, bitstream)
+        return job.id
+
+    def publish(self, job_id: str, bitstream: bytes) -> None:
+        """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running."""
+        fields = sgmethod.info(bitstream)
+        width, height = int(str(fields["width"])), int(str(fields["height"]))
         stats = {"width": width, "height": height, "bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, "gaussians": 9}
+        backend = self._open_backend()
+        claim = self._claimed(backend, job_id)
+        key = bitstream_key(job_id, claim.attempt)
+        open_storage(self._settings()).put(key, bitstream)
         assert backend.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
         backend.close()
-        return job.id
+
+    def refuse(self, job_id: str) -> None:
+        """Do as a worker whose codec refuses the job."""
+        backend = self._open_backend()
+        assert backend.fail(self._claimed(backend, job_id), JobError("refused", "it is refused"), retry=False)
+        backend.close()
+
+    def _settings(self) -> Settings:
+        return Settings(data_dir=self.data_dir, database_url=self.environment.get("SG_DATABASE_URL", ""), lease_s=60)
+
+    def _open_backend(self) -> JobBackend:
+        return open_backend(self._settings())
+
+    @staticmethod
+    def _claimed(backend: JobBackend, job_id: str) -> Claim:
+        while (claim := backend.claim("test")) is not None and claim.job_id != job_id:
+            pass  # what other tests left waiting runs forever now
+        assert claim is not None
+        return claim
 
     def connect(self) -> socket.socket:
         """A connection over which a test says what it likes."""

@@ -21,6 +21,8 @@ from sgmethod.client import Client
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
 
+PICTURE = (Path(__file__).parents[1] / "data" / "v3-color.sg").read_bytes()
+
 
 def test_an_encode(service: Service) -> None:
     seen: list[TracePoint] = []
@@ -59,17 +61,24 @@ def test_what_the_server_refuses(service: Service) -> None:
 def test_a_job_that_somebody_removes(web: Service) -> None:
     with Client(web.url) as client:
         job_id = client.submit(SMALL, Budget("bpp", 1))
-        thread = threading.Thread(target=remove_while_watched, args=(web, job_id))
+        before = watches(web)
+
+        def remove() -> None:
+            wait_until(lambda: watches(web) > before)
+            web.client.delete(f"/jobs/{job_id}")
+
+        thread = threading.Thread(target=remove)
         thread.start()
         with pytest.raises(ServerError, match="removed"):
             client.wait(job_id)
         thread.join()
 
 
-def remove_while_watched(web: Service, job_id: str) -> None:
-    watched = 'sgmethod_requests_total{method="GET",route="/jobs/{job_id}/events",status="200"} 1.0'
-    wait_until(lambda: watched in web.client.get("/metrics").text)
-    assert web.client.delete(f"/jobs/{job_id}").status_code == 204
+def watches(web: Service) -> float:
+    """How many streams of events have begun."""
+    counter = 'sgmethod_requests_total{method="GET",route="/jobs/{job_id}/events",status="200"} '
+    lines = web.client.get("/metrics").text.splitlines()
+    return sum(float(line.removeprefix(counter)) for line in lines if line.startswith(counter))
 
 
 def test_a_server_that_is_not_there() -> None:
@@ -96,17 +105,20 @@ def test_a_full_queue_is_waited_for(start_service: StartService) -> None:
 
 
 def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
-    service = start_service()
-    with Client(service.url) as client:
-        job_id = client.submit(SMALL, Budget("bpp", 2), time_limit_s=1)
-        port = service.url.rpartition(":")[2]
+    web = start_service("web")
+    with Client(web.url) as client:
+        job_id = client.submit(SMALL, Budget("bpp", 2))
+        port = web.url.rpartition(":")[2]
 
         def restart() -> None:
-            service.stop()
-            service.environment["SG_PORT"] = port
-            service.start()
+            wait_until(lambda: watches(web) == 1)
+            web.stop()
+            web.environment["SG_PORT"] = port
+            web.start()
+            wait_until(lambda: watches(web) == 1)
+            web.publish(job_id, PICTURE)
 
-        thread = threading.Timer(0.5, restart)
+        thread = threading.Thread(target=restart)
         thread.start()
         assert client.wait(job_id)["state"] == "done"
         thread.join()

@@ -55,21 +55,14 @@ def two_workers(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathF
 def solo(one_worker: Service) -> Iterator[Service]:
     """A service with one worker and no jobs."""
     yield one_worker
-    clear(one_worker)
+    one_worker.clear()
 
 
 @pytest.fixture
 def duo(two_workers: Service) -> Iterator[Service]:
     """A service with two workers and no jobs."""
     yield two_workers
-    clear(two_workers)
-
-
-def clear(service: Service) -> None:
-    """Remove all jobs; nothing is left of them."""
-    for job in service.client.get("/jobs?limit=200").json()["jobs"]:
-        service.client.delete(f"/jobs/{job['id']}")
-    wait_until(lambda: not service.ours("encoder") and service.files() == [])
+    two_workers.clear()
 
 
 def running(job_id: str) -> int:

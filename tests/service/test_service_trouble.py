@@ -105,8 +105,11 @@ def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: 
 
 
 def test_the_end_does_not_wait_for_a_database(start_service: StartService, postgres: PostgresServer) -> None:
-    service = start_service(database_url=postgres.new_database())
-    assert service.wait(service.accepted())["state"] == "done"
+    database_url = postgres.new_database()
+    service = start_service(database_url=database_url)
+    assert service.client.get("/readyz").status_code == 200
+    with psycopg.connect(database_url, autocommit=True) as db:
+        wait_until(lambda: db.execute("SELECT 1 FROM sgmethod_engine.procrastinate_workers").fetchone())
     postgres.stop("immediate")
     try:
         assert service.client.get("/readyz").status_code == 503
