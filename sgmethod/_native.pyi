@@ -30,7 +30,7 @@ class Rasterization:
         height: int,
         cutoff: float = 5.5,
         isa: int = -1,
-        max_pairs: int = 2**31,
+        max_pairs: int = 2**31 - 1,
     ) -> None: ...
     def render(self, colors: FloatArray, image: FloatArray) -> None:
         """Fill image [3, height, width]."""

@@ -106,7 +106,7 @@ class RdFit:
         if picture is self.picture:
             self.mse = mse
         elif self.recorder.due():
-            self.mse = self.picture.residual(self.p).square().mean().item()
+            self.mse = self.recorder.measured(lambda: self.picture.residual(self.p).square().mean().item())
         price = self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum) / self.values
         quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, price)
         self.adam.step(self.p, grad, rate)

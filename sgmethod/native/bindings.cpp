@@ -29,7 +29,6 @@ using Image = nb::ndarray<const float, nb::shape<3, -1, -1>, nb::c_contig, nb::d
 using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using BytesOut = nb::ndarray<uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 
-constexpr int64_t kNoLimit = int64_t{1} << 31;
 constexpr int kMaxSide = 1 << 20;  // the number of tiles stays within an int
 
 void require(bool condition, const char* message) {
@@ -82,7 +81,7 @@ NB_MODULE(_native, m) {
 
   nb::class_<sg::Rasterization>(m, "Rasterization")
       .def(nb::new_(&make), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kMaxCutoff,
-           "isa"_a = -1, "max_pairs"_a = kNoLimit)
+           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs)
       .def("render",
            [](const sg::Rasterization& r, Rows<3> colors, ImageOut image) {
              require(colors.shape(0) == static_cast<size_t>(r.gaussians()), "one colour per Gaussian");

@@ -15,7 +15,16 @@ namespace sg {
 namespace {
 
 constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;
-constexpr int kChunk = 256;       // Gaussians per binning task
+constexpr int kChunk = 256;               // Gaussians of a task, at least
+constexpr int kMaxBins = 64;
+constexpr int64_t kMaxReserve = 1 << 20;  // pairs of a bin; boxes may promise far more than there are
+
+// Gaussians in a bin. Each bin counts its pairs in all tiles, which is not to take more time than finding them.
+int bin_size(int n, int tiles) {
+  const int64_t bins = std::clamp<int64_t>(int64_t{8} * n / tiles, 1, kMaxBins);
+  return std::max(kChunk, static_cast<int>((n + bins - 1) / bins));
+}
+
 // At least the number of tiles that the box around an ellipse touches; not a number where it overflows.
 float box_tiles(const float* l, float reach) {
   const float width = 2.0f * reach * l[0], height = 2.0f * reach * std::sqrt(l[1] * l[1] + l[2] * l[2]);
@@ -34,12 +43,13 @@ void parallel_chunks(int count, int chunk, const Body& body) {
 Rasterization::Rasterization(const float* means, const float* factors, int n, int width, int height, float cutoff, int isa,
                              int64_t max_pairs)
     : n_(n), width_(width), height_(height), strips_((width + kTileWidth - 1) / kTileWidth),
-      blocks_((height + kTileHeight - 1) / kTileHeight), isa_(isa), reach_(std::sqrt(2.0f * cutoff)), floor_(exp_minus(cutoff)),
+      blocks_((height + kTileHeight - 1) / kTileHeight), isa_(isa),
+      chunk_(bin_size(n, strips_ * blocks_)), reach_(std::sqrt(2.0f * cutoff)), floor_(exp_minus(cutoff)),
       footprints_(n), factors_(factors, factors + 3 * static_cast<int64_t>(n)) {
-  const int chunks = (n + kChunk - 1) / kChunk;
   const int tiles = strips_ * blocks_;
-  std::atomic<int64_t> at_most{0};
-  parallel_chunks(n, kChunk, [&](int first, int last, int) {
+  bins_.resize((n + chunk_ - 1) / chunk_);
+  std::atomic<int64_t> total{0};
+  parallel_chunks(n, chunk_, [&](int first, int last, int k) {
     int64_t sum = 0;
     for (int i = first; i < last; ++i) {
       const float* factor = factors + 3 * static_cast<int64_t>(i);
@@ -47,24 +57,48 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, in
       if (footprints_[i].segment != 0)
         sum += static_cast<int64_t>(std::min(static_cast<float>(tiles), box_tiles(factor, reach_)));
     }
-    at_most.fetch_add(sum, std::memory_order_relaxed);
+    bins_[k].at_most = sum;
+    total.fetch_add(sum, std::memory_order_relaxed);
   });
-  if (at_most > max_pairs && pairs_up_to(max_pairs) > max_pairs)
+  max_pairs = std::min(max_pairs, kMaxPairs);
+  if (total > max_pairs && pairs_up_to(max_pairs) > max_pairs)
     throw std::overflow_error("too many pairs of Gaussian and tile");
-  std::vector<Bin> bins(chunks);
-  parallel_chunks(n, kChunk, [&](int first, int last, int chunk) {
-    for (int i = first; i < last; ++i) bin(i, bins[chunk]);
+  parallel_chunks(n, chunk_, [&](int first, int last, int k) {
+    Bin& bin = bins_[k];
+    bin.next.assign(tiles, 0);
+    bin.ends.reserve(last - first);
+    bin.pairs.reserve(std::min(bin.at_most, kMaxReserve));
+    bin.places.reserve(std::min(bin.at_most, kMaxReserve));
+    for (int i = first; i < last; ++i) this->bin(i, bin);
   });
+  sort_pairs();
+}
 
-  // Counting sort by tile; chunks in order, so that each tile's Gaussians come in order of index.
-  tile_start_.assign(tiles + 1, 0);
-  for (const Bin& bin : bins)
-    for (int32_t tile : bin.tiles) ++tile_start_[tile + 1];
-  for (int t = 0; t < tiles; ++t) tile_start_[t + 1] += tile_start_[t];
-  pairs_.reset(new Pair[tile_start_[tiles]]);  // left unset: every place is written below
-  std::vector<int64_t> next(tile_start_.begin(), tile_start_.end() - 1);
-  for (const Bin& bin : bins)
-    for (size_t k = 0; k < bin.pairs.size(); ++k) pairs_[next[bin.tiles[k]]++] = bin.pairs[k];
+// A counting sort by tile. Bins come in order, so that each tile's Gaussians come in order of index.
+void Rasterization::sort_pairs() {
+  const int tiles = strips_ * blocks_;
+  tile_start_.resize(tiles + 1);
+  int64_t total = 0;
+  for (int tile = 0; tile < tiles; ++tile) {
+    tile_start_[tile] = total;
+    for (Bin& bin : bins_) {
+      const int32_t count = bin.next[tile];
+      bin.next[tile] = static_cast<int32_t>(total);
+      total += count;
+    }
+  }
+  tile_start_[tiles] = total;
+  pairs_.reset(new Pair[total]);  // left unset: every place is written below
+  parallel_for(static_cast<int>(bins_.size()), [&](int k) {
+    Bin& bin = bins_[k];
+    for (size_t i = 0; i < bin.pairs.size(); ++i) {
+      int32_t& place = bin.places[i];
+      place = bin.next[place]++;
+      pairs_[place] = bin.pairs[i];
+    }
+    bin.pairs = {};
+    bin.next = {};
+  });
 }
 
 template <typename Visit>
@@ -88,11 +122,14 @@ int64_t Rasterization::pairs_up_to(int64_t limit) const {
 void Rasterization::bin(int gaussian, Bin& bin) const {
   spans(gaussian, [&](int strip, int row0, int row1) {
     for (int base = row0 / kTileHeight * kTileHeight; base <= row1; base += kTileHeight) {
+      const int tile = base / kTileHeight * strips_ + strip;
       bin.pairs.push_back({gaussian, static_cast<int16_t>(std::max(row0 - base, 0)),
                            static_cast<int16_t>(std::min(row1 - base, kTileHeight - 1))});
-      bin.tiles.push_back(base / kTileHeight * strips_ + strip);
+      bin.places.push_back(tile);
+      ++bin.next[tile];
     }
   });
+  bin.ends.push_back(static_cast<int32_t>(bin.places.size()));
 }
 
 Rasterization::Area Rasterization::area(int tile) const {
@@ -144,6 +181,8 @@ double Rasterization::squared_error(const float* colors, const float* target, co
   const float scale = 2.0f / static_cast<float>(3 * plane);
   const std::unique_ptr<float[]> pair_gradients(new float[tile_start_.back() * kPairGradients]);  // all written below
   std::vector<double> errors(static_cast<size_t>(strips_) * blocks_);
+  // Rows of a large picture lie too far apart to be foreseen: those of this thread's next tile are asked for.
+  const int ahead = thread_count() * kTileWidth + kTileWidth - 1;
   parallel_for(strips_ * blocks_, [&](int tile) {
     alignas(64) float acc[kTileFloats] = {};
     kernels(isa_).forward(*this, tile, colors, acc);
@@ -152,6 +191,7 @@ double Rasterization::squared_error(const float* colors, const float* target, co
     for (int row = 0; row < rows; ++row)
       for (int k = 0; k < 3; ++k) {
         const float* wanted = target + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0;
+        __builtin_prefetch(wanted + ahead);
         float* values = acc + (row * 3 + k) * kTileWidth;
         float sum = 0;
         for (int column = 0; column < columns; ++column) {
@@ -169,18 +209,21 @@ double Rasterization::squared_error(const float* colors, const float* target, co
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);
 }
 
-// One thread, in order of tile: a few per cent of the time, and the sums are the same for every number of threads.
-void Rasterization::sum_pairs(const float* gradient, const Gradients& out) const {
-  std::fill_n(out.means, 2 * static_cast<int64_t>(n_), 0.0f);
-  std::fill_n(out.factors, 3 * static_cast<int64_t>(n_), 0.0f);
-  std::fill_n(out.colors, 3 * static_cast<int64_t>(n_), 0.0f);
-  for (int64_t p = 0; p < tile_start_.back(); ++p) {
-    const int64_t i = pairs_[p].gaussian;
-    for (int k = 0; k < 2; ++k) out.means[2 * i + k] += gradient[k];
-    for (int k = 0; k < 3; ++k) out.factors[3 * i + k] += gradient[2 + k];
-    for (int k = 0; k < 3; ++k) out.colors[3 * i + k] += gradient[5 + k];
-    gradient += kPairGradients;
-  }
+// In the order of each Gaussian's pairs, so that the sums are the same for every number of threads.
+void Rasterization::sum_pairs(const float* pair_gradients, const Gradients& out) const {
+  parallel_chunks(n_, chunk_, [&](int first, int last, int k) {
+    const int32_t* place = bins_[k].places.data();
+    for (int64_t i = first; i < last; ++i) {
+      float sum[kPairGradients] = {};
+      for (const int32_t* end = bins_[k].places.data() + bins_[k].ends[i - first]; place < end; ++place) {
+        const float* gradient = pair_gradients + static_cast<int64_t>(*place) * kPairGradients;
+        for (int j = 0; j < kPairGradients; ++j) sum[j] += gradient[j];
+      }
+      std::copy_n(sum, 2, out.means + 2 * i);
+      std::copy_n(sum + 2, 3, out.factors + 3 * i);
+      std::copy_n(sum + 5, 3, out.colors + 3 * i);
+    }
+  });
 }
 
 }  // namespace sg

@@ -14,6 +14,7 @@
 namespace sg {
 
 constexpr int kTileHeight = 64;
+constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory ends long before
 
 struct Pair {
   int32_t gaussian;
@@ -60,24 +61,31 @@ class Rasterization {
     int x, y, columns, rows;  // the tile's first pixel, and how much of the tile lies within the picture
   };
   Area area(int tile) const;
+  // Some Gaussians that follow each other, and their pairs in the order in which spans() finds them.
   struct Bin {
-    std::vector<Pair> pairs;
-    std::vector<int32_t> tiles;  // the tile of each pair
+    int64_t at_most;              // pairs
+    std::vector<int32_t> ends;    // of each Gaussian, the number of pairs up to and with its own
+    std::vector<int32_t> places;  // of each pair in pairs_; until these are known, its tile
+    std::vector<Pair> pairs;      // these two only until then
+    std::vector<int32_t> next;    // [tiles] number of pairs in each tile, later the place of the next
   };
   template <typename Visit>
   int spans(int gaussian, const Visit& visit) const;
   void bin(int gaussian, Bin& bin) const;
+  void sort_pairs();
   void sum_pairs(const float* pair_gradients, const Gradients& out) const;
   // What all Gaussians come to, counted until it exceeds the limit: each its pairs, or the strips looked at for
   // them where those are more. Takes no memory.
   int64_t pairs_up_to(int64_t limit) const;
 
   int n_, width_, height_, strips_, blocks_, isa_;
+  int chunk_;  // Gaussians in a bin
   float reach_, floor_;
   std::vector<Footprint> footprints_;
   std::vector<float> factors_;
-  std::unique_ptr<Pair[]> pairs_;           // sorted by tile, then by Gaussian
-  std::vector<int64_t> tile_start_;   // [tiles + 1]
+  std::vector<Bin> bins_;
+  std::unique_ptr<Pair[]> pairs_;    // sorted by tile, then by Gaussian
+  std::vector<int64_t> tile_start_;  // [tiles + 1]
 };
 
 }  // namespace sg
