@@ -1,8 +1,8 @@
 """Float quality at a fixed number of Gaussians: what a set of them can show, before any is coded; for comparison with
 representations of that size. Profile rd's fit, with a price of bits while Gaussians come and go, which decides well
-which are to stay, and without in the end.
+which are to stay, and without in the end. More steps than the profile's all go to that end.
 
-    python -m benchmarks.representation --images FOLDER [--gaussians 5000,10000] [--steps 4000]
+    python -m benchmarks.representation --images FOLDER [--gaussians 5000,10000] [--steps 3000]
 """
 
 from __future__ import annotations
@@ -27,7 +27,17 @@ from sgmethod.profiles import RD, RdSettings
 from sgmethod.rd import GAUSSIANS_GUESS, RdFit
 from sgmethod.rd_finish import Goal
 
-FREE_FROM = 0.85  # of the schedule
+FREE_FROM = 0.85  # of the profile's schedule
+
+
+def lengthened(steps: int) -> RdSettings:
+    """The profile with more steps: what comes and goes does so at the same steps, and the rest is free."""
+    part = RD.steps / steps
+    times = ("steering_from", "halved_until", "excess_from", "excess_until", "growth_at", "trim_at")
+    scaled = {name: tuple(part * np.atleast_1d(getattr(RD, name))) for name in times}
+    return replace(
+        RD, steps=steps, **{name: value if name.endswith("_at") else value[0] for name, value in scaled.items()}
+    )
 
 
 def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, Any]:
@@ -39,7 +49,7 @@ def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, An
     fit = RdFit(pixels, Goal(quantum, max_gaussians=gaussians), settings, 0, recorder)
 
     def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
-        if progress >= FREE_FROM:
+        if progress >= FREE_FROM * RD.steps / settings.steps:
             fit.coder = fit.coder.with_quantum(bitstream_rd.MIN_QUANTUM)
         return fit.step(rate, progress)
 
@@ -68,7 +78,7 @@ def main() -> None:
     pictures = pictures_in(options.images)
     if not pictures:
         raise SystemExit(f"there is no picture in {options.images}")
-    settings = replace(RD, steps=options.steps)
+    settings = lengthened(options.steps)
     torch.set_num_threads(1)
     rows: list[dict[str, Any]] = []
     print("| Gaussians | image | used | PSNR | MS-SSIM | seconds |\n|---|---|---|---|---|---|")
