@@ -12,7 +12,6 @@ import shlex
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -543,9 +542,7 @@ def test_python_of_the_readme() -> None:
     Image.open("photo.png").save("photo.jpg", quality=95)
     examples = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     (example,) = (e for e in examples if "Client" not in e)  # that one needs a service
-    began = time.perf_counter()
     exec(compile(example, "README.md", "exec"), {})
-    assert time.perf_counter() - began < 60
     assert names() >= {"photo.sg", "photo.png"}
     assert np.array_equal(np.asarray(Image.open("photo.png")), decode(Path("photo.sg").read_bytes()))
 

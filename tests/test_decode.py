@@ -174,17 +174,17 @@ def test_hostile_overlap_is_refused_before_it_costs(name: str, tmp_path: Path) -
     script = (
         "import re, sys, time, sgmethod\n"
         "peak = lambda: int(re.search(r'VmHWM:\\s*(\\d+) kB', open('/proc/self/status').read())[1]) // 1024\n"
-        "data, before, began = open(sys.argv[1], 'rb').read(), peak(), time.perf_counter()\n"
+        "data, before, began = open(sys.argv[1], 'rb').read(), peak(), time.process_time()\n"
         "try:\n"
         "    sgmethod.decode(data)\n"
         "except sgmethod.BitstreamError as error:\n"
-        "    print(peak() - before, time.perf_counter() - began, error)\n"
+        "    print(peak() - before, time.process_time() - began, error)\n"
     )
     run = subprocess.run([sys.executable, "-c", script, path], capture_output=True, text=True, check=True, timeout=60)
-    megabytes, seconds, why = run.stdout.split(maxsplit=2)
+    megabytes, cpu_s, why = run.stdout.split(maxsplit=2)
     assert "overlap" in why
     assert int(megabytes) < 60
-    assert float(seconds) < 2
+    assert float(cpu_s) < 2
 
 
 EXTREMES = [0.0, 1e-45, -1e-45, 1e-20, 1.0, -1.0, 1e6, -1e6, 1e19, -1e19, 1e38, -1e38, 3.4e38, -3.4e38]
@@ -203,7 +203,7 @@ def test_geometry_beyond_single_precision_is_harmless() -> None:
     codebooks = np.full((2, 8, 3), 65_504, np.float16)
     codebooks[:, ::2] *= -1
     drawn = 0
-    began = time.perf_counter()
+    began = time.process_time()
     for _ in range(3000):
         ranges = rng.choice(EXTREMES, (5, 2)).astype(np.float32)
         data = serialise(Stream("paper", 40, 70, 12, ranges[:2], ranges[2:], codebooks, (group,)))
@@ -212,4 +212,4 @@ def test_geometry_beyond_single_precision_is_harmless() -> None:
         except BitstreamError as error:
             assert "overlap" in str(error)
     assert drawn > 50
-    assert time.perf_counter() - began < 30
+    assert time.process_time() - began < 30

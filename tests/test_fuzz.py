@@ -22,7 +22,7 @@ from sgmethod.bitstream import Group, Stream, serialise
 
 MUTATIONS = 10_000
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
-MAX_SECONDS = 2.0  # 0.03 s is the worst seen on one of two cores
+MAX_CPU_S = 2.0  # 0.03 s is the worst seen on one of two cores
 
 GOLDEN = [path.read_bytes() for path in sorted((Path(__file__).parent / "data").glob("v1-*.sg"))]
 FIELDS = [(8, 1), (9, 2), (11, 2), (13, 1), (14, 1)]  # offset and size of the header's fields
@@ -122,7 +122,7 @@ def crowded() -> bytes:
 
 def outcome(data: bytes) -> str:
     """What becomes of the bytes, in a word: why they are refused, or that they are drawn."""
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         pixels = decode(data, max_pixels=MAX_PIXELS)
     except BitstreamError as error:
@@ -133,7 +133,7 @@ def outcome(data: bytes) -> str:
         assert pixels.dtype == np.uint8
         assert info(data)["bytes"] == len(data)
         found = "drawn"
-    assert time.perf_counter() - began < MAX_SECONDS
+    assert time.process_time() - began < MAX_CPU_S
     return found
 
 

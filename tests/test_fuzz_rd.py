@@ -22,7 +22,7 @@ from sgmethod.view import View
 
 MUTATIONS = 4000  # in each of two tests
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
-MAX_SECONDS = 2.0  # 0.14 s is the worst seen
+MAX_CPU_S = 2.0  # 0.14 s is the worst seen
 
 GOLDEN = [path.read_bytes() for path in sorted((Path(__file__).parent / "data").glob("v3-*.sg"))]
 
@@ -88,7 +88,7 @@ SEEDS = [*GOLDEN, crowded(), huge()]
 
 def outcome(data: bytes, view: View) -> str:
     """What becomes of the bytes, in a word: why they are refused, or that they are drawn."""
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         pixels = decode(data, MAX_PIXELS, view)
     except BitstreamError as error:
@@ -104,7 +104,7 @@ def outcome(data: bytes, view: View) -> str:
             assert fields["bytes"] == len(data)
             assert fields["gaussians"] <= min(size[0] * size[1], 8 * len(data))  # type: ignore[operator]
         found = "drawn"
-    assert time.perf_counter() - began < MAX_SECONDS
+    assert time.process_time() - began < MAX_CPU_S
     return found
 
 

@@ -306,10 +306,10 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_refused_in_one_sentence_before_pixels(name: str) -> None:
     for read in (read_header, read_image):
-        began = time.perf_counter()
+        began = time.process_time()
         with pytest.raises(ImageError) as caught:
             read(REFUSED[name])
-        assert time.perf_counter() - began < 1
+        assert time.process_time() - began < 1
         assert 10 < len(str(caught.value)) < 200
         assert "\n" not in str(caught.value)
     if ("huge" in name and "webp" not in name) or name == "long side":  # old Pillows fail to allocate a WebP

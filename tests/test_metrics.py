@@ -8,7 +8,6 @@ here and 2e-6 on noisy photographs, the worst seen.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -77,17 +76,6 @@ def test_ms_ssim_is_none_under_161_pixels() -> None:
     for shape in ((160, 400), (400, 160), (1, 4096)):
         pixels = picture(*shape)
         assert ms_ssim(pixels, pixels) is None
-
-
-def test_ms_ssim_is_fast() -> None:
-    a = picture(512, 768)
-    b = disturbed(a, 20)
-    seconds = []
-    for _ in range(3):
-        began = time.perf_counter()
-        ms_ssim(a, b)
-        seconds.append(time.perf_counter() - began)
-    assert min(seconds) < 0.2  # 0.05 s on one core of a 2-core virtual machine
 
 
 def test_psnr() -> None:
