@@ -533,7 +533,7 @@ def test_commands_of_the_readme(run: Run, line: str) -> None:
     Image.open("photo.png").save("photo.jpg", quality=95)
     Path("photo.sg").write_bytes((DATA / "v3-color.sg").read_bytes())  # 48 x 40
     line = re.sub(r"#.*", "", line).replace("--gaussians 5000", "--gaussians 50").replace("--psnr 32", "--psnr 12")
-    line = line.replace("--region 100,50,640,480", "--region 8,5,32,24")
+    line = line.replace("--region 100,50,320,240", "--region 8,5,32,24")
     ran = run(*shlex.split(line)[1:])
     assert (ran.status, ran.err) == (0, "")
 
