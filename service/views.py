@@ -29,7 +29,7 @@ EXAMPLE_ACCEPTED = {
     "decode_url": f"/decode/{EXAMPLE_ID}.png",
     "bitstream_url": f"/bitstreams/{EXAMPLE_ID}.sg",
 }
-EXAMPLE_POINT = {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bits": 98304, "gaussians": 1200}
+EXAMPLE_POINT = {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bytes": 12288, "gaussians": 1200}
 EXAMPLE_SUMMARY = {
     **EXAMPLE_ACCEPTED,
     "state": "running",

@@ -68,7 +68,8 @@ class Recorder:
             return
         seconds = self.clock.seconds()
         psnr = -10 * math.log10(max(mse, 1e-12))
-        point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), counts[1], counts[0], phase)
+        gaussians, bits = counts
+        point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), -(-bits // 8), gaussians, phase)
         self.points.append(point)
         if self.on_progress:
             self.on_progress(point)

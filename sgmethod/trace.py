@@ -12,15 +12,15 @@ class TracePoint:
 
     seconds: since the encode began; step of steps: optimiser steps done and planned (the plan may be cut
     short by convergence or a time limit); psnr: dB over all channels of the picture as it would decode
-    then (unquantised during the first phase); bits: estimated size of the file, 0 while unknown;
-    phase: "start", "fit", "tune" or "done".
+    then (unquantised during the first phase); bytes: estimated size of the file, 0 while unknown;
+    phase: "joint" (profile rd), "fit" or "tune" (the others), at last "done".
     """
 
     seconds: float
     step: int
     steps: int
     psnr: float
-    bits: int
+    bytes: int
     gaussians: int
     phase: str
 

@@ -181,7 +181,7 @@ def test_summary_and_trace(run: Run) -> None:
     seconds = [point["seconds"] for point in written["trace"]]
     assert seconds == sorted(seconds)
     assert written["trace"][-1]["phase"] == "done"
-    assert written["trace"][-1]["bits"] == 8 * size
+    assert written["trace"][-1]["bytes"] == size
 
 
 def test_info(run: Run) -> None:

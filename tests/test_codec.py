@@ -286,7 +286,7 @@ def test_the_trace_runs_through_all_phases(profile: str) -> None:
         assert b.seconds >= a.seconds
         assert b.step > a.step or b.phase != a.phase
     last = seen[-1]
-    assert last.bits == 8 * len(encoded.data)
+    assert last.bytes == len(encoded.data)
     assert last.gaussians == encoded.stats.gaussians
     assert last.psnr == pytest.approx(encoded.stats.psnr, abs=1e-3)
     assert last.step == last.steps == encoded.stats.steps

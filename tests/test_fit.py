@@ -274,7 +274,7 @@ def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: Settings) -> Non
     points = kept.points
     assert len(points) > 5
     assert all(b.seconds > a.seconds and b.step > a.step for a, b in pairwise(points))
-    assert {(p.phase, p.steps, p.gaussians, p.bits) for p in points} == {("fit", 200, 150, 0)}
+    assert {(p.phase, p.steps, p.gaussians, p.bytes) for p in points} == {("fit", 200, 150, 0)}
     assert points[-1].step == 200
     assert points[-1].psnr == pytest.approx(psnr_of(fitted, photo()), abs=0.1)
     assert points[-1].psnr > points[0].psnr + 3
