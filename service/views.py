@@ -114,7 +114,7 @@ class TraceView(BaseModel):
 
     progress: float = Field(description="estimated share of the work that is done, 0 to 1; never falls")
     trace: list[dict[str, Figure]] = Field(
-        description="seconds, step, steps, psnr (dB), bits, gaussians and phase, oldest first; "
+        description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; "
         f"{MAX_TRACE_POINTS} of them at most, evenly spread"
     )
 
