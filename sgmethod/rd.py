@@ -17,6 +17,7 @@ from sgmethod.bitstream_rd import CUTOFF
 from sgmethod.errors import BudgetError
 from sgmethod.fit import FrameAdam, Parameters, Picture, Plan, Recorder, Task, run
 from sgmethod.gaussians import FloatArray
+from sgmethod.native_module import native
 from sgmethod.placement import place
 from sgmethod.profiles import PAPER, RdSettings
 from sgmethod.quantise import rd as quantiser
@@ -179,6 +180,14 @@ class RdFit:
                 torch.cat([self.p.colors, added.colors]),
             )
             self.adam.extend(len(new))
+            self._sort()
+
+    def _sort(self) -> None:
+        """By place, along bands as high as a tile: what a tile needs then lies together in memory."""
+        means = self.p.means
+        order = torch.argsort((means[:, 1] / native.TILE_HEIGHT).floor() * 2 * self.width + means[:, 0], stable=True)
+        self.p = _rows(self.p, order)
+        self.adam.select(order)
 
     def _steer(self, at: float, exponent: float) -> None:
         """Move the quantum towards the goal."""
