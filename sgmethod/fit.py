@@ -193,6 +193,10 @@ class Picture:
         self.rasterise(p.means, p.factors).render(p.colors.contiguous().numpy(), self._grad.numpy())
         return torch.sub(self.target, self._grad, out=self._grad)
 
+    def interleaved(self, planes: Tensor) -> FloatArray:
+        """Planes [3, H, W] of this picture's size as [H, W, 3], in memory of this picture: valid until it is drawn."""
+        return self._image.view(self.height, self.width, 3).copy_(planes.permute(1, 2, 0)).numpy()
+
     def solve_colors(
         self, means: Tensor, factors: Tensor, steps: int, residual_of: Tensor | None = None, damping: float = 1e-2
     ) -> Tensor:

@@ -167,8 +167,7 @@ class RdFit:
         price = self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum)
         least = price * self.settings.bits_of_new
         residual = self.picture.residual(self.p)
-        planes = np.ascontiguousarray(residual.numpy().transpose(1, 2, 0))
-        new = growth.candidates(planes, min(wanted, most - n), least)
+        new = growth.candidates(self.picture.interleaved(residual), min(wanted, most - n), least)
         if len(new):
             added = Parameters.of(new)
             # Neighbours overlap: their colours are solved together, or they would overshoot.
