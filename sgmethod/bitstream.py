@@ -176,9 +176,10 @@ def parse(data: bytes, max_pixels: int | None = None, max_gaussians: int | None 
         group = _read_fields(GROUP, body[at : at + GROUP_BYTES])
         counts.append((group["bitwidth"], group["gaussians"]))
         at += GROUP_BYTES
-    if sum(n for _, n in counts) > pixels:
+    gaussians = sum(n for _, n in counts)
+    if gaussians > pixels:
         raise BitstreamError(f"the file claims more Gaussians than its picture's {pixels} pixels")
-    if max_gaussians is not None and sum(n for _, n in counts) > max_gaussians:
+    if max_gaussians is not None and gaussians > max_gaussians:
         raise BitstreamError(f"the file has more Gaussians than the limit of {max_gaussians}")
     return Stream(profile, *size, *tables, _read_groups(body[at:], header["position_bits"], counts))
 

@@ -128,9 +128,13 @@ class Parameters:
         """n Gaussians whose values are not set, for kernels to fill."""
         return cls(torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3))
 
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """For kernels: (means, factors, colors), which share the tensors' memory where that is contiguous."""
+        return self.means.contiguous().numpy(), self.factors.contiguous().numpy(), self.colors.contiguous().numpy()
+
     def numpy(self) -> Gaussians:
-        """Plain arrays, which share the tensors' memory where that is contiguous."""
-        return Gaussians(*(t.contiguous().numpy() for t in (self.means, self.factors, self.colors)))
+        """Plain Gaussians of the same arrays."""
+        return Gaussians(*self.arrays())
 
 
 class Picture:
@@ -175,14 +179,13 @@ class Picture:
         raster = self.rasterise(p.means, p.factors)
         colors = p.colors.contiguous().numpy()
         out = Parameters.empty(len(p.means))
-        by = out.numpy()
         if self.lambda_g == 0:
-            mse = raster.squared_error(colors, self.target.numpy(), by.means, by.factors, by.colors)
+            mse = raster.squared_error(colors, self.target.numpy(), *out.arrays())
         else:
             image, grad = self._image.numpy(), self._grad.numpy()
             raster.render(colors, image)
             mse, _ = self._loss(image, grad)
-            raster.backward(colors, grad, by.means, by.factors, by.colors)
+            raster.backward(colors, grad, *out.arrays())
         if self.spacing != 1:
             out.means /= self.spacing
             out.factors /= self.spacing
@@ -207,11 +210,8 @@ class Picture:
         """
         raster, n = self.rasterise(means, factors), len(means)
         energy = (math.pi / self.spacing**2 * factors[:, :1] * factors[:, 2:]).clamp_min(1e-12)
-        zero, by_means, by_factors = (
-            np.zeros((n, 3), np.float32),
-            np.empty((n, 2), np.float32),
-            np.empty((n, 3), np.float32),
-        )
+        zero = np.zeros((n, 3), np.float32)
+        by_means, by_factors, _ = Parameters.empty(n).arrays()
 
         def transpose(image: Tensor) -> Tensor:
             out = torch.empty(n, 3)
@@ -266,18 +266,11 @@ class FrameAdam:
 
     def step(self, p: Parameters, grad: Parameters, rate: float) -> None:
         """Move p, in place, against its gradients; rate scales all rates."""
-        values = (
-            p.means,
-            p.factors,
-            p.colors,
-            grad.means,
-            grad.factors,
-            grad.colors,
-            self.first,
-            self.second,
-            self.age,
+        moments = self.first.numpy(), self.second.numpy(), self.age.numpy()
+        # Not arrays(): a copy would move in p's place.
+        native.frame_adam(
+            self._settings, rate, p.means.numpy(), p.factors.numpy(), p.colors.numpy(), *grad.arrays(), *moments
         )
-        native.frame_adam(self._settings, rate, *(t.numpy() for t in values))
 
 
 @dataclass(frozen=True)

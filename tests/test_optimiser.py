@@ -1,5 +1,4 @@
-"""The native steps of the fit against the same written down in torch: Adam in the Gaussian's frame, the quantiser's
-noise, the price of bits."""
+"""The native steps of the fit against the same written down in torch: Adam in the Gaussian's frame, price of bits."""
 
 from __future__ import annotations
 

@@ -55,12 +55,9 @@ class Coder:
 
     def rounded(self, p: Parameters) -> Parameters:
         """What the decoder will see; colour 0 where nothing of a Gaussian is left."""
-        rounded, given = Parameters.empty(len(p.means)), p.numpy()
-        out = rounded.numpy()
-        native.rd_quantise(
-            self._parameters, given.means, given.factors, given.colors, out.means, out.factors, out.colors
-        )
-        return rounded
+        out = Parameters.empty(len(p.means))
+        native.rd_quantise(self._parameters, *p.arrays(), *out.arrays())
+        return out
 
     def stream(self, p: Parameters) -> RdStream:
         """The coded picture."""
@@ -77,7 +74,6 @@ class Coder:
         """
         upright = not bool(p.factors[:, 1].any())
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
-        given = p.numpy()
-        arrays = (given.means, given.factors, given.colors, target.numpy())
+        arrays = *p.arrays(), target.numpy()
         payload = native.rd_refine(parameters, *arrays, CUTOFF, price, sweeps, seconds, max_payload)
         return RdStream(*self.size, self.quantum, self.background, self.grey, upright, payload)
