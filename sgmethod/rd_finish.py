@@ -99,7 +99,8 @@ class Finish:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
     def _at_psnr(self, target_db: float) -> RdStream:
-        """With the coarsest quantum found that reaches the target; the nearest if none does."""
+        """The smallest found that reaches the target; the nearest if none does."""
+        slack = self.settings.psnr_slack_db
         tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
         at, streams, took = math.log2(self.coder.quantum), {}, 0.0
         for _ in range(self.settings.psnr_tries):
@@ -107,13 +108,33 @@ class Finish:
             stream = self._refined(self.coder.with_quantum(2**at))
             tried[at], streams[at] = self._psnr(stream) - target_db, stream
             took = self.clock.seconds() - began
-            if 0 <= tried[at] <= self.settings.psnr_slack_db or took > self._left_s():
+            if 0 <= tried[at] <= slack or took > self._left_s():
                 break
             at = self._next_quantum(tried)
             if at in tried:
                 break
         reached = [q for q, beyond in tried.items() if beyond >= 0]
-        return streams[max(reached) if reached else max(tried, key=lambda q: tried[q])]
+        if not reached:
+            return streams[max(tried, key=lambda q: tried[q])]
+        at = min(reached, key=lambda q: len(streams[q].payload))
+        if tried[at] <= slack or took > self._left_s():
+            return streams[at]
+        return self._fewer(streams[at], target_db)
+
+    def _fewer(self, stream: RdStream, target_db: float) -> RdStream:
+        """With as few bytes of the stream's quantum as still reach the target, by bisection. Some tens of Gaussians
+        move by tenths of a decibel whatever the quantum, and the coarsest there is may be too fine for them."""
+        coder, too_small = self.coder.with_quantum(stream.quantum), -1
+        for _ in range(self.settings.psnr_tries):
+            if len(stream.payload) - too_small <= 2 or self._left_s() == 0:
+                break
+            middle = (too_small + len(stream.payload)) // 2
+            smaller = self._refined(coder, middle)
+            if self._psnr(smaller) >= target_db:
+                stream = smaller
+            else:
+                too_small = middle
+        return stream
 
     def _next_quantum(self, tried: dict[float, float]) -> float:
         """By the line through the two nearest to the target, aimed a little above it."""

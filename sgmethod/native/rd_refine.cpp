@@ -20,6 +20,7 @@ namespace {
 constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about: what leaving it out saves beside its own bits
 
 constexpr double kConverged = 0.02;  // part of the Gaussians that a last sweep changes
+constexpr int kSweepsAfterDrops = 2;   // those that stay take over what the others did
 constexpr size_t kPatience = 64;     // Gaussians between two looks at the clock
 using Clock = std::chrono::steady_clock;
 
@@ -59,22 +60,32 @@ class Refinement {
   }
 
   std::vector<uint8_t> run() {
-    std::vector<uint8_t> payload = encode();
-    const auto until = Clock::now() + std::chrono::duration<double>(std::min(settings_.seconds, 1e6));
-    for (int sweep = 0; sweep < settings_.sweeps && Clock::now() < until; ++sweep) {
-      size_t changed = 0;
-      for (size_t i = 0; i < all_.size() && (i % kPatience != 0 || Clock::now() < until); ++i) changed += visit(all_[i]);
-      payload = encode();
-      if (changed < all_.size() * kConverged) break;
-    }
-    while (payload.size() > settings_.max_bytes && !all_.empty()) {
-      drop_least(payload.size());
-      payload = encode();
+    const std::chrono::duration<double> seconds(std::min(settings_.seconds, 1e6));
+    until_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(seconds);
+    std::vector<uint8_t> payload = swept(settings_.sweeps);
+    for (int sweeps = kSweepsAfterDrops; payload.size() > settings_.max_bytes && !all_.empty(); --sweeps) {
+      while (payload.size() > settings_.max_bytes && !all_.empty()) {
+        drop_least(payload.size());
+        payload = encode();
+      }
+      if (sweeps > 0) payload = swept(1);
     }
     return payload;
   }
 
  private:
+  // The payload after so many sweeps, at most, over all Gaussians.
+  std::vector<uint8_t> swept(int sweeps) {
+    std::vector<uint8_t> payload = encode();
+    for (int sweep = 0; sweep < sweeps && Clock::now() < until_; ++sweep) {
+      size_t changed = 0;
+      for (size_t i = 0; i < all_.size() && (i % kPatience != 0 || Clock::now() < until_); ++i) changed += visit(all_[i]);
+      payload = encode();
+      if (changed < all_.size() * kConverged) break;
+    }
+    return payload;
+  }
+
   std::vector<uint8_t> encode() {
     erase_empty(all_);
     models_ = Models();
@@ -245,6 +256,7 @@ class Refinement {
   Strips left_;  // of the target, without all Gaussians
   std::vector<Span> spans_;
   Models models_;
+  Clock::time_point until_;
 };
 
 }  // namespace
