@@ -14,7 +14,6 @@
 namespace sg {
 namespace {
 
-constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;
 constexpr int kChunk = 256;               // Gaussians of a task, at least
 constexpr int kMaxBins = 64;
 constexpr int64_t kMaxReserve = 1 << 20;  // pairs of a bin; boxes may promise far more than there are
@@ -171,7 +170,7 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
       for (int k = 0; k < 3; ++k)
         std::memcpy(gradient + (row * 3 + k) * kTileWidth, image_grad + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0,
                     columns * sizeof(float));
-    kernels(isa_).backward(*this, tile, colors, gradient, pair_gradients.get() + tile_start_[tile] * kPairGradients);
+    fit_kernels(isa_).backward(*this, tile, colors, gradient, pair_gradients.get() + tile_start_[tile] * kPairGradients);
   });
   sum_pairs(pair_gradients.get(), out);
 }
@@ -184,26 +183,9 @@ double Rasterization::squared_error(const float* colors, const float* target, co
   // Rows of a large picture lie too far apart to be foreseen: those of this thread's next tile are asked for.
   const int ahead = thread_count() * kTileWidth + kTileWidth - 1;
   parallel_for(strips_ * blocks_, [&](int tile) {
-    alignas(64) float acc[kTileFloats] = {};
-    kernels(isa_).forward(*this, tile, colors, acc);
     const auto [x0, y0, columns, rows] = area(tile);
-    double error = 0;
-    for (int row = 0; row < rows; ++row)
-      for (int k = 0; k < 3; ++k) {
-        const float* wanted = target + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0;
-        __builtin_prefetch(wanted + ahead);
-        float* values = acc + (row * 3 + k) * kTileWidth;
-        float sum = 0;
-        for (int column = 0; column < columns; ++column) {
-          const float difference = values[column] - wanted[column];
-          sum += difference * difference;
-          values[column] = scale * difference;
-        }
-        std::fill(values + columns, values + kTileWidth, 0.0f);
-        error += sum;
-      }
-    errors[tile] = error;
-    kernels(isa_).backward(*this, tile, colors, acc, pair_gradients.get() + tile_start_[tile] * kPairGradients);
+    const TileTarget wanted{target + static_cast<int64_t>(y0) * width_ + x0, plane, width_, ahead, columns, rows, scale};
+    errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, wanted, pair_gradients.get() + tile_start_[tile] * kPairGradients);
   });
   sum_pairs(pair_gradients.get(), out);
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);

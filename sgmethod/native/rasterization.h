@@ -14,6 +14,7 @@
 namespace sg {
 
 constexpr int kTileHeight = 64;
+constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // of a picture
 constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory ends long before
 
 struct Pair {

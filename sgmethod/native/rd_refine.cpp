@@ -115,13 +115,13 @@ class Refinement {
     const Footprint f(c.mean, c.factor);
     const std::vector<Span>& spans = spans_of(f, c.factor);
     const float color[3] = {sign * c.color[0], sign * c.color[1], sign * c.color[2]};
-    kernels(best_isa()).add(f, floor_, spans.data(), static_cast<int>(spans.size()), color, left_);
+    fit_kernels(best_isa()).add(f, floor_, spans.data(), static_cast<int>(spans.size()), color, left_);
   }
 
   void project(const Candidate& c, float* products) {
     const Footprint f(c.mean, c.factor);
     const std::vector<Span>& spans = spans_of(f, c.factor);
-    kernels(best_isa()).project(f, floor_, spans.data(), static_cast<int>(spans.size()), left_, products);
+    fit_kernels(best_isa()).project(f, floor_, spans.data(), static_cast<int>(spans.size()), left_, products);
   }
 
   double bits(const Symbols& s) {

@@ -48,6 +48,28 @@ struct Simd {
     return total;
   }
 
+  // The sums of eight vectors.
+  static SG_INLINE void sums(const F (&v)[8], float* out) {
+    for (int half = 0; half < 2; ++half) {
+      const F* four = v + 4 * half;
+      alignas(64) float parts[W];  // the four sums, of every fourth lane
+      store(parts, pairs(pairs(four[0], four[1]), pairs(four[2], four[3])));
+      for (int k = 0; k < 4; ++k) out[4 * half + k] = parts[k];
+      for (int lane = 4; lane < W; lane += 4)
+        for (int k = 0; k < 4; ++k) out[4 * half + k] += parts[lane + k];
+    }
+  }
+
+  // In each quarter of 4 lanes: sums of neighbours, two of a and then two of b.
+  static SG_INLINE F pairs(F a, F b) {
+    I even, odd;
+    for (int lane = 0; lane < W; ++lane) {
+      even[lane] = lane / 4 * 4 + lane % 2 * 2 + (lane % 4 < 2 ? 0 : W);
+      odd[lane] = even[lane] + 1;
+    }
+    return __builtin_shuffle(a, b, even) + __builtin_shuffle(a, b, odd);
+  }
+
   // exp(x) for -87 <= x <= 87, relative error below 3e-7 (measured against double).
   // exp(x) = 2^n exp(r), r = x - n ln 2 in two parts (Cody and Waite), |r| <= 0.35, Taylor to degree 6.
   static SG_INLINE F exp(F x) {
