@@ -75,9 +75,12 @@ def frame_adam(
     by_colors: FloatArray,
     first: FloatArray,
     second: FloatArray,
-    age: FloatArray,
+    bias: FloatArray,
 ) -> None:
-    """One step of sgmethod.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], age [N, 1]."""
+    """One step of sgmethod.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
+
+def keep_near(reach: float, width: float, height: float, means: FloatArray, factors: FloatArray) -> None:
+    """Move each mean that is further than reach sqrt(l1 l3) outside the picture back to there."""
 
 def rd_rate_gradient(
     quantum: float,

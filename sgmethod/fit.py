@@ -252,21 +252,21 @@ class FrameAdam:
         rates = (s.mean_rate, s.factor_rate, s.color_rate)
         self._settings = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px)
         self.first, self.second = torch.zeros(n, 8), torch.zeros(n, 8)
-        self.age = torch.zeros(n, 1)  # steps of each Gaussian: those that come later start their averages anew
+        self.bias = torch.ones(n, 2)  # beta^steps; Gaussians that come later start their averages anew
 
     def select(self, index: Tensor) -> None:
         """Keep the Gaussians of these rows."""
-        self.first, self.second, self.age = self.first[index], self.second[index], self.age[index]
+        self.first, self.second, self.bias = self.first[index], self.second[index], self.bias[index]
 
     def extend(self, count: int) -> None:
         """Append new Gaussians."""
         self.first = torch.cat([self.first, torch.zeros(count, 8)])
         self.second = torch.cat([self.second, torch.zeros(count, 8)])
-        self.age = torch.cat([self.age, torch.zeros(count, 1)])
+        self.bias = torch.cat([self.bias, torch.ones(count, 2)])
 
     def step(self, p: Parameters, grad: Parameters, rate: float) -> None:
         """Move p, in place, against its gradients; rate scales all rates."""
-        moments = self.first.numpy(), self.second.numpy(), self.age.numpy()
+        moments = self.first.numpy(), self.second.numpy(), self.bias.numpy()
         # Not arrays(): a copy would move in p's place.
         native.frame_adam(
             self._settings, rate, p.means.numpy(), p.factors.numpy(), p.colors.numpy(), *grad.arrays(), *moments

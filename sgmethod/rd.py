@@ -116,9 +116,7 @@ class RdFit:
 
     def _stay_in_grid(self) -> None:
         """Keep centres where the file can put them: within two cells of the picture, each about as wide as they are."""
-        reach = GRID_REACH * (self.p.factors[:, 0] * self.p.factors[:, 2]).sqrt()[:, None]
-        size = torch.tensor([[float(self.width), float(self.height)]])
-        self.p.means = torch.minimum(torch.maximum(self.p.means, -reach), size + reach)
+        native.keep_near(GRID_REACH, self.width, self.height, self.p.means.numpy(), self.p.factors.numpy())
 
     def settle(self) -> None:
         """What the end of the schedule does, and a time limit may have skipped."""

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from sgmethod.fit import FrameAdam, Parameters
+from sgmethod.native_module import native
 from sgmethod.profiles import RD
 from sgmethod.quantise.rd import add_rate_gradient
 
@@ -102,3 +103,13 @@ def test_adam_in_the_gaussians_frame() -> None:
         wanted = means, factors, colors
     for found, value in zip((early.means, early.factors, early.colors), wanted, strict=True):
         torch.testing.assert_close(found.double(), value, rtol=1e-4, atol=1e-4)
+
+
+def test_means_are_kept_near_the_picture() -> None:
+    p = gaussians(1000, 3)
+    p.means[:500] = p.means[:500] * 4 - 750
+    margin = 1.6 * (p.factors[:, :1] * p.factors[:, 2:]).sqrt()
+    wanted = torch.minimum(torch.maximum(p.means, -margin), torch.tensor([[500.0, 300.0]]) + margin)
+    assert not torch.equal(wanted, p.means)
+    native.keep_near(1.6, 500, 300, p.means.numpy(), p.factors.numpy())
+    assert torch.allclose(p.means, wanted, rtol=1e-6)

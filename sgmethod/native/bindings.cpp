@@ -139,17 +139,22 @@ NB_MODULE(_native, m) {
           },
           "mean_rate"_a, "factor_rate"_a, "color_rate"_a, "beta1"_a, "beta2"_a, "min_scale"_a);
   m.def("frame_adam", [](const sg::AdamSettings& settings, float rate, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors,
-                         Rows<2> by_means, Rows<3> by_factors, Rows<3> by_colors, RowsOut<8> first, RowsOut<8> second, RowsOut<1> age) {
+                         Rows<2> by_means, Rows<3> by_factors, Rows<3> by_colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias) {
     const auto n = means.shape(0);
     require(factors.shape(0) == n && colors.shape(0) == n && by_means.shape(0) == n && by_factors.shape(0) == n &&
-                by_colors.shape(0) == n && first.shape(0) == n && second.shape(0) == n && age.shape(0) == n, "one row per Gaussian");
+                by_colors.shape(0) == n && first.shape(0) == n && second.shape(0) == n && bias.shape(0) == n, "one row per Gaussian");
     sg::AdamSettings scaled = settings;
     for (float& r : scaled.rates) r *= rate;
     nb::gil_scoped_release release;
     sg::frame_adam(scaled, static_cast<int>(n), {means.data(), factors.data(), colors.data()},
-                   {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), age.data());
+                   {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), bias.data());
   }, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(), "colors"_a.noconvert(), "by_means"_a, "by_factors"_a,
-     "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(), "age"_a.noconvert());
+     "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(), "bias"_a.noconvert());
+  m.def("keep_near", [](float reach, float width, float height, RowsOut<2> means, Rows<3> factors) {
+    require(means.shape(0) == factors.shape(0), "one row per Gaussian");
+    nb::gil_scoped_release release;
+    sg::keep_near(reach, width, height, static_cast<int>(means.shape(0)), means.data(), factors.data());
+  }, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a);
   m.def("rd_rate_gradient", [](float quantum, float weight, Rows<3> factors, Rows<3> colors, RowsOut<3> by_factors, RowsOut<3> by_colors) {
     const auto n = factors.shape(0);
     require(colors.shape(0) == n && by_factors.shape(0) == n && by_colors.shape(0) == n, "one row per Gaussian");

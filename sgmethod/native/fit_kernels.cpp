@@ -9,16 +9,6 @@
 namespace sg {
 namespace {
 
-// What drawing a tile keeps for its gradients, [segments][2][kTileWidth].
-SG_INLINE size_t kept_floats(const Rasterization& raster, int tile) {
-  size_t segments = 0;
-  for (const Pair* pair = raster.tile_begin(tile); pair != raster.tile_end(tile); ++pair) {
-    const int segment = raster.footprint(pair->gaussian).segment;
-    segments += static_cast<size_t>((pair->last_row - pair->first_row + segment) / segment);
-  }
-  return segments * (2 * kTileWidth);
-}
-
 // The gradient of the squared error in place of the picture; returns the squared error.
 template <int W>
 SG_INLINE double difference_body(float* values, const TileTarget& target) {
@@ -50,15 +40,15 @@ SG_INLINE double difference_body(float* values, const TileTarget& target) {
 // the moments of g: sum of g z1, g z2, g z1^2, g z1 z2, g z2^2. z1 is constant in a lane. z2 = last - d / l3 at d rows
 // before the last one of a segment, and the sums of g d and of g d (d - 1) / 2 are running sums of running sums: they take
 // no multiplication. Within a segment z2 changes by 9 at most, so that little is lost when last - d / l3 is put back.
-template <int W, bool kHaveKept>
-SG_INLINE void backward_body(const Rasterization& raster, int tile, const float* colors, const float* tile_gradient,
-                             float* pair_gradients, const float* kept) {
+template <int W>
+SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch& batch, const float* colors,
+                             const float* tile_gradient, float* pair_gradients) {
   using V = Simd<W>;
   using F = typename V::F;
-  const int x0 = (tile % raster.strips()) * kTileWidth;
-  const int y0 = (tile / raster.strips()) * kTileHeight;
+  const int x0 = tile_x(raster, tile), y0 = tile_y(raster, tile);
   const float floor = raster.floor();
-  for (const Pair* pair = raster.tile_begin(tile); pair != raster.tile_end(tile); ++pair) {
+  const float* first = batch.first;
+  for (const Pair* pair = batch.begin; pair != batch.end; ++pair) {
     const Footprint& f = raster.footprint(pair->gaussian);
     const float* color = colors + 3 * static_cast<int64_t>(pair->gaussian);
     const float c0 = color[0], c1 = color[1], c2 = color[2];
@@ -66,32 +56,24 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const float*
     for (int lane = 0; lane < kTileWidth; lane += W) {
       const F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
       const F z1 = dx * f.inv_l1;
-      const F z1_half_square = z1 * z1 * 0.5f;
       F g0{}, g2{}, g22{};
-      for (int row = pair->first_row; row <= pair->last_row;) {
+      for (int row = pair->first_row; row <= pair->last_row; first += 2 * W) {
         const int end = row + f.segment <= pair->last_row ? row + f.segment : pair->last_row + 1;
-        F e, ratio;
-        if constexpr (kHaveKept) {
-          e = V::load(kept), ratio = V::load(kept + W);
-          kept += 2 * W;
-        } else {
-          const Column<W> c(f, dx, z1_half_square, static_cast<float>(y0 + row) + 0.5f - f.y);
-          e = c.e, ratio = c.ratio;
-        }
+        Column<W> c{V::load(first), V::load(first + W)};
         F sum{}, sum_d{}, sum_pairs_d{};
         const float* in = tile_gradient + row * (3 * kTileWidth) + lane;
         for (; row < end; ++row, in += 3 * kTileWidth) {
           const F i0 = V::load(in), i1 = V::load(in + kTileWidth), i2 = V::load(in + 2 * kTileWidth);
-          const F weight = V::max0(e - floor);
+          const F weight = V::max0(c.e - floor);
           d0 += weight * i0;
           d1 += weight * i1;
           d2 += weight * i2;
-          const F slope = (i0 * c0 + i1 * c1 + i2 * c2) * e;
+          const F slope = (i0 * c0 + i1 * c1 + i2 * c2) * c.e;
           sum_pairs_d += sum_d;
           sum_d += sum;
-          sum += e > floor ? slope : F{};
-          e *= ratio;
-          ratio *= f.decay;
+          sum += c.e > floor ? slope : F{};
+          c.e *= c.ratio;
+          c.ratio *= f.decay;
         }
         const F last = (static_cast<float>(y0 + end - 1) + 0.5f - f.y - dx * f.shear) * f.inv_l3;
         const F by_d = sum_d * f.inv_l3, by_d_square = (2.0f * sum_pairs_d + sum_d) * (f.inv_l3 * f.inv_l3);
@@ -122,12 +104,17 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const float*
 template <int W>
 SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const float* colors, const TileTarget& target,
                                     float* pair_gradients) {
-  thread_local std::vector<float> kept;
-  kept.resize(kept_floats(raster, tile));
+  thread_local std::vector<float> first;  // of all pairs at once: needed twice
+  size_t count = 0;
+  for (const Pair* pair = raster.tile_begin(tile); pair != raster.tile_end(tile); ++pair)
+    count += static_cast<size_t>(segments(raster, *pair));
+  first.resize(count * 2 * kTileWidth);
+  first_values<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), first.data());
+  const Batch all{raster.tile_begin(tile), raster.tile_end(tile), first.data()};
   alignas(64) float values[kTileFloats] = {};
-  forward_body<W, true>(raster, tile, colors, values, kept.data());
+  forward_body<W>(raster, all, colors, values);
   const double error = difference_body<W>(values, target);
-  backward_body<W, true>(raster, tile, colors, values, pair_gradients, kept.data());
+  backward_body<W>(raster, tile, all, colors, values, pair_gradients);
   return error;
 }
 
@@ -145,7 +132,7 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
       const typename V::F inside = centres < static_cast<float>(picture.width) ? V::all(1.0f) : typename V::F{};
       for (int row = span->first_row; row <= span->last_row;) {
         const int end = row + f.segment <= span->last_row ? row + f.segment : span->last_row + 1;
-        Column<W> c(f, dx, z1_half_square, static_cast<float>(row) + 0.5f - f.y);
+        Column<W> c = column<W>(f, dx, z1_half_square, static_cast<float>(row) + 0.5f - f.y);
         float* values = picture.row(span->strip, row) + lane;
         for (; row < end; ++row, values += 3 * kTileWidth) {
           visit(V::max0(c.e - floor) * inside, values);
@@ -191,7 +178,10 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
   }                                                                                                                  \
   attribute void backward_##name(const Rasterization& r, int tile, const float* colors, const float* gradient,       \
                                  float* pair_gradients) {                                                            \
-    backward_body<width, false>(r, tile, colors, gradient, pair_gradients, nullptr);                                 \
+    for_batches<width>(r, tile, [&](const Batch& batch) SG_INLINE_LAMBDA {                                           \
+      backward_body<width>(r, tile, batch, colors, gradient, pair_gradients);                                        \
+      pair_gradients += (batch.end - batch.begin) * kPairGradients;                                                  \
+    });                                                                                                              \
   }                                                                                                                  \
   attribute void add_##name(const Footprint& f, float floor, const Span* spans, int count, const float* color,       \
                             const Strips& picture) {                                                                 \

@@ -38,7 +38,9 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
 
 #define SG_KERNELS(name, width, attribute)                                                                        \
   attribute void forward_##name(const Rasterization& r, int tile, const float* colors, float* accumulators) {     \
-    forward_body<width, false>(r, tile, colors, accumulators, nullptr);                                           \
+    for_batches<width>(r, tile, [&](const Batch& batch) SG_INLINE_LAMBDA {                                        \
+      forward_body<width>(r, batch, colors, accumulators);                                                        \
+    });                                                                                                           \
   }                                                                                                               \
   attribute void bytes_##name(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) { \
     bytes_body(accumulators, columns, rows, pixels, stride);                                                      \

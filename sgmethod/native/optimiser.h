@@ -20,9 +20,13 @@ struct ConstGaussians {
   const float *means, *factors, *colors;
 };
 
-// One step against the gradients. first, second [n, 8] are Adam's averages, age [n] the steps of each Gaussian so far.
+// One step against the gradients. first, second [n, 8] are Adam's averages, bias [n, 2] what is left in them of the zeros that
+// they started from: beta1 and beta2 to the power of the Gaussian's steps so far.
 void frame_adam(const AdamSettings& settings, int n, const MutableGaussians& p, const ConstGaussians& grad, float* first, float* second,
-                float* age);
+                float* bias);
+
+// Moves each mean that is further than reach sqrt(l1 l3) outside the picture back to there.
+void keep_near(float reach, float width, float height, int n, float* means, const float* factors);
 
 // Adds the gradient that sgmethod.quantise.rd.add_rate_gradient describes to grad_factors and grad_colors.
 void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,
