@@ -165,18 +165,18 @@ class RdFit:
         price = self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum)
         least = price * self.settings.bits_of_new
         residual = self.picture.residual(self.p)
-        new = growth.candidates(self.picture.interleaved(residual), min(wanted, most - n), least)
-        if len(new):
-            added = Parameters.of(new)
+        found = growth.candidates(self.picture.interleaved(residual), min(wanted, most - n), least)
+        means, factors = (torch.from_numpy(values) for values in found)
+        if len(means):
             # Neighbours overlap: their colours are solved together, or they would overshoot.
             steps = self.settings.color_solve_steps
-            added.colors = self.picture.solve_colors(added.means, added.factors, steps, residual_of=residual)
+            colors = self.picture.solve_colors(means, factors, steps, residual_of=residual)
             self.p = Parameters(
-                torch.cat([self.p.means, added.means]),
-                torch.cat([self.p.factors, added.factors]),
-                torch.cat([self.p.colors, added.colors]),
+                torch.cat([self.p.means, means]),
+                torch.cat([self.p.factors, factors]),
+                torch.cat([self.p.colors, colors]),
             )
-            self.adam.extend(len(new))
+            self.adam.extend(len(means))
             self._sort()
 
     def _sort(self) -> None:
