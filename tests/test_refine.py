@@ -112,18 +112,24 @@ def test_what_a_file_has_no_room_for_stays_out(grey: bool, upright: bool) -> Non
     assert not grey or np.ptp(found.colors, axis=1).max() < 1e-6
 
 
-def test_the_same_for_every_number_of_threads() -> None:
-    values, target = scene()
-    parameters = native.RdParameters(*SIZE, 0.3)
+@pytest.mark.parametrize(("size", "n"), [(SIZE, 150), ((700, 420), 1500)])
+def test_the_same_for_every_number_of_threads(size: tuple[int, int], n: int) -> None:
+    """On the larger one many cells are refined at once."""
+    values = scattered(n, size, 0)
+    target = picture(values, size) + np.random.default_rng(0).normal(0, 0.005, (3, size[1], size[0])).astype(np.float32)
+    parameters = native.RdParameters(*size, 0.3)
+    most = len(encoded(parameters, values)) * 3 // 4
     threads = native.thread_count()
     try:
         found = []
         for count in (1, 2, 5):
             native.set_thread_count(count)
-            found.append(refined(parameters, values, target, price=0.01))
+            found.append([refined(parameters, values, target, price=0.01, max_bytes=m) for m in (NO_LIMIT, most)])
     finally:
         native.set_thread_count(threads)
     assert found[0] == found[1] == found[2]
+    assert len(found[0][1]) <= most
+    assert error(parameters, found[0][0], target) < error(parameters, encoded(parameters, values), target)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 1), (1, 40), (17, 65)])
