@@ -84,6 +84,7 @@ class RdSettings(OptimiserSettings):
     halvings: int = 3
     pixels_per_gaussian: float = 20.0
     halved_until: float = 0.5
+    whole_from: float = 0.8  # under a time limit too short for the whole picture before
     # Steering of the quantum towards a size or a PSNR
     steering_from: float = 0.12
     steering_exponent: float = 0.9

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from sgmethod import Budget, BudgetError, Encoded, bitstream_rd, codec, decode, encode, rd
 from sgmethod.bitstream_rd import CUTOFF
-from sgmethod.fit import Clock
+from sgmethod.fit import Clock, Recorder
 from sgmethod.growth import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.image import read_image
 from sgmethod.profiles import RD
+from sgmethod.rd_finish import Goal
 from sgmethod.reference import render
 
 FloatArray = NDArray[np.float32]
@@ -276,3 +277,25 @@ def test_growth_on_odd_sizes(size: tuple[int, int]) -> None:
     assert (means > 0).all()
     assert (means < (size[1], size[0])).all()
     assert len(np.unique(means, axis=0)) == len(means)
+
+
+def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
+    def fit_with(seconds: float) -> rd.RdFit:
+        goal = Goal(0.1, max_bytes=2000)
+        fit = rd.RdFit(noise(128, 160), goal, RD, 0, Recorder(Clock(), None))
+        with torch.no_grad():
+            fit.hurry(seconds)
+        return fit
+
+    hurried, unhurried = fit_with(0.0), fit_with(math.inf)
+    assert (hurried.finest.width, unhurried.finest.width) == (20, 160)
+    assert hurried._picture_at(RD.halved_until) is hurried.finest
+    assert hurried._picture_at(RD.whole_from) is hurried.picture is hurried.pictures[0]
+    with torch.no_grad():
+        before = len(hurried.p.means)
+        hurried._grow(before + 10)
+    added = hurried.p.means  # found in the small picture, but in pixels of the whole
+    assert len(added) == before + 10
+    assert added[:, 0].max() > 80
+    assert added[:, 1].max() > 64
+    assert hurried.p.factors[:, 0].min() > 8 * 0.3
