@@ -180,8 +180,8 @@ double Rasterization::squared_error(const float* colors, const float* target, co
   const float scale = 2.0f / static_cast<float>(3 * plane);
   const std::unique_ptr<float[]> pair_gradients(new float[tile_start_.back() * kPairGradients]);  // all written below
   std::vector<double> errors(static_cast<size_t>(strips_) * blocks_);
-  // Rows of a large picture lie too far apart to be foreseen: those of this thread's next tile are asked for.
-  const int ahead = thread_count() * kTileWidth + kTileWidth - 1;
+  // Rows of a large picture lie too far apart to be foreseen: those of the next tile are asked for.
+  constexpr int ahead = 2 * kTileWidth - 1;
   parallel_for(strips_ * blocks_, [&](int tile) {
     const auto [x0, y0, columns, rows] = area(tile);
     const TileTarget wanted{target + static_cast<int64_t>(y0) * width_ + x0, plane, width_, ahead, columns, rows, scale};

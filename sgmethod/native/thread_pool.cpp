@@ -44,8 +44,8 @@ int initial_thread_count() {
 
 class Pool {
  public:
-  explicit Pool(int threads) : pid_(getpid()) {
-    for (int i = 1; i < threads; ++i) workers_.emplace_back([this] { work(); });
+  explicit Pool(int threads) : pid_(getpid()), shares_(threads) {
+    for (int i = 1; i < threads; ++i) workers_.emplace_back([this, i] { work(i); });
   }
 
   ~Pool() {
@@ -57,20 +57,22 @@ class Pool {
     for (auto& worker : workers_) worker.join();
   }
 
-  int size() const { return static_cast<int>(workers_.size()) + 1; }
+  int size() const { return static_cast<int>(shares_.size()); }
   bool forked() const { return pid_ != getpid(); }
 
   void run(int count, const std::function<void(int)>& task) {
     {
       std::lock_guard<std::mutex> lock(mutex_);
       task_ = &task;
-      count_ = count;
-      next_.store(0, std::memory_order_relaxed);
+      for (int i = 0; i < size(); ++i) {
+        shares_[i].next.store(static_cast<int>(int64_t{count} * i / size()), std::memory_order_relaxed);
+        shares_[i].end = static_cast<int>(int64_t{count} * (i + 1) / size());
+      }
       open_ = true;
       generation_.fetch_add(1, std::memory_order_release);
     }
     wake_.notify_all();
-    drain();
+    drain(0);
     {
       std::lock_guard<std::mutex> lock(mutex_);
       open_ = false;  // a worker that wakes only now is not waited for: its core may be busy elsewhere
@@ -82,12 +84,22 @@ class Pool {
   }
 
  private:
-  void drain() {
+  // A share of the tasks that follow each other, the same from call to call, because neighbours and phases of one render
+  // share memory; then what others have left.
+  struct alignas(64) Share {
+    std::atomic<int> next{0};
+    int end = 0;
+  };
+
+  void drain(int thread) {
     FlushSubnormals flush;
-    for (int i; (i = next_.fetch_add(1, std::memory_order_relaxed)) < count_;) (*task_)(i);
+    for (int k = 0; k < size(); ++k) {
+      Share& share = shares_[(thread + k) % size()];
+      for (int i; (i = share.next.fetch_add(1, std::memory_order_relaxed)) < share.end;) (*task_)(i);
+    }
   }
 
-  void work() {
+  void work(int thread) {
     unsigned seen = 0;
     while (true) {
       for (int spin = 0; spin < kSpins && generation_.load(std::memory_order_acquire) == seen; ++spin) _mm_pause();
@@ -103,19 +115,18 @@ class Pool {
         if (!open_) continue;
         active_.fetch_add(1, std::memory_order_relaxed);
       }
-      drain();
+      drain(thread);
       active_.fetch_sub(1, std::memory_order_release);
     }
   }
 
   const pid_t pid_;
+  std::vector<Share> shares_;
   std::vector<std::thread> workers_;
   std::mutex mutex_;
   std::condition_variable wake_;
   std::atomic<unsigned> generation_{0};
-  std::atomic<int> next_{0};
   std::atomic<int> active_{0};  // workers inside the current task
-  int count_ = 0;
   bool open_ = false;  // a task is being handed out
   bool stop_ = false;
   const std::function<void(int)>* task_ = nullptr;
