@@ -57,9 +57,9 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch&
       const F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
       const F z1 = dx * f.inv_l1;
       F g0{}, g2{}, g22{};
-      for (int row = pair->first_row; row <= pair->last_row; first += 2 * W) {
-        const int end = row + f.segment <= pair->last_row ? row + f.segment : pair->last_row + 1;
-        Column<W> c{V::load(first), V::load(first + W)};
+      for (int row = pair->first_row; row <= pair->last_row;) {
+        const int end = segment_end(f, row, pair->last_row);
+        Column<W> c = next_column<W>(first);
         F sum{}, sum_d{}, sum_pairs_d{};
         const float* in = tile_gradient + row * (3 * kTileWidth) + lane;
         for (; row < end; ++row, in += 3 * kTileWidth) {
@@ -131,7 +131,7 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
       const typename V::F z1_half_square = z1 * z1 * 0.5f;
       const typename V::F inside = centres < static_cast<float>(picture.width) ? V::all(1.0f) : typename V::F{};
       for (int row = span->first_row; row <= span->last_row;) {
-        const int end = row + f.segment <= span->last_row ? row + f.segment : span->last_row + 1;
+        const int end = segment_end(f, row, span->last_row);
         Column<W> c = column<W>(f, dx, z1_half_square, static_cast<float>(row) + 0.5f - f.y);
         float* values = picture.row(span->strip, row) + lane;
         for (; row < end; ++row, values += 3 * kTileWidth) {

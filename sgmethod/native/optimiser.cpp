@@ -16,9 +16,8 @@ constexpr float kTinySquare = 1e-12f;
 
 template <typename Each>
 void for_each(int n, const Each& each) {
-  parallel_for((n + kBlock - 1) / kBlock, [&](int block) {
-    const int end = std::min(n, (block + 1) * kBlock);
-    for (int i = block * kBlock; i < end; ++i) each(i);
+  parallel_chunks(n, kBlock, [&](int first, int last, int) {
+    for (int i = first; i < last; ++i) each(i);
   });
 }
 

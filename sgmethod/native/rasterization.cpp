@@ -30,13 +30,6 @@ float box_tiles(const float* l, float reach) {
   return (width / kTileWidth + 2.1f) * (height / kTileHeight + 2.1f);
 }
 
-// Splits [0, count) into tasks of `chunk`.
-template <typename Body>
-void parallel_chunks(int count, int chunk, const Body& body) {
-  parallel_for((count + chunk - 1) / chunk,
-               [&](int i) { body(i * chunk, std::min(count, (i + 1) * chunk), i); });
-}
-
 }  // namespace
 
 Rasterization::Rasterization(const float* means, const float* factors, int n, int width, int height, float cutoff, int isa,

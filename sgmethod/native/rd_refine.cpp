@@ -18,7 +18,7 @@ namespace {
 
 constexpr double kConverged = 0.02;   // part of the Gaussians that a last sweep changes
 constexpr int kSweepsAfterDrops = 2;  // those that stay take over what the others did
-constexpr size_t kPatience = 64;      // Gaussians between two looks at the clock
+constexpr int kPatience = 64;         // Gaussians between two looks at the clock
 constexpr int kCell = 128;            // side in pixels; half of one is a multiple of kTileWidth
 using Clock = std::chrono::steady_clock;
 
@@ -40,39 +40,32 @@ class Refinement {
   std::vector<uint8_t> run() {
     const std::chrono::duration<double> seconds(std::min(state_.settings.seconds, 1e6));
     until_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(seconds);
-    std::vector<uint8_t> payload = swept(state_.settings.sweeps);
-    for (int sweeps = kSweepsAfterDrops; payload.size() > state_.settings.max_bytes && !all_.empty(); --sweeps) {
-      while (payload.size() > state_.settings.max_bytes && !all_.empty()) {
-        drop_least(payload.size());
-        payload = encode();
-      }
-      if (sweeps > 0) payload = swept(1);
-    }
+    std::vector<uint8_t> payload = encode();
+    sweep(state_.settings.sweeps, payload);
+    for (int sweeps = kSweepsAfterDrops; drop_until_it_fits(payload) && sweeps > 0; --sweeps) sweep(1, payload);
     return payload;
   }
 
  private:
-  // The payload after so many sweeps, at most, over all Gaussians.
-  std::vector<uint8_t> swept(int sweeps) {
-    std::vector<uint8_t> payload = encode();
+  // So many sweeps, at most, over all Gaussians.
+  void sweep(int sweeps, std::vector<uint8_t>& payload) {
     for (int k = 0; k < sweeps && Clock::now() < until_; ++k) {
-      const size_t changed = sweep();
+      const size_t changed = visit_everywhere();
       payload = encode();
       if (changed < all_.size() * kConverged) break;
     }
-    return payload;
   }
 
   // Visits all Gaussians, and returns how many have changed.
-  size_t sweep() {
+  size_t visit_everywhere() {
     std::vector<size_t> waiting(all_.size());
     std::iota(waiting.begin(), waiting.end(), size_t{0});
-    const size_t changed = sweep_cells(waiting);
+    const size_t changed = visit_cells(waiting);
     return changed + visit_all(whole(), waiting);
   }
 
   // Visits those that fit a cell and half a cell around it, and leaves the others in `waiting`.
-  size_t sweep_cells(std::vector<size_t>& waiting) {
+  size_t visit_cells(std::vector<size_t>& waiting) {
     const int columns = (state_.p.width + kCell - 1) / kCell, rows = (state_.p.height + kCell - 1) / kCell;
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
     for (const size_t i : waiting) {
@@ -119,21 +112,31 @@ class Refinement {
     return encode_symbols(state_.p, all_, state_.models);
   }
 
+  // Returns whether anything had to go.
+  bool drop_until_it_fits(std::vector<uint8_t>& payload) {
+    bool dropped = false;
+    for (; payload.size() > state_.settings.max_bytes && !all_.empty(); dropped = true) {
+      drop_least(payload.size());
+      payload = encode();
+    }
+    return dropped;
+  }
+
   // Leaves out Gaussians, those first that gain least error for each bit, for a part of what is too much: their bits are
   // estimates, and each leaves more for its neighbours to do.
   void drop_least(size_t bytes) {
     std::vector<std::pair<double, size_t>> order(all_.size());
     std::vector<double> sizes(all_.size());
-    parallel_for(static_cast<int>((all_.size() + kPatience - 1) / kPatience), [&](int chunk) {
+    parallel_chunks(static_cast<int>(all_.size()), kPatience, [&](int first, int last, int) {
       Visitor visitor(state_, whole());
-      for (size_t i = chunk * kPatience; i < std::min(all_.size(), (chunk + 1) * kPatience); ++i) {
+      for (int i = first; i < last; ++i) {
         const Candidate c = state_.decoded(all_[i]);
         float products[4];
         visitor.project(c, products);
         double loss = 0;  // what is left grows by the Gaussian itself
         for (int k = 0; k < 3; ++k) loss += c.color[k] * (static_cast<double>(c.color[k]) * products[3] + 2.0 * products[k]);
         sizes[i] = state_.bits(c.symbols);
-        order[i] = {loss / sizes[i], i};
+        order[i] = {loss / sizes[i], static_cast<size_t>(i)};
       }
     });
     std::sort(order.begin(), order.end());

@@ -110,7 +110,6 @@ class Visitor {
       }
     }
     if (outside_) {  // leaves things as they were
-      outside_ = false;
       add(now, -1.0f);
       return Outcome::kOutside;
     }
