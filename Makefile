@@ -12,9 +12,9 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-COMPILED := $(shell find sgmethod/native -type f)
+COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name CMakeLists.txt)
 # The quick tests of single modules first, those of whole processes after them.
-TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py)))
+TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py))) tests/service
 
 .PHONY: serve test
 

@@ -19,11 +19,12 @@ from unittest.mock import patch
 
 from benchmarks.machine import ROOT, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
-from sgmethod import Budget, rd
+from sgmethod import Budget
 from sgmethod.codec import encode
-from sgmethod.image import read_image
+from sgmethod.io.image import read_image
 from sgmethod.profiles import PAPER, PROFILES, RD, RdSettings
-from sgmethod.quantise import rd as quantiser
+from sgmethod.rd import encode as rd
+from sgmethod.rd import quantiser
 
 
 @dataclass(frozen=True)

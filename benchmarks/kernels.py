@@ -24,10 +24,10 @@ from PIL import Image, ImageOps
 
 from benchmarks.machine import ISA_NAMES, ROOT, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
-from sgmethod.fit import Clock, Parameters, Picture, Recorder, fit
-from sgmethod.native_module import native
-from sgmethod.placement import place
+from sgmethod.fitting.fit import Clock, Parameters, Picture, Recorder, fit
+from sgmethod.native import native
 from sgmethod.profiles import PAPER
+from sgmethod.start.placement import place
 
 SIZE = (768, 512)
 FIT_TARGET_S = 10.0  # 1,000 steps of profile paper's fit, regularisation included, two cores

@@ -11,9 +11,9 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from sgmethod.native_module import native
+from sgmethod.native import native
+from tests.harness.data import ROOT
 
-ROOT = Path(__file__).parents[1]
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 PACKAGES = ("numpy", "torch", "imagecodecs")
 

@@ -29,7 +29,7 @@ from scipy.interpolate import PchipInterpolator
 from benchmarks.machine import ROOT, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
 from sgmethod import Budget, decode, encode, info
-from sgmethod.image import read_image
+from sgmethod.io.image import read_image
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import PROFILE_NAMES
 

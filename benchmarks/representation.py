@@ -19,13 +19,13 @@ import torch
 
 from benchmarks.machine import ROOT, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
-from sgmethod import bitstream_rd
-from sgmethod.fit import Clock, Plan, Recorder, run
-from sgmethod.image import read_image
+from sgmethod.bitstream import v3
+from sgmethod.fitting.fit import Clock, Plan, Recorder, run
+from sgmethod.io.image import read_image
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import RD, RdSettings
-from sgmethod.rd import GAUSSIANS_GUESS, RdFit
-from sgmethod.rd_finish import Goal
+from sgmethod.rd.encode import GAUSSIANS_GUESS, RdFit
+from sgmethod.rd.finish import Goal
 
 FREE_FROM = 0.85  # of the profile's schedule
 
@@ -50,7 +50,7 @@ def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, An
 
     def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         if progress >= FREE_FROM * RD.steps / settings.steps:
-            fit.coder = fit.coder.with_quantum(bitstream_rd.MIN_QUANTUM)
+            fit.coder = fit.coder.with_quantum(v3.MIN_QUANTUM)
         return fit.step(rate, progress)
 
     run(Plan("fit", settings.steps, patience=1.0), recorder, step, settings.final_rate)

@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.machine import in_words, origin
 from sgmethod import Budget, encode
-from sgmethod.gaussians import FloatArray
-from sgmethod.image import read_image
+from sgmethod.io.image import read_image
+from sgmethod.scene import FloatArray
 
 
 def parts(pixels: FloatArray, cuts: int, most: int) -> list[FloatArray]:

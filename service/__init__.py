@@ -1,29 +1,18 @@
-"""The service: photographs come in over HTTP, bitstreams and pictures go out.
+"""The HTTP service: photographs come in, bitstreams and pictures go out.
 
-In the order in which a job meets them:
+The rooms and modules; each imports only from those above it:
 
-    __main__        the command line; serve, web and worker
-    settings        what the operator may set
-    supervisor      keeps web process and workers running (with lifeline, stopping, listening)
-    web, app        the web process and its application
-    connections     limits on connections and on the heads of requests
-    middleware      limits on bodies, headers on answers
-    gate            who calls, before a body is read (with keys)
-    problems        errors as problem documents
-    job_routes      POST /encode, GET and DELETE /jobs, links (with submission, bodies, views, parts)
-    event_routes    GET /jobs/ID/events
-    jobs            what a job is; the protocol of a job table
-    sql_jobs        the job table, whichever database it is in (with sql_statements)
-    sqlite_jobs     the job table in SQLite
-    postgres_jobs   the job table in PostgreSQL (with postgres_engine, which wakes workers)
-    storage         files that are whole or absent; object_storage the same in a bucket (both opened by backends)
-    worker          claims a job, follows its encode, publishes the result
-    encode_process  the worker's side of the encoding process
-    encode_child    the encoding process itself
-    picture_routes  GET and POST /decode, GET /bitstreams (with decoding, pictures)
-    sweeping        what kills left behind, and jobs past their time
-    checking        whether an installation can work
-    health_routes   GET /livez, /readyz and /metrics (with metrics)
+    keys        API keys, how often each may ask, links that stand in for one
+    settings    what the operator may set
+    process/    the processes of a service, and how they end
+    storage/    source images and bitstreams
+    jobs/       the job table, in SQLite or in PostgreSQL
+    backends    opens the job table and the storage that the settings name
+    worker/     claims a job, has it encoded in a process of its own, publishes the result
+    web/guards/ limits, callers and refusals, before a body is read
+    web/routes/ what each request is answered with
+    web/        the application and its server
+    checking    whether an installation can work
 
-Only encode_child imports the encoder, and with it torch.
+`python -m service` is the command line. Only worker/encode_child.py imports the encoder, and with it torch.
 """

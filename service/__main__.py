@@ -12,13 +12,13 @@ from collections.abc import Callable
 
 from pydantic import ValidationError
 
-from service import lifeline
 from service.backends import open_backend, open_storage
-from service.jobs import BackendError
-from service.listening import is_loopback, listen, url
+from service.jobs.interface import BackendError
+from service.process import lifeline
+from service.process.listening import is_loopback, listen, url
+from service.process.stopping import StopSignal
 from service.settings import Settings, unknown_settings
-from service.stopping import StopSignal
-from service.sweeping import ORPHAN_AGE_S, sweep
+from service.worker.sweeping import ORPHAN_AGE_S, sweep
 from sgmethod.errors import SgError
 
 BAD_SETTING = 2
@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
-    from service.supervisor import supervise
+    from service.process.supervisor import supervise
 
     stop = StopSignal()
     stop.on_signals()
@@ -84,7 +84,7 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:
-    from service.web import run_web
+    from service.web.server import run_web
 
     if arguments.lifeline is not None:
         lifeline.watch(arguments.lifeline, lambda: os.kill(os.getpid(), signal.SIGTERM))
@@ -93,7 +93,7 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
 
 
 def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
-    from service.worker import Worker
+    from service.worker.worker import Worker
 
     stop = StopSignal()
     stop.on_signals()

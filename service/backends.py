@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from service.jobs import BackendError, JobBackend, JobRules
+from service.jobs.interface import BackendError, JobBackend, JobRules
+from service.jobs.sqlite import SqliteJobs
 from service.settings import Settings
-from service.sqlite_jobs import SqliteJobs
-from service.storage import DiskStorage, Storage
+from service.storage.disk import DiskStorage, Storage
 
 
 def open_backend(settings: Settings) -> JobBackend:
@@ -13,7 +13,7 @@ def open_backend(settings: Settings) -> JobBackend:
     rules = JobRules(settings.lease_s, settings.max_attempts, settings.max_running_per_key)
     if settings.uses_postgres:
         try:
-            from service.postgres_jobs import PostgresJobs
+            from service.jobs.postgres import PostgresJobs
         except ImportError as error:
             raise BackendError("PostgreSQL needs more packages: pip install '.[postgres]'") from error
         return PostgresJobs(settings.database_url, rules)
@@ -26,7 +26,7 @@ def open_storage(settings: Settings) -> Storage:
     if not settings.storage_url:
         return DiskStorage(settings.data_dir)
     try:
-        from service.object_storage import ObjectStorage
+        from service.storage.bucket import ObjectStorage
     except ImportError as error:
         raise BackendError("an object store needs more packages: pip install '.[s3]'") from error
     return ObjectStorage(settings.storage_url)

@@ -11,9 +11,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from service.backends import open_backend, open_storage
-from service.jobs import BackendError
+from service.jobs.interface import BackendError
 from service.settings import Settings
-from service.storage import PROBE_FOLDER
+from service.storage.disk import PROBE_FOLDER
 from sgmethod.errors import SgError
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
@@ -83,7 +83,7 @@ def _free_disk(settings: Settings) -> str:
 
 
 def _kernels(_settings: Settings) -> str:
-    from sgmethod.native_module import native
+    from sgmethod.native import native
 
     if find_spec("torch") is None:
         raise CheckError("encoding needs more packages: pip install '.[encode]'")

@@ -1,34 +1,25 @@
 """sgmethod: photographs as small sets of 2D Gaussians.
 
-The pipeline, in the order in which it runs; each module imports only from those above it:
+The rooms and modules, in the order of the pipeline; each imports only from those above it:
 
     errors      the tree of errors
     budget      what an encode may spend
-    trace       what a fit reports while it runs
-    image       image files -> arrays
-    files       PNG and other results -> files, whole or absent
+    trace       what an encode reports while it runs
+    scene       the set of Gaussians
     profiles    every number of the method
-    gaussians   the set of Gaussians
-    native_module, native/   compiled kernels: rendering, its gradients, the loss
-    reference   the renderer's definition, slow on purpose
-    render      the differentiable renderer for torch
-    structure   gradients, regions, complexity of a picture
-    placement   structure-guided start
-    bitstream   version 1 of the file (profiles paper, baseline): syntax elements <-> bytes
-    bitstream_rd  version 3 (profile rd)
+    native/     compiled kernels: drawing, gradients, entropy coding
+    io/         image files -> arrays; arrays -> PNG; whole files
+    bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        any size, any part
     decode      bytes -> Gaussians -> pixels
     metrics     PSNR, MS-SSIM
-    fit         the optimiser, its schedule and its trace
-    quantise/   quantisers: lattice, codebook and paper (LSQ, ABQ, RVQ), rd (steps from sensitivity, rate)
-    growth      where another Gaussian would pay
-    paper       profiles paper and baseline
-    rd_finish   profile rd, from fitted Gaussians to the file that meets the goal best
-    rd          profile rd: how many Gaussians, where and how fine
-    codec       encode(): a profile, then the measured result
-    client      the same encode by a service elsewhere
-    terminal    what the command line shows
-    cli         the command line
+    start/      structure of the picture -> Gaussians to start from
+    fitting/    the picture and its loss, the optimiser, its schedule
+    paper/      profiles paper and baseline
+    rd/         profile rd
+    codec       encode(): a profile's pipeline, then the decoded result measured
+    client/     the same encode by a service elsewhere
+    cli/        the command line
 
 Decoding needs numpy and the compiled kernels only; torch is imported by encode() alone.
 """
@@ -40,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 from sgmethod.budget import Budget
 from sgmethod.decode import decode, info
 from sgmethod.errors import BitstreamError, BudgetError, ImageError, NativeModuleError, SgError, ViewError
-from sgmethod.native_module import native
+from sgmethod.native import native as _native
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
 
@@ -69,7 +60,7 @@ __all__ = [
 def set_threads(count: int) -> None:
     """Threads that rendering and fitting use in this process, at least 1; SG_THREADS sets it at the start,
     else it is the number of cores this process may run on."""
-    native.set_thread_count(count)
+    _native.set_thread_count(count)
 
 
 def __getattr__(name: str) -> Any:

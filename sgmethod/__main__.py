@@ -2,6 +2,6 @@
 
 import sys
 
-from sgmethod.cli import main
+from sgmethod.cli.main import main
 
 sys.exit(main())

@@ -15,13 +15,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sgmethod import bitstream, paper, rd
+from sgmethod.bitstream import v1
 from sgmethod.budget import Budget
 from sgmethod.decode import decode, info
 from sgmethod.errors import BudgetError, ImageError
-from sgmethod.fit import Clock, Recorder, Task
+from sgmethod.fitting.fit import Clock, Recorder, Task
 from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings
+from sgmethod.rd import encode as rd
 from sgmethod.trace import Progress, TracePoint
 
 
@@ -123,8 +125,8 @@ def _measured(task: Task, data: bytes, steps: int) -> Encoded:
 def _check_image(pixels: NDArray[np.float32]) -> None:
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
-    if max(pixels.shape) > bitstream.MAX_SIDE:
-        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {bitstream.MAX_SIDE}")
+    if max(pixels.shape) > v1.MAX_SIDE:
+        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {v1.MAX_SIDE}")
     if not np.issubdtype(pixels.dtype, np.floating):
         raise ImageError(f"an image must hold floating-point values in [0, 1], got {pixels.dtype}")
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:

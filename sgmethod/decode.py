@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod import bitstream, bitstream_rd
-from sgmethod.bitstream import Stream
+from sgmethod.bitstream import v1, v3
+from sgmethod.bitstream.v1 import Stream
 from sgmethod.errors import BitstreamError, ViewError
-from sgmethod.gaussians import Gaussians
-from sgmethod.native_module import native
+from sgmethod.native import native
+from sgmethod.scene import Gaussians
 from sgmethod.view import View
 
 WHOLE = View()
@@ -40,7 +40,7 @@ def render_pixels(
     width: int,
     height: int,
     background: tuple[int, int, int] = (0, 0, 0),
-    cutoff: float = bitstream.CUTOFF,
+    cutoff: float = v1.CUTOFF,
 ) -> NDArray[np.uint8]:
     """Pixels [height, width, 3] of Gaussians, which end at sigma = cutoff, over an 8-bit background colour.
 
@@ -68,16 +68,16 @@ def decode(data: bytes, max_pixels: int = MAX_PIXELS, view: View = WHOLE) -> NDA
     Raises BitstreamError for bytes that are not a whole, intact file, or a picture or view of more than max_pixels;
     ViewError for a view that makes no picture of it.
     """
-    if _version(data) == bitstream_rd.VERSION:
-        coded = bitstream_rd.parse(data, max_pixels)
+    if _version(data) == v3.VERSION:
+        coded = v3.parse(data, max_pixels)
         size, gaussians = (coded.width, coded.height), coded.gaussians(view.prefix)
-        background, cutoff = coded.background, bitstream_rd.CUTOFF
+        background, cutoff = coded.background, v3.CUTOFF
     else:
-        stream = bitstream.parse(data, max_pixels)
+        stream = v1.parse(data, max_pixels)
         if view.prefix < 1:
             raise ViewError(f"profile {stream.profile} has no order that a prefix could follow")
         size, gaussians = (stream.width, stream.height), dequantise(stream)
-        background, cutoff = (0, 0, 0), bitstream.CUTOFF
+        background, cutoff = (0, 0, 0), v1.CUTOFF
     width, height = view.size(*size)
     if width * height > max_pixels:
         raise BitstreamError(f"{width} x {height} pixels are more than the limit of {max_pixels}")
@@ -85,8 +85,8 @@ def decode(data: bytes, max_pixels: int = MAX_PIXELS, view: View = WHOLE) -> NDA
 
 
 def _version(data: bytes) -> int:
-    """The version byte, or 0 where bitstream.parse will refuse the data."""
-    return data[3] if len(data) > 3 and data[:3] == bitstream.MAGIC else 0
+    """The version byte, or 0 where v1.parse will refuse the data."""
+    return data[3] if len(data) > 3 and data[:3] == v1.MAGIC else 0
 
 
 def info(data: bytes, max_gaussians: int | None = None) -> dict[str, object]:
@@ -94,13 +94,13 @@ def info(data: bytes, max_gaussians: int | None = None) -> dict[str, object]:
 
     Raises BitstreamError, also for more than max_gaussians, before memory is taken for them.
     """
-    if _version(data) == bitstream_rd.VERSION:
+    if _version(data) == v3.VERSION:
         return _rd_info(data, max_gaussians)
-    stream = bitstream.parse(data, max_gaussians=max_gaussians)
+    stream = v1.parse(data, max_gaussians=max_gaussians)
     return {
         "bytes": len(data),
         "bpp": 8 * len(data) / (stream.width * stream.height),
-        "version": bitstream.VERSION,
+        "version": v1.VERSION,
         "checksum": data[4:8].hex(),
         "profile": stream.profile,
         "width": stream.width,
@@ -116,11 +116,11 @@ def info(data: bytes, max_gaussians: int | None = None) -> dict[str, object]:
 
 
 def _rd_info(data: bytes, max_gaussians: int | None) -> dict[str, object]:
-    stream = bitstream_rd.parse(data)
+    stream = v3.parse(data)
     return {
         "bytes": len(data),
         "bpp": 8 * len(data) / (stream.width * stream.height),
-        "version": bitstream_rd.VERSION,
+        "version": v3.VERSION,
         "checksum": data[4:8].hex(),
         "profile": "rd",
         "width": stream.width,

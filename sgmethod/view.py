@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sgmethod.errors import ViewError
-from sgmethod.gaussians import Gaussians
+from sgmethod.scene import Gaussians
 
 PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0

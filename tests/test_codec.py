@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,12 +19,12 @@ from PIL import Image
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, ImageError, TracePoint, codec, decode, encode, info
 from sgmethod.budget import BudgetKind
-from sgmethod.fit import Clock
+from sgmethod.fitting.fit import Clock
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import BASELINE, PAPER, PROFILES, RD
+from tests.harness.data import PHOTOGRAPHS
 
 FloatArray = NDArray[np.float32]
-DATA = Path(__file__).parent / "data"
 PROFILES_TESTED = ("rd", "paper", "baseline")
 
 
@@ -39,7 +38,7 @@ def short_profiles(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @cache
 def photo(name: str = "kodim23-crop") -> FloatArray:
-    return np.asarray(Image.open(DATA / f"{name}.png").convert("RGB"), np.float32) / 255
+    return np.asarray(Image.open(PHOTOGRAPHS / f"{name}.png").convert("RGB"), np.float32) / 255
 
 
 def small() -> FloatArray:
@@ -335,7 +334,7 @@ def test_the_seed_decides(profile: str) -> None:
 
 @pytest.mark.parametrize("profile", PROFILES_TESTED)
 def test_the_file_does_not_depend_on_threads(profile: str) -> None:
-    before = sgmethod.native_module.native.thread_count()
+    before = sgmethod.native.native.thread_count()
     files = []
     try:
         for threads in (1, 3):

@@ -14,18 +14,18 @@ import pytest
 from PIL import Image
 
 from sgmethod import BitstreamError, decode, info, set_threads
-from sgmethod.bitstream import PROFILE_CODES, Group, Stream, parse, serialise
+from sgmethod.bitstream.v1 import PROFILE_CODES, Group, Stream, parse, serialise
 from sgmethod.decode import dequantise, render_pixels
-from sgmethod.gaussians import Gaussians
-from sgmethod.native_module import native
+from sgmethod.native import native
+from sgmethod.scene import Gaussians
+from tests.harness.data import golden, golden_path
 
-DATA = Path(__file__).parent / "data"
-GOLDEN = sorted(path.stem for path in DATA.glob("v1-*.sg"))
+GOLDEN = sorted(golden(1))
 ISAS = range(native.best_isa() + 1)
 
 
 def golden(name: str) -> bytes:
-    return (DATA / f"{name}.sg").read_bytes()
+    return golden_path(f"{name}.sg").read_bytes()
 
 
 def scattered(n: int, width: int, height: int) -> Gaussians:
@@ -62,7 +62,7 @@ def restored_threads() -> Iterator[None]:
 def test_golden_pixels(name: str) -> None:
     """Exact: tests/make_golden.py wrote these pictures when the streams were made."""
     pixels = decode(golden(name))
-    expected = np.asarray(Image.open(DATA / f"{name}.png"))
+    expected = np.asarray(Image.open(golden_path(f"{name}.png")))
     assert pixels.dtype == np.uint8
     assert pixels.flags.c_contiguous
     assert np.array_equal(pixels, expected)
@@ -139,7 +139,7 @@ def test_info() -> None:
 def test_decoding_loads_no_encoder() -> None:
     script = (
         "import sys, sgmethod\n"
-        f"data = open({str(DATA / 'v1-paper.sg')!r}, 'rb').read()\n"
+        f"data = open({str(golden_path('v1-paper.sg'))!r}, 'rb').read()\n"
         "sgmethod.decode(data), sgmethod.info(data)\n"
         "print(*{'torch', 'cv2', 'skimage', 'scipy', 'PIL'} & sys.modules.keys())\n"
     )

@@ -1,4 +1,4 @@
-"""Data flows one way: modules import only from those above them in the list that sgmethod/__init__.py opens with."""
+"""Data flows one way: a room imports only from those above it in the list that its package's text opens with."""
 
 from __future__ import annotations
 
@@ -12,10 +12,14 @@ from types import ModuleType
 
 import pytest
 
+import service
 import sgmethod
+from tests.harness.data import ROOT, golden_path
 
-PACKAGE = Path(sgmethod.__file__).parent
-FACADE = {"__init__", "__main__"}  # the package's face and its command: they import what they hand on
+FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
+OUTSIDE = {"__init__", "__main__"}  # a package's face and its command: they import what they hand on
+MOST_FILES = 12  # in a room
+CODE = ("sgmethod", "service", "tests", "benchmarks", "docs")
 
 EXPORTED = {
     *("BitstreamError", "Budget", "BudgetError", "Encoded", "ImageError", "NativeModuleError", "SgError", "Stats"),
@@ -23,30 +27,34 @@ EXPORTED = {
 }
 
 
-def listed() -> dict[str, int]:
-    """Names and the lines they stand on in the package's text: modules, and packages without their slash."""
-    lines = re.findall(r"^    (\S+(?:, \S+)*)  +\S", sgmethod.__doc__ or "", re.MULTILINE)
-    return {name.rstrip("/"): line for line, names in enumerate(lines) for name in names.split(", ")}
+def listed(package: str) -> list[str]:
+    """The rooms and modules of a package, as its text lists them; rooms end in a slash."""
+    return re.findall(r"^    (\S+)  *\S", FACES[package], re.MULTILINE)
 
 
-def layer(module: str) -> str:
-    """The entry of the list that a module belongs to; the compiled module is native/."""
-    name = module.split(".")[1]
-    return "native" if name == "_native" else name
-
-
-def modules() -> dict[str, Path]:
-    """Files of the package by dotted name, without the façade."""
+def modules(package: str) -> dict[str, Path]:
+    """Files of a package by dotted name, without its face and its command."""
     found = {}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-        if parts[-1] not in FACADE:
+    for path in sorted((ROOT / package).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        if parts[-1] == "__init__":
+            parts = parts[:-1]
+        if len(parts) > 1 and parts[1:] != ("__main__",):
             found[".".join(parts)] = path
     return found
 
 
+def room(module: str) -> str:
+    """The entry of the list that a module belongs to: the deepest room that holds it."""
+    package, *parts = module.split(".")
+    path = "/".join(parts) + "/"
+    rooms = [entry for entry in listed(package) if path.startswith(entry if entry.endswith("/") else entry + "/")]
+    return max(rooms, key=len, default="")
+
+
 def imports_of(path: Path, known: set[str]) -> set[str]:
-    """Modules of this package imported anywhere in a file: at its top, in functions, for types."""
+    """Modules of the same package imported anywhere in a file: at its top, in functions, for types."""
+    package = path.relative_to(ROOT).parts[0]
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -55,38 +63,77 @@ def imports_of(path: Path, known: set[str]) -> set[str]:
             assert node.level == 0, f"{path.name}:{node.lineno} imports relatively"
             inner = {f"{node.module}.{alias.name}" for alias in node.names}
             found |= {name if name in known else node.module or "" for name in inner}
-    return {name for name in found if name.split(".")[0] == "sgmethod"}
+    return {name for name in found if name.split(".")[0] == package}
 
 
-IMPORTS = {
-    name: imports_of(path, {*modules(), "sgmethod._native"}) for name, path in modules().items()
-}  # by importing module
+MODULES = {name: path for package in FACES for name, path in modules(package).items()}
+IMPORTS = {name: imports_of(path, {*MODULES, "sgmethod.native._native"}) for name, path in MODULES.items()}
 
 
-def test_every_module_is_listed_and_exists() -> None:
-    assert set(listed()) == {layer(name) for name in IMPORTS} | {"native"}
+@pytest.mark.parametrize("package", FACES)
+def test_every_room_is_listed_and_exists(package: str) -> None:
+    found = {room(name) for name in MODULES if name.startswith(package + ".")}
+    assert "" not in found
+    assert set(listed(package)) == found
 
 
-@pytest.mark.parametrize("module", IMPORTS)
+@pytest.mark.parametrize("module", MODULES)
 def test_imports_come_from_above(module: str) -> None:
-    """Modules on one line, and those of one package, may import each other."""
-    lines = listed()
+    """Modules of one room may import each other; the native room's sources are compiled, and import nothing."""
+    package = module.split(".", maxsplit=1)[0]
+    order = listed(package)
     for other in IMPORTS[module]:
-        assert other != "sgmethod", f"{module} imports the package's face instead of a module"
-        assert lines[layer(other)] <= lines[layer(module)], f"{module} imports {other}"
+        assert other != package, f"{module} imports the package's face instead of a module"
+        assert order.index(room(other)) <= order.index(room(module)), f"{module} imports {other}"
 
 
-def test_modules_of_one_layer_do_not_import_in_a_circle() -> None:
+def test_modules_do_not_import_in_a_circle() -> None:
     order = list(TopologicalSorter(IMPORTS).static_order())  # raises CycleError
     assert set(IMPORTS) <= set(order)
 
 
 def test_the_imports_are_found() -> None:
     assert "sgmethod.errors" in IMPORTS["sgmethod.decode"]
-    assert "sgmethod._native" in IMPORTS["sgmethod.native_module"]
-    assert "sgmethod.bitstream" in IMPORTS["sgmethod.codec"]  # from sgmethod import bitstream
-    assert "sgmethod.quantise.lattice" in IMPORTS["sgmethod.quantise.paper"]
-    assert "sgmethod.codec" in IMPORTS["sgmethod.cli"]  # within a function
+    assert "sgmethod.native._native" in IMPORTS["sgmethod.native"]
+    assert "sgmethod.bitstream.v1" in IMPORTS["sgmethod.codec"]  # from sgmethod.bitstream import v1
+    assert "sgmethod.paper.lattice" in IMPORTS["sgmethod.paper.tuning"]
+    assert "sgmethod.codec" in IMPORTS["sgmethod.cli.main"]  # within a function
+    assert "service.web.guards.problems" in IMPORTS["service.web.routes.jobs"]
+    assert room("service.web.guards.problems") == "web/guards/"
+    assert room("service.web.app") == "web/"
+
+
+def test_no_room_is_crowded() -> None:
+    """A room that is full is divided: a stranger takes in a dozen names at a glance."""
+    listing = subprocess.run(["git", "ls-files", *CODE], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    files: dict[Path, int] = {}
+    for name in listing.splitlines():
+        if (ROOT / name).exists():
+            files[Path(name).parent] = files.get(Path(name).parent, 0) + 1
+    assert {room: count for room, count in files.items() if count > MOST_FILES} == {}
+
+
+@pytest.mark.parametrize("name", [name for name, path in MODULES.items() if path.name == "__init__.py"])
+def test_each_room_says_what_it_is_for(name: str) -> None:
+    """Three sentences: what lives there, what comes in, what leaves."""
+    text = ast.get_docstring(ast.parse(MODULES[name].read_text())) or ""
+    assert len(re.findall(r"[.;:](?=\s|$)", text)) >= 3
+
+
+def test_the_service_leaves_the_encoder_to_its_own_process() -> None:
+    for name, path in modules("service").items():
+        imported = re.search(r"sgmethod\.(codec|rd|paper|fitting)\b|import torch", path.read_text())
+        assert imported is None or name == "service.worker.encode_child"
+
+
+def test_no_test_imports_a_benchmark() -> None:
+    for path in sorted((ROOT / "tests").rglob("*.py")):
+        assert re.search(r"^\s*(from|import) benchmarks", path.read_text(), re.MULTILINE) is None, path
+
+
+def test_the_harness_imports_no_test() -> None:
+    for path in sorted((ROOT / "tests" / "harness").rglob("*.py")):
+        assert re.search(r"^\s*(from|import) tests\.(?!harness)", path.read_text(), re.MULTILINE) is None, path
 
 
 def test_the_exported_names() -> None:
@@ -105,7 +152,7 @@ def test_the_exported_names() -> None:
 
 DECODE = """
 import sys
-import sgmethod, sgmethod.cli, sgmethod.image, sgmethod.profiles
+import sgmethod, sgmethod.cli.main, sgmethod.io.image, sgmethod.profiles
 pixels = sgmethod.decode(sys.stdin.buffer.read())
 sgmethod.set_threads(1)
 print(pixels.shape, pixels.sum())
@@ -114,7 +161,7 @@ print(*sorted({name.split(".")[0] for name in sys.modules}))
 
 
 def test_decoding_imports_neither_torch_nor_the_encoders_libraries() -> None:
-    data = (Path(__file__).parent / "data" / "v1-paper.sg").read_bytes()
+    data = golden_path("v1-paper.sg").read_bytes()
     done = subprocess.run([sys.executable, "-c", DECODE], input=data, capture_output=True, check=True, timeout=60)
     result, imported = done.stdout.decode().splitlines()
     pixels = sgmethod.decode(data)

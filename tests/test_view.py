@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from sgmethod import BitstreamError, ViewError, bitstream, bitstream_rd, decode, view
-from sgmethod.bitstream_rd import RdStream
+from sgmethod import BitstreamError, ViewError, decode, view
+from sgmethod.bitstream import v1, v3
+from sgmethod.bitstream.v3 import RdStream
 from sgmethod.decode import render_pixels
-from sgmethod.gaussians import Gaussians
+from sgmethod.scene import Gaussians
 from sgmethod.view import View
+from tests.harness.data import golden, golden_path
 
-DATA = Path(__file__).parent / "data"
 WIDTH, HEIGHT = 200, 120
 
 
@@ -31,7 +30,7 @@ def scattered(n: int = 700, smallest_px: float = 0.4) -> Gaussians:
 
 @pytest.fixture(scope="module")
 def data() -> bytes:
-    return bitstream_rd.serialise(RdStream.of(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
+    return v3.serialise(RdStream.of(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
 
 
 def decibels(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
@@ -117,7 +116,7 @@ def test_each_gaussian_keeps_its_integral() -> None:
     assert np.allclose(after, before * 0.2**2, rtol=1e-5)
 
 
-@pytest.mark.parametrize("cutoff", [bitstream.CUTOFF, bitstream_rd.CUTOFF])
+@pytest.mark.parametrize("cutoff", [v1.CUTOFF, v3.CUTOFF])
 def test_the_covariance_grows_by_what_is_missing(cutoff: float) -> None:
     gaussians = scattered()
     shrunk = View(0.25).apply(gaussians, WIDTH, HEIGHT, cutoff)
@@ -147,9 +146,9 @@ def test_what_adds_nothing_stays_so() -> None:
         assert np.array_equal(with_them, without)
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in DATA.glob("v1-*.sg")))
+@pytest.mark.parametrize("name", sorted(golden(1)))
 def test_version_1_has_views_but_no_prefix(name: str) -> None:
-    data = (DATA / f"{name}.sg").read_bytes()
+    data = golden_path(f"{name}.sg").read_bytes()
     whole = decode(data)
     height, width = whole.shape[:2]
     region = (1, 2, width - 2, height - 3)
@@ -174,7 +173,7 @@ def test_a_prefix_has_views(data: bytes) -> None:
 
 
 def test_background_is_everywhere() -> None:
-    empty = (DATA / "v3-empty.sg").read_bytes()
+    empty = golden_path("v3-empty.sg").read_bytes()
     for asked in (View(), View(0.1), View(5), View(1, (1, 1, 2, 2)), View(prefix=0.4)):
         assert np.unique(decode(empty, view=asked).reshape(-1, 3), axis=0).tolist() == [[120, 90, 60]]
 

@@ -7,13 +7,13 @@
 #include <algorithm>
 #include <utility>
 
-#include "kernels.h"
-#include "loss.h"
-#include "optimiser.h"
-#include "rasterization.h"
-#include "rd_codec.h"
-#include "rd_refine.h"
-#include "thread_pool.h"
+#include "raster/kernels.h"
+#include "fit/loss.h"
+#include "fit/optimiser.h"
+#include "raster/rasterization.h"
+#include "rd/codec.h"
+#include "rd/refine.h"
+#include "core/thread_pool.h"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -9,16 +9,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import browser as browser_module
 import pytest
-from browser import Browser, find_driver
-from job_table import LONG_S, OpenTable, open_table
-from s3_server import S3Server
-from service_process import Outcome, RunCommand, Service, StartService
 
-from benchmarks.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
 from service.__main__ import main
-from service.jobs import JobBackend
+from service.jobs.interface import JobBackend
+from tests.harness import browser as browser_module
+from tests.harness.browser import Browser, find_driver
+from tests.harness.job_table import LONG_S, OpenTable, open_table
+from tests.harness.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
+from tests.harness.s3_server import S3Server
+from tests.harness.service import Outcome, RunCommand, Service, StartService
 
 
 @pytest.fixture(scope="session")

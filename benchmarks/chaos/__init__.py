@@ -1,0 +1,1 @@
+"""Kills and restarts at random while the service works, and the ledger after it: python -m benchmarks.chaos"""

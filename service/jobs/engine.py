@@ -1,0 +1,128 @@
+"""Procrastinate as the engine that wakes workers on other machines: PostgreSQL's queue beside the job table.
+
+A job of the engine is a token without a name. It says that some row of the job table can be claimed; which
+one, the table decides when a worker holds the token, because only the table knows of priorities, turns and
+limits. So the engine may lose a token or have one too many and nothing breaks: a token without a row ends at
+once, and every worker tops up tokens that are missing.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import psycopg
+from procrastinate import App, PsycopgConnector, SyncPsycopgConnector
+from procrastinate.exceptions import ProcrastinateException
+from procrastinate.schema import SchemaManager
+
+from service.process.stopping import StopSignal
+
+log = logging.getLogger(__name__)
+
+QUEUE = "encode"
+TASK = "encode_next"
+# The engine forgets a notification that comes while it fetches; it looks by itself as often as this.
+POLL_S = 1.0
+TIDY_S = 1.0
+INSIST_S = 2.0
+PAUSE_AFTER_TROUBLE_S = 1.0
+PATIENCE_S = 5.0  # for a database that is being restarted
+
+TOKENS_WAITING = "SELECT count(*) AS tokens FROM procrastinate_jobs WHERE status = 'todo'"
+SCHEMA: str = SchemaManager.get_schema()
+
+
+class Engine:
+    """The engine's two sides: tokens are deferred, and workers are woken by them.
+
+    conninfo: how to reach the database, with the engine's tables on its search path; lease_s: seconds
+    until a silent worker counts as gone.
+    """
+
+    def __init__(self, conninfo: str, lease_s: float) -> None:
+        self._conninfo = conninfo
+        self._lease_s = lease_s
+        logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # tracebacks of what is one line below
+        self._deferrer = App(connector=SyncPsycopgConnector())  # works on connections that it is lent alone
+
+    def defer(self, connection: psycopg.Connection[psycopg.rows.DictRow]) -> None:
+        """Add a token within the connection's transaction."""
+        self._deferrer.configure_task(TASK, queue=QUEUE, connection=connection).defer()
+
+    def deliver(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
+        """Call run_next for each token, and top_up every second, until stopping is requested."""
+        while not stop.requested:
+            try:
+                asyncio.run(self._serve(run_next, top_up, stop))
+            except asyncio.CancelledError:  # how _serve ends when it is to stop
+                continue
+            except (ProcrastinateException, psycopg.Error) as error:
+                log.warning("the engine is out of reach: %s", in_words(error))
+            stop.wait(PAUSE_AFTER_TROUBLE_S)
+
+    async def _serve(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
+        """Work until stopping is requested, which cancels this, or until the database is lost."""
+        # Without these it would wait for up to minutes after an outage, and when it is to stop during one.
+        connector = PsycopgConnector(
+            conninfo=self._conninfo, min_size=1, max_size=2, timeout=PATIENCE_S, reconnect_timeout=PATIENCE_S
+        )
+        app = App(connector=connector)
+        app.task(name=TASK, queue=QUEUE)(run_next)
+        # What the engine could not write down, such as the end of a token that is another worker's by now.
+        asyncio.get_running_loop().set_exception_handler(_log)
+        _cancel_on(stop)
+        async with app.open_async():
+            tidying = asyncio.create_task(self._tidy(app, top_up))
+            try:
+                await app.run_worker_async(
+                    queues=[QUEUE],
+                    install_signal_handlers=False,
+                    fetch_job_polling_interval=POLL_S,
+                    update_heartbeat_interval=self._lease_s / 3,
+                    stalled_worker_timeout=self._lease_s,
+                    delete_jobs="always",
+                )
+            finally:
+                tidying.cancel()
+
+    async def _tidy(self, app: App, top_up: Callable[[], None]) -> None:
+        """Tokens of workers that are gone go back, and rows without a token get one."""
+        while True:
+            try:
+                for token in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=self._lease_s):
+                    with contextlib.suppress(ProcrastinateException):  # another worker was quicker
+                        await app.job_manager.retry_job(token)
+                await asyncio.to_thread(top_up)
+            except ProcrastinateException as error:
+                log.warning("cannot tidy the engine: %s", in_words(error))
+            await asyncio.sleep(TIDY_S)
+
+
+def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    error = context.get("exception")
+    log.warning("the engine: %s", in_words(error) if error else context["message"])
+
+
+def in_words(error: BaseException) -> str:
+    """One line; the engine's own errors say little, their cause all."""
+    return " ".join(str(error.__cause__ or error).split())
+
+
+def _cancel_on(stop: StopSignal) -> None:
+    """Cancel the current task once stopping is requested, and again until it ends.
+
+    At the first call the engine waits for its running task, and then for the database to say goodbye to.
+    """
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    assert task is not None
+
+    def cancel() -> None:
+        loop.remove_reader(stop.fileno())
+        task.cancel()
+        loop.call_later(INSIST_S, cancel)
+
+    loop.add_reader(stop.fileno(), cancel)

@@ -1,0 +1,163 @@
+"""The job table in PostgreSQL, for workers on several machines."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import procrastinate
+import psycopg
+from procrastinate.exceptions import ProcrastinateException
+from psycopg.conninfo import conninfo_to_dict, make_conninfo
+from psycopg.rows import DictRow, dict_row
+from psycopg_pool import ConnectionPool
+
+from service.jobs.engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
+from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
+from service.jobs.interface import BackendError, JobRules
+from service.jobs.sql import WATCHED, SqlJobs
+from service.jobs.statements import OVERDUE, SCHEMA, Cursor, Database
+from service.process.stopping import StopSignal
+
+log = logging.getLogger(__name__)
+
+SCHEMA_VERSION = 1
+POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
+# The database's clock: those of several machines differ.
+EPOCH = """
+CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
+AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
+"""
+# Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
+# stopped within a transaction must not hold its locks for ever.
+SESSION = {
+    "search_path": "sgmethod,sgmethod_engine",
+    "synchronous_commit": "on",
+    "idle_in_transaction_session_timeout": "10s",
+}
+CONNECT: dict[str, str | int] = {
+    "connect_timeout": 5,
+    "keepalives_idle": 10,
+    "tcp_user_timeout": 15_000,
+    "application_name": "sgmethod",
+}
+CONNECTIONS = 8
+SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
+CLAIMABLE = f"""
+WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
+SELECT (SELECT count(*) FROM jobs LEFT JOIN busy USING (owner)
+        WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?))
+     + (SELECT count(*) FROM jobs {OVERDUE}) AS jobs
+"""
+
+
+class _Session:
+    """A connection as sql_jobs sees it."""
+
+    def __init__(self, connection: psycopg.Connection[DictRow]) -> None:
+        self.connection = connection
+
+    def execute(self, statement: str, values: Sequence[Any] = (), /) -> Cursor:
+        return self.connection.execute(statement.replace("?", "%s").encode(), values or None)
+
+
+@contextmanager
+def _translated_errors() -> Iterator[None]:
+    try:
+        yield
+    except (psycopg.Error, ProcrastinateException) as error:
+        raise BackendError(f"PostgreSQL: {in_words(error)}") from error
+
+
+class PostgresJobs(SqlJobs):
+    """JobBackend on a PostgreSQL database, which is set up when first used.
+
+    url: postgresql://user:password@host/database, or what else libpq understands.
+    """
+
+    def __init__(self, url: str, rules: JobRules) -> None:
+        super().__init__(rules)
+        with _translated_errors():
+            given = conninfo_to_dict(url).get("options") or ""
+            session = " ".join(f"-c {name}={value}" for name, value in SESSION.items())
+            conninfo = make_conninfo(url, options=f"{given} {session}", **CONNECT)
+            self._set_up(conninfo)
+        self._engine = Engine(conninfo, rules.lease_s)
+        logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # each try to reconnect is a warning
+        # Each connection is checked when it is taken, so one that a restart has broken is not used.
+        self._pool = ConnectionPool(
+            conninfo,
+            kwargs={"autocommit": True, "row_factory": dict_row},
+            min_size=1,
+            max_size=CONNECTIONS,
+            timeout=PATIENCE_S,
+            reconnect_timeout=PATIENCE_S,  # else the pauses between its tries double up to minutes
+            check=ConnectionPool.check_connection,
+            open=True,
+            connection_class=psycopg.Connection[DictRow],
+        )
+
+    @staticmethod
+    def _set_up(conninfo: str) -> None:
+        """Make the tables if there are none. Without the pool, so that a wrong address is known at once."""
+        with psycopg.connect(conninfo, row_factory=dict_row) as db:
+            db.execute("SELECT pg_advisory_xact_lock(%s)", (SET_UP_LOCK,))
+            db.execute("CREATE SCHEMA IF NOT EXISTS sgmethod")
+            db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
+            versions = {row["part"]: row["version"] for row in db.execute("SELECT * FROM version").fetchall()}
+            table = int(versions.get("jobs", 0))
+            if table > SCHEMA_VERSION:
+                raise BackendError("the database was written by a newer version of this service")
+            if table == 0:
+                db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
+            if versions.get("engine") != procrastinate.__version__:
+                # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
+                db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")
+                db.execute("CREATE SCHEMA sgmethod_engine")
+                db.execute("SET LOCAL search_path = sgmethod_engine")
+                db.execute(ENGINE_SCHEMA.encode())
+                db.execute("SET LOCAL search_path = sgmethod, sgmethod_engine")
+            for part, version in (("jobs", str(SCHEMA_VERSION)), ("engine", procrastinate.__version__)):
+                db.execute(
+                    "INSERT INTO version VALUES (%s, %s) ON CONFLICT (part) DO UPDATE SET version = excluded.version",
+                    (part, version),
+                )
+
+    @contextmanager
+    def _connection(self) -> Iterator[_Session]:
+        with _translated_errors(), self._pool.connection() as db:
+            yield _Session(db)
+
+    @contextmanager
+    def _transaction(self) -> Iterator[_Session]:
+        with self._connection() as db, db.connection.transaction():
+            yield db
+
+    def _alone(self, db: Database) -> None:
+        db.execute("SELECT pg_advisory_xact_lock(?)", (QUEUE_LOCK,))
+
+    def _wake(self, db: Database) -> None:
+        assert isinstance(db, _Session)
+        self._engine.defer(db.connection)
+
+    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        self._engine.deliver(run_next, self._top_up, stop)
+
+    def _top_up(self) -> None:
+        """As many tokens as there are rows that a worker would find something to do about."""
+        limit, lease_s = self._rules.max_running_per_owner, self._rules.lease_s
+        try:
+            with self._transaction() as db:
+                if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
+                    return  # another worker is at it
+                rows = db.execute(CLAIMABLE, (limit, limit, WATCHED * lease_s, lease_s)).fetchone()["jobs"]
+                tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
+                for _ in range(rows - tokens):
+                    self._wake(db)
+        except BackendError as error:
+            log.warning("cannot top up the engine: %s", error)
+
+    def close(self) -> None:
+        self._pool.close()

@@ -1,0 +1,289 @@
+"""The job table, whichever database it is in.
+
+What differs (connections, transactions, how waiting workers hear of a job) is in sqlite_jobs.py and
+postgres_jobs.py.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, fields
+from typing import Any, TypeVar
+
+from service.jobs.interface import (
+    JOB_STATES,
+    Census,
+    Claim,
+    EncodeRequest,
+    EncodeResult,
+    Job,
+    JobError,
+    JobRules,
+    JsonObject,
+    KeyReusedError,
+    NewJob,
+    OwnQueueFullError,
+    QueueFullError,
+    SourceImage,
+)
+from service.jobs.statements import (
+    CLAIM,
+    CRASH,
+    LOST,
+    MINE,
+    OVERDUE,
+    SELECT_JOB,
+    SELECT_JOBS,
+    SERVED,
+    TRACE_POINT,
+    Database,
+)
+from service.storage.disk import bitstream_key, source_key
+
+WORKER_LOST = JobError("crashed", "the worker of this job was lost")
+NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
+# When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
+WATCHED = 1 / 2
+
+T = TypeVar("T")
+
+
+def _job(row: Any) -> Job:
+    result, error = row["result"], row["error"]
+    return Job(
+        number=row["number"],
+        id=row["id"],
+        owner=row["owner"] or None,
+        priority=row["priority"],
+        state=row["state"],
+        position=row["position"],
+        request=_known(EncodeRequest, row["request"]),
+        image=_known(SourceImage, row["image"]),
+        attempt=row["attempt"],
+        crashes=row["crashes"],
+        created_at=row["created_at"],
+        started_at=row["started_at"],
+        finished_at=row["finished_at"],
+        result=_known(EncodeResult, result) if result else None,
+        error=_known(JobError, error) if error else None,
+    )
+
+
+def _known(kind: type[T], text: str) -> T:
+    """A dataclass from its JSON; what a later version of this service has added is left out."""
+    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
+    return kind(**{name: value for name, value in json.loads(text).items() if name in names})
+
+
+def _queued(db: Database, owner: str | None = None) -> int:
+    """How many jobs wait, of one owner or of all."""
+    query = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
+    return int(db.execute(query, (owner,)).fetchone()["jobs"])
+
+
+def _json(value: Any) -> str:
+    return json.dumps(asdict(value))
+
+
+class SqlJobs(ABC):
+    """All of JobBackend but delivery and closing, on whatever connections a subclass provides."""
+
+    def __init__(self, rules: JobRules) -> None:
+        self._rules = rules
+        self._overdue: dict[tuple[int, int, float], float] = {}  # claims, and since when (monotonic seconds)
+
+    @abstractmethod
+    def _connection(self) -> AbstractContextManager[Database]:
+        """A connection for reading. Within, the database's errors become BackendError."""
+
+    @abstractmethod
+    def _transaction(self) -> AbstractContextManager[Database]:
+        """A connection for changes, which all are on disk at the end, or none on an error."""
+
+    @abstractmethod
+    def _alone(self, db: Database) -> None:
+        """Until this transaction ends, no other may accept or claim jobs: what was counted stays true."""
+
+    @abstractmethod
+    def _wake(self, db: Database) -> None:
+        """This transaction puts a job into the queue: let a worker know once it is committed."""
+
+    def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
+        with self._transaction() as db:
+            self._alone(db)
+            if job.idempotency_key is not None:
+                query = SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
+                first = db.execute(query, (job.owner or "", job.idempotency_key)).fetchone()
+                if first is not None:
+                    if first["fingerprint"] != job.fingerprint:
+                        raise KeyReusedError(job.idempotency_key)
+                    return _job(first), False
+            if _queued(db) >= queue_length:
+                raise QueueFullError
+            if own_queue_length and _queued(db, job.owner or "") >= own_queue_length:
+                raise OwnQueueFullError
+            db.execute(
+                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, created_at)"
+                " VALUES (?, ?, ?, ?, ?, ?, ?, epoch())",
+                (
+                    *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
+                    *(_json(job.request), _json(job.image)),
+                ),
+            )
+            self._wake(db)
+            return _job(db.execute(SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
+
+    def find_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+        return self._one("WHERE owner = ? AND idempotency_key = ?", owner or "", idempotency_key)
+
+    def get(self, job_id: str, owner: str | None = None) -> Job | None:
+        return self._one("WHERE id = ? AND owner = coalesce(?, owner)", job_id, owner)
+
+    def _one(self, condition: str, *values: str | None) -> Job | None:
+        with self._connection() as db:
+            row = db.execute(SELECT_JOB + condition, values).fetchone()
+        return None if row is None else _job(row)
+
+    def queued(self, owner: str | None = None) -> int:
+        with self._connection() as db:
+            return _queued(db, owner)
+
+    def census(self) -> Census:
+        with self._connection() as db:
+            rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
+            ages = db.execute(
+                "SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting,"
+                " epoch() - (SELECT max(at) FROM served) AS claimed,"
+                " epoch() - (SELECT max(lease_until) FROM jobs) AS lease_over"
+            ).fetchone()
+        counts = {row["state"]: row["jobs"] for row in rows}
+        jobs = {state: counts.get(state, 0) for state in JOB_STATES}
+        # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
+        lease_over = ages["lease_over"]
+        alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
+        return Census(jobs, ages["waiting"], min((age for age in alive if age is not None), default=None))
+
+    def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
+        conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner}
+        chosen = {condition: value for condition, value in conditions.items() if value is not None}
+        where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
+        query = f"{SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
+        with self._connection() as db:
+            return [_job(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
+
+    def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+        query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
+        with self._connection() as db:
+            return [json.loads(row["point"]) for row in db.execute(query, (job_id, first)).fetchall()]
+
+    def remove(self, job_id: str) -> Job | None:
+        with self._transaction() as db:
+            row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *, NULL AS position", (job_id,)).fetchone()
+        return None if row is None else _job(row)
+
+    def reconcile(self) -> list[Job]:
+        lost = self._lost_claims()
+        if not lost:
+            return []
+        error, most = _json(WORKER_LOST), self._rules.max_attempts
+        statement = f"UPDATE jobs SET {CRASH} {LOST} RETURNING *, NULL AS position"
+        with self._transaction() as db:
+            rows = [db.execute(statement, (error, most, most, *claim)).fetchone() for claim in lost]
+            jobs = [_job(row) for row in rows if row is not None]
+            for job in jobs:
+                if job.state == "queued":
+                    self._wake(db)
+        return [job for job in jobs if job.state == "failed"]
+
+    def _lost_claims(self) -> list[tuple[int, int, float]]:
+        """Claims that are overdue, and have been watched for as long as a lease allows.
+
+        One look is not enough: clocks jump, and at the end of an outage of the database every lease is over. A worker
+        that lives renews its own meanwhile.
+        """
+        watched_s = WATCHED * self._rules.lease_s
+        query = f"SELECT number, attempt, lease_until FROM jobs {OVERDUE}"
+        with self._connection() as db:
+            rows = db.execute(query, (watched_s, self._rules.lease_s)).fetchall()
+        now = time.monotonic()
+        claims = [(row["number"], row["attempt"], row["lease_until"]) for row in rows]
+        self._overdue = {claim: self._overdue.get(claim, now) for claim in claims}
+        return [claim for claim, since in self._overdue.items() if now - since >= watched_s]
+
+    def claim(self, worker: str) -> Claim | None:
+        if self.queued() == 0:  # asked several times a second: look before taking a lock
+            return None
+        limit = self._rules.max_running_per_owner
+        with self._transaction() as db:
+            self._alone(db)
+            row = db.execute(CLAIM, (worker, self._rules.lease_s, limit, limit)).fetchone()
+            if row is None:
+                return None
+            db.execute(SERVED, (row["number"],))
+            db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
+            try:
+                return Claim(row["id"], row["attempt"], EncodeRequest(**json.loads(row["request"])))
+            except TypeError:  # to leave out what is not understood would encode something else
+                self._crash(db, row["id"], row["attempt"], NOT_UNDERSTOOD)
+                return None
+
+    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
+        with self._transaction() as db:
+            if not self._change(db, claim, "lease_until = epoch() + ?", self._rules.lease_s):
+                return False
+            for place, point in enumerate(points, first):
+                db.execute(TRACE_POINT, (place, json.dumps(point), claim.job_id))
+            return True
+
+    def finish(self, claim: Claim, result: EncodeResult) -> bool:
+        text = _json(result)
+        with self._transaction() as db:
+            if self._change(db, claim, "state = 'done', result = ?, error = NULL, finished_at = epoch()", text):
+                return True
+            # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
+            row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
+            return row is not None and row["result"] == text
+
+    def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
+        with self._transaction() as db:
+            if not retry:
+                return self._change(db, claim, "state = 'failed', error = ?, finished_at = epoch()", _json(error))
+            return self._crash(db, claim.job_id, claim.attempt, error)
+
+    def _crash(self, db: Database, job_id: str, attempt: int, error: JobError) -> bool:
+        most = self._rules.max_attempts
+        values = (_json(error), most, most, job_id, attempt)
+        mine = db.execute(f"UPDATE jobs SET {CRASH} {MINE}", values).rowcount == 1
+        if mine:
+            self._wake(db)  # in vain if the job has failed, which does no harm
+        return mine
+
+    def release(self, claim: Claim) -> bool:
+        with self._transaction() as db:
+            mine = self._change(db, claim, "state = 'queued', started_at = NULL")
+            if mine:
+                self._wake(db)
+            return mine
+
+    @staticmethod
+    def _change(db: Database, claim: Claim, assignments: str, *values: Any) -> bool:
+        """Update the claimed job under its fencing token; False if the token is stale."""
+        statement = f"UPDATE jobs SET {assignments} {MINE}"
+        return db.execute(statement, (*values, claim.job_id, claim.attempt)).rowcount == 1
+
+    def live_keys(self) -> set[str]:
+        with self._connection() as db:
+            rows = db.execute("SELECT id, state, attempt, result FROM jobs").fetchall()
+        waiting = {source_key(row["id"]) for row in rows if row["state"] in ("queued", "running")}
+        unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
+        done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
+        return waiting | unpublished | done
+
+    def finished(self, older_than_s: float) -> list[Job]:
+        condition = "WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
+        with self._connection() as db:
+            return [_job(row) for row in db.execute(SELECT_JOB + condition, (older_than_s,)).fetchall()]

@@ -1,0 +1,140 @@
+"""The job table in SQLite: one file, one machine, nothing to install."""
+
+from __future__ import annotations
+
+import queue
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from service.jobs.interface import BackendError, JobRules
+from service.jobs.sql import SqlJobs
+from service.jobs.statements import SCHEMA, Database
+from service.process.stopping import StopSignal
+
+BUSY_TIMEOUT_S = 30.0
+POLL_S = 0.2
+SCHEMA_VERSION = 2
+SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
+# From version 1, which knew no owners: new tables, filled from the old ones.
+UPGRADE_FROM_1 = f"""
+DROP INDEX jobs_by_state;
+ALTER TABLE trace RENAME TO trace_1;
+ALTER TABLE jobs RENAME TO jobs_1;
+{SQLITE_SCHEMA}
+INSERT INTO jobs (number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
+    lease_until, created_at, started_at, finished_at, result, error)
+SELECT number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
+    lease_until, created_at, started_at, finished_at, result, error FROM jobs_1;
+INSERT INTO trace SELECT job, place, point FROM trace_1;
+DROP TABLE trace_1;
+DROP TABLE jobs_1;
+"""
+SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1}
+
+
+class SqliteJobs(SqlJobs):
+    """JobBackend on one SQLite file in WAL mode, every commit synced to disk."""
+
+    def __init__(self, path: Path, rules: JobRules) -> None:
+        super().__init__(rules)
+        self._path = path
+        self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
+        path.touch(mode=0o600)
+        self._file = self._identity()
+        self._set_up()
+
+    def _set_up(self) -> None:
+        """Make the tables if there are none, or bring them up to date."""
+        with self._transaction() as db:
+            version = db.execute("PRAGMA user_version").fetchone()[0]
+            if version > SCHEMA_VERSION:
+                raise BackendError(f"{self._path} was written by a newer version of this service")
+            if version < SCHEMA_VERSION:
+                for statement in SCRIPTS[version].split(";")[:-1]:
+                    db.execute(statement)
+                db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+    def _identity(self) -> tuple[int, int]:
+        """Which file is at the path. Raises BackendError if there is none: SQLite would make an empty one."""
+        try:
+            found = self._path.stat()
+        except OSError as error:
+            raise BackendError(f"{self._path}: {error.strerror}") from error
+        return found.st_dev, found.st_ino
+
+    def _follow_file(self) -> None:
+        """Let go of a file that was removed or replaced: what is written to it would be lost with its last reader."""
+        file = self._identity()
+        if file != self._file:
+            self.close()
+            self._file, self._idle = file, queue.LifoQueue()
+            self._set_up()
+
+    def _connect(self) -> sqlite3.Connection:
+        # A connection serves one thread at a time, though not always the same one.
+        db = sqlite3.connect(self._path, BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
+        db.row_factory = sqlite3.Row
+        try:
+            db.execute("PRAGMA journal_mode = WAL")
+            db.execute("PRAGMA synchronous = FULL")
+            db.execute("PRAGMA foreign_keys = ON")
+            db.create_function("epoch", 0, time.time)
+        except sqlite3.Error:
+            db.close()
+            raise
+        return db
+
+    @contextmanager
+    def _connection(self) -> Iterator[sqlite3.Connection]:
+        """After an SQLite error the connection is thrown away, so the next try is fresh."""
+        self._follow_file()
+        idle, db = self._idle, None
+        try:
+            try:
+                db = idle.get_nowait()
+            except queue.Empty:
+                db = self._connect()
+            yield db
+        except sqlite3.Error as error:
+            if db is not None:
+                db.close()
+            raise BackendError(f"{self._path}: {error}") from error
+        except BaseException:
+            if db is not None:
+                idle.put(db)
+            raise
+        idle.put(db)
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        """It holds the write lock from the start, so no transaction fails half-way."""
+        with self._connection() as db:
+            db.execute("BEGIN IMMEDIATE")
+            try:
+                yield db
+                db.execute("COMMIT")
+            except BaseException:
+                if db.in_transaction:
+                    db.execute("ROLLBACK")
+                raise
+
+    def _alone(self, db: Database) -> None:
+        """Every transaction is."""
+
+    def _wake(self, db: Database) -> None:
+        """Workers look often enough by themselves."""
+
+    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        while not stop.requested:
+            if not run_next():
+                stop.wait(POLL_S)
+
+    def close(self) -> None:
+        while True:
+            try:
+                self._idle.get_nowait().close()
+            except queue.Empty:
+                return

@@ -1,0 +1,100 @@
+"""Starts the web process and the workers, replaces those that die, and stops them all together.
+
+The supervisor opens the listening socket and lends it to the web process: while a dead web process is being
+replaced, connections wait in the socket's queue and are not refused.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+
+from service.process.lifeline import Lifeline
+from service.process.stopping import StopSignal
+from service.settings import Settings
+
+log = logging.getLogger(__name__)
+
+WATCH_S = 0.1
+FIRST_PAUSE_S = 0.2
+LONGEST_PAUSE_S = 10.0
+STEADY_AFTER_S = 10.0  # a process that lived so long did not die of its start
+
+
+class Supervised:
+    """One process that is to run; when it dies it is started anew, ever more slowly if it keeps dying."""
+
+    def __init__(self, name: str, arguments: Sequence[str], descriptors: Sequence[int]) -> None:
+        self.name = name
+        self._command = [sys.executable, "-m", "service", *arguments]
+        self._descriptors = descriptors
+        self._pause_s = FIRST_PAUSE_S
+        self._start()
+
+    def _start(self) -> None:
+        self._started = time.monotonic()
+        # A group of its own: Ctrl-C reaches the supervisor alone, which stops everything in order.
+        self.process = subprocess.Popen(self._command, pass_fds=self._descriptors, process_group=0)
+        self._restart_at: float | None = None
+
+    def keep_alive(self) -> None:
+        """Start the process again if it is dead and its pause is over."""
+        now = time.monotonic()
+        if self._restart_at is not None:
+            if now >= self._restart_at:
+                self._try_to_start()
+            return
+        status = self.process.poll()
+        if status is not None:
+            self._start_later(f"ended ({status})")
+
+    def _try_to_start(self) -> None:
+        try:
+            self._start()
+        except OSError as error:  # as when the system has no memory or no process to spare
+            self._start_later(f"cannot be started: {error}")
+
+    def _start_later(self, why: str) -> None:
+        now = time.monotonic()
+        steady = now - self._started > STEADY_AFTER_S
+        self._pause_s = FIRST_PAUSE_S if steady else min(2 * self._pause_s, LONGEST_PAUSE_S)
+        self._restart_at = now + self._pause_s
+        log.error("%s %s; next try in %.1f s", self.name, why, self._pause_s)
+
+    def terminate(self) -> None:
+        """Ask the process to stop."""
+        self.process.terminate()
+
+    def stop(self, deadline: float) -> None:
+        """Wait for the end until deadline (monotonic seconds), then force it."""
+        try:
+            self.process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            log.error("%s did not stop in time and is killed", self.name)
+            self.process.kill()
+            self.process.wait()
+
+
+def supervise(settings: Settings, listener: socket.socket, stop: StopSignal) -> None:
+    """Run web process and workers until stopping is requested; when this returns all of them have ended."""
+    lifeline = Lifeline()
+    watched = ["--lifeline", str(lifeline.read_end)]
+    web = ["web", "--socket", str(listener.fileno()), *watched]
+    processes = [Supervised("web process", web, (lifeline.read_end, listener.fileno()))]
+    for number in range(1, settings.workers + 1):
+        processes.append(Supervised(f"worker {number}", ["worker", *watched], (lifeline.read_end,)))
+    while not stop.wait(WATCH_S):
+        for process in processes:
+            process.keep_alive()
+    log.info("stopping")
+    listener.close()
+    for process in processes:
+        process.terminate()
+    deadline = time.monotonic() + settings.stop_grace_s
+    for process in processes:
+        process.stop(deadline)
+    lifeline.close()

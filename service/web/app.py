@@ -1,0 +1,103 @@
+"""The web application: its parts, its routes, and what stands around them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from anyio import CapacityLimiter
+from fastapi import FastAPI, Security
+from fastapi.security import HTTPBearer
+from starlette.responses import FileResponse
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from service.backends import open_backend, open_storage
+from service.keys import KeyRing, RateLimit
+from service.settings import Settings
+from service.web.guards.gate import Gate
+from service.web.guards.metrics import RequestMetrics
+from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, Outflow, ResponseHeaders
+from service.web.guards.problems import install_problem_handlers, problems
+from service.web.routes import events as event_routes
+from service.web.routes import health as health_routes
+from service.web.routes import jobs as job_routes
+from service.web.routes import pictures as picture_routes
+from service.web.routes.decoding import PictureCache, PictureDecoder
+from service.web.routes.health import VERSION
+from service.web.routes.parts import Parts
+from service.web.routes.submission import MULTIPART_OVERHEAD_BYTES
+
+STATIC = Path(__file__).with_name("static")
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self';"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+UPLOADS_IN_MEMORY = 4
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    parts: Parts = app.state.parts
+    yield
+    parts.backend.close()
+
+
+def _body_limits(settings: Settings) -> BodyLimits:
+    return BodyLimits(
+        settings.max_upload_bytes + MULTIPART_OVERHEAD_BYTES,
+        settings.body_chunk_timeout_s,
+        settings.body_timeout_s,
+        settings.min_upload_rate,
+        settings.max_uploads,
+    )
+
+
+def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASGIApp:
+    """The application with its middleware, ready for a server; stopping tells it that the server is to stop.
+
+    Raises BackendError, OSError.
+    """
+    app = FastAPI(
+        title="sgmethod",
+        version=VERSION,
+        description="Photographs to small sets of 2D Gaussians and back.",
+        lifespan=_lifespan,
+        docs_url=None,  # both pages load scripts from elsewhere
+        redoc_url=None,
+        redirect_slashes=False,  # it would repeat whatever host the client named
+    )
+    parts = app.state.parts = Parts(
+        settings,
+        open_backend(settings),
+        open_storage(settings),
+        PictureDecoder(settings.max_decodes, settings.max_waiting_decodes),
+        PictureCache(settings.decode_cache_bytes),
+        CapacityLimiter(UPLOADS_IN_MEMORY),
+        CapacityLimiter(settings.max_event_streams),
+        Outflow(settings.max_answer_bytes),
+        stopping or asyncio.Event(),
+    )
+    install_problem_handlers(app)
+    app.include_router(health_routes.router)
+    keys = KeyRing(settings.key_names)
+    # The gate does the work; this is how the document says so.
+    security = [Security(HTTPBearer(auto_error=False))] if keys else []
+    refusals = problems(401, 429) if keys else {}
+    for routes in (job_routes, event_routes, picture_routes):
+        app.include_router(routes.router, dependencies=security, responses=refusals)
+    app.mount("/static", StaticFiles(directory=STATIC))
+
+    @app.head("/", include_in_schema=False)
+    @app.get("/", include_in_schema=False)
+    async def page() -> FileResponse:
+        """The page on which a person can try the service."""
+        return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": PAGE_POLICY})
+
+    # From the inside out, and outside of FastAPI, whose answer to an unexpected error passes by its own middleware.
+    secret = settings.link_secret.get_secret_value()
+    gate = Gate(app, keys, RateLimit(settings.key_request_rate), secret)
+    guarded = BodyGuard(gate, _body_limits(settings))
+    return AnswerGuard(ResponseHeaders(RequestMetrics(guarded, parts.metrics)), parts.outflow)

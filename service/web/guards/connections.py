@@ -1,0 +1,152 @@
+"""Limits on connections and on the heads of requests, which the server itself does not set."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+from dataclasses import dataclass
+from http import HTTPStatus
+from typing import Any
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from service.web.guards.problems import MEDIA_TYPE, ProblemError, problem_document
+
+BETWEEN_REQUESTS, IN_HEAD, IN_BODY = range(3)
+
+
+@dataclass(frozen=True)
+class ConnectionLimits:
+    """most: connections at once; head_bytes, head_timeout_s: of a request line with its headers;
+    send_timeout_s: for how long a client may leave an answer, or a piece of a large one, untaken.
+    """
+
+    most: int
+    head_bytes: int
+    head_timeout_s: float
+    send_timeout_s: float
+
+
+def limited_connections(limits: ConnectionLimits) -> type[asyncio.Protocol]:
+    """The protocol for uvicorn."""
+
+    class LimitedConnection(_Connection):
+        LIMITS = limits
+
+    return LimitedConnection
+
+
+class _Connection(HttpToolsProtocol):
+    LIMITS: ConnectionLimits
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._place = BETWEEN_REQUESTS
+        self._head_bytes = 0
+        self._head_timer: asyncio.TimerHandle | None = None
+        self._send_timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        if len(self.connections) > self.LIMITS.most:
+            self._refuse(ProblemError(503, "there are too many connections"))
+            return
+        # The system ends a connection whose peer acknowledges nothing or keeps its window shut for so long: what the
+        # system has taken over of an answer is out of sight here.
+        raw = transport.get_extra_info("socket")
+        if raw is not None and raw.family != socket.AF_UNIX:
+            milliseconds = int(1000 * self.LIMITS.send_timeout_s)
+            raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
+        self._start_timer()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._stop_timer()
+        super().connection_lost(exc)  # which resumes writing
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._send_timer = self.loop.call_later(self.LIMITS.send_timeout_s, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        if self._send_timer is not None:
+            self._send_timer.cancel()
+            self._send_timer = None
+        super().resume_writing()
+
+    def data_received(self, data: bytes) -> None:
+        if self.transport.is_closing():
+            return
+        if self._place == BETWEEN_REQUESTS and not data.strip(b"\r\n"):
+            return  # allowed between requests, and must not count as a sign of life
+        super().data_received(data)
+        if self._place == IN_HEAD:
+            self._count(len(data))
+
+    def on_message_begin(self) -> None:
+        super().on_message_begin()
+        self._place, self._head_bytes = IN_HEAD, 0
+        if self._head_timer is None:
+            self._start_timer()
+
+    def on_url(self, url: bytes) -> None:
+        super().on_url(url)
+        self._count(len(url))
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        super().on_header(name, value)
+        self._count(len(name) + len(value))
+
+    def on_headers_complete(self) -> None:
+        self._stop_timer()
+        self._place = IN_BODY
+        if not self.transport.is_closing():
+            super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        if not self.transport.is_closing():
+            super().on_body(body)
+
+    def on_message_complete(self) -> None:
+        self._place = BETWEEN_REQUESTS
+        if not self.transport.is_closing():
+            super().on_message_complete()
+
+    def send_400_response(self, msg: str) -> None:
+        del msg
+        if not self.transport.is_closing():
+            self._refuse(ProblemError(400, "this is not HTTP/1.1"))
+
+    def _count(self, head_bytes: int) -> None:
+        self._head_bytes += head_bytes
+        if self._head_bytes > self.LIMITS.head_bytes and not self.transport.is_closing():
+            limit = f"the request line and headers are larger than {self.LIMITS.head_bytes} bytes"
+            self._refuse(ProblemError(431, limit))
+
+    def _start_timer(self) -> None:
+        self._head_timer = self.loop.call_later(self.LIMITS.head_timeout_s, self._head_is_late)
+
+    def _stop_timer(self) -> None:
+        if self._head_timer is not None:
+            self._head_timer.cancel()
+            self._head_timer = None
+
+    def _head_is_late(self) -> None:
+        self._head_timer = None
+        if self._place == IN_HEAD:
+            self._refuse(ProblemError(408, "the headers came too slowly"))
+        else:
+            self.transport.close()
+
+    def _refuse(self, problem: ProblemError) -> None:
+        """Close, with an answer unless one to an earlier request is still on its way."""
+        if self.cycle is not None and not self.cycle.response_complete:
+            self.transport.close()
+            return
+        body = json.dumps(problem_document(problem)).encode()
+        head = (
+            f"HTTP/1.1 {problem.status} {HTTPStatus(problem.status).phrase}\r\nContent-Type: {MEDIA_TYPE}\r\n"
+            f"Content-Length: {len(body)}\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n"
+        )
+        self.transport.write(head.encode() + body)
+        self.transport.close()

@@ -1,0 +1,82 @@
+"""Who calls, and whether they may: answered before a byte of the body is read."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from dataclasses import dataclass
+from urllib.parse import parse_qs
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.keys import KeyRing, Link, RateLimit
+from service.web.guards.problems import ProblemError, problem_response
+
+# A page must load before a person can give it a key, and probes have none.
+OPEN_PATHS = frozenset({"/", "/healthz", "/livez", "/readyz", "/openapi.json"})
+OPEN_PREFIX = "/static/"
+CHALLENGE = {"WWW-Authenticate": "Bearer"}
+
+_LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})\.[a-z]{2,4}")
+
+
+@dataclass(frozen=True)
+class Caller:
+    """owner: whose key came with the request; linked_job: the one job that a link lets its bearer read.
+
+    Both are None where the service has no keys, and everything is everyone's.
+    """
+
+    owner: str | None = None
+    linked_job: str | None = None
+
+
+class Gate:
+    """Middleware: finds out who calls, for the routes to use, or answers 401 or 429 itself."""
+
+    def __init__(self, app: ASGIApp, keys: KeyRing, rate: RateLimit, link_secret: str) -> None:
+        self._app = app
+        self._keys = keys
+        self._rate = rate
+        self._link_secret = link_secret
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            try:
+                scope.setdefault("state", {})["caller"] = self._caller(scope)
+            except ProblemError as problem:
+                await problem_response(problem)(scope, receive, send)
+                return
+        await self._app(scope, receive, send)
+
+    def _caller(self, scope: Scope) -> Caller:
+        path = scope["path"]
+        if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
+            return Caller()
+        scheme, _, key = Headers(scope=scope).get("authorization", "").partition(" ")
+        caller = self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope)
+        wait_s = self._rate.wait_s(caller.owner or f"link to {caller.linked_job}")
+        if wait_s > 0:
+            raise ProblemError(429, "too many requests", headers={"Retry-After": str(math.ceil(wait_s))})
+        return caller
+
+    def _key_bearer(self, scheme: str, key: str) -> Caller:
+        owner = self._keys.owner_of(key) if scheme.lower() == "bearer" else None
+        if owner is None:
+            raise ProblemError(401, "this API key is not known", headers=CHALLENGE)
+        return Caller(owner)
+
+    def _link_bearer(self, scope: Scope) -> Caller:
+        match = _LINKED_PATH.fullmatch(scope["path"])
+        query = parse_qs(scope["query_string"].decode("latin-1"))
+        expires, signature = (query.get(name, [""])[0] for name in ("expires", "signature"))
+        if match is None or not signature or not self._link_secret or scope["method"] not in ("GET", "HEAD"):
+            raise ProblemError(401, "an API key is needed: Authorization: Bearer KEY", headers=CHALLENGE)
+        link = Link(match[1], match[2], int(expires) if re.fullmatch(r"[0-9]{1,12}", expires, re.ASCII) else 0)
+        if not link.is_signed(self._link_secret, signature):
+            raise ProblemError(401, "this link was not made here, or has been altered", headers=CHALLENGE)
+        if link.expires < time.time():
+            raise ProblemError(401, "this link has expired", headers=CHALLENGE)
+        return Caller(linked_job=link.job_id)

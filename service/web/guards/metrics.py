@@ -1,0 +1,82 @@
+"""What Prometheus may read: requests as they pass, decodes, and the job table at the moment of asking."""
+
+from __future__ import annotations
+
+import time
+
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.jobs.interface import Census
+
+METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
+BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
+
+
+class Metrics:
+    """The figures of one web process."""
+
+    def __init__(self) -> None:
+        self._registry = registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        names = ("method", "route", "status")
+        self.requests = Counter("sgmethod_requests", "Requests answered.", names, registry=registry)
+        self.seconds = Histogram(
+            "sgmethod_request_seconds",
+            "From the head of a request to the head of its answer.",
+            ("route",),
+            buckets=BUCKETS_S,
+            registry=registry,
+        )
+        self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
+        self.decode_seconds = Histogram(
+            "sgmethod_decode_seconds",
+            "Drawing a picture, with the wait for a thread.",
+            buckets=BUCKETS_S,
+            registry=registry,
+        )
+        self.cache = Counter("sgmethod_decode_cache", "Pictures looked for in memory.", ("found",), registry=registry)
+        self.cache_bytes = Gauge("sgmethod_decode_cache_bytes", "Bytes of pictures in memory.", registry=registry)
+        self._jobs = Gauge("sgmethod_jobs", "Jobs in the table.", ("state",), registry=registry)
+        self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
+        self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
+        self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
+
+    def observe(self, census: Census | None) -> None:
+        """Take over the job table's figures; None if it does not answer."""
+        self._table.set(census is not None)
+        if census is None:
+            return
+        for state, count in census.jobs.items():
+            self._jobs.labels(state).set(count)
+        self._waiting.set(census.waiting_s or 0.0)
+        self._silence.set(max(0.0, census.silent_s or 0.0))
+
+    def text(self) -> bytes:
+        """Everything, in Prometheus's text format."""
+        return generate_latest(self._registry)
+
+
+class RequestMetrics:
+    """Middleware: counts and times requests, by the route that took them."""
+
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app = app
+        self._metrics = metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        started = time.perf_counter()
+
+        async def note(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                # Labels come from sets of ours; what a client makes up must not fill the memory.
+                route = getattr(scope.get("route"), "path", "none")
+                method = scope["method"] if scope["method"] in METHODS else "other"
+                self._metrics.requests.labels(method, route, message["status"]).inc()
+                self._metrics.seconds.labels(route).observe(time.perf_counter() - started)
+            await send(message)
+
+        await self._app(scope, receive, note)

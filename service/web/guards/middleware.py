@@ -1,0 +1,192 @@
+"""What stands before the application: limits on the bodies of requests and answers, and headers on every answer.
+
+No server limits how large or how slow a body may be, and a framework reads the whole of it before it
+looks at anything else; so both limits hold here, while the bytes come in. Nor does one limit how much waits in memory
+for clients that are slow to take it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from dataclasses import dataclass
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.web.guards.problems import ProblemError
+
+# A connection that is closed while its client still writes is reset, and the client never sees the
+# answer. So after an early answer the rest of the body is read and dropped, for a while.
+LINGER_S = 2.0
+RETRY_AFTER_S = "5"
+PIECE_BYTES = 1 << 18  # of an answer that are handed over at once
+
+STRICT_POLICY = "default-src 'none'; frame-ancestors 'none'"
+RESPONSE_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": STRICT_POLICY,
+}
+
+
+@dataclass(frozen=True)
+class BodyLimits:
+    """Of one request body: bytes, seconds between two chunks, seconds for all, bytes a second on average
+    (with one chunk's seconds on top); and how many bodies may come in at once.
+    """
+
+    max_bytes: int
+    chunk_timeout_s: float
+    timeout_s: float
+    min_rate: int
+    most: int
+
+
+class BodyGuard:
+    """Middleware: reading a body beyond the limits raises ProblemError 413, 408 or 503 in the application."""
+
+    def __init__(self, app: ASGIApp, limits: BodyLimits) -> None:
+        self._app = app
+        self._limits = limits
+        self._coming_in: set[_Exchange] = set()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        exchange = _Exchange(Headers(scope=scope), self._limits, receive, send, self._coming_in)
+        try:
+            await self._app(scope, exchange.receive, exchange.send)
+        finally:
+            self._coming_in.discard(exchange)
+
+
+class _Exchange:
+    """One request and its answer; coming_in holds those whose bodies are being read."""
+
+    def __init__(
+        self, headers: Headers, limits: BodyLimits, receive: Receive, send: Send, coming_in: set[_Exchange]
+    ) -> None:
+        length = headers.get("content-length", "0")
+        self._declared = int(length) if length.isdecimal() else 0
+        self._unread = self._declared > 0 or "transfer-encoding" in headers
+        self._limits = limits
+        self._receive = receive
+        self._send = send
+        self._bytes = 0
+        self._started: float | None = None
+        self._coming_in = coming_in
+
+    async def receive(self) -> Message:
+        if not self._unread:
+            return await self._receive()
+        if self._declared > self._limits.max_bytes:
+            raise self._too_large()
+        if self not in self._coming_in and len(self._coming_in) >= self._limits.most:
+            raise ProblemError(503, "too many uploads are under way", headers={"Retry-After": RETRY_AFTER_S})
+        self._coming_in.add(self)
+        message = await self._in_time()
+        self._bytes += len(message.get("body", b""))
+        self._unread = message.get("more_body", False)
+        if not self._unread:
+            self._coming_in.discard(self)
+        if self._bytes > self._limits.max_bytes:
+            raise self._too_large()
+        return message
+
+    async def _in_time(self) -> Message:
+        now = time.monotonic()
+        if self._started is None:
+            self._started = now
+        limits = self._limits
+        allowed_s = min(limits.timeout_s, limits.chunk_timeout_s + self._bytes / limits.min_rate)
+        timeout_s = min(limits.chunk_timeout_s, self._started + allowed_s - now)
+        try:
+            return await asyncio.wait_for(self._receive(), timeout_s)
+        except TimeoutError:
+            raise ProblemError(408, "the body came too slowly") from None
+
+    def _too_large(self) -> ProblemError:
+        limit = self._limits.max_bytes
+        return ProblemError(413, f"the body is larger than {limit} bytes", max_bytes=limit)
+
+    async def send(self, message: Message) -> None:
+        if not self._unread:
+            await self._send(message)
+            return
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(raw=list(message["headers"]))
+            headers["Connection"] = "close"
+            await self._send({**message, "headers": headers.raw})
+        elif message.get("more_body", False):
+            await self._send(message)
+        else:
+            await self._send({**message, "more_body": True})
+            await self._linger()
+            await self._send({"type": "http.response.body", "body": b"", "more_body": False})
+
+    async def _linger(self) -> None:
+        try:
+            async with asyncio.timeout(LINGER_S):
+                while self._unread:
+                    message = await self._receive()
+                    self._unread = message.get("more_body", False)
+        except TimeoutError:
+            return
+
+
+class Outflow:
+    """What is on its way to clients, in bytes, and how much that may be before there are no more pictures."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self.bytes = 0
+
+    def check(self) -> None:
+        """Raises ProblemError 503 if clients have too much to take already."""
+        if self.bytes > self._max_bytes:
+            detail = "too many pictures are on their way to clients"
+            raise ProblemError(503, detail, headers={"Retry-After": RETRY_AFTER_S})
+
+
+class AnswerGuard:
+    """Middleware: hands large answers over piece by piece, as fast as clients take them, and counts what is left."""
+
+    def __init__(self, app: ASGIApp, outflow: Outflow) -> None:
+        self._app = app
+        self._outflow = outflow
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_in_pieces(message: Message) -> None:
+            body = message.get("body", b"")
+            if len(body) <= PIECE_BYTES:
+                await send(message)
+                return
+            self._outflow.bytes += len(body)
+            try:
+                for start in range(0, len(body), PIECE_BYTES):
+                    more = start + PIECE_BYTES < len(body) or message.get("more_body", False)
+                    await send({**message, "body": body[start : start + PIECE_BYTES], "more_body": more})
+            finally:
+                self._outflow.bytes -= len(body)
+
+        await self._app(scope, receive, send_in_pieces)
+
+
+class ResponseHeaders:
+    """Middleware: RESPONSE_HEADERS on every answer that does not set them itself."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(raw=list(message["headers"]))
+                for name, value in RESPONSE_HEADERS.items():
+                    headers.setdefault(name, value)
+                message = {**message, "headers": headers.raw}
+            await send(message)
+
+        await self._app(scope, receive, send_with_headers)

@@ -1,0 +1,133 @@
+"""Every error answer is an RFC 9457 problem document."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
+
+from service.jobs.interface import BackendError
+
+log = logging.getLogger(__name__)
+
+MEDIA_TYPE = "application/problem+json"
+METHODS = ("DELETE", "GET", "HEAD", "POST")  # that any route has
+PROBLEM: dict[str, Any] = {
+    "schema": {
+        "type": "object",
+        "required": ["type", "title", "status", "detail"],
+        "properties": {
+            "type": {"type": "string"},
+            "title": {"type": "string"},
+            "status": {"type": "integer"},
+            "detail": {"type": "string", "description": "one sentence"},
+        },
+    },
+    "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
+}
+RETRY_SOON_S = "5"
+
+
+class ProblemError(Exception):
+    """An answer other than the wished one: HTTP status, one sentence, extra members and headers."""
+
+    def __init__(self, status: int, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.detail = detail
+        self.headers = dict(headers or {})
+        self.members = members
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The statuses as responses of the OpenAPI document."""
+    return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
+
+
+def problem_document(problem: ProblemError) -> dict[str, Any]:
+    """The problem as JSON; extra members stand beside the standard ones."""
+    return {
+        "type": "about:blank",
+        "title": HTTPStatus(problem.status).phrase,
+        "status": problem.status,
+        "detail": problem.detail,
+        **problem.members,
+    }
+
+
+def problem_response(problem: ProblemError) -> JSONResponse:
+    """The problem as an answer."""
+    headers = {"Cache-Control": "no-store", **problem.headers}
+    return JSONResponse(problem_document(problem), problem.status, headers, media_type=MEDIA_TYPE)
+
+
+async def _on_problem(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, ProblemError)
+    return problem_response(error)
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    headers = dict(error.headers or {})
+    if error.status_code == 405:
+        headers["Allow"] = ", ".join(sorted(_allowed_methods(request)))
+    return problem_response(ProblemError(error.status_code, error.detail, headers=headers))
+
+
+def _allowed_methods(request: Request) -> set[str]:
+    """Methods of all routes at this path; the exception knows those of the first alone."""
+    methods: set[str] = set()
+    for method in METHODS:
+        scope = {**request.scope, "method": method}
+        if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
+            methods.add(method)
+    return methods
+
+
+async def _on_invalid_parameters(_request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    if any(e["loc"][0] == "path" for e in error.errors()):
+        return problem_response(ProblemError(404, "there is nothing at this address"))
+    errors = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
+    detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
+    return problem_response(ProblemError(422, detail, errors=errors))
+
+
+async def _on_backend_unavailable(_request: Request, error: Exception) -> Response:
+    log.error("the job table cannot be reached: %s", error)
+    detail = "the job table cannot be reached just now"
+    return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
+
+
+async def _on_storage_unavailable(_request: Request, error: Exception) -> Response:
+    log.error("the storage cannot be reached: %s", error)
+    detail = "the storage cannot be reached just now"
+    return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
+
+
+async def _on_disconnect(_request: Request, _error: Exception) -> Response:
+    return problem_response(ProblemError(400, "the request ended before its body did"))
+
+
+async def _on_anything(_request: Request, _error: Exception) -> Response:
+    # The server logs the traceback; the client learns nothing of the inside.
+    return problem_response(ProblemError(500, "an error of the service; it has been logged"))
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Make every error of the application a problem document."""
+    app.add_exception_handler(ProblemError, _on_problem)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
+    app.add_exception_handler(BackendError, _on_backend_unavailable)
+    app.add_exception_handler(OSError, _on_storage_unavailable)
+    app.add_exception_handler(ClientDisconnect, _on_disconnect)
+    app.add_exception_handler(Exception, _on_anything)

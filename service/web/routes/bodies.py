@@ -1,0 +1,38 @@
+"""Request bodies that are one file, not a form."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import BinaryIO, cast
+
+from starlette.datastructures import UploadFile
+from starlette.requests import Request
+
+from service.web.guards.problems import ProblemError
+
+MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes to a temporary file
+
+
+@asynccontextmanager
+async def body_as_file(request: Request, max_bytes: int) -> AsyncIterator[UploadFile]:
+    """The whole body as a file, gone with the context. Raises ProblemError 413, and 408 from the guard before."""
+    length = request.headers.get("content-length", "")
+    if length.isdecimal() and int(length) > max_bytes:
+        raise _too_large(max_bytes)
+    file = cast(BinaryIO, tempfile.SpooledTemporaryFile(MEMORY_BYTES))  # noqa: SIM115 - upload closes it
+    upload = UploadFile(file, size=0)
+    try:
+        async for chunk in request.stream():
+            await upload.write(chunk)
+            if upload.size is not None and upload.size > max_bytes:
+                raise _too_large(max_bytes)
+        await upload.seek(0)
+        yield upload
+    finally:
+        await upload.close()
+
+
+def _too_large(max_bytes: int) -> ProblemError:
+    return ProblemError(413, f"the body is larger than {max_bytes} bytes", max_bytes=max_bytes)

@@ -1,0 +1,85 @@
+"""A job as a stream of server-sent events."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from anyio import to_thread
+from fastapi import APIRouter, Depends
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+
+from service.jobs.interface import FINAL_STATES, BackendError, Job
+from service.web.guards.problems import ProblemError, problems
+from service.web.routes import views
+from service.web.routes.parts import KnownJob, Parts, UseParts
+
+log = logging.getLogger(__name__)
+router = APIRouter()
+
+POLL_S = 0.5  # workers write progress down as often
+RETRY_AFTER_S = "10"
+
+
+async def _place(parts: UseParts) -> AsyncIterator[None]:
+    """One of the places for streams, until the stream ends. Raises ProblemError 503."""
+    token = object()
+    if parts.streams.available_tokens < 1:
+        raise ProblemError(503, "too many streams of events are open", headers={"Retry-After": RETRY_AFTER_S})
+    parts.streams.acquire_on_behalf_of_nowait(token)
+    try:
+        yield
+    finally:
+        parts.streams.release_on_behalf_of(token)
+
+
+@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=problems(404, 503))
+async def events(job: KnownJob, parts: UseParts, _: Annotated[None, Depends(_place)]) -> AsyncIterator[ServerSentEvent]:
+    """The job as it goes on: "state" with the job whenever it has changed, "trace" with new points and the progress,
+    at last "done" or "failed" with the job, or "removed".
+
+    Every stream tells the whole story, so one that broke is simply opened again; a state with another attempt
+    begins a new trace.
+    """
+    try:
+        async for event in _story(job, parts):
+            yield event
+    except BackendError as error:
+        log.error("a stream of events ends early: %s", error)
+
+
+async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:
+    last: views.JobSummary | None = None
+    attempt, sent, progress = 0, 0, 0.0
+    while True:
+        summary = views.summary(job)
+        if summary != last:
+            yield ServerSentEvent(event="state", data=summary)
+            last = summary
+        if job.attempt != attempt:
+            attempt, sent = job.attempt, 0
+        points = await to_thread.run_sync(parts.backend.trace, job.id, sent)
+        if points:
+            sent += len(points)
+            progress = max(progress, views.progress(points))
+            yield ServerSentEvent(event="trace", data=views.new_points(points, progress))
+        if job.state in FINAL_STATES:
+            yield ServerSentEvent(event=job.state, data=summary)
+            return
+        if await _set_within(parts.stopping, POLL_S):
+            return
+        seen = await to_thread.run_sync(parts.backend.get, job.id)
+        if seen is None:
+            yield ServerSentEvent(event="removed", data={})
+            return
+        job = seen
+
+
+async def _set_within(event: asyncio.Event, seconds: float) -> bool:
+    try:
+        await asyncio.wait_for(event.wait(), seconds)
+    except TimeoutError:
+        return False
+    return True

@@ -1,0 +1,73 @@
+"""Whether the service lives, is ready and is busy: answers that never wait behind work."""
+
+from __future__ import annotations
+
+import logging
+from importlib.metadata import version
+
+from anyio import fail_after, to_thread
+from fastapi import APIRouter, Response
+from prometheus_client import CONTENT_TYPE_LATEST
+
+from service.jobs.interface import BackendError, Census
+from service.web.guards.problems import ProblemError, problems
+from service.web.routes import views
+from service.web.routes.parts import Parts, UseParts
+
+log = logging.getLogger(__name__)
+router = APIRouter()
+
+VERSION = version("sgmethod")
+PATIENCE_S = 2.0  # a table that takes longer is no better than none
+
+
+@router.head("/healthz", include_in_schema=False)
+@router.get("/healthz", include_in_schema=False)  # the name before there was /readyz
+@router.head("/livez", include_in_schema=False)
+@router.get("/livez")
+async def live() -> views.HealthView:
+    """Whether the web process answers; waits for nothing."""
+    return views.HealthView(status="ok", version=VERSION)
+
+
+@router.head("/readyz", include_in_schema=False)
+@router.get("/readyz", responses=problems(503))
+async def ready(parts: UseParts) -> views.HealthView:
+    """Whether jobs are accepted and worked on: table and storage answer, and the queue does not stall."""
+    census = await _census(parts)
+    if census is None:
+        raise ProblemError(503, "the job table does not answer")
+    if not await _storage_answers(parts):
+        raise ProblemError(503, "the storage does not answer")
+    if census.waiting_s is not None:
+        stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
+        if stalled_s > parts.settings.stall_s:
+            raise ProblemError(503, f"jobs wait, and no worker has been heard from for {stalled_s:.0f} s")
+    return views.HealthView(status="ok", version=VERSION)
+
+
+@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+async def metrics(parts: UseParts) -> Response:
+    """Figures for Prometheus."""
+    parts.metrics.observe(await _census(parts))
+    parts.metrics.cache_bytes.set(parts.pictures.bytes)
+    return Response(parts.metrics.text(), media_type=CONTENT_TYPE_LATEST)
+
+
+async def _census(parts: Parts) -> Census | None:
+    try:
+        with fail_after(PATIENCE_S):
+            return await to_thread.run_sync(parts.backend.census, limiter=parts.watching, abandon_on_cancel=True)
+    except (BackendError, TimeoutError) as error:
+        log.error("the job table does not answer: %r", error)
+        return None
+
+
+async def _storage_answers(parts: Parts) -> bool:
+    try:
+        with fail_after(PATIENCE_S):
+            await to_thread.run_sync(parts.storage.check, limiter=parts.watching, abandon_on_cancel=True)
+    except (OSError, TimeoutError) as error:
+        log.error("the storage does not answer: %r", error)
+        return False
+    return True

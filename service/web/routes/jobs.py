@@ -1,0 +1,200 @@
+"""Accepting jobs, and telling how they fare."""
+
+from __future__ import annotations
+
+import logging
+import time
+from typing import Annotated, Any
+
+from anyio import to_thread
+from fastapi import APIRouter, Query, Request, Response
+
+from service.jobs.interface import PRIORITIES, Job, KeyReusedError, NewJob, OwnQueueFullError, QueueFullError
+from service.keys import Link
+from service.storage.disk import source_key
+from service.web.guards.problems import ProblemError, problems
+from service.web.routes import views
+from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
+from service.web.routes.submission import (
+    FORM_TYPE,
+    IMAGE_FIELD,
+    Wanted,
+    check_content_type,
+    idempotency_key,
+    new_job,
+    submission,
+)
+from sgmethod.budget import BUDGET_KINDS
+from sgmethod.profiles import PROFILE_NAMES
+
+log = logging.getLogger(__name__)
+router = APIRouter()
+
+RETRY_AFTER_QUEUE_S = "5"
+NEVER_STORED = {"Cache-Control": "no-store"}
+
+FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
+    **{kind: {"type": "number", "exclusiveMinimum": 0} for kind in BUDGET_KINDS},
+    "profile": {"type": "string", "enum": list(PROFILE_NAMES)},
+    "time_limit_s": {"type": "number", "exclusiveMinimum": 0},
+    "priority": {"type": "string", "enum": list(PRIORITIES)},
+}
+BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
+FORM: dict[str, Any] = {
+    "type": "object",
+    "required": [IMAGE_FIELD],
+    "additionalProperties": False,
+    "properties": {IMAGE_FIELD: BINARY, **FIELD_SCHEMAS},
+    "oneOf": [{"required": [kind]} for kind in BUDGET_KINDS],
+}
+IDEMPOTENCY_KEY: dict[str, Any] = {
+    "name": "Idempotency-Key",
+    "in": "header",
+    "description": "the same key again answers with the job it first made",
+    "schema": {"type": "string", "maxLength": 255, "pattern": "^[!-~]+$"},
+}
+ENCODE_EXTRA: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "description": "a form with the image and the fields, or the image alone and the fields in the query",
+        "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
+    },
+    "parameters": [
+        IDEMPOTENCY_KEY,
+        *({"name": name, "in": "query", "schema": schema} for name, schema in FIELD_SCHEMAS.items()),
+    ],
+}
+
+
+def _queue_full() -> ProblemError:
+    return ProblemError(429, "the queue is full; try later", headers={"Retry-After": RETRY_AFTER_QUEUE_S})
+
+
+def _own_queue_full(limit: int) -> ProblemError:
+    retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
+    return ProblemError(429, f"{limit} jobs of this API key wait already; try later", headers=retry)
+
+
+@router.post(
+    "/encode",
+    status_code=202,
+    responses=problems(400, 408, 413, 415, 422, 429, 503),
+    openapi_extra=ENCODE_EXTRA,
+)
+async def encode(request: Request, response: Response, parts: UseParts, caller: UseCaller) -> views.AcceptedView:
+    """Accept an image to be encoded, with exactly one budget."""
+    check_content_type(request)
+    key = idempotency_key(request)
+    await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
+    async with submission(request, parts.settings) as submitted, parts.accepting:
+        image = await submitted.image_bytes(parts.settings.max_upload_bytes)
+        job = await to_thread.run_sync(_accept, parts, submitted.wanted, image, key, caller.owner)
+    parts.metrics.accepted.inc()
+    view = views.accepted(job)
+    response.headers["Location"] = view.status_url
+    response.headers.update(NEVER_STORED)
+    return view
+
+
+def _check_queue(parts: Parts, key: str | None, owner: str | None) -> None:
+    """Raises ProblemError 429 if the queue is full, or the owner's part of it, and the request no repetition."""
+    own_limit = parts.settings.max_queued_per_key
+    if parts.backend.queued() >= parts.settings.queue_length:
+        refusal = _queue_full()
+    elif owner is not None and own_limit and parts.backend.queued(owner) >= own_limit:
+        refusal = _own_queue_full(own_limit)
+    else:
+        return
+    if key is None or parts.backend.find_key(key, owner) is None:
+        raise refusal
+
+
+def _accept(parts: Parts, wanted: Wanted, image: bytes, key: str | None, owner: str | None) -> Job:
+    """The image to the disk, then the job to the table; only then may the client be told."""
+    new = new_job(image, wanted, key, owner, parts.settings)
+    try:
+        parts.storage.put(source_key(new.id), image)
+    except OSError as error:
+        log.error("an image cannot be stored: %s", error)
+        retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
+        raise ProblemError(503, "the image cannot be stored just now", headers=retry) from error
+    job, accepted = _submit(parts, new)
+    if not accepted:
+        _discard(parts, source_key(new.id))
+    return job
+
+
+def _discard(parts: Parts, key: str) -> None:
+    """Remove what no job needs any more. Where that fails it is left to the sweep: what was asked for is done."""
+    try:
+        parts.storage.delete(key)
+    except OSError as error:
+        log.warning("%s cannot be removed yet: %s", key, error)
+
+
+def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
+    # If the table fails, the image stays for the sweep: the row may have been written all the same.
+    try:
+        own_limit = parts.settings.max_queued_per_key if new.owner is not None else 0
+        return parts.backend.submit(new, parts.settings.queue_length, own_limit)
+    except OwnQueueFullError:
+        refusal = _own_queue_full(own_limit)
+    except QueueFullError:
+        refusal = _queue_full()
+    except KeyReusedError:
+        refusal = ProblemError(422, "this Idempotency-Key was used for another request")
+    _discard(parts, source_key(new.id))
+    raise refusal
+
+
+@router.get("/jobs/{job_id}", responses=problems(404, 503))
+def status(job: KnownJob, parts: UseParts, response: Response) -> views.JobView:
+    """State, place in the queue, progress, trace so far, and result or error."""
+    response.headers.update(NEVER_STORED)
+    return views.with_trace(job, parts.backend.trace(job.id))
+
+
+@router.get("/jobs", responses=problems(422, 503))
+def jobs(
+    parts: UseParts,
+    caller: UseCaller,
+    response: Response,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    before: Annotated[int | None, Query(ge=1, le=2**53)] = None,
+) -> views.JobPage:
+    """All jobs, or the key's own where there are keys, newest first, a page at a time."""
+    response.headers.update(NEVER_STORED)
+    page = parts.backend.page(limit + 1, before, caller.owner)
+    older = f"/jobs?limit={limit}&before={page[limit - 1].number}" if len(page) > limit else None
+    return views.JobPage(jobs=[views.summary(job) for job in page[:limit]], next=older)
+
+
+@router.post("/jobs/{job_id}/links", responses=problems(404, 422, 503))
+def links(
+    job: KnownJob,
+    parts: UseParts,
+    response: Response,
+    expires_s: Annotated[int, Query(ge=1, description="seconds until they expire")] = 3600,
+) -> views.LinksView:
+    """Links to the picture and the bitstream, for whoever has no key."""
+    response.headers.update(NEVER_STORED)
+    secret = parts.settings.link_secret.get_secret_value()
+    if not secret:
+        raise ProblemError(404, "links are not set up here")
+    if expires_s > parts.settings.link_max_age_s:
+        raise ProblemError(422, f"expires_s must be at most {parts.settings.link_max_age_s}")
+    expires = int(time.time()) + expires_s
+    picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
+    return views.links(job, picture, bitstream, expires)
+
+
+@router.delete("/jobs/{job_id}", status_code=204, responses=problems(404, 503))
+def remove(job: KnownJob, parts: UseParts) -> None:
+    """Cancel the job if it is not done, and remove all that is kept of it."""
+    removed = parts.backend.remove(job.id)
+    if removed is None:
+        return
+    # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.
+    _discard(parts, source_key(removed.id))
+    if removed.result is not None:
+        _discard(parts, removed.result.bitstream_key)

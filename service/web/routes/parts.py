@@ -1,0 +1,77 @@
+"""What the routes work with, made once and handed to each by FastAPI."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import Depends, Request
+from fastapi import Path as PathParameter
+
+from service.jobs.interface import Job, JobBackend, is_job_id
+from service.settings import Settings
+from service.storage.disk import Storage
+from service.web.guards.gate import Caller
+from service.web.guards.metrics import Metrics
+from service.web.guards.middleware import Outflow
+from service.web.guards.problems import ProblemError
+from service.web.routes.decoding import PictureCache, PictureDecoder
+
+PROBE_THREADS = 4
+JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", examples=["0123456789abcdef" * 2])]
+
+
+@dataclass(frozen=True)
+class Parts:
+    """The pieces of the running service.
+
+    accepting: taken while an upload is held in memory, which bounds what all of them take together;
+    streams: of events; outflow: what clients have yet to take; stopping: set when the service is to stop;
+    watching: threads of probes, which must not queue behind work.
+    """
+
+    settings: Settings
+    backend: JobBackend
+    storage: Storage
+    decoder: PictureDecoder
+    pictures: PictureCache
+    accepting: CapacityLimiter
+    streams: CapacityLimiter
+    outflow: Outflow
+    stopping: asyncio.Event
+    metrics: Metrics = field(default_factory=Metrics)
+    watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+
+
+def _parts(request: Request) -> Parts:
+    parts: Parts = request.app.state.parts
+    return parts
+
+
+def no_such_job() -> ProblemError:
+    """The answer to an id without a job, well formed or not."""
+    return ProblemError(404, "there is no such job")
+
+
+def _caller(request: Request) -> Caller:
+    caller: Caller = request.state.caller
+    return caller
+
+
+UseParts = Annotated[Parts, Depends(_parts)]
+UseCaller = Annotated[Caller, Depends(_caller)]
+
+
+async def _known_job(job_id: JobId, parts: UseParts, caller: UseCaller) -> Job:
+    """The job, if the caller may know of it; a foreign one looks the same as none."""
+    if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
+        raise no_such_job()
+    job = await to_thread.run_sync(parts.backend.get, job_id, caller.owner)
+    if job is None:
+        raise no_such_job()
+    return job
+
+
+KnownJob = Annotated[Job, Depends(_known_job)]

@@ -1,0 +1,78 @@
+"""Pixels to picture files, fast: a client waits for each of them.
+
+One 768x512 picture on one core (Zen 5), from 4.9 ms of decoding:
+
+    png   isal level 1 after filter Up           2.8 ms   411 kB
+          OpenCV's fastest (Huffman only, Up)   10.7 ms   436 kB
+          Pillow's level 1                      24.7 ms   432 kB
+          Pillow's level 4                      37.1 ms   375 kB
+    jpg   Pillow, quality 90                     1.0 ms    56 kB
+    webp  Pillow, quality 85, method 0           6.6 ms    40 kB
+          method 4                              26.3 ms    27 kB
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from isal import isal_zlib
+from numpy.typing import NDArray
+from PIL import Image
+
+from sgmethod.io.image import PNG_MAGIC
+
+PictureFormat = Literal["png", "jpg", "webp"]
+MEDIA_TYPES: dict[PictureFormat, str] = {"png": "image/png", "jpg": "image/jpeg", "webp": "image/webp"}
+# Pixels of the longer side that a format can hold.
+MAX_SIDES: dict[PictureFormat, int] = {"png": 2**31 - 1, "jpg": 65_535, "webp": 16_383}
+
+JPEG_QUALITY = 90
+WEBP_QUALITY, WEBP_METHOD = 85, 0
+PNG_LEVEL = 1
+FILTER_UP = 2  # PNG specification, 9.2: each byte less the one above it
+MAX_CHUNK_BYTES = 1 << 24
+
+Pixels = NDArray[np.uint8]
+
+
+def encode_picture(pixels: Pixels, kind: PictureFormat) -> bytes:
+    """The file of pixels, uint8 [H, W, 3], whose sides are at most MAX_SIDES of its kind."""
+    return _ENCODERS[kind](pixels)
+
+
+def _png(pixels: Pixels) -> bytes:
+    height, width, channels = pixels.shape
+    flat = pixels.reshape(height, width * channels)
+    rows = np.empty((height, 1 + width * channels), np.uint8)
+    rows[:, 0] = FILTER_UP
+    rows[0, 1:] = flat[0]
+    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
+    data = isal_zlib.compress(rows, PNG_LEVEL)
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)  # 8 bits, RGB
+    parts = [data[start : start + MAX_CHUNK_BYTES] for start in range(0, len(data), MAX_CHUNK_BYTES)]
+    chunks = [_chunk(b"IHDR", header), *(_chunk(b"IDAT", part) for part in parts), _chunk(b"IEND", b"")]
+    return b"".join((PNG_MAGIC, *chunks))
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))
+
+
+def _jpg(pixels: Pixels) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "JPEG", quality=JPEG_QUALITY)
+    return file.getvalue()
+
+
+def _webp(pixels: Pixels) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "WEBP", quality=WEBP_QUALITY, method=WEBP_METHOD)
+    return file.getvalue()
+
+
+_ENCODERS: dict[PictureFormat, Callable[[Pixels], bytes]] = {"png": _png, "jpg": _jpg, "webp": _webp}

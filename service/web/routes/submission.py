@@ -1,0 +1,182 @@
+"""From the body of POST /encode to a job that may be accepted: everything is checked before."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import asdict, dataclass
+
+from starlette.datastructures import UploadFile
+from starlette.requests import Request
+
+from service.jobs.interface import PRIORITIES, EncodeRequest, NewJob, Priority, SourceImage, new_job_id
+from service.settings import Settings
+from service.web.guards.problems import ProblemError
+from service.web.routes.bodies import body_as_file
+from sgmethod.budget import BUDGET_KINDS, Budget
+from sgmethod.errors import BudgetError, ImageError
+from sgmethod.io.image import PNG_MAGIC, TIFF_MAGICS, ImageLimits, read_header
+from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
+
+IMAGE_FIELD = "image"
+FIELDS = (*BUDGET_KINDS, "profile", "time_limit_s", "priority")
+MAX_FIELD_BYTES = 256
+# What multipart adds to the image itself: boundaries, part headers, the other fields.
+MULTIPART_OVERHEAD_BYTES = 16 * 1024
+
+FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
+IMAGE_MAGICS = (PNG_MAGIC, b"\xff\xd8\xff", b"RIFF", *TIFF_MAGICS, b"BM")
+
+# Stricter than float(), which also takes "1_0", "nan" and spaces around.
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
+_IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
+
+
+def idempotency_key(request: Request) -> str | None:
+    """The Idempotency-Key header. Raises ProblemError 400 if it is not 1 to 255 visible ASCII characters."""
+    key = request.headers.get("idempotency-key")
+    if key is not None and _IDEMPOTENCY_KEY.fullmatch(key) is None:
+        raise ProblemError(400, "Idempotency-Key must be 1 to 255 visible ASCII characters")
+    return key
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the fields of a submission ask for."""
+
+    encode: EncodeRequest
+    priority: Priority
+
+
+@dataclass(frozen=True)
+class Submission:
+    """A body that has come in whole: the image as a file, and what is wanted of it."""
+
+    wanted: Wanted
+    image: UploadFile
+
+    async def image_bytes(self, max_bytes: int) -> bytes:
+        """The image file. Raises ProblemError 413."""
+        data = await self.image.read(max_bytes + 1)
+        if len(data) > max_bytes:
+            raise ProblemError(413, f"the image is larger than {max_bytes} bytes", max_bytes=max_bytes)
+        return data
+
+
+def check_content_type(request: Request) -> str:
+    """The body's media type. Raises ProblemError 415 unless it is a form or an image."""
+    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type != FORM_TYPE and not media_type.startswith(IMAGE_TYPES):
+        accepted = f"{FORM_TYPE}, {IMAGE_TYPES}*"
+        raise ProblemError(415, f"the body must be {FORM_TYPE} or an image", headers={"Accept": accepted})
+    return media_type
+
+
+@asynccontextmanager
+async def submission(request: Request, settings: Settings) -> AsyncIterator[Submission]:
+    """The body, read as it comes in; what is large goes to temporary files, gone with the context.
+
+    Entering raises ProblemError 408, 413, 415 or 422, or HTTPException 400 on what is no form.
+    """
+    query = request.query_params.multi_items()
+    if check_content_type(request) == FORM_TYPE:
+        limits = {"max_files": 1, "max_fields": len(FIELDS), "max_part_size": MAX_FIELD_BYTES}
+        async with request.form(**limits) as form:
+            wanted = _wanted([*query, *form.multi_items()], settings)
+            image = form.get(IMAGE_FIELD)
+            if not isinstance(image, UploadFile):
+                raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, or is not a file")
+            yield Submission(wanted, image)
+    else:
+        wanted = _wanted(query, settings)
+        async with body_as_file(request, settings.max_upload_bytes) as image:
+            yield Submission(wanted, image)
+
+
+def new_job(image: bytes, wanted: Wanted, key: str | None, owner: str | None, settings: Settings) -> NewJob:
+    """The job to accept, once the image's header has been looked at; no pixel is decoded.
+
+    Raises ProblemError 415 for what is none of the formats, 422 for a damaged header or a size beyond
+    the limits.
+    """
+    header = _checked_header(image, settings)
+    digest = hashlib.sha256(json.dumps(asdict(wanted)).encode())
+    digest.update(image)
+    return NewJob(new_job_id(), wanted.encode, header, digest.hexdigest(), key, owner, wanted.priority)
+
+
+def _wanted(given: Sequence[tuple[str, UploadFile | str]], settings: Settings) -> Wanted:
+    """What the fields ask for, from the query and the form alike. Raises ProblemError 422."""
+    fields = _text_fields(given)
+    budget = _budget(fields)
+    time_limit_s = _time_limit_s(fields, settings.max_time_limit_s)
+    return Wanted(EncodeRequest(budget.kind, budget.value, _profile(fields), time_limit_s), _priority(fields))
+
+
+def _text_fields(given: Sequence[tuple[str, UploadFile | str]]) -> dict[str, str]:
+    fields: dict[str, str] = {}
+    for name, value in given:
+        if name == IMAGE_FIELD:
+            continue
+        if name not in FIELDS:
+            raise ProblemError(422, f"unknown field {name!r}; the fields are {IMAGE_FIELD}, {', '.join(FIELDS)}")
+        if name in fields:
+            raise ProblemError(422, f"the field {name} is given twice")
+        if not isinstance(value, str):
+            raise ProblemError(422, f"the field {name} must be text, not a file")
+        fields[name] = value
+    return fields
+
+
+def _number(name: str, text: str) -> float:
+    if _NUMBER.fullmatch(text) is None:
+        raise ProblemError(422, f"{name} must be a number, got {text!r}")
+    return float(text)
+
+
+def _budget(fields: dict[str, str]) -> Budget:
+    kinds = [kind for kind in BUDGET_KINDS if kind in fields]
+    if len(kinds) != 1:
+        raise ProblemError(422, f"give exactly one of {', '.join(BUDGET_KINDS)}; got {len(kinds)}")
+    try:
+        return Budget(kinds[0], _number(kinds[0], fields[kinds[0]]))
+    except BudgetError as error:
+        raise ProblemError(422, str(error)) from error
+
+
+def _profile(fields: dict[str, str]) -> str:
+    profile = fields.get("profile", DEFAULT_PROFILE)
+    if profile not in PROFILE_NAMES:
+        raise ProblemError(422, f"unknown profile {profile!r}; use one of {', '.join(PROFILE_NAMES)}")
+    return profile
+
+
+def _priority(fields: dict[str, str]) -> Priority:
+    wanted = fields.get("priority", PRIORITIES[0])
+    for priority in PRIORITIES:
+        if priority == wanted:
+            return priority
+    raise ProblemError(422, f"unknown priority {wanted!r}; use one of {', '.join(PRIORITIES)}")
+
+
+def _time_limit_s(fields: dict[str, str], most_s: float) -> float:
+    if "time_limit_s" not in fields:
+        return most_s
+    seconds = _number("time_limit_s", fields["time_limit_s"])
+    if not (math.isfinite(seconds) and 0 < seconds <= most_s):
+        raise ProblemError(422, f"time_limit_s must be more than 0 and at most {most_s:g}")
+    return seconds
+
+
+def _checked_header(image: bytes, settings: Settings) -> SourceImage:
+    if image and not image.startswith(IMAGE_MAGICS):
+        raise ProblemError(415, "the file is not a PNG, JPEG, WebP, TIFF or BMP image")
+    try:
+        header = read_header(image, ImageLimits(settings.max_pixels, settings.max_side))
+    except ImageError as error:
+        raise ProblemError(422, str(error)) from error
+    return SourceImage(header.format, header.width, header.height, len(image))

@@ -1,0 +1,231 @@
+"""Jobs as clients see them: the JSON of every answer, and with it the OpenAPI document."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.jobs.interface import Job, JobState, JsonObject, Priority
+
+# Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
+PHASES = {
+    "start": (0.0, 0.0),
+    "fit": (0.0, 0.6),
+    "tune": (0.6, 1.0),
+    "joint": (0.0, 1.0),  # profile rd does both at once
+    "done": (1.0, 1.0),
+}
+MAX_TRACE_POINTS = 500  # some 60 kB of JSON, which a page fetches again and again
+
+Figure = float | int | str | None
+
+EXAMPLE_ID = "5f1c0e9ab0d4467f8a3d2b6c7e8f9012"
+EXAMPLE_ACCEPTED = {
+    "id": EXAMPLE_ID,
+    "status_url": f"/jobs/{EXAMPLE_ID}",
+    "decode_url": f"/decode/{EXAMPLE_ID}.png",
+    "bitstream_url": f"/bitstreams/{EXAMPLE_ID}.sg",
+}
+EXAMPLE_POINT = {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bytes": 12288, "gaussians": 1200}
+EXAMPLE_SUMMARY = {
+    **EXAMPLE_ACCEPTED,
+    "state": "running",
+    "position": None,
+    "budget": {"kind": "bpp", "value": 0.3},
+    "profile": "rd",
+    "time_limit_s": 60.0,
+    "priority": "interactive",
+    "image": {"format": "JPEG", "width": 768, "height": 512, "bytes": 91235},
+    "attempt": 1,
+    "created_at": "2026-01-31T12:00:00Z",
+    "started_at": "2026-01-31T12:00:01Z",
+    "finished_at": None,
+    "result": None,
+    "error": None,
+}
+EXAMPLE_TRACE = {"progress": 0.06, "trace": [{**EXAMPLE_POINT, "phase": "fit"}]}
+
+
+def _example(value: dict[str, Any]) -> ConfigDict:
+    return ConfigDict(json_schema_extra={"examples": [value]})
+
+
+class AcceptedView(BaseModel):
+    """The answer to POST /encode."""
+
+    model_config = _example(EXAMPLE_ACCEPTED)
+
+    id: str = Field(description="32 hexadecimal digits; who knows them may read the job")
+    status_url: str
+    decode_url: str
+    bitstream_url: str
+
+
+class BudgetView(BaseModel):
+    """What the encode may spend."""
+
+    kind: str = Field(description='"bpp", "bytes", "psnr", "quality" or "gaussians"')
+    value: float
+
+
+class ImageView(BaseModel):
+    """What the source image's header says."""
+
+    format: str
+    width: int = Field(description="pixels")
+    height: int = Field(description="pixels")
+    bytes: int
+
+
+class ErrorView(BaseModel):
+    """Why a job failed."""
+
+    code: str = Field(description='"refused" by the codec, "crashed" or "timed_out"')
+    detail: str
+
+
+class JobSummary(AcceptedView):
+    """A job without its trace."""
+
+    model_config = _example(EXAMPLE_SUMMARY)
+
+    state: JobState
+    position: int | None = Field(description="place in the queue from 1, while queued")
+    budget: BudgetView
+    profile: str
+    time_limit_s: float
+    priority: Priority
+    image: ImageView
+    attempt: int = Field(description="how often the job was started")
+    created_at: datetime
+    started_at: datetime | None = Field(description="of the latest attempt")
+    finished_at: datetime | None
+    result: dict[str, Figure] | None = Field(description="the codec's figures, once done")
+    error: ErrorView | None = Field(description="once failed")
+
+
+class TraceView(BaseModel):
+    """How the fit went, or what of it is new."""
+
+    model_config = _example(EXAMPLE_TRACE)
+
+    progress: float = Field(description="estimated share of the work that is done, 0 to 1; never falls")
+    trace: list[dict[str, Figure]] = Field(
+        description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; "
+        f"{MAX_TRACE_POINTS} of them at most, evenly spread"
+    )
+
+
+class JobView(TraceView, JobSummary):
+    """A job with its trace."""
+
+    model_config = _example({**EXAMPLE_SUMMARY, **EXAMPLE_TRACE})
+
+
+class JobPage(BaseModel):
+    """Jobs, newest first."""
+
+    jobs: list[JobSummary]
+    next: str | None = Field(description="where older jobs are, if there are any")
+
+
+class LinksView(BaseModel):
+    """URLs that need no key until they expire."""
+
+    decode_url: str = Field(description="the picture; extension and view may be changed")
+    bitstream_url: str
+    expires_at: datetime
+
+
+class HealthView(BaseModel):
+    """The web process answers."""
+
+    status: str
+    version: str
+
+
+def _time(seconds: float | None) -> datetime | None:
+    return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
+
+
+def urls(job_id: str) -> dict[str, str]:
+    """Where a job's resources are, relative to the service."""
+    return {
+        "status_url": f"/jobs/{job_id}",
+        "decode_url": f"/decode/{job_id}.png",
+        "bitstream_url": f"/bitstreams/{job_id}.sg",
+    }
+
+
+def accepted(job: Job) -> AcceptedView:
+    """The answer to an accepted job."""
+    return AcceptedView(id=job.id, **urls(job.id))
+
+
+def summary(job: Job) -> JobSummary:
+    """The job without its trace."""
+    request, image = job.request, job.image
+    return JobSummary(
+        id=job.id,
+        **urls(job.id),
+        state=job.state,
+        position=job.position,
+        budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
+        profile=request.profile,
+        time_limit_s=request.time_limit_s,
+        priority=job.priority,
+        image=ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),
+        attempt=job.attempt,
+        created_at=datetime.fromtimestamp(job.created_at, UTC),
+        started_at=_time(job.started_at),
+        finished_at=_time(job.finished_at),
+        result=dict(job.result.stats) if job.result else None,
+        # A queued job can carry the error of its last crash, which is no concern of the client's yet.
+        error=ErrorView(code=job.error.code, detail=job.error.detail) if job.error and job.state == "failed" else None,
+    )
+
+
+def links(job: Job, decode_query: str, bitstream_query: str, expires: int) -> LinksView:
+    """The job's URLs with the queries that make them links, until a time in seconds since 1970."""
+    where = urls(job.id)
+    return LinksView(
+        decode_url=f"{where['decode_url']}?{decode_query}",
+        bitstream_url=f"{where['bitstream_url']}?{bitstream_query}",
+        expires_at=datetime.fromtimestamp(expires, UTC),
+    )
+
+
+def with_trace(job: Job, trace: Sequence[JsonObject]) -> JobView:
+    """The job and how its fit went so far."""
+    return JobView(
+        **summary(job).model_dump(),
+        progress=1.0 if job.state == "done" else progress(trace),
+        trace=[dict(point) for point in _thinned(trace)],
+    )
+
+
+def new_points(points: Sequence[JsonObject], progress: float) -> TraceView:
+    """Points that have come since the last ones."""
+    return TraceView(progress=progress, trace=[dict(point) for point in _thinned(points)])
+
+
+def progress(trace: Sequence[JsonObject]) -> float:
+    """Estimated share of the work that is done at the best of the points, 0 to 1."""
+    return max(map(_progress, trace), default=0.0)
+
+
+def _progress(point: JsonObject) -> float:
+    begin, end = PHASES.get(point["phase"], (0.0, 0.0))
+    share = float(point["step"] / max(1, point["steps"]))
+    return begin + (end - begin) * min(1.0, share)
+
+
+def _thinned(trace: Sequence[JsonObject]) -> Sequence[JsonObject]:
+    """At most MAX_TRACE_POINTS of the points, evenly spread, with the first and the last."""
+    last = len(trace) - 1
+    if last < MAX_TRACE_POINTS:
+        return trace
+    return [trace[last * place // (MAX_TRACE_POINTS - 1)] for place in range(MAX_TRACE_POINTS)]

@@ -1,0 +1,123 @@
+"""The process that encodes one image: `python -m service.worker.encode_child SPEC`, started by a worker.
+
+It knows neither the job table nor the storage. The image comes in as standard input; everything goes out
+as frames on standard output; SPEC is a JSON object (see Spec). Memory and whatever an image may break go
+away with the process.
+
+A frame is one letter, the payload's length (32 bits, big-endian) and the payload:
+    T  a trace point (JSON)          any number of times
+    E  why the codec refused (text)  then nothing more
+    R  the codec's figures (JSON)    then
+    D  the bitstream                 the end
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import resource
+import struct
+import sys
+from dataclasses import asdict, dataclass
+from typing import Any, BinaryIO
+
+from service.jobs.interface import EncodeRequest
+from service.process import lifeline
+
+FRAME_HEADER = struct.Struct(">cI")
+TRACE, REFUSED, STATS, BITSTREAM = b"T", b"E", b"R", b"D"
+
+# Beneath the web process, so that answers come at once while every core encodes.
+NICENESS = 10
+PARENT_GONE = 3
+NO_MEMORY = b"the encode needs more memory than it may have here"
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What to do. job_id and attempt are for the eyes of operators, who see them in the process list.
+
+    lifeline: descriptor to watch; memory_bytes: limit of this process.
+    """
+
+    job_id: str
+    attempt: int
+    request: EncodeRequest
+    lifeline: int
+    memory_bytes: int
+
+    def to_json(self) -> str:
+        """The spec as a command-line argument."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Spec:
+        """The inverse of to_json."""
+        fields = json.loads(text)
+        return cls(**{**fields, "request": EncodeRequest(**fields["request"])})
+
+
+def send(pipe: BinaryIO, kind: bytes, payload: bytes) -> None:
+    """Write one frame."""
+    pipe.write(FRAME_HEADER.pack(kind, len(payload)) + payload)
+    pipe.flush()
+
+
+def to_json(figures: dict[str, Any]) -> bytes:
+    """Figures as JSON; a PSNR of infinity (a picture without error) becomes null, which JSON can say."""
+    finite = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
+    return json.dumps(finite, allow_nan=False).encode()
+
+
+def limit_memory(limit_bytes: int) -> None:
+    """Let allocations beyond the limit fail. A lower limit that holds already stays."""
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    limit = limit_bytes if hard == resource.RLIM_INFINITY else min(limit_bytes, hard)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def take_standard_output() -> BinaryIO:
+    """A private copy of standard output; what libraries print goes to standard error from now on."""
+    pipe = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    return pipe
+
+
+def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
+    """Encode the image and send what comes of it."""
+    from sgmethod.budget import Budget
+    from sgmethod.codec import encode
+    from sgmethod.errors import SgError
+    from sgmethod.io.image import read_image
+
+    try:
+        encoded = encode(
+            read_image(source),
+            Budget(request.budget_kind, request.budget_value),
+            request.profile,
+            time_limit_s=request.time_limit_s,
+            on_progress=lambda point: send(pipe, TRACE, to_json(point.to_dict())),
+        )
+    except SgError as error:
+        send(pipe, REFUSED, str(error).encode())
+        return
+    except MemoryError:  # which another attempt would not have more of
+        send(pipe, REFUSED, NO_MEMORY)
+        return
+    send(pipe, STATS, to_json(encoded.stats.to_dict()))
+    send(pipe, BITSTREAM, encoded.data)
+
+
+def main() -> None:
+    """Run one encode; exit status 0 whenever a verdict was sent."""
+    spec = Spec.from_json(sys.argv[1])
+    lifeline.watch(spec.lifeline, lambda: os._exit(PARENT_GONE))
+    limit_memory(spec.memory_bytes)
+    os.nice(NICENESS)
+    pipe = take_standard_output()
+    encode_to(pipe, spec.request, sys.stdin.buffer.read())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""The worker's side of an encoding process: start it, read its frames, end it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import BinaryIO
+
+from service.jobs.interface import JsonObject
+from service.worker.encode_child import BITSTREAM, FRAME_HEADER, REFUSED, STATS, TRACE
+
+READ_BYTES = 1 << 16
+STDERR_TAIL_BYTES = 4096
+MAX_LAST_WORDS = 300  # characters of an error that a client gets to read
+MAX_FRAME_BYTES = 1 << 28  # the largest picture as raw pixels is smaller than that
+
+
+@dataclass(frozen=True)
+class TracePoint:
+    """How far the fit is."""
+
+    point: JsonObject
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The codec refused the image or the budget, with one sentence."""
+
+    detail: str
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """The encode is done."""
+
+    stats: JsonObject
+    bitstream: bytes
+
+
+Message = TracePoint | Refused | Encoded
+
+
+class EncodeProcess:
+    """A child process in a group of its own; leaving the context kills the group, whatever it does.
+
+    command: the program; source: the open image, its standard input; environment: all of it;
+    lifeline: the descriptor to hand down.
+    """
+
+    def __init__(self, command: Sequence[str], source: BinaryIO, environment: Mapping[str, str], lifeline: int) -> None:
+        self._process = subprocess.Popen(
+            command,
+            stdin=source,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            env=environment,
+            pass_fds=(lifeline,),
+            process_group=0,
+        )
+        self._output = bytearray()
+        self._stderr_tail = bytearray()
+        self._stats: JsonObject = {}
+        self._selector = selectors.DefaultSelector()
+        assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        for pipe in (self._process.stdout, self._process.stderr):
+            os.set_blocking(pipe.fileno(), False)
+        self._selector.register(self._process.stdout, selectors.EVENT_READ, self._output)
+        self._selector.register(self._process.stderr, selectors.EVENT_READ, self._stderr_tail)
+
+    def __enter__(self) -> EncodeProcess:
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        # Until wait() below the group's number cannot be given to others, even if the child is dead.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self._selector.close()
+        for pipe in (self._process.stdout, self._process.stderr):
+            assert pipe is not None
+            pipe.close()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the child has closed its pipes, so that nothing more will come."""
+        return not self._selector.get_map()
+
+    def read(self, timeout_s: float) -> list[Message]:
+        """What the child has said, waiting at most that long (seconds) for it to say something.
+
+        Raises ValueError if it does not speak in frames.
+        """
+        for key, _ in self._selector.select(timeout_s):
+            data = os.read(key.fd, READ_BYTES)
+            if not data:
+                self._selector.unregister(key.fileobj)
+            key.data.extend(data)
+        del self._stderr_tail[:-STDERR_TAIL_BYTES]
+        return self._take_messages()
+
+    def last_words(self) -> str:
+        """One sentence on how a child ended that has closed its pipes without a verdict."""
+        try:
+            status = self._process.wait(timeout=1.0)
+        except subprocess.TimeoutExpired:
+            return "the encoder fell silent"
+        how = f"exit status {status}" if status >= 0 else signal.strsignal(-status)
+        lines = self._stderr_tail.decode(errors="replace").strip().splitlines()
+        words = f": {lines[-1].strip()[:MAX_LAST_WORDS]}" if lines and status > 0 else ""
+        return f"the encoder crashed ({how}){words}"
+
+    def _take_messages(self) -> list[Message]:
+        messages: list[Message] = []
+        while len(self._output) >= FRAME_HEADER.size:
+            kind, length = FRAME_HEADER.unpack_from(self._output)
+            if length > MAX_FRAME_BYTES:
+                raise ValueError(f"a frame of {length} bytes")
+            end = FRAME_HEADER.size + length
+            if len(self._output) < end:
+                break
+            payload = bytes(self._output[FRAME_HEADER.size : end])
+            del self._output[:end]
+            if kind == TRACE:
+                messages.append(TracePoint(json.loads(payload)))
+            elif kind == REFUSED:
+                messages.append(Refused(payload.decode()))
+            elif kind == STATS:
+                self._stats = json.loads(payload)
+            elif kind == BITSTREAM:
+                messages.append(Encoded(self._stats, payload))
+            else:
+                raise ValueError(f"a frame of unknown kind {kind!r}")
+        return messages

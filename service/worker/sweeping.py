@@ -1,0 +1,50 @@
+"""What is no longer needed goes: files without a job, and finished jobs when their time is over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from service.jobs.interface import Job, JobBackend
+from service.storage.disk import Storage
+
+# A file without a job is either left over from a crash or of a job being accepted or finished just now,
+# which takes seconds.
+ORPHAN_AGE_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Swept:
+    """How many of each went, or would go."""
+
+    jobs: int
+    files: int
+
+
+def sweep(
+    backend: JobBackend,
+    storage: Storage,
+    *,
+    retention_s: float,
+    orphan_age_s: float = ORPHAN_AGE_S,
+    dry_run: bool = False,
+) -> Swept:
+    """Remove jobs that ended more than retention_s seconds ago (0: none), and files that no job needs.
+
+    With dry_run nothing is removed. Raises BackendError, OSError.
+    """
+    expired = backend.finished(retention_s) if retention_s else []
+    if not dry_run:
+        for job in expired:
+            _remove(backend, storage, job)
+    keep = backend.live_keys()
+    orphans = [key for key in storage.old(orphan_age_s) if key not in keep]
+    if not dry_run:
+        for key in orphans:
+            storage.delete(key)
+    return Swept(len(expired), len(orphans))
+
+
+def _remove(backend: JobBackend, storage: Storage, job: Job) -> None:
+    removed = backend.remove(job.id)
+    if removed is not None and removed.result is not None:
+        storage.delete(removed.result.bitstream_key)

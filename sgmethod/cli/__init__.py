@@ -1,0 +1,5 @@
+"""The command line: sgmethod encode, decode and info.
+
+Arguments and files come in.
+Files, one summary or one line of error, and an exit status leave.
+"""

@@ -1,0 +1,130 @@
+"""Types of the compiled module (sgmethod/native/bindings.cpp). Arrays are C-contiguous float32.
+
+Only numpy's are typed, though tensors would be taken: torch hands its memory over in Python code, where an interrupt
+that arrives is lost, because the binding takes any error there for "not an array of this kind".
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.scene import FloatArray
+
+MAX_CUTOFF: float
+TILE_WIDTH: int
+TILE_HEIGHT: int
+
+def best_isa() -> int:
+    """0 baseline x86-64, 1 AVX2, 2 AVX-512: the best this processor has."""
+
+def thread_count() -> int: ...
+def set_thread_count(count: int) -> None: ...
+
+class Rasterization:
+    """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""
+
+    def __init__(
+        self,
+        means: FloatArray,
+        factors: FloatArray,
+        width: int,
+        height: int,
+        cutoff: float = 5.5,
+        isa: int = -1,
+        max_pairs: int = 2**31 - 1,
+    ) -> None: ...
+    def render(self, colors: FloatArray, image: FloatArray) -> None:
+        """Fill image [3, height, width]."""
+
+    def render_bytes(
+        self, colors: FloatArray, image: NDArray[np.uint8], background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ) -> None:
+        """Fill image [height, width, 3], uint8: background plus Gaussians."""
+
+    def squared_error(
+        self, colors: FloatArray, target: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
+    ) -> float:
+        """The mean squared error against target [3, height, width]; fills its gradients as backward does."""
+
+    def backward(
+        self, colors: FloatArray, grad: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
+    ) -> None:
+        """Fill the gradients by means [N, 2], factors [N, 3] and colours [N, 3], given that by the image."""
+
+class ReconstructionLoss:
+    """MSE + lambda_g L_g against a target [3, height, width]."""
+
+    def __init__(self, target: FloatArray, lambda_g: float) -> None: ...
+    def __call__(self, image: FloatArray, grad: FloatArray) -> tuple[float, float]:
+        """(MSE, L_g); fills grad with the gradient by the image."""
+
+class AdamSettings:
+    """Of frame_adam; rates are relative changes of a step."""
+
+    def __init__(
+        self, mean_rate: float, factor_rate: float, color_rate: float, beta1: float, beta2: float, min_scale: float
+    ) -> None: ...
+
+def frame_adam(
+    settings: AdamSettings,
+    rate: float,
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    by_means: FloatArray,
+    by_factors: FloatArray,
+    by_colors: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    bias: FloatArray,
+) -> None:
+    """One step of sgmethod.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
+
+def keep_near(reach: float, width: float, height: float, means: FloatArray, factors: FloatArray) -> None:
+    """Move each mean that is further than reach sqrt(l1 l3) outside the picture back to there."""
+
+def rd_rate_gradient(
+    quantum: float,
+    weight: float,
+    factors: FloatArray,
+    colors: FloatArray,
+    by_factors: FloatArray,
+    by_colors: FloatArray,
+) -> None:
+    """Add the gradient that sgmethod.quantise.rd.add_rate_gradient describes to by_factors and by_colors."""
+
+class RdParameters:
+    """What the stream of profile rd needs to know before its first Gaussian."""
+
+    def __init__(self, width: int, height: int, quantum: float, grey: bool = False, upright: bool = False) -> None: ...
+
+def rd_quantise(
+    parameters: RdParameters,
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    out_means: FloatArray,
+    out_factors: FloatArray,
+    out_colors: FloatArray,
+) -> None:
+    """Fill out_* with what decoding an encoding would give; colour 0 where nothing of a Gaussian is left."""
+
+def rd_encode(parameters: RdParameters, means: FloatArray, factors: FloatArray, colors: FloatArray) -> bytes: ...
+def rd_refine(
+    parameters: RdParameters,
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    target: FloatArray,
+    cutoff: float,
+    price: float,
+    sweeps: int,
+    seconds: float,
+    max_bytes: int,
+) -> bytes:
+    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/rd_refine.h)."""
+
+def rd_decode(
+    parameters: RdParameters, data: bytes, prefix: bool = False, max_gaussians: int = ...
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(means, factors, colors); raises RuntimeError on data no encoder writes, OverflowError for more than
+    max_gaussians. prefix: data may be cut anywhere."""

@@ -1,0 +1,207 @@
+// What only fitting needs. Nothing here decides pixels of a file, so a multiplication and an addition may become one
+// instruction where there is one (see CMakeLists.txt).
+#include <algorithm>
+#include <vector>
+
+#include "raster/columns.h"
+#include "raster/kernels.h"
+
+namespace sg {
+namespace {
+
+// The gradient of the squared error in place of the picture; returns the squared error.
+template <int W>
+SG_INLINE double difference_body(float* values, const TileTarget& target) {
+  using V = Simd<W>;
+  typename V::F sum{};
+  for (int row = 0; row < target.rows; ++row)
+    for (int k = 0; k < 3; ++k, values += kTileWidth) {
+      const float* wanted = target.first + k * target.plane + row * target.stride;
+      __builtin_prefetch(wanted + target.ahead);
+      if (target.columns == kTileWidth) {
+        for (int lane = 0; lane < kTileWidth; lane += W) {
+          const typename V::F difference = V::load(values + lane) - V::load(wanted + lane);
+          sum += difference * difference;
+          V::store(values + lane, difference * target.scale);
+        }
+      } else {
+        for (int column = 0; column < target.columns; ++column) {
+          const float difference = values[column] - wanted[column];
+          sum[0] += difference * difference;
+          values[column] = difference * target.scale;
+        }
+        std::fill(values + target.columns, values + kTileWidth, 0.0f);
+      }
+    }
+  return V::sum(sum);
+}
+
+// With g = (dL/dweight) e inside the ellipse, dL/dsigma = -g, and all gradients of the geometry follow from
+// the moments of g: sum of g z1, g z2, g z1^2, g z1 z2, g z2^2. z1 is constant in a lane. z2 = last - d / l3 at d rows
+// before the last one of a segment, and the sums of g d and of g d (d - 1) / 2 are running sums of running sums: they take
+// no multiplication. Within a segment z2 changes by 9 at most, so that little is lost when last - d / l3 is put back.
+template <int W>
+SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch& batch, const float* colors,
+                             const float* tile_gradient, float* pair_gradients) {
+  using V = Simd<W>;
+  using F = typename V::F;
+  const int x0 = tile_x(raster, tile), y0 = tile_y(raster, tile);
+  const float floor = raster.floor();
+  const float* first = batch.first;
+  for (const Pair* pair = batch.begin; pair != batch.end; ++pair) {
+    const Footprint& f = raster.footprint(pair->gaussian);
+    const float* color = colors + 3 * static_cast<int64_t>(pair->gaussian);
+    const float c0 = color[0], c1 = color[1], c2 = color[2];
+    F d0{}, d1{}, d2{}, m1{}, m2{}, m11{}, m12{}, m22{};
+    for (int lane = 0; lane < kTileWidth; lane += W) {
+      const F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
+      const F z1 = dx * f.inv_l1;
+      F g0{}, g2{}, g22{};
+      for (int row = pair->first_row; row <= pair->last_row;) {
+        const int end = segment_end(f, row, pair->last_row);
+        Column<W> c = next_column<W>(first);
+        F sum{}, sum_d{}, sum_pairs_d{};
+        const float* in = tile_gradient + row * (3 * kTileWidth) + lane;
+        for (; row < end; ++row, in += 3 * kTileWidth) {
+          const F i0 = V::load(in), i1 = V::load(in + kTileWidth), i2 = V::load(in + 2 * kTileWidth);
+          const F weight = V::max0(c.e - floor);
+          d0 += weight * i0;
+          d1 += weight * i1;
+          d2 += weight * i2;
+          const F slope = (i0 * c0 + i1 * c1 + i2 * c2) * c.e;
+          sum_pairs_d += sum_d;
+          sum_d += sum;
+          sum += c.e > floor ? slope : F{};
+          c.e *= c.ratio;
+          c.ratio *= f.decay;
+        }
+        const F last = (static_cast<float>(y0 + end - 1) + 0.5f - f.y - dx * f.shear) * f.inv_l3;
+        const F by_d = sum_d * f.inv_l3, by_d_square = (2.0f * sum_pairs_d + sum_d) * (f.inv_l3 * f.inv_l3);
+        const F by_z2 = last * sum - by_d;
+        g0 += sum;
+        g2 += by_z2;
+        g22 += last * (by_z2 - by_d) + by_d_square;
+      }
+      m1 += g0 * z1;
+      m2 += g2;
+      m11 += g0 * z1 * z1;
+      m12 += g2 * z1;
+      m22 += g22;
+    }
+    const F moments[8] = {m1, m2, m11, m12, m22, d0, d1, d2};
+    float s[8];
+    V::sums(moments, s);
+    pair_gradients[0] = s[0] * f.inv_l1 - s[1] * f.shear * f.inv_l3;
+    pair_gradients[1] = s[1] * f.inv_l3;
+    pair_gradients[2] = s[2] * f.inv_l1 - s[3] * f.shear * f.inv_l3;
+    pair_gradients[3] = s[3] * f.inv_l3;
+    pair_gradients[4] = s[4] * f.inv_l3;
+    std::copy_n(s + 5, 3, pair_gradients + 5);
+    pair_gradients += kPairGradients;
+  }
+}
+
+template <int W>
+SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const float* colors, const TileTarget& target,
+                                    float* pair_gradients) {
+  thread_local std::vector<float> first;  // of all pairs at once: needed twice
+  size_t count = 0;
+  for (const Pair* pair = raster.tile_begin(tile); pair != raster.tile_end(tile); ++pair)
+    count += static_cast<size_t>(segments(raster, *pair));
+  first.resize(count * 2 * kTileWidth);
+  first_values<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), first.data());
+  const Batch all{raster.tile_begin(tile), raster.tile_end(tile), first.data()};
+  alignas(64) float values[kTileFloats] = {};
+  forward_body<W>(raster, all, colors, values);
+  const double error = difference_body<W>(values, target);
+  backward_body<W>(raster, tile, all, colors, values, pair_gradients);
+  return error;
+}
+
+// Calls visit(weights, values of the picture) for each row and vector of lanes of one Gaussian.
+template <int W, typename Visit>
+SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture, const Visit& visit) {
+  using V = Simd<W>;
+  for (const Span* span = spans; span != spans + count; ++span) {
+    const int x0 = span->strip * kTileWidth;
+    for (int lane = 0; lane < kTileWidth; lane += W) {
+      const typename V::F centres = lane_centres<W>(static_cast<float>(x0 + lane));
+      const typename V::F dx = centres - f.x;
+      const typename V::F z1 = dx * f.inv_l1;
+      const typename V::F z1_half_square = z1 * z1 * 0.5f;
+      const typename V::F inside = centres < static_cast<float>(picture.width) ? V::all(1.0f) : typename V::F{};
+      for (int row = span->first_row; row <= span->last_row;) {
+        const int end = segment_end(f, row, span->last_row);
+        Column<W> c = column<W>(f, dx, z1_half_square, static_cast<float>(row) + 0.5f - f.y);
+        float* values = picture.row(span->strip, row) + lane;
+        for (; row < end; ++row, values += 3 * kTileWidth) {
+          visit(V::max0(c.e - floor) * inside, values);
+          c.e *= c.ratio;
+          c.ratio *= f.decay;
+        }
+      }
+    }
+  }
+}
+
+template <int W>
+SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int count, const float* color, const Strips& picture) {
+  using V = Simd<W>;
+  const float c0 = color[0], c1 = color[1], c2 = color[2];
+  for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {
+    V::store(values, V::load(values) + weight * c0);
+    V::store(values + kTileWidth, V::load(values + kTileWidth) + weight * c1);
+    V::store(values + 2 * kTileWidth, V::load(values + 2 * kTileWidth) + weight * c2);
+  });
+}
+
+template <int W>
+SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture, float* products) {
+  using V = Simd<W>;
+  typename V::F p0{}, p1{}, p2{}, square{};
+  for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {
+    p0 += weight * V::load(values);
+    p1 += weight * V::load(values + kTileWidth);
+    p2 += weight * V::load(values + 2 * kTileWidth);
+    square += weight * weight;
+  });
+  products[0] = V::sum(p0);
+  products[1] = V::sum(p1);
+  products[2] = V::sum(p2);
+  products[3] = V::sum(square);
+}
+
+#define SG_FIT_KERNELS(name, width, attribute)                                                                      \
+  attribute double squared_error_##name(const Rasterization& r, int tile, const float* colors, const TileTarget& target, \
+                                        float* pair_gradients) {                                                     \
+    return squared_error_body<width>(r, tile, colors, target, pair_gradients);                                       \
+  }                                                                                                                  \
+  attribute void backward_##name(const Rasterization& r, int tile, const float* colors, const float* gradient,       \
+                                 float* pair_gradients) {                                                            \
+    for_batches<width>(r, tile, [&](const Batch& batch) SG_INLINE_LAMBDA {                                           \
+      backward_body<width>(r, tile, batch, colors, gradient, pair_gradients);                                        \
+      pair_gradients += (batch.end - batch.begin) * kPairGradients;                                                  \
+    });                                                                                                              \
+  }                                                                                                                  \
+  attribute void add_##name(const Footprint& f, float floor, const Span* spans, int count, const float* color,       \
+                            const Strips& picture) {                                                                 \
+    add_body<width>(f, floor, spans, count, color, picture);                                                         \
+  }                                                                                                                  \
+  attribute void project_##name(const Footprint& f, float floor, const Span* spans, int count,                       \
+                                const Strips& picture, float* products) {                                            \
+    project_body<width>(f, floor, spans, count, picture, products);                                                  \
+  }                                                                                                                  \
+  constexpr FitKernels k_##name = {squared_error_##name, backward_##name, add_##name, project_##name};
+
+SG_FIT_KERNELS(baseline, 4, )
+SG_FIT_KERNELS(avx2, 8, [[gnu::target("avx2,fma")]])
+SG_FIT_KERNELS(avx512, 16, [[gnu::target("avx512f,avx512dq,avx512vl,fma,prefer-vector-width=512")]])
+
+}  // namespace
+
+const FitKernels& fit_kernels(int isa) {
+  static const FitKernels* const table[] = {&k_baseline, &k_avx2, &k_avx512};
+  return *table[isa];
+}
+
+}  // namespace sg

@@ -1,0 +1,145 @@
+// L_g = mean over pixels and channels of |Gx| (G'x - Gx)^2 + |Gy| (G'y - Gy)^2. The Sobel operator is linear, so
+// G'x - Gx = Sobel_x(D) with D = image - target, and with u = |Gx| Sobel_x(D) the gradient by D is 2 Sobel_x^T(u).
+// Sobel kernels are divided by 8 (a ramp of slope 1 has gradient 1). Pixels without a whole 3x3 neighbourhood have
+// weight 0, so the planes are padded by a frame of zeros and the transpose is the operator with its sign turned.
+#include "fit/loss.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "core/thread_pool.h"
+
+#define SG_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+
+namespace sg {
+namespace {
+
+constexpr int kBand = 32;   // rows per task
+constexpr int kLanes = 16;  // partial sums, so that their order does not depend on the instruction set
+
+// out = a - b; returns the sum of squares.
+SG_CLONES double subtract(const float* a, const float* b, float* out, int count) {
+  float partial[kLanes] = {};
+  int i = 0;
+  for (; i + kLanes <= count; i += kLanes)
+    for (int k = 0; k < kLanes; ++k) {
+      const float d = a[i + k] - b[i + k];
+      out[i + k] = d;
+      partial[k] += d * d;
+    }
+  double total = 0.0;
+  for (float p : partial) total += static_cast<double>(p);
+  for (; i < count; ++i) {
+    out[i] = a[i] - b[i];
+    total += static_cast<double>(out[i]) * static_cast<double>(out[i]);
+  }
+  return total;
+}
+
+SG_CLONES void scale_row(const float* in, float* out, int count, float scale) {
+  for (int i = 0; i < count; ++i) out[i] = in[i] * scale;
+}
+
+// Sobel responses at `count` pixels of the row `p`; rows are `stride` apart.
+SG_CLONES void sobel(const float* p, int64_t stride, float* gx, float* gy, int count) {
+  const float *a = p - stride, *b = p + stride;
+  for (int c = 0; c < count; ++c) {
+    gx[c] = ((a[c + 1] - a[c - 1]) + 2.0f * (p[c + 1] - p[c - 1]) + (b[c + 1] - b[c - 1])) * 0.125f;
+    gy[c] = ((b[c - 1] - a[c - 1]) + 2.0f * (b[c] - a[c]) + (b[c + 1] - a[c + 1])) * 0.125f;
+  }
+}
+
+// u *= wx, v *= wy; returns the sum of wx u^2 + wy v^2.
+SG_CLONES double weigh(const float* wx, const float* wy, float* u, float* v, int count) {
+  float partial[kLanes] = {};
+  double total = 0.0;
+  int c = 0;
+  for (; c + kLanes <= count; c += kLanes)
+    for (int k = 0; k < kLanes; ++k) {
+      const float a = wx[c + k] * u[c + k], b = wy[c + k] * v[c + k];
+      partial[k] += a * u[c + k] + b * v[c + k];
+      u[c + k] = a;
+      v[c + k] = b;
+    }
+  for (; c < count; ++c) {
+    const float a = wx[c] * u[c], b = wy[c] * v[c];
+    total += static_cast<double>(a * u[c] + b * v[c]);
+    u[c] = a;
+    v[c] = b;
+  }
+  for (float p : partial) total += static_cast<double>(p);
+  return total;
+}
+
+// grad = mse_scale D + g_scale (Sobel_x^T(u) + Sobel_y^T(v)) along one row.
+SG_CLONES void gradient_row(const float* d, const float* u, const float* v, int64_t stride, float* grad, int count, float mse_scale,
+                            float g_scale) {
+  const float *ua = u - stride, *ub = u + stride, *va = v - stride, *vb = v + stride;
+  for (int c = 0; c < count; ++c) {
+    const float x = (ua[c - 1] - ua[c + 1]) + 2.0f * (u[c - 1] - u[c + 1]) + (ub[c - 1] - ub[c + 1]);
+    const float y = (va[c - 1] - vb[c - 1]) + 2.0f * (va[c] - vb[c]) + (va[c + 1] - vb[c + 1]);
+    grad[c] = mse_scale * d[c] + g_scale * (x + y);
+  }
+}
+
+}  // namespace
+
+ReconstructionLoss::ReconstructionLoss(const float* target, int width, int height, float lambda_g)
+    : width_(width), height_(height), stride_(width + 2), lambda_g_(lambda_g), target_(target) {
+  if (lambda_g == 0.0f) return;
+  const int64_t padded = 3 * static_cast<int64_t>(height + 2) * stride_;
+  for (auto* plane : {&weight_x_, &weight_y_, &difference_, &u_, &v_}) plane->assign(padded, 0.0f);
+  for (int k = 0; k < 3; ++k)
+    for (int row = 0; row < height; ++row)
+      std::copy_n(target + (static_cast<int64_t>(k) * height + row) * width, width, difference_.data() + at(k, row));
+  for (int k = 0; k < 3; ++k)
+    for (int row = 1; row < height - 1; ++row) {
+      float *wx = weight_x_.data() + at(k, row) + 1, *wy = weight_y_.data() + at(k, row) + 1;
+      if (width <= 2) continue;
+      sobel(difference_.data() + at(k, row) + 1, stride_, wx, wy, width - 2);
+      for (int c = 0; c < width - 2; ++c) {
+        wx[c] = std::fabs(wx[c]);
+        wy[c] = std::fabs(wy[c]);
+      }
+    }
+}
+
+Loss ReconstructionLoss::operator()(const float* image, float* grad) {
+  const int bands = (height_ + kBand - 1) / kBand;
+  const double values = 3.0 * static_cast<double>(width_) * height_;
+  const float mse_scale = static_cast<float>(2.0 / values);
+  const bool plain = lambda_g_ == 0.0f;
+  std::vector<double> squares(3 * bands), geometry(3 * bands);
+  const auto for_rows = [&](const auto& body) {
+    parallel_for(3 * bands, [&](int task) {
+      const int channel = task / bands, first = (task % bands) * kBand;
+      for (int row = first; row < std::min(height_, first + kBand); ++row)
+        body(task, channel, row, (static_cast<int64_t>(channel) * height_ + row) * width_);
+    });
+  };
+
+  for_rows([&](int task, int channel, int row, int64_t offset) {
+    float* d = plain ? grad + offset : difference_.data() + at(channel, row);
+    squares[task] += subtract(image + offset, target_ + offset, d, width_);
+    if (plain) scale_row(d, d, width_, mse_scale);
+  });
+  if (!plain) {
+    for_rows([&](int task, int channel, int row, int64_t) {
+      const int64_t p = at(channel, row);
+      sobel(difference_.data() + p, stride_, u_.data() + p, v_.data() + p, width_);
+      geometry[task] += weigh(weight_x_.data() + p, weight_y_.data() + p, u_.data() + p, v_.data() + p, width_);
+    });
+    const float g_scale = 0.125f * lambda_g_ * mse_scale;
+    for_rows([&](int, int channel, int row, int64_t offset) {
+      const int64_t p = at(channel, row);
+      gradient_row(difference_.data() + p, u_.data() + p, v_.data() + p, stride_, grad + offset, width_, mse_scale, g_scale);
+    });
+  }
+  Loss loss{};
+  for (double s : squares) loss.mse += s / values;
+  for (double g : geometry) loss.geometry += g / values;
+  return loss;
+}
+
+}  // namespace sg

@@ -1,0 +1,131 @@
+// Down one column the weight of a Gaussian is exp(-sigma) with sigma quadratic in the row, so
+//     e[r + 1] = e[r] ratio[r],   ratio[r + 1] = ratio[r] exp(-1 / l3^2):
+// two multiplications in place of an exponential. Rounding errors grow with the square of the length and an
+// underflow would be for ever, so the recurrence starts anew every `segment` rows, chosen (footprint.cpp)
+// such that a lane that matters anywhere in a segment has sigma < kFar at its first row.
+#pragma once
+
+#include "raster/rasterization.h"
+#include "core/simd.h"
+
+namespace sg {
+namespace {
+
+constexpr float kFar = 80.0f;  // beyond this, a lane stays zero through its segment; exp(-80) is still normal
+
+// exp(-sigma) in one row, and its ratio to the next.
+template <int W>
+struct Column {
+  typename Simd<W>::F e, ratio;
+};
+
+// Values in a row dy pixels from the Gaussian's mean, in columns dx from it.
+template <int W>
+SG_INLINE Column<W> column(const Footprint& f, typename Simd<W>::F dx, typename Simd<W>::F z1_half_square, float dy) {
+  using V = Simd<W>;
+  const typename V::F z2 = (dy - dx * f.shear) * f.inv_l3;
+  const typename V::F sigma = z1_half_square + z2 * z2 * 0.5f;
+  const typename V::F near = V::exp(-V::min(sigma, V::all(kFar)));
+  const typename V::F slope = (z2 + f.inv_l3 * 0.5f) * f.inv_l3;
+  return {sigma < kFar ? near : typename V::F{}, V::exp(V::min(V::max(-slope, V::all(-kFar)), V::all(kFar)))};
+}
+
+template <int W>
+SG_INLINE typename Simd<W>::F lane_centres(float x) {
+  typename Simd<W>::F v;
+  for (int i = 0; i < W; ++i) v[i] = x + static_cast<float>(i) + 0.5f;
+  return v;
+}
+
+// Where the column segment that begins at row ends, with the first row after it. No loop that calls a function for each:
+// the compiler would keep the sums of the gradients in memory, at a fifth more time.
+SG_INLINE int segment_end(const Footprint& f, int row, int last_row) {
+  return row + f.segment <= last_row ? row + f.segment : last_row + 1;
+}
+
+// Some of a tile's pairs, and the first values of their column segments, [segments][2][kTileWidth] in their order.
+struct Batch {
+  const Pair *begin, *end;
+  const float* first;
+};
+
+SG_INLINE int segments(const Rasterization& raster, const Pair& pair) {
+  const int segment = raster.footprint(pair.gaussian).segment;
+  return (pair.last_row - pair.first_row + segment) / segment;
+}
+
+SG_INLINE int tile_x(const Rasterization& raster, int tile) { return (tile % raster.strips()) * kTileWidth; }
+SG_INLINE int tile_y(const Rasterization& raster, int tile) { return (tile / raster.strips()) * kTileHeight; }
+
+// The exponentials of these pairs, apart from the loops over rows, which would wait for each.
+template <int W>
+SG_INLINE void first_values(const Rasterization& raster, int tile, const Pair* begin, const Pair* end, float* first) {
+  using V = Simd<W>;
+  const int x0 = tile_x(raster, tile), y0 = tile_y(raster, tile);
+  for (const Pair* pair = begin; pair != end; ++pair) {
+    const Footprint& f = raster.footprint(pair->gaussian);
+    for (int lane = 0; lane < kTileWidth; lane += W) {
+      const typename V::F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
+      const typename V::F z1 = dx * f.inv_l1;
+      for (int row = pair->first_row; row <= pair->last_row; row += f.segment, first += 2 * W) {
+        const Column<W> c = column<W>(f, dx, z1 * z1 * 0.5f, static_cast<float>(y0 + row) + 0.5f - f.y);
+        V::store(first, c.e);
+        V::store(first + W, c.ratio);
+      }
+    }
+  }
+}
+
+template <int W>
+SG_INLINE Column<W> next_column(const float*& first) {
+  first += 2 * W;
+  return {Simd<W>::load(first - 2 * W), Simd<W>::load(first - W)};
+}
+
+// Calls draw(batch) for all pairs of a tile, as many at a time as need little memory.
+template <int W, typename Draw>
+SG_INLINE void for_batches(const Rasterization& raster, int tile, const Draw& draw) {
+  constexpr int kMost = 2 * kTileHeight;  // segments; one pair has kTileHeight at most
+  alignas(64) float first[kMost * 2 * kTileWidth];
+  for (const Pair* begin = raster.tile_begin(tile); begin != raster.tile_end(tile);) {
+    const Pair* end = begin;
+    for (int count = 0; end != raster.tile_end(tile); ++end) {
+      count += segments(raster, *end);
+      if (count > kMost) break;
+    }
+    first_values<W>(raster, tile, begin, end, first);
+    draw(Batch{begin, end, first});
+    begin = end;
+  }
+}
+
+// Adds a batch to the tile's picture.
+template <int W>
+SG_INLINE void forward_body(const Rasterization& raster, const Batch& batch, const float* colors, float* accumulators) {
+  using V = Simd<W>;
+  const float floor = raster.floor();
+  const float* first = batch.first;
+  for (const Pair* pair = batch.begin; pair != batch.end; ++pair) {
+    const Footprint& f = raster.footprint(pair->gaussian);
+    const float* color = colors + 3 * static_cast<int64_t>(pair->gaussian);
+    const float c0 = color[0], c1 = color[1], c2 = color[2];
+    for (int lane = 0; lane < kTileWidth; lane += W) {
+      for (int row = pair->first_row; row <= pair->last_row;) {
+        const int end = segment_end(f, row, pair->last_row);
+        Column<W> c = next_column<W>(first);
+        float* out = accumulators + row * (3 * kTileWidth) + lane;
+        for (; row < end; ++row, out += 3 * kTileWidth) {
+          const typename V::F weight = V::max0(c.e - floor);
+          V::store(out, V::load(out) + weight * c0);
+          V::store(out + kTileWidth, V::load(out + kTileWidth) + weight * c1);
+          V::store(out + 2 * kTileWidth, V::load(out + 2 * kTileWidth) + weight * c2);
+          c.e *= c.ratio;
+          c.ratio *= f.decay;
+        }
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace sg

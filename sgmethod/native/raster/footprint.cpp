@@ -1,0 +1,43 @@
+#include "raster/footprint.h"
+
+namespace sg {
+namespace {
+
+constexpr int kMaxSegment = 16;   // rows; the recurrence's relative error stays below 16^2 / 2 * 6e-8
+constexpr double kMaxDecay = 80.0;  // exp(-80): a neighbouring row is far outside the ellipse by then
+
+// A lane with sigma <= kMaxCutoff somewhere in a segment of `rows` has |z2| < sqrt(2 kMaxCutoff) + rows / l3 at its
+// first row; sigma < 80 there asks for rows / l3 <= 9.
+int segment_rows(float l3) { return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment); }
+
+// exp(-inv_l3^2). It is multiplied up to 120 times, so single precision within would show.
+float decay(float inv_l3) { return exp_minus(std::min(static_cast<double>(inv_l3) * inv_l3, kMaxDecay)); }
+
+bool drawable(const float* mean, const float* factor) {
+  return std::isfinite(mean[0]) && std::isfinite(mean[1]) && std::isfinite(factor[1]) && factor[0] > 0.0f &&
+         factor[2] > 0.0f && std::isfinite(factor[0]) && std::isfinite(factor[2]) && std::isfinite(1.0f / factor[0]) &&
+         std::isfinite(1.0f / (factor[2] * factor[2])) && std::isfinite(factor[1] / factor[0]);
+}
+
+}  // namespace
+
+// exp(-x) = exp(-x / 1024)^1024
+float exp_minus(double x) {
+  double value = 1.0;
+  for (int k = 9; k > 0; --k) value = 1.0 - value * (x / 1024.0) / k;
+  for (int k = 0; k < 10; ++k) value *= value;
+  return static_cast<float>(value);
+}
+
+Footprint::Footprint(const float* mean, const float* factor) {
+  if (!drawable(mean, factor)) return;
+  x = mean[0];
+  y = mean[1];
+  inv_l1 = 1.0f / factor[0];
+  inv_l3 = 1.0f / factor[2];
+  shear = factor[1] / factor[0];
+  decay = sg::decay(inv_l3);
+  segment = segment_rows(factor[2]);
+}
+
+}  // namespace sg

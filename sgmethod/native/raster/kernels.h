@@ -1,0 +1,59 @@
+// The inner loops, one tile at a time, for each instruction set.
+#pragma once
+
+#include "raster/rasterization.h"
+
+namespace sg {
+
+enum Isa { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
+
+// The best instruction set this processor has.
+int best_isa();
+
+constexpr int kPairGradients = 8;  // mean x, y; l1, l2, l3; colour r, g, b
+
+// A run of rows in one strip of columns.
+struct Span {
+  int strip, first_row, last_row;  // inclusive
+};
+
+// A picture of strips: [strips][height][3][kTileWidth].
+struct Strips {
+  float* values;
+  int width, height;
+  float* row(int strip, int row) const {
+    return values + (static_cast<int64_t>(strip) * height + row) * (3 * kTileWidth);
+  }
+};
+
+// Where a tile's part of a picture [3][height][width] lies.
+struct TileTarget {
+  const float* first;
+  int64_t plane, stride;  // floats from one plane, and from one row, to the next
+  int64_t ahead;          // floats to what is to be asked for now and used later
+  int columns, rows;      // within the picture
+  float scale;            // of the gradient
+};
+
+struct TileKernels {
+  // accumulators [kTileHeight][3][kTileWidth] += sum over the tile's Gaussians of colour times weight.
+  void (*forward)(const Rasterization&, int tile, const float* colors, float* accumulators);
+  // Pixels [rows][columns][3] of 8 bits, rows `stride` bytes apart, from accumulators clamped to [0, 1].
+  void (*bytes)(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride);
+};
+
+struct FitKernels {
+  // The tile's squared error; pair_gradients [pairs of the tile][kPairGradients] of scale / 2 times it.
+  double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* pair_gradients);
+  // The same from the tile's image gradient, laid out as accumulators are.
+  void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
+  // picture += color [3] times the weights of one Gaussian.
+  void (*add)(const Footprint&, float floor, const Span* spans, int count, const float* color, const Strips& picture);
+  // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight.
+  void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture, float* products);
+};
+
+const TileKernels& kernels(int isa);
+const FitKernels& fit_kernels(int isa);
+
+}  // namespace sg

@@ -1,0 +1,166 @@
+// Gaussians far from each other do not see each other, so cells of the picture are refined side by side, a quarter of them at a
+// time: each those of its Gaussians that reach no further than half a cell beyond it. The others come last, one by one. The
+// result does not depend on the number of threads.
+#include "rd/refine.h"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <climits>
+#include <cmath>
+#include <numeric>
+
+#include "rd/visitor.h"
+#include "core/thread_pool.h"
+
+namespace sg {
+namespace {
+
+constexpr double kConverged = 0.02;   // part of the Gaussians that a last sweep changes
+constexpr int kSweepsAfterDrops = 2;  // those that stay take over what the others did
+constexpr int kPatience = 64;         // Gaussians between two looks at the clock
+constexpr int kCell = 128;            // side in pixels; half of one is a multiple of kTileWidth
+using Clock = std::chrono::steady_clock;
+
+class Refinement {
+ public:
+  Refinement(const RdParameters& p, std::vector<Symbols> all, const float* target, const RefineSettings& settings)
+      : state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, {}}, all_(std::move(all)) {
+    const int64_t strips = (p.width + kTileWidth - 1) / kTileWidth;
+    values_.assign(strips * p.height * 3 * kTileWidth, 0.0f);
+    state_.left = {values_.data(), p.width, p.height};
+    for (int k = 0; k < 3; ++k)
+      for (int row = 0; row < p.height; ++row)
+        for (int x = 0; x < p.width; ++x)
+          state_.left.row(x / kTileWidth, row)[k * kTileWidth + x % kTileWidth] = target[(static_cast<int64_t>(k) * p.height + row) * p.width + x];
+    Visitor visitor(state_, whole());
+    for (const Symbols& s : all_) visitor.add(state_.decoded(s), -1.0f);
+  }
+
+  std::vector<uint8_t> run() {
+    const std::chrono::duration<double> seconds(std::min(state_.settings.seconds, 1e6));
+    until_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(seconds);
+    std::vector<uint8_t> payload = encode();
+    sweep(state_.settings.sweeps, payload);
+    for (int sweeps = kSweepsAfterDrops; drop_until_it_fits(payload) && sweeps > 0; --sweeps) sweep(1, payload);
+    return payload;
+  }
+
+ private:
+  // So many sweeps, at most, over all Gaussians.
+  void sweep(int sweeps, std::vector<uint8_t>& payload) {
+    for (int k = 0; k < sweeps && Clock::now() < until_; ++k) {
+      const size_t changed = visit_everywhere();
+      payload = encode();
+      if (changed < all_.size() * kConverged) break;
+    }
+  }
+
+  // Visits all Gaussians, and returns how many have changed.
+  size_t visit_everywhere() {
+    std::vector<size_t> waiting(all_.size());
+    std::iota(waiting.begin(), waiting.end(), size_t{0});
+    const size_t changed = visit_cells(waiting);
+    return changed + visit_all(whole(), waiting);
+  }
+
+  // Visits those that fit a cell and half a cell around it, and leaves the others in `waiting`.
+  size_t visit_cells(std::vector<size_t>& waiting) {
+    const int columns = (state_.p.width + kCell - 1) / kCell, rows = (state_.p.height + kCell - 1) / kCell;
+    std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
+    for (const size_t i : waiting) {
+      const Candidate c = state_.decoded(all_[i]);
+      const int column = clamp_to_int(c.mean[0] / kCell, 0, columns - 1);
+      const int row = clamp_to_int(c.mean[1] / kCell, 0, rows - 1);
+      cells[static_cast<size_t>(row) * columns + column].push_back(i);
+    }
+    constexpr int kHalf = kCell / 2;
+    std::atomic<size_t> changed{0};
+    for (int phase = 0; phase < 4; ++phase) {
+      const int column0 = phase % 2, row0 = phase / 2, across = (columns - column0 + 1) / 2;
+      parallel_for(across * ((rows - row0 + 1) / 2), [&](int k) {
+        const int column = column0 + k % across * 2, row = row0 + k / across * 2;
+        const Part part{(2 * column - 1) * kHalf / kTileWidth, (2 * column + 3) * kHalf / kTileWidth, (2 * row - 1) * kHalf,
+                        (2 * row + 3) * kHalf};
+        changed += visit_all(part, cells[static_cast<size_t>(row) * columns + column]);
+      });
+    }
+    waiting.clear();
+    for (const auto& cell : cells) waiting.insert(waiting.end(), cell.begin(), cell.end());
+    std::sort(waiting.begin(), waiting.end());
+    return changed;
+  }
+
+  // Visits what stays within a part, and leaves the others in `waiting`; returns how many have changed.
+  size_t visit_all(const Part& part, std::vector<size_t>& waiting) {
+    Visitor visitor(state_, part);
+    size_t changed = 0, left = 0;
+    for (size_t k = 0; k < waiting.size() && (k % kPatience != 0 || Clock::now() < until_); ++k) {
+      const Outcome outcome = visitor.visit(all_[waiting[k]]);
+      if (outcome == Outcome::kOutside) waiting[left++] = waiting[k];
+      changed += outcome == Outcome::kChanged;
+    }
+    waiting.resize(left);
+    return changed;
+  }
+
+  Part whole() const { return {0, INT_MAX, 0, INT_MAX}; }
+
+  std::vector<uint8_t> encode() {
+    erase_empty(all_);
+    state_.models = Models();
+    return encode_symbols(state_.p, all_, state_.models);
+  }
+
+  // Returns whether anything had to go.
+  bool drop_until_it_fits(std::vector<uint8_t>& payload) {
+    bool dropped = false;
+    for (; payload.size() > state_.settings.max_bytes && !all_.empty(); dropped = true) {
+      drop_least(payload.size());
+      payload = encode();
+    }
+    return dropped;
+  }
+
+  // Leaves out Gaussians, those first that gain least error for each bit, for a part of what is too much: their bits are
+  // estimates, and each leaves more for its neighbours to do.
+  void drop_least(size_t bytes) {
+    std::vector<std::pair<double, size_t>> order(all_.size());
+    std::vector<double> sizes(all_.size());
+    parallel_chunks(static_cast<int>(all_.size()), kPatience, [&](int first, int last, int) {
+      Visitor visitor(state_, whole());
+      for (int i = first; i < last; ++i) {
+        const Candidate c = state_.decoded(all_[i]);
+        float products[4];
+        visitor.project(c, products);
+        double loss = 0;  // what is left grows by the Gaussian itself
+        for (int k = 0; k < 3; ++k) loss += c.color[k] * (static_cast<double>(c.color[k]) * products[3] + 2.0 * products[k]);
+        sizes[i] = state_.bits(c.symbols);
+        order[i] = {loss / sizes[i], static_cast<size_t>(i)};
+      }
+    });
+    std::sort(order.begin(), order.end());
+    double excess = 0.6 * 8.0 * static_cast<double>(bytes - state_.settings.max_bytes);
+    Visitor visitor(state_, whole());
+    for (size_t k = 0; k < order.size() && (k == 0 || excess > 0); ++k) {
+      Symbols& s = all_[order[k].second];
+      visitor.add(state_.decoded(s), 1.0f);
+      excess -= sizes[order[k].second];
+      s.y = s.a = s.b = 0;
+    }
+  }
+
+  State state_;
+  std::vector<Symbols> all_;
+  std::vector<float> values_;  // of state_.left
+  Clock::time_point until_;
+};
+
+}  // namespace
+
+std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
+                               const float* target, const RefineSettings& settings) {
+  return Refinement(p, quantised(p, means, factors, colors, n), target, settings).run();
+}
+
+}  // namespace sg

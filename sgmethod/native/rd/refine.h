@@ -1,0 +1,24 @@
+// Profile rd: coordinate descent on the integers of a coded picture.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "rd/codec.h"
+
+namespace sg {
+
+struct RefineSettings {
+  float cutoff;      // sigma at which a Gaussian ends
+  double price;      // squared error, summed over pixels and channels, that one bit is worth
+  int sweeps;        // over all Gaussians, at most
+  double seconds;    // after which no further sweep begins, and one under way ends soon
+  uint64_t max_bytes;  // of the payload; Gaussians that gain least for their bits go until it fits
+};
+
+// The payload of the Gaussians, rounded, with integers changed one Gaussian at a time wherever that lowers squared error
+// plus price times bits. target [3, height, width]: what they should add up to.
+std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
+                               const float* target, const RefineSettings& settings);
+
+}  // namespace sg

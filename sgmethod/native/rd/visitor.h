@@ -1,0 +1,218 @@
+// Rounding Gaussians one by one leaves what their errors have in common, because they overlap. Here each in turn sees the
+// picture that is left for it, and takes the best of: its integers one up or one down, each with the colour that is
+// best then; none at all.
+//
+// With e the picture left, w the weights of a candidate and c its colour, the error is |e|^2 - 2 c <w, e> + |c|^2 <w, w>:
+// four sums over its pixels tell it for every colour.
+#pragma once
+
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "raster/kernels.h"
+#include "rd/models.h"
+#include "rd/refine.h"
+
+namespace sg {
+namespace {
+
+constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about: what leaving it out saves beside its own bits
+
+// A coder that only counts, by models that stay as they are.
+struct BitCounter {
+  static constexpr bool kDecodes = false;
+  double bits = 0;
+  int symbol(const Model& model, int symbol) {
+    bits += kProbabilityBits - std::log2(static_cast<float>(model.edge(symbol + 1) - model.edge(symbol)));
+    return symbol;
+  }
+  uint32_t raw(uint32_t value, int count) {
+    bits += count;
+    return value;
+  }
+};
+
+struct Candidate {
+  Symbols symbols;
+  float mean[2], factor[3], color[3];
+  double cost;  // squared error and price, against none at all
+};
+
+// What all Gaussians share.
+struct State {
+  const RdParameters& p;
+  const RefineSettings& settings;
+  float floor, reach;
+  Strips left;  // of the target, without all Gaussians
+  Models models;
+
+  Candidate decoded(const Symbols& s) const {
+    Candidate c{s, {}, {}, {}, 0};
+    dequantise(p, s, Geometry(s, Steps(s)), c.mean, c.factor, c.color);
+    return c;
+  }
+
+  double bits(const Symbols& s) {
+    BitCounter counter;
+    Symbols copy = s;
+    models.gaussian(counter, p, copy);
+    return counter.bits + kPositionBits;
+  }
+};
+
+// A part of the picture, in strips and rows.
+struct Part {
+  int strip0, strip1, row0, row1;  // the ends are not in it
+};
+
+enum class Outcome { kSame, kChanged, kOutside };
+
+// Refines Gaussians one by one, as long as they and their candidates stay within a part of the picture.
+class Visitor {
+ public:
+  Visitor(State& state, const Part& part) : state_(state), part_(part) {}
+
+  Outcome visit(Symbols& s) {
+    const Candidate now = state_.decoded(s);
+    outside_ = false;
+    add(now, 1.0f);
+    if (outside_) return Outcome::kOutside;
+    Candidate best{};  // none at all
+    best.cost = 0;
+    consider(now, best);
+    const Steps steps(s);
+    const Geometry g(s, steps);
+    for (int sign = -1; sign <= 1 && !outside_; sign += 2) {
+      // u through the floats, because it may lead to another class
+      const float grow = std::exp(static_cast<float>(sign * 0.34657359 * Steps::power(-steps.u_bits())));
+      const float grown[3] = {now.factor[0] * grow, now.factor[1] * grow, now.factor[2] * grow};
+      Candidate c;
+      if (quantised(now.mean, grown, now.color, c)) consider(c, best);
+      for (int which = 0; which < 4 && !outside_; ++which) {
+        Symbols moved = s;
+        if (which == 0) {
+          moved.v += sign;
+        } else if (which == 1) {
+          if (state_.p.upright) continue;
+          moved.r += sign;
+        } else if (which == 2) {
+          moved.px += sign;
+        } else {
+          moved.py += sign;
+        }
+        if (std::abs(moved.v) > kMaxShape || std::abs(moved.r) > kMaxShape || std::abs(moved.v) * steps.v() > kMaxAspect) continue;
+        if (moved.px >> g.x_bits || moved.py >> g.y_bits) continue;
+        c = state_.decoded(moved);
+        // With another shape the place keeps its value, whatever the parts of the cell are now.
+        if (which < 2 && !quantised(now.mean, c.factor, c.color, c)) continue;
+        consider(c, best);
+      }
+    }
+    if (outside_) {  // leaves things as they were
+      add(now, -1.0f);
+      return Outcome::kOutside;
+    }
+    const bool changed = std::memcmp(&best.symbols, &s, sizeof s) != 0;
+    s = best.symbols;
+    if (!s.empty()) add(best, -1.0f);
+    return changed ? Outcome::kChanged : Outcome::kSame;
+  }
+
+  void add(const Candidate& c, float sign) {
+    const Footprint f(c.mean, c.factor);
+    const std::vector<Span>& spans = spans_of(f, c.factor);
+    const float color[3] = {sign * c.color[0], sign * c.color[1], sign * c.color[2]};
+    fit_kernels(best_isa()).add(f, state_.floor, spans.data(), static_cast<int>(spans.size()), color, state_.left);
+  }
+
+  void project(const Candidate& c, float* products) {
+    const Footprint f(c.mean, c.factor);
+    const std::vector<Span>& spans = spans_of(f, c.factor);
+    fit_kernels(best_isa()).project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left, products);
+  }
+
+ private:
+  bool quantised(const float* mean, const float* factor, const float* color, Candidate& c) const {
+    Symbols s{};
+    if (!quantise(state_.p, mean, factor, color, s)) return false;
+    c = state_.decoded(s);
+    return true;
+  }
+
+  double cost(const Candidate& c, const float* products) {
+    double error = 0;
+    for (int k = 0; k < 3; ++k) error += c.color[k] * (static_cast<double>(c.color[k]) * products[3] - 2.0 * products[k]);
+    return error + state_.settings.price * state_.bits(c.symbols);
+  }
+
+  // c with the colour that is best for its geometry; where the steps, and so the geometry, change with it, they are
+  // weighed again.
+  void consider(Candidate c, Candidate& best) {
+    float products[4];
+    project(c, products);
+    if (products[3] <= 0.0f) return;
+    c.cost = cost(c, products);
+    if (c.cost < best.cost) best = c;
+    const float color[3] = {products[0] / products[3], products[1] / products[3], products[2] / products[3]};
+    Symbols rounded{};
+    if (!quantise(state_.p, c.mean, c.factor, color, rounded)) return;
+    for (int toward = 0; toward < 4; ++toward) {  // as rounded; then one part a step nearer to zero
+      Symbols s = rounded;
+      if (toward > 0) {
+        int& part = toward == 1 ? s.y : toward == 2 ? s.a : s.b;
+        if (part == 0) continue;
+        part -= part > 0 ? 1 : -1;
+        if (s.empty()) continue;
+      }
+      weigh(s, c, products, best);
+    }
+  }
+
+  // The colour of s with the geometry of c.
+  void weigh(const Symbols& s, const Candidate& c, const float* products, Candidate& best) {
+    if (s.y == c.symbols.y && s.a == c.symbols.a && s.b == c.symbols.b) return;
+    Symbols same = c.symbols;
+    same.y = s.y, same.a = s.a, same.b = s.b;
+    const Steps before(c.symbols), after(same);
+    Candidate found;
+    if (same.size_class == s.size_class && before.exponent == after.exponent) {
+      const Geometry old_geometry(c.symbols, before), geometry(same, after);
+      if (old_geometry.x_bits == geometry.x_bits && old_geometry.y_bits == geometry.y_bits) {
+        found = state_.decoded(same);
+        found.cost = cost(found, products);
+        if (found.cost < best.cost) best = found;
+        return;
+      }
+    }
+    const Candidate colored = state_.decoded(same);
+    if (!quantised(c.mean, c.factor, colored.color, found)) return;
+    float again[4];
+    project(found, again);
+    found.cost = cost(found, again);
+    if (found.cost < best.cost) best = found;
+  }
+
+  // None if some of them would lie outside.
+  const std::vector<Span>& spans_of(const Footprint& f, const float* factor) {
+    spans_.clear();
+    bool within = true;
+    spans(f, factor, state_.reach, state_.p.width, state_.p.height, [&](int strip, int row0, int row1) {
+      within = within && strip >= part_.strip0 && strip < part_.strip1 && row0 >= part_.row0 && row1 < part_.row1;
+      spans_.push_back({strip, row0, row1});
+    });
+    if (!within) {
+      outside_ = true;
+      spans_.clear();
+    }
+    return spans_;
+  }
+
+  State& state_;
+  const Part part_;
+  bool outside_ = false;
+  std::vector<Span> spans_;
+};
+
+}  // namespace
+}  // namespace sg

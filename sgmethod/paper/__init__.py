@@ -1,0 +1,5 @@
+"""Profiles paper and baseline: the paper's method, and what it is compared with.
+
+A request comes in: a picture and what the file may spend.
+The bytes of a version 1 file leave, after a structure-guided start, a fit and quantisation-aware tuning.
+"""

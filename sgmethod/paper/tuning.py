@@ -1,0 +1,207 @@
+"""The paper's quantisation-aware fine-tuning: Gaussians -> integer codes (sections III-C to III-E).
+
+Positions by LSQ, factors by ABQ, colours by residual vector quantisation, all learned together under
+
+    L_tune = MSE + lambda_g L_g + lambda_b L_b + lambda_r L_r.
+
+Under a byte budget the sum of all bitwidths is given: instead of paying lambda_b for each bit, the soft
+bitwidths are shifted by one common amount to fit, which is the same trade-off with the price found by the
+budget. They start from the sensitivity of the picture to each Gaussian's shape.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, Stream, file_bytes
+from sgmethod.fitting.fit import FrameAdam, Parameters, Picture, Plan, Recorder, run
+from sgmethod.paper import lattice
+from sgmethod.paper.codebook import ResidualCodebook
+from sgmethod.profiles import Settings
+from sgmethod.scene import Gaussians
+
+MIN_SPAN_PX = 1e-3
+FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budget
+
+
+def bits_per_gaussian(settings: Settings) -> float:
+    """Expected bits of one Gaussian's record."""
+    return 2 * settings.position_bits + 3 * settings.mean_bitwidth + CODEBOOK_STAGES * COLOR_INDEX_BITS
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to tune: the picture, its settings, the file's largest size (None: as lambda_b decides), when to be done,
+    and the seed."""
+
+    picture: Picture
+    settings: Settings
+    max_bytes: int | None
+    until_s: float | None
+    seed: int
+
+
+class Tuner:
+    """Latent parameters with their quantisers."""
+
+    def __init__(self, gaussians: Gaussians, job: Job) -> None:
+        s = self.settings = job.settings
+        self.job = job
+        self.p = Parameters.of(gaussians)
+        self.n = len(gaussians)
+        l1, _, l3 = self.p.factors.T
+        self.weights = l1 * l3  # the energy of a Gaussian of colour 1, up to a constant
+        self.book = ResidualCodebook(
+            self.p.colors,
+            self.weights,
+            stages=CODEBOOK_STAGES,
+            entries=CODEBOOK_ENTRIES,
+            decay=s.codebook_decay,
+            seed=job.seed,
+        )
+        self.position_bits = torch.tensor([float(s.position_bits)])
+        tail = s.range_quantile
+        self.ranges = [
+            self.p.means.amin(0),
+            self.p.means.amax(0),
+            self.p.factors.quantile(tail, dim=0),
+            self.p.factors.quantile(1 - tail, dim=0),
+        ]
+        self._widen()
+        self.soft_bits = (
+            self._sensitivity_bits() if s.adaptive_bitwidth else torch.full((self.n, 1), float(s.min_bitwidth))
+        )
+        self.shift = 0.0
+        self.steps = 0
+        rates = [
+            r.abs().amax().item() * s.range_rate for r in (self._span(0), self._span(0), self._span(2), self._span(2))
+        ]
+        groups = [{"params": [r], "lr": lr, "initial_lr": lr} for r, lr in zip(self.ranges, rates, strict=True)]
+        if s.adaptive_bitwidth:
+            groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
+        self.optimiser = torch.optim.Adam(groups, betas=(s.beta1, s.beta2), eps=1e-15)
+        self.adam = FrameAdam(self.n, s)
+        self.fit_budget()
+
+    def _span(self, i: int) -> Tensor:
+        return self.ranges[i + 1] - self.ranges[i]
+
+    def _widen(self) -> None:
+        """Keep every range at least MIN_SPAN_PX wide: equal values, or two ends that crossed, have no step."""
+        for i in (0, 2):
+            if i == 2:
+                self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.min_scale_px)
+            self.ranges[i + 1].copy_(torch.maximum(self.ranges[i + 1], self.ranges[i] + MIN_SPAN_PX))
+
+    def _sensitivity_bits(self) -> Tensor:
+        """Bitwidths that spread the error evenly: an isolated Gaussian's picture changes by about
+        |c| sqrt(l1 l3) / l per pixel of l, and each further bit halves the step."""
+        l1, _, l3 = self.p.factors.T
+        power = self.p.colors.square().sum(1) * l1 * l3 * (l1**-2 + 2 * l3**-2)
+        return 0.5 * torch.log2(power + 1e-9)[:, None]
+
+    def bits(self) -> Tensor:
+        """Soft bitwidths [N, 1] as they apply, within the allowed range."""
+        return (self.soft_bits + self.shift).clamp(self.settings.min_bitwidth, self.settings.max_bitwidth)
+
+    def file_bytes(self) -> int:
+        """Size of the file as the bitwidths are now."""
+        fixed = 2 * self.settings.position_bits + CODEBOOK_STAGES * COLOR_INDEX_BITS
+        hard = torch.round(self.bits()).long()
+        return file_bytes(fixed * self.n + 3 * int(hard.sum()), int((torch.bincount(hard[:, 0]) > 0).sum()))
+
+    def fit_budget(self) -> None:
+        """Shift all soft bitwidths by the largest amount that keeps the file within the budget."""
+        if self.job.max_bytes is None or not self.settings.adaptive_bitwidth:
+            return
+        low, high = -64.0, 64.0
+        for _ in range(32):
+            self.shift = (low + high) / 2
+            low, high = (self.shift, high) if self.file_bytes() <= self.job.max_bytes else (low, self.shift)
+        self.shift = low
+
+    def quantised(self) -> tuple[Parameters, Tensor]:
+        """What the decoder will see, differentiable in latents, ranges and bitwidths; and colour indices [N, 2]."""
+        low, high = self.ranges[2], self.ranges[3]
+        means = lattice.quantise(self.p.means, self.ranges[0], self.ranges[1], self.position_bits)
+        factors = lattice.quantise(self.p.factors, low, high, self.bits())
+        index = self.book.assign(self.p.colors)
+        return Parameters(means, factors, self.book.lookup(index)), index
+
+    def step(self, rate: float, _progress: float = 0.0) -> tuple[float, tuple[int, int]]:
+        """One step of all parameters; returns the quantised picture's error and (Gaussians, bits of the file)."""
+        if self.steps % FIT_BUDGET_EVERY == 0:
+            self.fit_budget()
+        self.steps += 1
+        leaves = [self.p.means, self.p.factors, *self.ranges, self.soft_bits]
+        for leaf in leaves:
+            leaf.requires_grad_()
+        quantised, index = self.quantised()
+        with torch.no_grad():
+            mse, grad = self.job.picture.gradients(quantised)
+        grads = torch.autograd.grad([quantised.means, quantised.factors], leaves, [grad.means, grad.factors])
+        with torch.no_grad():
+            for leaf in leaves:
+                leaf.requires_grad_(False)
+            self._move(Parameters(grads[0], grads[1], grad.colors), list(grads[2:]), quantised.colors, rate)
+            self.book.follow(self.p.colors, self.weights, index)
+        return mse, (self.n, 8 * self.file_bytes())
+
+    def _move(self, grad: Parameters, others: list[Tensor], coded_colors: Tensor, rate: float) -> None:
+        s, picture = self.settings, self.job.picture
+        # L_r, each colour weighed by its Gaussian's part of the picture, so that it is on the scale of the MSE.
+        energy = math.pi * self.weights / (3 * picture.width * picture.height)
+        grad.colors = grad.colors + 2 * s.lambda_r * energy[:, None] * (self.p.colors - coded_colors)
+        self.adam.step(self.p, grad, rate * s.tune_rate)
+        # L_b, or with a budget the price at which the mean bitwidth does not move.
+        price = others[4].mean() if self.job.max_bytes is not None else -s.lambda_b / self.n
+        others[4] = others[4] - price
+        for parameter, value in zip([*self.ranges, self.soft_bits], others, strict=True):
+            parameter.grad = value
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["initial_lr"] * rate
+        self.optimiser.step()
+        self._widen()
+
+    def stream(self, profile: str) -> Stream:
+        """The integer codes as syntax elements, Gaussians grouped by bitwidth, rows of each group from the top."""
+        self.fit_budget()
+        low, high = self.ranges[2], self.ranges[3]
+        positions = lattice.codes(self.p.means, self.ranges[0], self.ranges[1], self.position_bits).numpy()
+        factors = lattice.codes(self.p.factors, low, high, self.bits()).numpy()
+        colors = self.book.assign(self.p.colors).numpy()
+        hard = torch.round(self.bits())[:, 0].numpy().astype(int)
+        groups = []
+        for bitwidth in np.unique(hard):
+            rows = np.flatnonzero(hard == bitwidth)
+            rows = rows[np.argsort(positions[rows, 1], kind="stable")]
+            groups.append(
+                Group(
+                    int(bitwidth),
+                    positions[rows].astype(np.uint16),
+                    factors[rows].astype(np.uint16),
+                    colors[rows].astype(np.uint8),
+                )
+            )
+        return Stream(
+            profile=profile,
+            width=self.job.picture.width,
+            height=self.job.picture.height,
+            position_bits=self.settings.position_bits,
+            position_range=torch.stack(self.ranges[:2], 1).numpy(),
+            factor_range=torch.stack([low, high], 1).numpy(),
+            codebooks=self.book.entries.numpy().astype(np.float16),
+            groups=tuple(groups),
+        )
+
+
+def tune(gaussians: Gaussians, job: Job, recorder: Recorder, profile: str) -> tuple[Stream, int]:
+    """Quantisation-aware fine-tuning; the stream, and the steps that took."""
+    tuner = Tuner(gaussians, job)
+    done = run(Plan("tune", job.settings.tune_steps, job.until_s), recorder, tuner.step, job.settings.final_rate)
+    return tuner.stream(profile), done

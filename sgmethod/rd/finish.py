@@ -1,0 +1,147 @@
+"""Profile rd: from fitted Gaussians to the file that meets the goal best.
+
+The quantum is chosen by the goal; then every Gaussian's integers are refined on the picture that the others leave
+(sgmethod/native/rd_refine.cpp).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sgmethod.bitstream import v3
+from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, RdStream
+from sgmethod.decode import decode
+from sgmethod.fitting.fit import Parameters, Picture, Task
+from sgmethod.metrics import psnr
+from sgmethod.profiles import RdSettings
+from sgmethod.rd import quantiser
+from sgmethod.rd.quantiser import Coder
+
+NO_LIMIT = 1 << 40
+EXACT_DB = 99.0  # of a picture without any error
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What steers the quantum: a size in bytes never to exceed, a PSNR in dB to reach, or neither (both None: the
+    quantum given stays); and a number of Gaussians not to exceed."""
+
+    quantum: float
+    max_bytes: int | None = None
+    psnr: float | None = None
+    max_gaussians: int | None = None
+
+
+class Finish:
+    """The last part of one encode."""
+
+    def __init__(
+        self, p: Parameters, coder: Coder, picture: Picture, goal: Goal, settings: RdSettings, task: Task
+    ) -> None:
+        self.p, self.coder, self.picture, self.goal, self.settings = p, coder, picture, goal, settings
+        self.source = task.source()
+        self.clock, self.until = task.recorder.clock, task.until_s()
+
+    def stream(self) -> RdStream:
+        """The coded picture."""
+        if self.goal.psnr is not None:
+            best = self._at_psnr(self.goal.psnr)
+        elif self.goal.max_bytes is not None:
+            best = self._within(self.goal.max_bytes - HEADER_BYTES)
+        else:
+            best = self._refined(self.coder.with_quantum(self.goal.quantum))
+        # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
+        background = self.coder.stream(Parameters.empty(0))
+        enough = min(self._psnr(best), self.goal.psnr or math.inf)
+        return background if self._psnr(background) >= enough else best
+
+    def _left_s(self) -> float:
+        return math.inf if self.until is None else max(self.until - self.clock.seconds(), 0.0)
+
+    def _refined(self, coder: Coder, max_payload: int = NO_LIMIT) -> RdStream:
+        price = self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
+        sweeps = self.settings.refine_sweeps
+        return coder.refined(self.p, self.picture.target, price, sweeps, self._left_s(), max_payload)
+
+    def _psnr(self, stream: RdStream) -> float:
+        return min(psnr(decode(v3.serialise(stream)), self.source), EXACT_DB)
+
+    def _within(self, limit: int) -> RdStream:
+        """With the finest quantum at which the Gaussians fit; or, where the fit was cut short and far from its size,
+        with the quantum as it was and fewer Gaussians, if that is better."""
+        s, coder = self.settings, self._coder_within(limit)
+        found = [self._refined(coder, limit)]
+        # Refining makes files smaller, by a percent or, where the fit was short, a fifth.
+        for _ in range(s.size_tries):
+            used = len(found[-1].payload) / max(limit, 1)
+            if used >= s.least_used or used == 0 or self._left_s() == 0:
+                break
+            coder = coder.with_quantum(coder.quantum * used**s.quantum_per_size)
+            found.append(self._refined(coder, limit))
+        if len(self.coder.stream(self.p).payload) > s.far_from_size * limit:
+            found.append(self._refined(self.coder, limit))
+        return max(found, key=self._psnr)
+
+    def _coder_within(self, limit: int) -> Coder:
+        """By bisection from near the steered quantum; even the coarsest may leave too much."""
+        low, high = math.log(0.8 * self.coder.quantum), math.log(1.02 * self.coder.quantum)
+        while self._payload(high) > limit and high < math.log(MAX_QUANTUM):
+            low, high = high, high + math.log(2)
+        while self._payload(low) < limit and low > math.log(MIN_QUANTUM):
+            low, high = low - math.log(2), low
+        for _ in range(8):
+            middle = (low + high) / 2
+            low, high = (low, middle) if self._payload(middle) <= limit else (middle, high)
+        return self.coder.with_quantum(math.exp(high))
+
+    def _payload(self, log_quantum: float) -> int:
+        return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
+
+    def _at_psnr(self, target_db: float) -> RdStream:
+        """The smallest found that reaches the target; the nearest if none does."""
+        slack = self.settings.psnr_slack_db
+        tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
+        at, streams, took = math.log2(self.coder.quantum), {}, 0.0
+        for _ in range(self.settings.psnr_tries):
+            began = self.clock.seconds()
+            stream = self._refined(self.coder.with_quantum(2**at))
+            tried[at], streams[at] = self._psnr(stream) - target_db, stream
+            took = self.clock.seconds() - began
+            if 0 <= tried[at] <= slack or took > self._left_s():
+                break
+            at = self._next_quantum(tried)
+            if at in tried:
+                break
+        reached = [q for q, beyond in tried.items() if beyond >= 0]
+        if not reached:
+            return streams[max(tried, key=lambda q: tried[q])]
+        at = min(reached, key=lambda q: len(streams[q].payload))
+        if tried[at] <= slack or took > self._left_s():
+            return streams[at]
+        return self._fewer(streams[at], target_db)
+
+    def _fewer(self, stream: RdStream, target_db: float) -> RdStream:
+        """With as few bytes of the stream's quantum as still reach the target, by bisection. Some tens of Gaussians
+        move by tenths of a decibel whatever the quantum, and the coarsest there is may be too fine for them."""
+        coder, too_small = self.coder.with_quantum(stream.quantum), -1
+        for _ in range(self.settings.psnr_tries):
+            if len(stream.payload) - too_small <= 2 or self._left_s() == 0:
+                break
+            middle = (too_small + len(stream.payload)) // 2
+            smaller = self._refined(coder, middle)
+            if self._psnr(smaller) >= target_db:
+                stream = smaller
+            else:
+                too_small = middle
+        return stream
+
+    def _next_quantum(self, tried: dict[float, float]) -> float:
+        """By the line through the two nearest to the target, aimed a little above it."""
+        slope = -self.settings.db_per_doubling
+        (x, y), *others = sorted(tried.items(), key=lambda item: abs(item[1]))
+        if others:
+            (x1, y1) = others[0]
+            slope = min(max((y1 - y) / (x1 - x), 2 * slope), slope / 4) if x1 != x else slope
+        at = x + (0.4 * self.settings.psnr_slack_db - y) / slope
+        return min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM))

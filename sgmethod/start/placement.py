@@ -1,0 +1,115 @@
+"""Where the Gaussians start: structure-guided initialisation (paper, section III-B) or, for comparison, anywhere."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.profiles import Settings
+from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.start import structure
+from sgmethod.start.structure import Structure
+
+MIN_START_SCALE_PX = 0.5
+GRADIENT_FLOOR = 1e-3  # keeps a flat region's density uniform; a quarter of a grey level per pixel
+LARGEST_LOCAL_SCALE = 3.0  # times the mean scale of the region
+
+
+def dynamic_ratio(n: int, pixels: int, settings: Settings) -> tuple[float, float, float]:
+    """Shares of the three categories of complexity, summing to 1 (equation 4).
+
+    phi_i(n) = (1 - s) phi_i + s / 3 with phi normalised, s = clamp((n - n_0) / (N_t - n_0), 0, 1)^gamma and
+    N_t = k pixels^alpha. The base is clamped, not the power: gamma is even. Where N_t <= n_0 the ratio turns
+    uniform at n_0 at once.
+    """
+    threshold = settings.threshold_factor * pixels**settings.threshold_exponent
+    span = threshold - settings.ratio_start
+    base = (n - settings.ratio_start) / span if span > 0 else float(n > settings.ratio_start)
+    s = min(max(base, 0.0), 1.0) ** settings.ratio_exponent
+    total = sum(settings.ratio)
+    a, b, c = ((1 - s) * phi / total + s / 3 for phi in settings.ratio)
+    return a, b, c
+
+
+def allocate(complexity: FloatArray, n: int, ratio: tuple[float, float, float]) -> NDArray[np.int64]:
+    """Gaussians for each region, summing to n.
+
+    Regions in descending order of complexity make three categories of equal number; a category's share is
+    divided evenly among its regions; what is left goes one by one to the most complex regions.
+    """
+    order = np.argsort(-complexity, kind="stable")
+    counts = np.zeros(len(order), np.int64)
+    for category, share in zip(reversed(np.array_split(order[::-1], 3)), ratio, strict=True):
+        if len(category):
+            counts[category] = int(n * share) // len(category)
+    rounds, left = divmod(n - int(counts.sum()), len(order))
+    counts += rounds
+    counts[order[:left]] += 1
+    return counts
+
+
+def place(image: FloatArray, n: int, settings: Settings, rng: np.random.Generator) -> Gaussians:
+    """n Gaussians to start from on an image [H, W, 3] in [0, 1]; colours are those of the image below."""
+    if not settings.structure_guided:
+        return _place_randomly(image, n, rng)
+    regions = min(max(n // settings.gaussians_per_region, 9), image.shape[0] * image.shape[1])
+    found = structure.analyse(image, regions, settings.compactness, settings.tensor_smoothing_px)
+    ratio = dynamic_ratio(n, image.shape[0] * image.shape[1], settings)
+    means, scales = _scatter(found, allocate(found.complexity, n, ratio), settings.placement_power, rng)
+    rows, columns = _pixels_below(means, image.shape[:2])
+    factors = _along_edges(scales, found.tensor[rows, columns], settings.orientation_gain)
+    return Gaussians(means, factors, image[rows, columns])
+
+
+def _place_randomly(image: FloatArray, n: int, rng: np.random.Generator) -> Gaussians:
+    height, width = image.shape[:2]
+    means = (rng.random((n, 2)) * (width, height)).astype(np.float32)
+    scale = max(math.sqrt(width * height / (math.pi * n)), MIN_START_SCALE_PX)
+    factors = np.tile(np.array([scale, 0, scale], np.float32), (n, 1))
+    return Gaussians(means, factors, image[_pixels_below(means, (height, width))])
+
+
+def _pixels_below(means: FloatArray, shape: tuple[int, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    whole = np.floor(means).astype(np.int64)
+    return np.clip(whole[:, 1], 0, shape[0] - 1), np.clip(whole[:, 0], 0, shape[1] - 1)
+
+
+def _scatter(
+    found: Structure, counts: NDArray[np.int64], power: float, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Means [n, 2] and scales [n] in pixels: within a region stratified by gradient magnitude ^ power.
+
+    A Gaussian's scale is that of a disc with the area it has to cover: 1 / (pi density).
+    """
+    width = found.labels.shape[1]
+    pixels = np.argsort(found.labels.ravel(), kind="stable")
+    starts = np.concatenate([[0], np.cumsum(found.area)])
+    weight = (found.gradient.ravel() + GRADIENT_FLOOR) ** power
+    means, scales = [], []
+    for region in np.flatnonzero(counts):
+        n = counts[region]
+        inside = pixels[starts[region] : starts[region + 1]]
+        density = weight[inside] / weight[inside].sum()
+        quantiles = (np.arange(n) + rng.random(n)) / n
+        chosen = np.minimum(np.searchsorted(np.cumsum(density), quantiles), len(inside) - 1)
+        even = math.sqrt(len(inside) / (math.pi * n))
+        scales.append(np.minimum(1 / np.sqrt(math.pi * n * density[chosen]), LARGEST_LOCAL_SCALE * even))
+        means.append(np.stack([inside[chosen] % width, inside[chosen] // width], 1) + rng.random((n, 2)))
+    return np.concatenate(means).astype(np.float32), np.concatenate(scales).astype(np.float32)
+
+
+def _along_edges(scales: FloatArray, tensor: FloatArray, gain: float) -> FloatArray:
+    """Cholesky factors [n, 3] of ellipses of the given scales, longer along the edge the more coherent it is."""
+    xx, xy, yy = tensor.T
+    across = 0.5 * np.arctan2(2 * xy, xx - yy)
+    coherence = np.hypot(xx - yy, 2 * xy) / (xx + yy + 1e-6)
+    stretch = np.exp(gain * coherence)
+    thin, long = scales**2 / stretch, scales**2 * stretch
+    c, s = np.cos(across), np.sin(across)
+    l1 = np.sqrt(thin * c * c + long * s * s)
+    l2 = (thin - long) * c * s / l1
+    l3 = np.sqrt(np.maximum(thin * s * s + long * c * c - l2 * l2, 0))
+    l1, l3 = np.maximum(l1, MIN_START_SCALE_PX), np.maximum(l3, MIN_START_SCALE_PX)
+    return np.stack([l1, l2, l3], 1).astype(np.float32)

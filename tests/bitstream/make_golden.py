@@ -1,0 +1,122 @@
+"""Golden files of both versions: python -m tests.bitstream.make_golden [NAME ...]
+
+Writes tests/data/v1/*.sg with the pictures that they decode to, and tests/data/v3/*.sg with the hashes of both in
+hashes.json.
+
+They pin the versions of the format and the decoder's pixels, so they are made anew only when the format gets another
+version or a stream cannot show something that it should. An encoder that has changed is no reason.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+from sgmethod import Budget, decode, encode
+from sgmethod.bitstream import v3
+from sgmethod.bitstream.v1 import Group, Stream, serialise
+from sgmethod.bitstream.v3 import RdStream
+from sgmethod.io.files import encode_png, write_atomically
+from sgmethod.io.image import read_image
+from sgmethod.scene import Gaussians
+from tests.harness.data import PHOTOGRAPHS, golden_path
+
+HASHES = golden_path("v3-hashes.json")
+
+
+def photograph(profile: str) -> bytes:
+    """A small part of a photograph, upright, in some 60 Gaussians."""
+    pixels = read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[:56, :40]
+    return encode(np.ascontiguousarray(pixels), Budget("bytes", 600), profile).data
+
+
+def every_bitwidth() -> bytes:
+    """What no photograph has: all bitwidths, the ends of all codes, a range that runs backwards, negative l1,
+    Gaussians far outside and far larger than the picture."""
+    rng = np.random.default_rng(1)
+    groups = []
+    for bitwidth in range(1, 17):
+        positions = rng.integers(0, 2**9, (4, 2))
+        factors = rng.integers(0, 2**bitwidth, (4, 3))
+        positions[:2], factors[:2] = [[0, 2**9 - 1], [2**9 - 1, 0]], [[2**bitwidth - 1] * 3, [0] * 3]
+        colors = rng.integers(0, 8, (4, 2))
+        groups.append(Group(bitwidth, positions.astype(np.uint16), factors.astype(np.uint16), colors.astype(np.uint8)))
+    return serialise(
+        Stream(
+            profile="baseline",
+            width=33,
+            height=70,
+            position_bits=9,
+            position_range=np.array([[-6, 40], [75, -5]], np.float32),
+            factor_range=np.array([[-0.5, 30], [-6, 6], [0.1, 12]], np.float32),
+            codebooks=rng.normal(0.05, 0.2, (2, 8, 3)).astype(np.float16),
+            groups=tuple(groups),
+        )
+    )
+
+
+def empty() -> bytes:
+    """No Gaussians: black."""
+    nothing = np.zeros((2, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros((2, 8, 3), np.float16)
+    return serialise(Stream("paper", 7, 5, 12, *nothing, ()))
+
+
+def rd_photograph(grey: bool) -> bytes:
+    """A small part of a photograph in profile rd."""
+    pixels = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[20:60, 30:78])
+    if grey:
+        pixels = np.ascontiguousarray(np.repeat(pixels[:, :, 1:2], 3, 2))
+    return encode(pixels, Budget("bytes", 300), "rd").data
+
+
+def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False) -> bytes:
+    """What no photograph has: every class of size, needles, colours beyond white, Gaussians far outside, some in one
+    place."""
+    rng = np.random.default_rng(n)
+    means = rng.uniform(-0.5, 1.5, (n, 2)) * size
+    means[: n // 6] = means[:1]
+    means[n // 6 : n // 5] *= 1e6
+    aspect = rng.normal(0, 1, n)
+    factors = np.exp(np.linspace(-2, 10, n)[:, None] + np.stack([aspect, rng.normal(0, 1.5, n), -aspect], 1))
+    factors[:, 1] *= 0 if upright else rng.choice([-1, 1], n)
+    colors = rng.normal(0.1, 0.5, (n, 3)) / np.sqrt(factors[:, :1])
+    gaussians = Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
+    return v3.serialise(RdStream.of(gaussians, size, 0.05, (120, 90, 60), grey=False))
+
+
+GOLDEN: dict[str, Callable[[], bytes]] = {
+    "v1-paper": lambda: photograph("paper"),
+    "v1-baseline": lambda: photograph("baseline"),
+    "v1-every-bitwidth": every_bitwidth,
+    "v1-empty": empty,
+    "v3-color": lambda: rd_photograph(grey=False),
+    "v3-grey": lambda: rd_photograph(grey=True),
+    "v3-every-class": lambda: rd_scattered((41, 27), 150),
+    "v3-upright": lambda: rd_scattered((30, 44), 60, upright=True),
+    "v3-empty": lambda: rd_scattered((7, 5), 0),
+    "v3-pixel": lambda: rd_scattered((1, 1), 1),
+}
+
+
+def main(names: list[str]) -> None:
+    hashes = json.loads(HASHES.read_text()) if HASHES.exists() else {}
+    for name in names or GOLDEN:
+        data = GOLDEN[name]()
+        write_atomically(golden_path(f"{name}.sg"), data)
+        if name.startswith("v1"):
+            write_atomically(golden_path(f"{name}.png"), encode_png(decode(data)))
+        else:
+            hashes[name] = {"bytes": sha256(data), "pixels": sha256(decode(data).tobytes())}
+    write_atomically(HASHES, (json.dumps(hashes, indent=2) + "\n").encode())
+
+
+def sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

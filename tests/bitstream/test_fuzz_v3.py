@@ -1,0 +1,156 @@
+"""Damaged and hostile files of version 3: BitstreamError, or pixels of the size that the header says; nothing else.
+
+A changed bit changes all that follows in an entropy-coded payload, so one mutation explores more than in version 1.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections import Counter
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from sgmethod import BitstreamError, decode, info
+from sgmethod.bitstream import v3
+from sgmethod.bitstream.v3 import RdStream
+from sgmethod.scene import Gaussians
+from sgmethod.view import View
+from tests.bitstream.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove, with_checksum
+from tests.harness.data import golden
+
+MUTATIONS = 4000  # in each of two tests
+MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
+MAX_CPU_S = 2.0  # 0.14 s is the worst seen
+
+
+GOLDEN = list(golden(3).values())
+
+places = st.floats(0, 1, exclude_max=True)
+numbers = st.integers(0, 2**32 - 1)
+
+
+def picture_size(data: bytes, place: float, number: int) -> bytes:
+    """Another width or height: the grids of cells change, and with them all that is decoded."""
+    sides = [0, 1, 2, 7, 16, 65, 300, 4096, 65_530, 65_535, 1 + number % 65_535]
+    return put(data, 9 + 2 * int(place * 2), sides[number % len(sides)].to_bytes(2, "big"))
+
+
+def header_field(data: bytes, place: float, number: int) -> bytes:
+    """Flags, quantum or background."""
+    at, values = [
+        (8, [bytes([v]) for v in (0, 1, 2, 3, 4, 255)]),
+        (13, [v.to_bytes(2, "big") for v in (0, 1, 255, 256, 3584, 3839, 3840, 65_535, number % 65_536)]),
+        (15, [b"\0\0\0", b"\xff\xff\xff"]),
+    ][int(place * 3)]
+    return put(data, at, values[number % len(values)])
+
+
+def payload(data: bytes, place: float, number: int) -> bytes:
+    """From some place on: all ones, all zeros, or noise; sometimes much of it."""
+    at = 18 + int(place * max(len(data) - 18, 1))
+    length = [0, 1, 8, 64, 500, 2000, 10_000][number % 7]
+    fill = [b"\0" * length, b"\xff" * length, np.random.default_rng(number).bytes(length), b"\x55" * length]
+    return data[:at] + fill[number // 7 % 4]
+
+
+def start_of_payload(data: bytes, place: float, number: int) -> bytes:
+    """The first bytes decide the number of the largest Gaussians."""
+    return put(data, 18 + int(place * 6), struct.pack(">I", number)[: 1 + number % 4])
+
+
+MUTATORS: list[Mutator] = [
+    *[flip, overwrite, cut, remove, insert, duplicate],
+    *[picture_size, header_field, payload, payload, start_of_payload],
+]
+
+
+def crowded() -> bytes:
+    """Thousands of Gaussians that cost a bit each: what follows a change can be many more."""
+    n = 3000
+    rng = np.random.default_rng(0)
+    means, factors = rng.uniform(0, 200, (n, 2)), np.tile((1.0, 0.0, 1.0), (n, 1))
+    gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, np.full((n, 3), 0.5))))
+    return v3.serialise(RdStream.of(gaussians, (200, 200), 1.5, (10, 20, 30), True))
+
+
+def huge() -> bytes:
+    """As many wide Gaussians as the picture's tiles can bear, and more than they can three times as large."""
+    n = 500
+    rng = np.random.default_rng(0)
+    means, factors = rng.uniform(0, 150, (n, 2)), np.tile((500.0, 9.0, 700.0), (n, 1))
+    gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
+    return v3.serialise(RdStream.of(gaussians, (150, 150), 1.0, (10, 20, 30), False))
+
+
+SEEDS = [*GOLDEN, crowded(), huge()]
+
+
+def outcome(data: bytes, view: View) -> str:
+    """What becomes of the bytes, in a word: why they are refused, or that they are drawn."""
+    began = time.process_time()
+    try:
+        pixels = decode(data, MAX_PIXELS, view)
+    except BitstreamError as error:
+        found = next(
+            (word for word in ("overlap", "limit", "checksum", "than the data") if word in str(error)), "other"
+        )
+    else:
+        size = struct.unpack_from(">HH", data, 9)
+        assert pixels.shape == (*view.size(*size)[::-1], 3)
+        assert pixels.dtype == np.uint8
+        if view.prefix == 1:
+            fields = info(data)
+            assert fields["bytes"] == len(data)
+            assert fields["gaussians"] <= min(size[0] * size[1], 8 * len(data))  # type: ignore[operator]
+        found = "drawn"
+    assert time.process_time() - began < MAX_CPU_S
+    return found
+
+
+def explore(seeds: list[bytes], views: st.SearchStrategy[View], fits: st.SearchStrategy[bool]) -> Counter[str]:
+    """Run MUTATIONS of one to three steps; what became of those whose checksum was made to fit."""
+    seen: Counter[str] = Counter()
+    steps = st.lists(st.tuples(st.sampled_from(MUTATORS), places, numbers), min_size=1, max_size=3)
+
+    @settings(
+        max_examples=MUTATIONS, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
+    )
+    @given(st.sampled_from(seeds), steps, views, fits)
+    def mutate(data: bytes, steps: list[tuple[Mutator, float, int]], view: View, fits: bool) -> None:
+        for mutator, place, number in steps:
+            data = mutator(data, place, number)
+        if data[:4] == b"SGM\3":
+            seen[outcome(with_checksum(data) if fits else data, view)] += 1
+
+    mutate()
+    return seen
+
+
+def test_mutations() -> None:
+    """Half of the files, or nearly, get the checksum that fits them."""
+    seen = explore(SEEDS, st.just(View()), st.sampled_from([True, True, False]))
+    assert seen["drawn"] > MUTATIONS / 50
+    assert seen["checksum"] > MUTATIONS / 5
+    assert min(seen["limit"], seen["than the data"], seen["other"]) > 0
+
+
+def test_mutations_seen_in_part() -> None:
+    """A prefix ends in the midst of anything, and what is hostile is drawn at other sizes."""
+    scales = st.sampled_from([1 / 64, 0.3, 1.0, 3.0])
+    views = st.builds(
+        lambda scale, prefix: View(scale, None, prefix), scales, st.sampled_from([1.0, 0.9, 0.5, 0.1, 1e-3])
+    )
+    seen = explore(SEEDS, views, st.just(True))
+    assert seen["drawn"] > MUTATIONS / 5
+    assert min(seen["limit"], seen["overlap"], seen["other"]) > 0
+
+
+@settings(max_examples=1500, deadline=None, derandomize=True, database=None)
+@given(st.binary(max_size=400), numbers, st.sampled_from([0, 1, 2, 3]), st.sampled_from([0, 256, 1024, 3839]))
+def test_any_payload(payload: bytes, number: int, flags: int, quantum: int) -> None:
+    size = struct.pack(">HH", 1 + number % 500, 1 + number // 500 % 500)
+    body = bytes([flags]) + size + struct.pack(">H", quantum) + b"\1\2\3" + payload
+    outcome(with_checksum(b"SGM\3" + bytes(4) + body), View(prefix=0.5 if number % 3 == 0 else 1.0))

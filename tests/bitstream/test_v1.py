@@ -1,0 +1,232 @@
+"""Syntax elements to bytes and back; what is no whole, intact file is refused."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sgmethod.bitstream import v1
+from sgmethod.bitstream.v1 import Group, Stream, parse, serialise
+from sgmethod.errors import BitstreamError
+from tests.harness.data import golden
+
+GOLDEN = golden(1)
+
+
+def stream(
+    position_bits: int, groups: list[tuple[int, int]], seed: int = 0, size: tuple[int, int] = (64, 48)
+) -> Stream:
+    """Random syntax elements; groups lists bitwidth and number of Gaussians."""
+    rng = np.random.default_rng(seed)
+
+    def group(bitwidth: int, n: int) -> Group:
+        return Group(
+            bitwidth,
+            rng.integers(0, 2**position_bits, (n, 2)).astype(np.uint16),
+            rng.integers(0, 2**bitwidth, (n, 3)).astype(np.uint16),
+            rng.integers(0, 8, (n, 2)).astype(np.uint8),
+        )
+
+    made = tuple(group(bitwidth, n) for bitwidth, n in groups)
+    positions, factors = (rng.normal(0, 50, (k, 2)).astype(np.float32) for k in (2, 3))
+    codebooks = rng.normal(0, 1, (2, 8, 3)).astype(np.float16)
+    if not groups:
+        positions, factors, codebooks = np.zeros_like(positions), np.zeros_like(factors), np.zeros_like(codebooks)
+    return Stream("paper", *size, position_bits, positions, factors, codebooks, made)
+
+
+def assert_equal(a: Stream, b: Stream) -> None:
+    assert (a.profile, a.width, a.height, a.position_bits) == (b.profile, b.width, b.height, b.position_bits)
+    assert np.array_equal(a.position_range, b.position_range)
+    assert np.array_equal(a.factor_range, b.factor_range)
+    assert np.array_equal(a.codebooks, b.codebooks)
+    assert len(a.groups) == len(b.groups)
+    for one, other in zip(a.groups, b.groups, strict=True):
+        assert one.bitwidth == other.bitwidth
+        assert np.array_equal(one.positions, other.positions)
+        assert np.array_equal(one.factors, other.factors)
+        assert np.array_equal(one.colors, other.colors)
+
+
+def repaired(data: bytes) -> bytes:
+    """data with the checksum that belongs to it."""
+    return data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
+
+
+def changed(data: bytes, at: int, value: bytes) -> bytes:
+    """data with other bytes at an offset, and the checksum to fit."""
+    return repaired(data[:at] + value + data[at + len(value) :])
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(
+    st.integers(1, 16),
+    st.lists(st.tuples(st.integers(1, 16), st.integers(1, 40)), max_size=16),
+    st.integers(0, 2**32 - 1),
+)
+def test_what_is_written_is_read(position_bits: int, groups: list[tuple[int, int]], seed: int) -> None:
+    written = stream(position_bits, groups, seed)
+    data = serialise(written)
+    assert_equal(parse(data), written)
+    bits = written.size_bits()
+    assert sum(bits.values()) == 8 * len(data)
+    assert all(value >= 0 for value in bits.values())
+
+
+def test_more_records_than_are_unpacked_at_once() -> None:
+    n = 2 * v1.BLOCK_RECORDS + 1
+    written = stream(5, [(3, n), (7, 3)], size=(600, 400))
+    assert_equal(parse(serialise(written)), written)
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_streams_are_written_again_bit_by_bit(name: str) -> None:
+    assert serialise(parse(GOLDEN[name])) == GOLDEN[name]
+
+
+def test_every_byte_of_a_small_file() -> None:
+    """Written out by hand from docs/format.md."""
+    one = Group(2, np.array([[5, 2]], np.uint16), np.array([[3, 0, 1]], np.uint16), np.array([[6, 1]], np.uint8))
+    codebooks = np.zeros((2, 8, 3), np.float16)
+    codebooks[0, 6] = (1, 0.5, -2)
+    written = Stream(
+        "baseline",
+        300,
+        7,
+        3,
+        np.array([[0, 7], [1, -1]], np.float32),
+        np.array([[1, 4], [-1, 1], [0.5, 2]], np.float32),
+        codebooks,
+        (one,),
+    )
+    body = (
+        "00 012c 0007 03 01"
+        "00000000 40e00000 3f800000 bf800000"
+        "3f800000 40800000 bf800000 3f800000 3f000000 40000000"
+        + "0000 0000 0000" * 6
+        + "3c00 3800 c000"
+        + "0000 0000 0000" * 9
+        + "02 000001"
+        + "ab 1c 40"  # x 101, y 010, l1 11, l2 00, l3 01, colours 110 and 001, padding 000000
+    )
+    data = bytes.fromhex(body)
+    assert serialise(written) == b"SGM\x01" + struct.pack(">I", zlib.crc32(data)) + data
+
+
+def test_checksum_is_the_one_of_the_format() -> None:
+    assert zlib.crc32(b"123456789") == 0xCBF43926
+
+
+def test_budget_of_records() -> None:
+    """A file of max_bytes holds as many bits of records as record_budget_bits says, and not one more."""
+    for groups in ([(6, 30)], [(6, 10), (7, 11), (9, 1)]):
+        written = stream(12, groups)
+        size = len(serialise(written))
+        bits = sum(n * (2 * 12 + 3 * bitwidth + 6) for bitwidth, n in groups)
+        assert v1.record_budget_bits(size, len(groups)) >= bits
+        assert v1.record_budget_bits(size - 1, len(groups)) < bits
+    assert v1.record_budget_bits(10, 1) < 0
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        {"width": 0},
+        {"height": 0},
+        {"width": 65_536},
+        {"position_bits": 0},
+        {"position_bits": 17},
+    ],
+)
+def test_elements_out_of_range_are_never_written(element: dict[str, Any]) -> None:
+    whole = stream(12, [(6, 3)])
+    with pytest.raises(ValueError, match=next(iter(element))):
+        serialise(replace(whole, **element))
+
+
+def test_bitwidths_out_of_range_are_never_written() -> None:
+    whole = stream(12, [(6, 3)])
+    for bitwidth in (0, 17):
+        with pytest.raises(ValueError, match="bitwidth"):
+            serialise(replace(whole, groups=(replace(whole.groups[0], bitwidth=bitwidth),)))
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_any_flipped_bit_is_noticed(name: str) -> None:
+    data = GOLDEN[name]
+    for at in range(len(data)):
+        for bit in range(8):
+            with pytest.raises(BitstreamError):
+                parse(data[:at] + bytes([data[at] ^ 1 << bit]) + data[at + 1 :])
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_cut_at_any_byte_is_noticed(name: str) -> None:
+    data = GOLDEN[name]
+    for length in range(len(data)):
+        with pytest.raises(BitstreamError):
+            parse(data[:length])
+        if length >= 8:
+            with pytest.raises(BitstreamError):
+                parse(repaired(data[:length]))
+
+
+def f32(value: float) -> bytes:
+    return struct.pack(">f", value)
+
+
+WHOLE = serialise(stream(12, [(6, 3), (8, 2)]))  # 252 bits of records, 4 of padding
+REFUSED = {
+    "nothing": (b"", "too short"),
+    "less than a header": (WHOLE[:14], "too short"),
+    "another file": (b"\x89PNG\r\n\x1a\n" + bytes(100), "not an .sg file"),
+    "a later version": (WHOLE[:3] + b"\xff" + WHOLE[4:], "version 255"),
+    "version 0": (WHOLE[:3] + b"\x00" + WHOLE[4:], "version 0"),
+    "a wrong checksum": (WHOLE[:4] + bytes(4) + WHOLE[8:], "checksum"),
+    "an unknown profile": (changed(WHOLE, 8, b"\x02"), "profile is 2"),
+    "zero width": (changed(WHOLE, 9, b"\0\0"), "width is 0"),
+    "zero height": (changed(WHOLE, 11, b"\0\0"), "height is 0"),
+    "zero position bits": (changed(WHOLE, 13, b"\0"), "position_bits is 0"),
+    "17 position bits": (changed(WHOLE, 13, b"\x11"), "position_bits is 17"),
+    "17 groups": (changed(WHOLE, 14, b"\x11"), "groups is 17"),
+    "no groups, but their bytes": (changed(WHOLE, 14, b"\0"), "after its end"),
+    "more groups than bytes": (changed(WHOLE[:155], 14, b"\x10"), "within its header"),
+    "half a table": (repaired(WHOLE[:100]), "within its tables"),
+    "an infinite position": (changed(WHOLE, 15, f32(float("inf"))), "not finite"),
+    "a factor that is no number": (changed(WHOLE, 31, f32(float("nan"))), "not finite"),
+    "an infinite colour": (changed(WHOLE, 55, b"\xfc\x00"), "not finite"),
+    "zero bitwidth": (changed(WHOLE, 151, b"\0"), "bitwidth is 0"),
+    "17 bits": (changed(WHOLE, 151, b"\x11"), "bitwidth is 17"),
+    "an empty group": (changed(WHOLE, 152, bytes(3)), "gaussians is 0"),
+    "more Gaussians than bytes": (changed(WHOLE, 152, b"\0\1\0"), "bytes of records"),
+    "more Gaussians than pixels": (changed(WHOLE, 152, b"\xff\xff\xff"), "more Gaussians"),
+    "a byte too many": (repaired(WHOLE + b"\0"), "bytes of records"),
+    "a byte too few": (repaired(WHOLE[:-1]), "bytes of records"),
+    "padding": (changed(WHOLE, len(WHOLE) - 1, bytes([WHOLE[-1] | 1])), "padding"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_in_one_sentence(name: str) -> None:
+    data, why = REFUSED[name]
+    with pytest.raises(BitstreamError, match=why) as caught:
+        parse(data)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_limit_of_pixels_stands_before_all_that_follows_the_header() -> None:
+    data = changed(WHOLE[:20], 9, b"\xff\xff\xff\xff")  # nothing but a header, of 65,535 x 65,535 pixels
+    with pytest.raises(BitstreamError, match="limit of 1000"):
+        parse(data, max_pixels=1000)
+    with pytest.raises(BitstreamError, match="tables"):
+        parse(data)
+    assert parse(WHOLE, max_pixels=64 * 48).width == 64
+    with pytest.raises(BitstreamError, match="64 x 48 pixels"):
+        parse(WHOLE, max_pixels=64 * 48 - 1)

@@ -1,0 +1,578 @@
+"""The command line: what it writes and prints, and one line on stderr for whatever it refuses."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import pty
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import sgmethod
+from sgmethod import codec, decode, info
+from sgmethod.budget import BUDGET_KINDS, Budget
+from sgmethod.cli import main as cli
+from sgmethod.cli import terminal
+from sgmethod.io.image import read_image
+from sgmethod.metrics import psnr
+from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
+from sgmethod.trace import TracePoint
+from sgmethod.view import View
+from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
+
+PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
+FIGURES = {"bytes", "bpp", "psnr", "ms_ssim", "gaussians", "steps", "seconds", "width", "height"}
+
+
+class Ran(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Ran]
+
+
+@pytest.fixture(autouse=True)
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder with photo.png and picture.sg in it, and encodes of less than a second."""
+    monkeypatch.chdir(tmp_path)
+    PHOTO.save("photo.png")
+    Path("picture.sg").write_bytes(golden_path("v1-paper.sg").read_bytes())
+    for name, profile in PROFILES.items():
+        steps: dict[str, Any] = {
+            field.name: 60 for field in fields(profile) if field.name in ("fit_steps", "tune_steps", "steps")
+        }
+        monkeypatch.setitem(PROFILES, name, replace(profile, **steps))
+
+
+@pytest.fixture
+def run(capfd: pytest.CaptureFixture[str]) -> Run:
+    def run_here(*arguments: str) -> Ran:
+        try:
+            status = cli.main(arguments)
+        except SystemExit as end:
+            status = int(end.code or 0)
+        return Ran(status, *capfd.readouterr())
+
+    return run_here
+
+
+def start(*arguments: str, module: bool = True, **options: Any) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "sgmethod"] if module else [str(Path(sys.executable).parent / "sgmethod")]
+    return subprocess.Popen([*command, *arguments], text=True, **options)
+
+
+def names() -> set[str]:
+    return {path.name for path in Path().iterdir()}
+
+
+def assert_refused(ran: Ran, why: str) -> None:
+    """Exit status 2, one line that says why, and no file beside those there were."""
+    assert ran.status == 2
+    assert ran.out == ""
+    assert re.fullmatch(r"sgmethod: .+\n", ran.err), ran.err
+    assert why in ran.err
+    assert names() <= {"photo.png", "picture.sg", "input", "folder"}
+
+
+def test_encode_and_decode(run: Run) -> None:
+    ran = run("encode", "photo.png", "out.sg", "--bytes", "700", "--json")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.count("\n") == 1
+    figures = json.loads(ran.out)
+    assert figures.keys() >= FIGURES
+    data = Path("out.sg").read_bytes()
+    assert figures["bytes"] == len(data) <= 700
+    assert figures["bpp"] == 8 * len(data) / (128 * 96)
+    assert (figures["width"], figures["height"]) == (128, 96)
+    assert figures["gaussians"] == info(data)["gaussians"]
+
+    assert run("decode", "out.sg", "out.png") == Ran(0, "", "")
+    pixels = np.asarray(Image.open("out.png"))
+    assert np.array_equal(pixels, decode(data))
+    assert figures["psnr"] == pytest.approx(psnr(pixels, np.asarray(PHOTO)))
+    assert names() == {"photo.png", "picture.sg", "out.sg", "out.png"}
+
+
+@pytest.mark.parametrize(
+    ("line", "view"),
+    [
+        ("--scale 0.25", View(0.25)),
+        ("--region 3,5,20,11", View(region=(3, 5, 20, 11))),
+        ("--region 3,5,20,11 --scale 2.5 --prefix 0.5", View(2.5, (3, 5, 20, 11), 0.5)),
+        ("--prefix 0.3", View(prefix=0.3)),
+    ],
+)
+def test_views(run: Run, line: str, view: View) -> None:
+    data = golden_path("v3-color.sg").read_bytes()
+    Path("rd.sg").write_bytes(data)
+    assert run("decode", "rd.sg", "out.png", *line.split()) == Ran(0, "", "")
+    assert np.array_equal(np.asarray(Image.open("out.png")), decode(data, view=view))
+
+
+def test_quality(run: Run) -> None:
+    sizes = []
+    for quality in ("10", "60"):
+        ran = run("encode", "photo.png", "out.sg", "--quality", quality, "--json")
+        assert (ran.status, ran.err) == (0, "")
+        sizes.append(json.loads(ran.out)["bytes"])
+    assert 2 * sizes[0] < sizes[1]
+
+
+def test_info_of_version_3(run: Run) -> None:
+    data = golden_path("v3-grey.sg").read_bytes()
+    Path("rd.sg").write_bytes(data)
+    ran = run("info", "rd.sg", "--json")
+    assert (ran.status, ran.err) == (0, "")
+    assert json.loads(ran.out) == json.loads(json.dumps(info(data)))
+    ran = run("info", "rd.sg")
+    assert (ran.status, ran.err) == (0, "")
+    shown = dict(line.split(maxsplit=1) for line in ran.out.splitlines())
+    assert shown.keys() >= {"version", "profile", "gaussians", "quantum", "background", "grey", "upright", "bpp"}
+    assert (shown["version"], shown["profile"], shown["grey"], shown["upright"]) == ("3", "rd", "True", "False")
+    assert (shown["width"], shown["height"], shown["checksum"]) == ("48", "40", data[4:8].hex())
+    assert int(shown["bits.headers"]) + int(shown["bits.payload"]) == 8 * len(data)
+
+
+def test_the_budget_is_0_3_bpp_if_not_told(run: Run) -> None:
+    assert run("encode", "photo.png", "default.sg").status == 0
+    assert run("encode", "photo.png", "told.sg", "--bpp", "0.3").status == 0
+    assert Path("default.sg").read_bytes() == Path("told.sg").read_bytes()
+    assert Path("told.sg").stat().st_size <= 0.3 * 128 * 96 / 8
+
+
+def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, calls = codec.encode, []
+
+    def spy(*arguments: Any, **named: Any) -> codec.Encoded:
+        calls.append((arguments[1:], {k: v for k, v in named.items() if k != "on_progress"}))
+        return real(*arguments, **named)
+
+    monkeypatch.setattr(codec, "encode", spy)
+    for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
+        given = ["--profile", "baseline", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
+        assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
+        assert calls.pop() == ((budget, "baseline"), {"seed": 7, "time_limit_s": 5.0})
+
+
+def test_summary_and_trace(run: Run) -> None:
+    ran = run("encode", "photo.png", "out.sg", "--gaussians", "20", "--trace", "trace.json")
+    assert (ran.status, ran.err) == (0, "")
+    size = Path("out.sg").stat().st_size
+    assert re.fullmatch(
+        rf"128 x 96: {size} bytes, \d\.\d{{4}} bpp, \d+\.\d\d dB, (?:1\d|20) Gaussians, \d+ steps, .* s\n", ran.out
+    )
+    written = json.loads(Path("trace.json").read_text())
+    assert written["stats"]["bytes"] == size
+    assert written["stats"].keys() >= FIGURES
+    seconds = [point["seconds"] for point in written["trace"]]
+    assert seconds == sorted(seconds)
+    assert written["trace"][-1]["phase"] == "done"
+    assert written["trace"][-1]["bytes"] == size
+
+
+def test_info(run: Run) -> None:
+    data = Path("picture.sg").read_bytes()
+    ran = run("info", "picture.sg", "--json")
+    assert (ran.status, ran.err) == (0, "")
+    assert json.loads(ran.out) == json.loads(json.dumps(info(data)))
+    ran = run("info", "picture.sg")
+    assert (ran.status, ran.err) == (0, "")
+    shown = dict(line.split(maxsplit=1) for line in ran.out.splitlines())
+    bits = {name: int(shown[f"bits.{name}"]) for name in ("headers", "positions", "covariances", "colors")}
+    assert sum(bits.values()) == 8 * len(data)
+    assert (shown["width"], shown["height"], shown["checksum"]) == ("40", "56", data[4:8].hex())
+    assert shown.keys() >= {"version", "profile", "gaussians", "position_bits", "groups[0].bitwidth"}
+    assert len(shown["codebooks[1][7]"].split()) == 3
+
+
+@pytest.mark.parametrize("module", [True, False])
+def test_version(module: bool) -> None:
+    out, err = start("--version", module=module, stdout=subprocess.PIPE, stderr=subprocess.PIPE).communicate()
+    assert re.fullmatch(r"sgmethod \d+\.\d+\.\d+\n", out)
+    assert err == ""
+
+
+@pytest.mark.parametrize("command", [[], ["encode"], ["decode"], ["info"]])
+def test_help(run: Run, command: list[str]) -> None:
+    ran = run(*command, "--help")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.startswith("usage: sgmethod")
+
+
+ENCODE = "encode photo.png out.sg "
+DECODE = "decode picture.sg out.png "
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("", "COMMAND"),
+        ("compress photo.png out.sg", "'compress'"),
+        ("encode photo.png", "OUT.sg"),
+        ("decode picture.sg", "OUT.png"),
+        ("info", "IN.sg"),
+        (ENCODE + "more", "unrecognized arguments: more"),
+        (ENCODE + "--bp 1", "--bp"),
+        (ENCODE + "--bpp", "--bpp"),
+        (ENCODE + "--bpp x", "--bpp"),
+        (ENCODE + "--bpp 1 --bytes 500", "not allowed with"),
+        (ENCODE + "--psnr 30 --gaussians 5", "not allowed with"),
+        (ENCODE + "--bpp 0", "positive"),
+        (ENCODE + "--bpp -1", "positive"),
+        (ENCODE + "--bpp nan", "positive"),
+        (ENCODE + "--bpp inf", "positive"),
+        (ENCODE + "--bytes 10.5", "whole"),
+        (ENCODE + "--bytes 1e400", "positive"),
+        (ENCODE + "--bytes 17", "at least"),
+        (ENCODE + "--bpp 1e-9", "at least"),
+        (ENCODE + "--psnr 99", "at most 60"),
+        (ENCODE + "--gaussians 0", "positive"),
+        (ENCODE + "--gaussians 99999", "more than the image's 12288 pixels"),
+        (ENCODE + "--profile best", "'best'"),
+        (ENCODE + "--seed -1", "whole number"),
+        (ENCODE + "--seed 1e3", "whole number"),
+        (ENCODE + "--time-limit 0", "time limit"),
+        (ENCODE + "--time-limit nan", "time limit"),
+        (ENCODE + "--time-limit soon", "--time-limit"),
+        ("encode missing.png out.sg", "cannot read missing.png: No such file"),
+        ("encode folder out.sg", "cannot read folder: Is a directory"),
+        ("encode 'two\nlines' out.sg", "cannot read two lines"),
+        ("encode picture.sg out.sg", "not a PNG"),
+        ("decode missing.sg out.png", "cannot read missing.sg: No such file"),
+        ("decode photo.png out.png", "not an .sg file"),
+        (ENCODE + "--quality 101", "at most 100"),
+        (ENCODE + "--quality 0", "positive"),
+        (ENCODE + "--quality 50 --bpp 1", "not allowed with"),
+        (DECODE + "--scale 0", "the scale must lie in"),
+        (DECODE + "--scale 65", "the scale must lie in"),
+        (DECODE + "--scale nan", "the scale must lie in"),
+        (DECODE + "--scale big", "--scale"),
+        (DECODE + "--prefix 0", "the prefix must lie"),
+        (DECODE + "--prefix 1.5", "the prefix must lie"),
+        (DECODE + "--prefix 0.5", "no order that a prefix could follow"),  # version 1
+        (DECODE + "--region 1,2,3", "four whole numbers"),
+        (DECODE + "--region 1,2,3,x", "four whole numbers"),
+        (DECODE + "--region 0,0,41,56", "does not lie within 40 x 56"),
+        (DECODE + "--region=-1,0,5,5", "does not lie within"),
+        (DECODE + "--region 0,0,0,5", "does not lie within"),
+        ("info photo.png", "not an .sg file"),
+        ("info missing.sg", "cannot read missing.sg: No such file"),
+        ("info folder --json", "cannot read folder: Is a directory"),
+    ],
+)
+def test_refused_in_one_line(run: Run, line: str, why: str) -> None:
+    Path("folder").mkdir()
+    assert_refused(run(*shlex.split(line)), why)
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("encode photo.png missing/out.sg", "cannot write missing/out.sg: No such file"),
+        ("encode photo.png folder", "cannot write folder: Is a directory"),
+        ("encode photo.png photo.png/out.sg", "cannot write photo.png/out.sg: Not a directory"),
+        ("encode photo.png /proc/out.sg", "cannot write /proc/out.sg"),  # where even root cannot write
+        (f"encode photo.png {'o' * 300}.sg", "name too long"),
+        ("encode photo.png out.sg --trace missing/trace.json", "cannot write missing/trace.json: No such file"),
+        ("encode photo.png out.sg --trace folder", "cannot write folder: Is a directory"),
+        ("encode photo.png photo.png", "different files"),
+        ("encode photo.png ./folder/../photo.png", "different files"),
+        ("encode photo.png out.sg --trace out.sg", "different files"),
+        ("decode picture.sg missing/out.png", "cannot write missing/out.png: No such file"),
+        ("decode picture.sg picture.sg", "different files"),
+    ],
+)
+def test_what_cannot_be_written_is_known_before_the_work(
+    run: Run, monkeypatch: pytest.MonkeyPatch, line: str, why: str
+) -> None:
+    def work(*_: object) -> None:
+        raise AssertionError("begins to work")
+
+    Path("folder").mkdir()
+    for name in ("read_image", "_load_encoder", "decode"):
+        monkeypatch.setattr(cli, name, work)
+    assert_refused(run(*shlex.split(line)), why)
+    assert Path("photo.png").read_bytes().startswith(b"\x89PNG")
+    assert list(Path("folder").iterdir()) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_permissions_are_known_before_the_work(run: Run) -> None:
+    Path("folder").mkdir()
+    Path("folder").chmod(0o500)
+    assert_refused(run("encode", "photo.png", "folder/out.sg"), "Permission denied")
+    Path("picture.sg").chmod(0o400)
+    assert_refused(run("encode", "photo.png", "picture.sg"), "Permission denied")
+
+
+def saved(kind: str, **options: object) -> bytes:
+    file = io.BytesIO()
+    PHOTO.save(file, kind, **options)
+    return file.getvalue()
+
+
+def damaged_tiff() -> bytes:
+    data = bytearray(saved("TIFF", compression="tiff_lzw"))
+    data[100:400] = b"\xff" * 300
+    return bytes(data)
+
+
+DAMAGED = {
+    "empty": b"",
+    "text": b"hello",
+    "gif": saved("GIF"),
+    "cut png": saved("PNG")[:3000],
+    "cut jpeg": saved("JPEG")[:900],
+    "cut webp": saved("WEBP")[:900],
+    "cut bmp": saved("BMP")[:900],
+    "damaged tiff": damaged_tiff(),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_images(run: Run, name: str) -> None:
+    Path("input").write_bytes(DAMAGED[name])
+    assert_refused(run("encode", "input", "out.sg"), "")
+
+
+def test_what_libtiff_prints_is_not_shown(run: Run, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(sgmethod.ImageError):
+        read_image(damaged_tiff())
+    noise = capfd.readouterr().err
+    assert noise  # would stand beside our line
+    Path("input").write_bytes(damaged_tiff())
+    ran = run("encode", "input", "out.sg")
+    assert noise not in ran.err
+    os.write(2, b"stderr is back\n")
+    assert capfd.readouterr().err == "stderr is back\n"
+
+
+@pytest.mark.parametrize("length", [0, 3, 14, 15, 150, 300])
+def test_cut_bitstreams(run: Run, length: int) -> None:
+    Path("input").write_bytes(Path("picture.sg").read_bytes()[:length])
+    assert_refused(run("decode", "input", "out.png"), "")
+    assert_refused(run("info", "input"), "")
+
+
+def test_endless_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli, "MAX_INPUT_BYTES", 1 << 20)
+    assert_refused(run("info", "/dev/zero"), "more than 1,048,576 bytes")
+
+
+def test_a_disk_that_fills_up_leaves_nothing(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    arguments = ["photo.png", "out.sg", "--gaussians", "9", "--trace", "trace.json"]
+    assert_refused(run("encode", *arguments), "cannot write trace.json: No space left")
+    assert_refused(run("decode", "picture.sg", "out.png"), "cannot write out.png: No space left")
+
+
+def test_too_little_memory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def decode_more(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(cli, "decode", decode_more)
+    assert_refused(run("decode", "picture.sg", "out.png"), "memory")
+
+
+def test_devices_are_written_directly(run: Run) -> None:
+    assert run("decode", "picture.sg", os.devnull) == Ran(0, "", "")
+    assert not Path(os.devnull).is_file()
+
+
+def test_interrupt(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(codec, "encode", interrupted)
+    assert run("encode", "photo.png", "out.sg") == Ran(130, "", "")
+    assert names() == {"photo.png", "picture.sg"}
+
+
+def test_interrupt_of_a_process() -> None:
+    """Ctrl-C in the middle of a fit; the progress on the terminal says when that is."""
+    ours, theirs = pty.openpty()
+    arguments = ["photo.png", "out.sg", "--profile", "paper", "--time-limit", "60"]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    process = start("encode", *arguments, stdout=subprocess.PIPE, stderr=theirs)
+    signal.signal(signal.SIGINT, before)
+    os.close(theirs)
+    seen = b""
+    while b"fit" not in seen:
+        seen += os.read(ours, 1000)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=30)
+    seen += rest_of(ours)
+    assert process.returncode == 130
+    assert out == ""
+    assert b"Traceback" not in seen
+    assert names() == {"photo.png", "picture.sg"}
+
+
+def rest_of(terminal: int) -> bytes:
+    seen = b""
+    try:
+        while block := os.read(terminal, 1000):
+            seen += block
+    except OSError:  # how a terminal ends
+        pass
+    os.close(terminal)
+    return seen
+
+
+def test_progress_on_a_terminal() -> None:
+    for extra, shown in (([], True), (["--quiet"], False)):
+        ours, theirs = pty.openpty()
+        arguments = ["photo.png", "out.sg", "--gaussians", "9", "--time-limit", "1", *extra]
+        process = start("encode", *arguments, stdout=subprocess.PIPE, stderr=theirs)
+        os.close(theirs)
+        seen = rest_of(ours)
+        process.communicate(timeout=30)
+        assert process.returncode == 0
+        lines = seen.split(b"\r")
+        assert (len(lines) > 2) == shown
+        if shown:
+            assert lines[-1] == b"\x1b[K"  # the line is gone at the end
+            assert b"\n" not in seen
+            for line in lines[1:-1]:
+                assert re.fullmatch(rb"\w+ +\[[#.]{24}\] +\d+%  \d+\.\d\d dB  \d+\.\d s\x1b\[K", line)
+        else:
+            assert seen == b""
+
+
+def test_progress_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "30")
+    stream = io.StringIO()
+    terminal.redraw(stream, terminal.bar(TracePoint(3.21, 500, 1000, 28.456, 0, 100, "tune")))
+    assert stream.getvalue() == "\rtune  [############..........\x1b[K"
+
+
+def test_nobody_reads_stdout() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = start("info", "picture.sg", stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert process.communicate()[1] == ""
+    assert process.returncode == 141
+
+
+def test_stdout_is_full() -> None:
+    with Path("/dev/full").open("w") as full:
+        process = start("info", "picture.sg", stdout=full, stderr=subprocess.PIPE)
+        err = process.communicate()[1]
+    assert process.returncode == 2
+    assert re.fullmatch(r"sgmethod: .*No space left on device.*\n", err)
+
+
+def test_encoding_without_its_packages_says_what_to_install(tmp_path: Path) -> None:
+    stub = tmp_path / "stub"
+    stub.mkdir()
+    (stub / "torch.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')\n")
+    process = start(
+        "encode",
+        "photo.png",
+        "out.sg",
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(stub)},
+    )
+    out, err = process.communicate()
+    assert (process.returncode, out) == (2, "")
+    assert re.fullmatch(r"sgmethod: .*No module named 'torch'.* pip install 'sgmethod\[encode\]'\n", err)
+    assert not Path("out.sg").exists()
+
+
+def test_decode_and_info_load_no_encoder() -> None:
+    script = (
+        "import sys\n"
+        "from sgmethod.cli.main import main\n"
+        "assert main(['decode', 'picture.sg', 'out.png']) == main(['info', 'picture.sg', '--json']) == 0\n"
+        "print(*{'torch', 'cv2', 'skimage', 'scipy'} & sys.modules.keys(), file=sys.stderr)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert ran.stderr.strip() == ""
+    assert names() == {"photo.png", "picture.sg", "out.png"}
+
+
+def commands_of_the_readme() -> list[str]:
+    return re.findall(r"^sgmethod .*", (ROOT / "README.md").read_text(), re.MULTILINE)
+
+
+def test_the_readme_names_every_profile() -> None:
+    text = (ROOT / "README.md").read_text()
+    for name in PROFILE_NAMES:
+        assert f"\n| `{name}`" in text
+    assert f"\n| `{DEFAULT_PROFILE}` (default) |" in text
+
+
+def test_the_readme_names_every_argument() -> None:
+    text = "\n".join(commands_of_the_readme())
+    for flag in (*BUDGET_KINDS, "profile", "time-limit", "seed", "trace", "json", "quiet", "scale", "region", "prefix"):
+        assert f"--{flag}" in text
+
+
+@pytest.mark.parametrize("line", [line for line in commands_of_the_readme() if "--server" not in line])
+def test_commands_of_the_readme(run: Run, line: str) -> None:
+    """As they stand there, on a small photograph and with budgets to fit it."""
+    Image.open("photo.png").save("photo.jpg", quality=95)
+    Path("photo.sg").write_bytes(golden_path("v3-color.sg").read_bytes())  # 48 x 40
+    line = re.sub(r"#.*", "", line).replace("--gaussians 5000", "--gaussians 50").replace("--psnr 32", "--psnr 12")
+    line = line.replace("--region 100,50,320,240", "--region 8,5,32,24")
+    ran = run(*shlex.split(line)[1:])
+    assert (ran.status, ran.err) == (0, "")
+
+
+def test_python_of_the_readme() -> None:
+    Image.open("photo.png").save("photo.jpg", quality=95)
+    examples = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (example,) = (e for e in examples if "Client" not in e)  # that one needs a service
+    exec(compile(example, "README.md", "exec"), {})
+    assert names() >= {"photo.sg", "photo.png"}
+    assert np.array_equal(np.asarray(Image.open("photo.png")), decode(Path("photo.sg").read_bytes()))
+
+
+@pytest.mark.parametrize("command", ["encode photo.png out.sg", "decode in.sg out.png", "info in.sg"])
+def test_missing_kernels_are_one_clear_line(tmp_path: Path, command: str) -> None:
+    PHOTO.save(tmp_path / "photo.png")
+    (tmp_path / "in.sg").write_bytes(golden_path("v3-color.sg").read_bytes())
+    missing = "import sys; sys.modules['sgmethod.native._native'] = None"
+    script = f"{missing}; from sgmethod.cli.main import main; sys.exit(main())"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = subprocess.run(
+        [sys.executable, "-c", script, *command.split()],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 2
+    assert re.fullmatch(r"sgmethod: the compiled part .* pip install --force-reinstall \.\n", ran.stderr)
+    assert not (tmp_path / "out.sg").exists()
+
+
+def test_an_encode_that_torch_has_no_memory_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It says so with an error of its own."""
+    PHOTO.save(tmp_path / "photo.png")
+    monkeypatch.setattr(codec.rd, "encode", lambda *_: codec.torch.empty(1 << 55, dtype=codec.torch.uint8))
+    status = cli.main(["encode", str(tmp_path / "photo.png"), str(tmp_path / "out.sg")])
+    assert (status, capsys.readouterr().err) == (2, "sgmethod: there is not enough memory\n")

@@ -1,0 +1,53 @@
+"""A server that speaks S3, for tests: moto's, in a process of its own."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+
+from tests.harness.service_process import wait_until
+
+
+class S3Server:
+    """One server with one bucket. environment: how obstore reaches it."""
+
+    def __init__(self) -> None:
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self._port = free.getsockname()[1]
+        self._buckets = 0
+        self.environment = {
+            "AWS_ENDPOINT_URL": f"http://127.0.0.1:{self._port}",
+            "AWS_ACCESS_KEY_ID": "test",
+            "AWS_SECRET_ACCESS_KEY": "test",
+            "AWS_REGION": "us-east-1",
+        }
+        self.start()
+
+    def start(self) -> None:
+        """Start it; it answers when this returns, and has forgotten everything."""
+        command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(self._port)]
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        wait_until(self._answers)
+
+    def _answers(self) -> bool:
+        try:
+            urllib.request.urlopen(f"http://127.0.0.1:{self._port}/", timeout=5).close()
+        except urllib.error.URLError:
+            return False
+        return True
+
+    def new_storage(self) -> str:
+        """SG_STORAGE_URL of a new, empty bucket, beneath a prefix."""
+        self._buckets += 1
+        bucket = f"pictures{self._buckets}"
+        request = urllib.request.Request(f"http://127.0.0.1:{self._port}/{bucket}", method="PUT")
+        urllib.request.urlopen(request, timeout=5).close()
+        return f"s3://{bucket}/sgmethod"
+
+    def stop(self) -> None:
+        """End it."""
+        self._process.kill()
+        self._process.wait()

@@ -1,0 +1,185 @@
+"""Real requests to a real service, with pictures and files of its own to go with them."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import socket
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+from PIL import Image
+
+import sgmethod
+from service.backends import open_backend, open_storage
+from service.jobs.interface import (
+    Claim,
+    EncodeRequest,
+    EncodeResult,
+    JobBackend,
+    JobError,
+    NewJob,
+    SourceImage,
+    new_job_id,
+)
+from service.settings import Settings
+from service.storage.disk import bitstream_key
+from tests.harness.service_process import PATIENCE_S, ServiceProcess, wait_until
+
+
+def png(width: int, height: int, seed: int = 0) -> bytes:
+    """A picture with some structure: a gradient, a disc and a little noise."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    disc = (np.hypot(x - width / 2, y - height / 2) < min(width, height) / 4) * 90.0
+    noise = np.random.default_rng(seed).normal(0, 8, (height, width, 3))
+    pixels = np.stack([x / width * 160, y / height * 160, disc], axis=2) + noise + 40
+    file = io.BytesIO()
+    Image.fromarray(pixels.clip(0, 255).astype(np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+SMALL = png(64, 48)
+SLOW = png(768, 768)
+
+
+class Service(ServiceProcess):
+    """One `python -m service` with one worker and short leases.
+
+    With command "web" nothing is ever encoded.
+    """
+
+    def __init__(
+        self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
+        super().__init__(data_dir, command, extra, **{"workers": 1, "lease_s": 1, **settings})
+
+    def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
+        """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
+        form = {name: str(value) for name, value in {"time_limit_s": 0.1, **(fields or {"bpp": 1})}.items()}
+        headers = {"Idempotency-Key": key} if key else {}
+        return self.client.post("/encode", files={"image": ("any.png", image)}, data=form, headers=headers)
+
+    def accepted(self, image: bytes = SMALL, **fields: Any) -> str:
+        """The id of a new job."""
+        answer = self.post(image, **fields)
+        assert answer.status_code == 202, answer.text
+        return str(answer.json()["id"])
+
+    def accepted_slow(self) -> str:
+        """The id of a new job that takes far longer than any test waits."""
+        return self.accepted(SLOW, bpp=1, time_limit_s=100)
+
+    def accepted_long(self, seconds: float) -> str:
+        """The id of a new job that takes about so many seconds."""
+        return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """The status of a job."""
+        answer = self.client.get(f"/jobs/{job_id}")
+        assert answer.status_code == 200, answer.text
+        job: dict[str, Any] = answer.json()
+        return job
+
+    def wait(self, job_id: str, *states: str) -> dict[str, Any]:
+        """The job's status once it is in one of the states; done or failed unless named."""
+        wanted = states or ("done", "failed")
+        job = wait_until(lambda: (job := self.job(job_id))["state"] in wanted and job)
+        assert job
+        return job
+
+    def clear(self) -> None:
+        """Remove all jobs; returns when nothing is left of them."""
+        while jobs := self.client.get("/jobs?limit=200").json()["jobs"]:
+            for job in jobs:
+                assert self.client.delete(f"/jobs/{job['id']}").status_code in (204, 404)
+        wait_until(lambda: not self.ours("encoder") and self.files() == [])
+
+    def published(self, bitstream: bytes, owner: str | None = None) -> str:
+        """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
+        fields = sgmethod.info(bitstream)
+        width, height = int(str(fields["width"])), int(str(fields["height"]))
+        request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", width, height, 10)
+        backend = self._open_backend()
+        job, _ = backend.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
+        backend.close()
+        self.publish(job.id, bitstream)
+        return job.id
+
+    def publish(self, job_id: str, bitstream: bytes) -> None:
+        """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running."""
+        fields = sgmethod.info(bitstream)
+        width, height = int(str(fields["width"])), int(str(fields["height"]))
+        stats = {"width": width, "height": height, "bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, "gaussians": 9}
+        backend = self._open_backend()
+        claim = self._claimed(backend, job_id)
+        key = bitstream_key(job_id, claim.attempt)
+        open_storage(self._settings()).put(key, bitstream)
+        assert backend.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
+        backend.close()
+
+    def refuse(self, job_id: str) -> None:
+        """Do as a worker whose codec refuses the job."""
+        backend = self._open_backend()
+        assert backend.fail(self._claimed(backend, job_id), JobError("refused", "it is refused"), retry=False)
+        backend.close()
+
+    def _settings(self) -> Settings:
+        return Settings(data_dir=self.data_dir, database_url=self.environment.get("SG_DATABASE_URL", ""), lease_s=60)
+
+    def _open_backend(self) -> JobBackend:
+        return open_backend(self._settings())
+
+    @staticmethod
+    def _claimed(backend: JobBackend, job_id: str) -> Claim:
+        while (claim := backend.claim("test")) is not None and claim.job_id != job_id:
+            pass  # what other tests left waiting runs forever now
+        assert claim is not None
+        return claim
+
+    def connect(self) -> socket.socket:
+        """A connection over which a test says what it likes."""
+        url = httpx.URL(self.url)
+        return socket.create_connection((url.host, url.port or 80), timeout=PATIENCE_S)
+
+    def raw(self, request: bytes) -> bytes:
+        """All that is answered to these bytes until the server closes the connection, even with a reset."""
+        with self.connect() as connection:
+            answer = b""
+            with contextlib.suppress(ConnectionError):
+                connection.sendall(request)
+                while data := connection.recv(65536):
+                    answer += data
+            return answer
+
+
+StartService = Callable[..., Service]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a command ended, and what it said."""
+
+    status: int
+    stdout: str
+    stderr: str
+
+
+RunCommand = Callable[..., Outcome]
+
+
+def assert_problem(answer: httpx.Response, status: int, *words: str) -> dict[str, Any]:
+    """The answer is a problem document of that status whose detail holds the words."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem: dict[str, Any] = answer.json()
+    assert problem["status"] == status
+    assert problem["title"]
+    assert problem["type"] == "about:blank"
+    for word in words:
+        assert word in problem["detail"]
+    return problem

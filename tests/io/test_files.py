@@ -1,0 +1,49 @@
+"""Every rule of sgmethod/files.py."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sgmethod.io.files import encode_png, write_atomically
+
+
+def test_encode_png_refuses_other_arrays() -> None:
+    for pixels in (np.zeros((2, 2, 4), np.uint8), np.zeros((2, 2), np.uint8), np.zeros((0, 2, 3), np.uint8)):
+        with pytest.raises(ValueError, match="uint8"):
+            encode_png(pixels)
+    with pytest.raises(ValueError, match="float64"):
+        encode_png(np.zeros((2, 2, 3)))  # type: ignore[arg-type]
+
+
+def test_write_atomically(tmp_path: Path) -> None:
+    target = tmp_path / "out.png"
+    for data in (b"first", b"second"):
+        write_atomically(target, data)
+        assert target.read_bytes() == data
+    link = tmp_path / "link.png"
+    link.symlink_to(target)
+    write_atomically(link, b"third")
+    assert link.is_symlink()
+    assert target.read_bytes() == b"third"
+    write_atomically(os.devnull, b"gone")
+    assert not Path(os.devnull).is_file()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.png", "out.png"]
+
+
+def test_a_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full_disk(_: int) -> None:
+        raise OSError("no space left")
+
+    target = tmp_path / "out.png"
+    target.write_bytes(b"before")
+    monkeypatch.setattr(os, "fsync", full_disk)
+    with pytest.raises(OSError, match="no space"):
+        write_atomically(target, b"after")
+    assert target.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [target]
+    with pytest.raises(OSError, match="missing"):
+        write_atomically(tmp_path / "missing" / "out.png", b"x")

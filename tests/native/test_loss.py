@@ -1,0 +1,122 @@
+"""The native reconstruction loss against its formula in float64, values and gradient.
+
+    L = mean((I' - I)^2) + lambda_g mean(|Gx| (G'x - Gx)^2 + |Gy| (G'y - Gy)^2)
+
+Means run over all pixels and channels; Sobel kernels are divided by 8; pixels without a whole 3 x 3 neighbourhood
+add nothing to the second term.
+"""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+from sgmethod.native import native
+
+SIZES = [(1, 1), (7, 2), (2, 7), (1, 40), (3, 3), (4, 3), (50, 37), (33, 64), (18, 65)]  # width, height
+LAMBDAS = [0.0, 0.06, 1.0]
+SOBEL_X = torch.tensor([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], dtype=torch.float64) / 8
+VALUE_TOLERANCE = 1e-7  # relative; worst seen 2.6e-8
+GRADIENT_TOLERANCE = 3e-7  # of the gradient's largest value; worst seen 1.1e-7
+
+
+def sobel(image: Tensor) -> Tensor:
+    """Gx and Gy [2, 3, H - 2, W - 2] of an image [3, H, W]."""
+    kernels = torch.stack([SOBEL_X, SOBEL_X.T])[:, None]
+    return conv2d(image[:, None], kernels).transpose(0, 1)
+
+
+def defined_loss(image: Tensor, target: Tensor, lambda_g: float) -> tuple[Tensor, Tensor, Tensor]:
+    """MSE, L_g and the loss, in float64."""
+    mse = (image - target).square().mean()
+    geometry = torch.zeros((), dtype=torch.float64)
+    if min(target.shape[1:]) >= 3:
+        wanted = sobel(target)
+        geometry = (wanted.abs() * (sobel(image) - wanted).square()).sum() / target.numel()
+    return mse, geometry, mse + lambda_g * geometry
+
+
+def pictures(width: int, height: int) -> tuple[Tensor, Tensor]:
+    """A target in [0, 1] and an image about it, float32 [3, H, W]."""
+    generator = torch.Generator().manual_seed(width * 100 + height)
+    target = torch.rand(3, height, width, generator=generator)
+    return target, target + 0.3 * torch.randn(3, height, width, generator=generator)
+
+
+@pytest.mark.parametrize("lambda_g", LAMBDAS)
+@pytest.mark.parametrize("size", SIZES)
+def test_values_and_gradient(size: tuple[int, int], lambda_g: float) -> None:
+    target, image = pictures(*size)
+    exact = image.double().requires_grad_()
+    mse, geometry, loss = defined_loss(exact, target.double(), lambda_g)
+    (expected,) = torch.autograd.grad(loss, exact)
+    grad = torch.full_like(image, torch.nan)
+    found_mse, found_geometry = native.ReconstructionLoss(target, lambda_g)(image, grad)
+    assert found_mse == pytest.approx(mse.item(), rel=VALUE_TOLERANCE)
+    assert found_geometry == pytest.approx(geometry.item() if lambda_g else 0.0, rel=VALUE_TOLERANCE)
+    assert (grad - expected).abs().max() <= GRADIENT_TOLERANCE * expected.abs().max()
+
+
+def test_a_ramp_of_slope_one_has_gradient_one() -> None:
+    """Pins the scale of the Sobel kernels, on which lambda_g depends."""
+    target = torch.arange(5.0).expand(3, 4, 5).contiguous()
+    image = target + torch.arange(5.0) / 2  # G'x - Gx = 1/2 in the 2 x 3 interior pixels of 4 x 5
+    _, geometry = native.ReconstructionLoss(target, 1.0)(image, torch.empty_like(image))
+    assert geometry == pytest.approx(6 / 20 * 0.25, rel=1e-6)  # worst error seen 0
+
+
+@pytest.mark.parametrize("lambda_g", LAMBDAS)
+def test_the_target_itself_has_no_loss(lambda_g: float) -> None:
+    target, _ = pictures(50, 37)
+    grad = torch.full_like(target, torch.nan)
+    assert native.ReconstructionLoss(target, lambda_g)(target, grad) == (0.0, 0.0)
+    assert not grad.any()
+
+
+@pytest.mark.parametrize("lambda_g", LAMBDAS)
+def test_results_do_not_depend_on_threads_and_earlier_calls(lambda_g: float) -> None:
+    target, image = pictures(50, 137)
+    before = native.thread_count()
+    loss = native.ReconstructionLoss(target, lambda_g)
+    results = []
+    try:
+        for threads in (1, 2, 5):
+            native.set_thread_count(threads)
+            grad = torch.empty_like(image)
+            results.append((*loss(image, grad), grad))
+            loss(target, torch.empty_like(image))
+    finally:
+        native.set_thread_count(before)
+    for mse, geometry, grad in results[1:]:
+        assert (mse, geometry) == results[0][:2]
+        assert torch.equal(grad, results[0][2])
+
+
+def test_the_target_is_kept() -> None:
+    """Not copied, which a large picture's memory would feel, but neither let go."""
+    target, image = pictures(300, 300)
+    before, _ = native.ReconstructionLoss(target, 0.0)(image, torch.empty_like(image))
+    loss = native.ReconstructionLoss(target.clone(), 0.0)
+    overwrites_freed_memory = [torch.zeros_like(target) for _ in range(5)]
+    assert loss(image, torch.empty_like(image))[0] == before
+    assert len(overwrites_freed_memory) == 5
+
+
+def test_other_shapes_and_types_are_refused() -> None:
+    target, image = pictures(7, 5)
+    loss = native.ReconstructionLoss(target, 0.06)
+    with pytest.raises(TypeError):
+        native.ReconstructionLoss(target[0], 0.06)
+    for wrong in (torch.zeros(3, 7, 5), torch.zeros(3, 5, 8)):
+        with pytest.raises(ValueError, match="another size"):
+            loss(wrong, torch.empty_like(image))
+        with pytest.raises(ValueError, match="another size"):
+            loss(image, wrong)
+    for wrong in (torch.zeros(1, 5, 7), torch.zeros(5, 7)):
+        with pytest.raises(TypeError):
+            loss(wrong, torch.empty_like(image))
+    for grad in (torch.zeros(3, 5, 7).double(), torch.zeros(3, 5, 14)[:, :, ::2]):  # would be written to a copy
+        with pytest.raises(TypeError):
+            loss(image, grad)

@@ -1,0 +1,115 @@
+"""The native steps of the fit against the same written down in torch: Adam in the Gaussian's frame, price of bits."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from sgmethod.fitting.fit import FrameAdam, Parameters
+from sgmethod.native import native
+from sgmethod.profiles import RD
+from sgmethod.rd.quantiser import add_rate_gradient
+
+COLOR_AXES = torch.tensor(
+    [[3**-0.5] * 3, [2**-0.5, 0.0, -(2**-0.5)], [6**-0.5, -2 * 6**-0.5, 6**-0.5]], dtype=torch.float64
+)
+
+
+def gaussians(n: int, seed: int) -> Parameters:
+    """Of sizes from 0.4 to 40 pixels and colours from nothing to 1."""
+    g = torch.Generator().manual_seed(seed)
+    scale = 0.4 * 100 ** torch.rand(n, 2, generator=g)
+    shear = torch.randn(n, generator=g) * scale[:, 0]
+    color = torch.randn(n, 3, generator=g) * torch.rand(n, 1, generator=g) ** 3
+    return Parameters(torch.rand(n, 2, generator=g) * 500, torch.stack([scale[:, 0], shear, scale[:, 1]], 1), color)
+
+
+def color_step(factors: Tensor, quantum: float) -> Tensor:
+    return quantum / (1.5 * (factors[:, 0] * factors[:, 2]).sqrt())
+
+
+def rate_bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
+    """The estimate of which add_rate_gradient gives the gradient, in float64."""
+    step = color_step(factors, quantum)
+    axes = colors @ COLOR_AXES.T
+    m = (axes.square().sum(1) / step**2 + 1e-12).sqrt()
+    v, r = 0.5 * torch.log(factors[:, 0] / factors[:, 2]), factors[:, 1] / factors[:, 2]
+    bits = torch.log2(1 + axes.abs() / step[:, None]).sum(1)
+    return bits + torch.log2(1 + v.abs() * m) + torch.log2(1 + r.abs() * m / 2) + 3 * torch.log2(1 + m)
+
+
+@pytest.mark.parametrize("quantum", [0.01, 0.15, 2.0])
+def test_rate_gradient_is_that_of_the_estimate(quantum: float) -> None:
+    p = gaussians(1500, 1)
+    factors, colors = p.factors.double().requires_grad_(), p.colors.double().requires_grad_()
+    expected = torch.autograd.grad(0.7 * rate_bits(factors, colors, quantum).sum(), [factors, colors])
+    grad = Parameters(torch.zeros(1500, 2), torch.ones(1500, 3), torch.ones(1500, 3))
+    add_rate_gradient(p, grad, quantum, 0.7)
+    for found, wanted in zip((grad.factors, grad.colors), expected, strict=True):
+        error = (found.double() - 1 - wanted).abs()
+        size = wanted.abs().amax(1, keepdim=True) + 1
+        assert (error <= 4e-5 * size).all()  # worst seen 1.3e-5: the axes cancel
+    assert torch.equal(grad.means, torch.zeros(1500, 2))
+
+
+def test_rate_gradient_is_finite_where_nothing_is_left() -> None:
+    """A round Gaussian without colour: every term of the estimate has its kink there."""
+    p = Parameters(torch.zeros(1, 2), torch.tensor([[2.0, 0.0, 2.0]]), torch.zeros(1, 3))
+    grad = Parameters(torch.zeros(1, 2), torch.zeros(1, 3), torch.zeros(1, 3))
+    add_rate_gradient(p, grad, 0.1, 1.0)
+    assert torch.equal(grad.colors, torch.zeros(1, 3))
+    assert grad.factors.isfinite().all()
+
+
+def test_adam_in_the_gaussians_frame() -> None:
+    n, rate = 1200, 0.6
+    p, adam = gaussians(n, 7), FrameAdam(n - 100, RD)
+    first, second, age = torch.zeros(n, 8).double(), torch.zeros(n, 8).double(), torch.zeros(n, 1).double()
+    rates = torch.tensor([RD.mean_rate] * 2 + [RD.factor_rate] * 3 + [RD.color_rate] * 3).double()
+    grad = gaussians(n, 8)
+    old, young = torch.arange(n - 100), torch.arange(n - 100, n)
+    early = Parameters(p.means[old].contiguous(), p.factors[old].contiguous(), p.colors[old].contiguous())
+    early_grad = Parameters(grad.means[old], grad.factors[old], grad.colors[old])
+    wanted = p.means.double(), p.factors.double(), p.colors.double()
+    for step in range(6):  # the last hundred join after three steps
+        rows = old if step < 3 else torch.cat([old, young])
+        if step == 3:
+            adam.extend(100)
+            early = Parameters(
+                torch.cat([early.means, p.means[young]]),
+                torch.cat([early.factors, p.factors[young]]),
+                torch.cat([early.colors, p.colors[young]]),
+            )
+            early_grad = grad
+        adam.step(early, early_grad, rate)
+        means, factors, colors = (t.clone() for t in wanted)
+        l1, l2, l3 = factors[rows].unbind(1)
+        gx, gy = grad.means[rows].double().unbind(1)
+        g1, g2, g3 = grad.factors[rows].double().unbind(1)
+        g = torch.stack([l1 * gx + l2 * gy, l3 * gy, l1 * g1 + l2 * g2, l3 * g2, l3 * g3], 1)
+        g = torch.cat([g, grad.colors[rows].double()], 1)
+        age[rows] += 1
+        first[rows] = RD.beta1 * first[rows] + (1 - RD.beta1) * g
+        second[rows] = RD.beta2 * second[rows] + (1 - RD.beta2) * g * g
+        unbiased = first[rows] / (1 - RD.beta1 ** age[rows])
+        move = -rate * rates * unbiased / (second[rows] / (1 - RD.beta2 ** age[rows])).sqrt()
+        means[rows] += torch.stack([l1 * move[:, 0], l2 * move[:, 0] + l3 * move[:, 1]], 1)
+        a, b = move[:, 2].exp(), move[:, 4].exp()
+        factors[rows] = torch.stack(
+            [(l1 * a).clamp_min(RD.min_scale_px), l2 * a + l3 * move[:, 3], (l3 * b).clamp_min(RD.min_scale_px)], 1
+        )
+        colors[rows] += move[:, 5:]
+        wanted = means, factors, colors
+    for found, value in zip((early.means, early.factors, early.colors), wanted, strict=True):
+        torch.testing.assert_close(found.double(), value, rtol=1e-4, atol=1e-4)
+
+
+def test_means_are_kept_near_the_picture() -> None:
+    p = gaussians(1000, 3)
+    p.means[:500] = p.means[:500] * 4 - 750
+    margin = 1.6 * (p.factors[:, :1] * p.factors[:, 2:]).sqrt()
+    wanted = torch.minimum(torch.maximum(p.means, -margin), torch.tensor([[500.0, 300.0]]) + margin)
+    assert not torch.equal(wanted, p.means)
+    native.keep_near(1.6, 500, 300, p.means.numpy(), p.factors.numpy())
+    assert torch.allclose(p.means, wanted, rtol=1e-6)

@@ -1,0 +1,239 @@
+"""The lattice quantisers against finite differences of their smooth surrogate, and the colour codebook.
+
+The surrogate of v^ = low + s round(u), u = (v - low) / s, holds the offset r = round(u) - u of the rounding constant
+while v, low, high and B = b (a real number there) vary; out of range it holds which end v^ sits at.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+import torch
+from torch import Tensor
+
+from sgmethod.paper.codebook import ResidualCodebook, kmeans
+from sgmethod.paper.lattice import codes, quantise
+
+DIFFERENCE = 1e-6  # of the central differences, in float64
+GRADIENT_TOLERANCE = 1e-8  # worst seen 1.1e-9, from the differences
+
+
+def surrogate(v: Tensor, low: Tensor, high: Tensor, bits: Tensor, at: tuple[Tensor, ...]) -> Tensor:
+    """v^ around the point `at` = (v, low, high, bits) where rounding and clamping are decided."""
+    v0, low0, high0, bits0 = at
+    u0 = (v0 - low0) / ((high0 - low0) / (torch.exp2(bits0) - 1))
+    offset = torch.round(u0) - u0
+    step = (high - low) / (torch.exp2(bits) - 1)
+    inside = low + step * ((v - low) / step + offset)
+    return torch.where(v0 < low0, low + 0 * v, torch.where(v0 > high0, high + 0 * v, inside))
+
+
+def lsq() -> tuple[Tensor, ...]:
+    """Two columns, one bitwidth for all."""
+    generator = torch.Generator().manual_seed(1)
+    v = torch.rand(40, 2, generator=generator, dtype=torch.float64) * 3 - 1
+    low, high = torch.tensor([-0.5, -0.2], dtype=torch.float64), torch.tensor([1.4, 1.7], dtype=torch.float64)
+    return v, low, high, torch.tensor([4.0], dtype=torch.float64)
+
+
+def abq() -> tuple[Tensor, ...]:
+    """Three columns, a bitwidth for each row."""
+    generator = torch.Generator().manual_seed(2)
+    v = torch.rand(40, 3, generator=generator, dtype=torch.float64) * 3 - 1
+    low, high = (torch.tensor(r, dtype=torch.float64) for r in ([-0.5, -0.2, 0.1], [1.4, 1.7, 1.2]))
+    bits = torch.randint(1, 9, (40, 1), generator=generator).double()
+    return v, low, high, bits
+
+
+SHAPES = {"LSQ": lsq, "ABQ": abq}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_values(shape: str) -> None:
+    v, low, high, bits = SHAPES[shape]()
+    found = quantise(v, low, high, bits)
+    assert ((v < low).any(0) & (v > high).any(0) & ((v > low) & (v < high)).any(0)).all()  # all cases occur
+    for i, j in itertools.product(*map(range, v.shape)):
+        top = 2 ** round(bits.reshape(-1)[min(i, bits.numel() - 1)].item()) - 1
+        a, b = low[j].item(), high[j].item()
+        step = (b - a) / top
+        code = min(max(round((v[i, j].item() - a) / step), 0), top)
+        assert found[i, j].item() == pytest.approx(a + step * code, abs=1e-14)  # worst error seen 3e-16
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("argument", range(4), ids=("v", "low", "high", "bits"))
+def test_gradients_are_those_of_the_surrogate(shape: str, argument: int) -> None:
+    at = SHAPES[shape]()
+    upstream = torch.randn(at[0].shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    leaves = [t.clone().requires_grad_() for t in at]
+    (found,) = torch.autograd.grad(quantise(*leaves), leaves[argument], upstream)
+    assert found.shape == at[argument].shape
+    for k in range(at[argument].numel()):
+        ends = []
+        for sign in (1, -1):
+            moved = [t.clone() for t in at]
+            moved[argument].view(-1)[k] += sign * DIFFERENCE
+            ends.append((surrogate(moved[0], moved[1], moved[2], moved[3], at) * upstream).sum())
+        difference = (ends[0] - ends[1]).item() / (2 * DIFFERENCE)
+        assert found.view(-1)[k].item() == pytest.approx(difference, abs=GRADIENT_TOLERANCE)
+
+
+def test_the_bitwidth_is_rounded() -> None:
+    v, low, high, bits = abq()
+    leaf, soft = bits.clone().requires_grad_(), (bits + 0.4).requires_grad_()
+    whole, found = quantise(v, low, high, leaf), quantise(v, low, high, soft)
+    assert torch.equal(whole, found)
+    assert torch.equal(*(torch.autograd.grad(out.sum(), b)[0] for out, b in ((whole, leaf), (found, soft))))
+
+
+def test_more_bits_pay_where_the_error_has_the_gradients_sign() -> None:
+    """A step down the gradient of (v^ - v)^2 / 2 never takes bits away: (v^ - v) dv^/db <= 0."""
+    v, low, high, bits = abq()
+    inside = (v > low) & (v < high)
+    bits.requires_grad_()
+    out = quantise(v, low, high, bits)
+    (grad,) = torch.autograd.grad(out, bits, torch.where(inside, out - v, 0.0).detach())
+    assert (grad <= 0).all()
+    assert (grad < 0).any()
+
+
+@pytest.mark.parametrize("bitwidth", [1, 6, 12, 16])
+def test_codes_agree_with_values_in_single_precision(bitwidth: int) -> None:
+    generator = torch.Generator().manual_seed(bitwidth)
+    v = torch.rand(2000, 3, generator=generator) * 140 - 20
+    low, high = torch.tensor([0.0, -3.7, 10.0]), torch.tensor([100.0, 96.1, 99.0])
+    bits = torch.tensor([float(bitwidth)])
+    q = codes(v, low, high, bits)
+    top = 2**bitwidth - 1
+    assert q.dtype == torch.int64
+    assert q.min() == 0
+    assert q.max() == top
+    step = (high - low).double() / top
+    error = (quantise(v, low, high, bits) - (low + q * step)).abs()
+    u = (v.double() - low) / step
+    tied = (u - u.floor() - 0.5).abs() < 1e-7 * 2 * top  # rounding of u in single precision decides there
+    assert tied.float().mean() < 0.1
+    assert error[~tied].max() < 2e-5  # pixels; worst seen 1e-5, single precision's at 100
+    assert (error <= step + 2e-5).all()
+
+
+def test_codes_do_not_leave_the_range() -> None:
+    v = torch.tensor([[-1e30], [1e30], [0.0], [1.0]])
+    for bits in (torch.tensor([6.0]), torch.tensor([[6.0], [7.0], [8.0], [9.0]])):
+        q = codes(v, torch.tensor([0.0]), torch.tensor([1.0]), bits)
+        top = (2 ** bits.expand(4, 1)[:, 0].long() - 1) if bits.ndim == 2 else torch.full((4,), 63)
+        assert q[:, 0].tolist() == [0, top[1].item(), 0, top[3].item()]
+
+
+def clusters() -> tuple[Tensor, Tensor, Tensor]:
+    """Points [80, 3] in eight tight, far apart clusters, weights [80], and the cluster of each point."""
+    generator = torch.Generator().manual_seed(4)
+    centres = torch.tensor(list(itertools.product((-3.0, 3.0), repeat=3)))
+    index = torch.arange(80) % 8
+    points = centres[index] + 0.2 * torch.randn(80, 3, generator=generator)
+    return points, torch.rand(80, generator=generator) + 0.1, index
+
+
+def test_kmeans_finds_the_weighted_means_of_clusters() -> None:
+    points, weights, index = clusters()
+    found = kmeans(points, weights, 8, seed=0)
+    for k in range(8):
+        inside = index == k
+        mean = (points[inside] * weights[inside, None]).sum(0) / weights[inside].sum()
+        assert (found - mean).norm(dim=1).min() < 1e-5  # worst seen 8e-7
+
+
+def test_kmeans_neglects_points_without_weight() -> None:
+    points, weights, index = clusters()
+    found = kmeans(points, torch.where(index == 0, 0.0, weights), 7, seed=0)
+    assert (torch.cdist(found, points[index == 0]) > 4).all()
+
+
+def test_kmeans_gives_the_same_for_the_same_seed() -> None:
+    points = torch.randn(500, 3, generator=torch.Generator().manual_seed(5))
+    a, b, c = (kmeans(points, torch.ones(500), 8, seed) for seed in (0, 0, 1))
+    assert torch.equal(a, b)
+    assert not torch.equal(a, c)
+
+
+@pytest.mark.parametrize("points", [torch.zeros(1, 3), torch.ones(50, 3), torch.eye(3)], ids=("one", "equal", "three"))
+def test_kmeans_of_few_different_points(points: Tensor) -> None:
+    found = kmeans(points, torch.ones(len(points)), 8, seed=0)
+    assert found.shape == (8, 3)
+    assert torch.cdist(points, found).amin(1).max() == 0
+
+
+def codebook(colors: Tensor, weights: Tensor, decay: float = 0.8) -> ResidualCodebook:
+    return ResidualCodebook(colors, weights, stages=2, entries=8, decay=decay, seed=0)
+
+
+def random_colors(n: int) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(n)
+    return torch.randn(n, 3, generator=generator), torch.rand(n, generator=generator)
+
+
+def test_assign_finds_the_nearest_of_all_pairs() -> None:
+    colors, weights = random_colors(400)
+    book = codebook(colors, weights)
+    index = book.assign(colors)
+    pairs = book.entries[0][:, None] + book.entries[1][None]
+    nearest = torch.cdist(colors.double(), pairs.reshape(-1, 3).double()).amin(1)
+    chosen = (colors.double() - pairs[index[:, 0], index[:, 1]].double()).norm(dim=1)
+    assert (chosen - nearest).max() < 1e-6  # worst seen 3e-15; two pairs may be equally near in single precision
+    assert torch.equal(book.lookup(index), pairs[index[:, 0], index[:, 1]])
+    assert index.min() == 0
+    assert index.max() == 7
+
+
+def test_two_stages_are_better_than_one() -> None:
+    colors, weights = random_colors(400)
+    book = codebook(colors, weights)
+    first = torch.cdist(colors, book.entries[0]).amin(1).square() * weights
+    both = (colors - book.lookup(book.assign(colors))).square().sum(1) * weights
+    assert both.sum() < 0.4 * first.sum()
+
+
+def test_entries_follow_the_weighted_mean_with_the_decay() -> None:
+    colors, weights = random_colors(300)
+    book = codebook(colors, weights)
+    before = book.entries.clone()
+    index = torch.stack([torch.arange(300) % 7, torch.arange(300) % 5], 1)  # entry 7 and entries 5, 6, 7 stand idle
+    book.follow(colors, weights, index)
+    for k in range(7):
+        mine = index[:, 0] == k
+        residual = colors[mine] - before[1][index[mine, 1]]
+        mean = (residual * weights[mine, None]).sum(0) / weights[mine].sum()
+        torch.testing.assert_close(book.entries[0, k], 0.8 * before[0, k] + 0.2 * mean, atol=1e-6, rtol=0)
+    assert torch.equal(book.entries[0, 7], before[0, 7])
+    assert torch.equal(book.entries[1, 5:], before[1, 5:])
+
+
+def test_the_second_stage_follows_too() -> None:
+    """With every colour in one pair and the first entry where it belongs, the second moves by 1 - decay."""
+    colors, weights = torch.ones(10, 3), torch.ones(10)
+    book = codebook(colors, weights, decay=0.6)
+    book.entries = torch.stack([torch.ones(8, 3), torch.zeros(8, 3)])
+    book.follow(colors, weights, torch.zeros(10, 2, dtype=torch.long))
+    assert torch.equal(book.entries, torch.stack([torch.ones(8, 3), torch.zeros(8, 3)]))
+    book.entries[0] = 0.0
+    book.entries[1] = 1.0
+    book.follow(colors * 3, weights, torch.zeros(10, 2, dtype=torch.long))
+    assert book.entries[0, 0, 0].item() == pytest.approx(0.8)  # 0.4 of the way from 0 to 3 - 1
+    for _ in range(60):
+        book.follow(colors * 3, weights, torch.zeros(10, 2, dtype=torch.long))
+    assert book.lookup(torch.zeros(1, 2, dtype=torch.long))[0, 0].item() == pytest.approx(3, abs=1e-5)
+    assert torch.equal(book.entries[:, 1], torch.tensor([[0.0] * 3, [1.0] * 3]))
+
+
+def test_following_lowers_the_error() -> None:
+    colors, weights = random_colors(300)
+    book = codebook(colors, weights)
+    moved = colors * 1.5 + 0.3
+    errors = []
+    for _ in range(15):
+        index = book.assign(moved)
+        errors.append(((moved - book.lookup(index)).square().sum(1) * weights).sum().item())
+        book.follow(moved, weights, index)
+    assert errors[-1] < 0.6 * errors[0]

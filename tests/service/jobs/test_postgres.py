@@ -1,0 +1,101 @@
+"""What only the table in PostgreSQL must do."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import psycopg
+import pytest
+
+from service.jobs.interface import BackendError
+from service.jobs.postgres import PostgresJobs
+from service.process.stopping import StopSignal
+from tests.harness.job_table import RULES, claimed, submitted
+from tests.harness.postgres_server import PostgresServer
+from tests.harness.service_process import PATIENCE_S
+
+
+@pytest.fixture
+def url(postgres: PostgresServer) -> str:
+    return postgres.new_database()
+
+
+@pytest.fixture
+def jobs(url: str) -> Iterator[PostgresJobs]:
+    jobs = PostgresJobs(url, RULES)
+    yield jobs
+    jobs.close()
+
+
+def tokens(url: str) -> int:
+    with psycopg.connect(url) as db:
+        row = db.execute("SELECT count(*) FROM sgmethod_engine.procrastinate_jobs").fetchone()
+    assert row is not None
+    return int(row[0])
+
+
+def test_rule_1_row_and_engine_job_are_one_transaction(
+    url: str, jobs: PostgresJobs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submitted(jobs)
+    assert (jobs.queued(), tokens(url)) == (1, 1)
+
+    def break_off(_row: object) -> None:
+        raise psycopg.OperationalError("broken off")
+
+    monkeypatch.setattr("service.jobs.sql._job", break_off)  # the last step of the transaction
+    with pytest.raises(BackendError, match="broken off"):
+        submitted(jobs)
+    assert (jobs.queued(), tokens(url)) == (1, 1)
+
+
+def test_rule_6_durability_settings(jobs: PostgresJobs) -> None:
+    with jobs._connection() as db:
+        names = ("synchronous_commit", "idle_in_transaction_session_timeout", "search_path")
+        values = [next(iter(db.execute(f"SHOW {name}").fetchone().values())) for name in names]
+    assert values == ["on", "10s", "sgmethod,sgmethod_engine"]
+
+
+def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJobs) -> None:
+    """Its jobs are made anew from the table."""
+    job_id = submitted(jobs)
+    with psycopg.connect(url) as db:
+        db.execute("UPDATE sgmethod.version SET version = '0.1' WHERE part = 'engine'")
+    later = PostgresJobs(url, RULES)
+    assert tokens(url) == 0
+    later._top_up()
+    later._top_up()
+    assert tokens(url) == 1
+    assert claimed(later).job_id == job_id
+    later.close()
+
+
+def test_a_table_of_a_later_version(url: str, jobs: PostgresJobs) -> None:
+    with psycopg.connect(url) as db:
+        db.execute("UPDATE sgmethod.version SET version = '99' WHERE part = 'jobs'")
+    with pytest.raises(BackendError, match="newer"):
+        PostgresJobs(url, RULES)
+    assert jobs.queued() == 0
+
+
+def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobs) -> None:
+    """Each job is announced by a call; what was called for nothing does no harm."""
+    stop, taken = StopSignal(), threading.Semaphore(0)
+
+    def run_next() -> bool:
+        if jobs.claim("w") is None:
+            return False
+        taken.release()
+        return True
+
+    thread = threading.Thread(target=jobs.deliver, args=(run_next, stop))
+    thread.start()
+    for _ in range(3):
+        submitted(jobs)
+    for _ in range(3):
+        assert taken.acquire(timeout=PATIENCE_S)
+    stop.request()
+    thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert jobs.census().jobs["running"] == 3

@@ -1,0 +1,89 @@
+"""The operator's commands."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from service.backends import open_backend, open_storage
+from service.jobs.interface import EncodeRequest, NewJob, SourceImage, new_job_id
+from service.settings import Settings
+from service.storage.disk import source_key
+from tests.harness.data import ROOT
+from tests.harness.postgres_server import PostgresServer
+from tests.harness.service import SMALL, Outcome, RunCommand
+
+
+def verdicts(result: Outcome) -> dict[str, str]:
+    lines = (line.split(maxsplit=1) for line in result.stdout.splitlines())
+    return {rest.partition(":")[0]: word for word, rest in lines}
+
+
+def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
+    result = run_command("check", data_dir=tmp_path / "data", database_url=database_url)
+    names = ("settings", "database", "storage", "free disk", "kernels")
+    assert verdicts(result) == dict.fromkeys(names, "ok"), result
+    assert result.status == 0
+    assert list((tmp_path / "data" / "unfinished").iterdir()) == []
+
+
+def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> None:
+    url = "postgresql://someone:secret@127.0.0.1:1/none"
+    result = run_command("check", data_dir=tmp_path / "data", database_url=url, max_upload_bytes=2**50)
+    assert verdicts(result) == {
+        "settings": "ok",
+        "database": "FAILED",
+        "storage": "ok",
+        "free disk": "FAILED",
+        "kernels": "ok",
+    }
+    assert result.status == 1
+    assert "secret" not in result.stdout + result.stderr
+
+
+def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
+    settings = Settings(data_dir=tmp_path / "data")
+    backend, storage = open_backend(settings), open_storage(settings)
+    request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
+    job, _ = backend.submit(NewJob(new_job_id(), request, image, "f"), 10)
+    backend.close()
+    needed, orphan = source_key(job.id), source_key(new_job_id())
+    for key in (needed, orphan):
+        storage.put(key, SMALL)
+    for arguments, verb, files in (
+        ([], "removed", 0),  # as young as it is, it may belong to a job to come
+        (["--orphan-age-s", "0", "--dry-run"], "would remove", 1),
+        (["--orphan-age-s", "0"], "removed", 1),
+    ):
+        result = run_command("sweep", *arguments, data_dir=settings.data_dir)
+        assert (result.status, result.stdout) == (0, f"{verb} finished jobs: 0, files that no job needs: {files}\n")
+    assert set(storage.old(-5)) == {needed}
+
+
+def test_a_database_out_of_reach_is_one_clear_line(
+    run_command: RunCommand, tmp_path: Path, postgres: PostgresServer
+) -> None:
+    for command in ("serve", "worker", "sweep"):
+        result = run_command(command, data_dir=tmp_path, database_url=postgres.url("there_is_none"), port=0)
+        assert result.status == 1
+        (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]
+        assert "PostgreSQL: " in line
+        assert "does not exist" in line
+
+
+@pytest.mark.parametrize(("name", "value"), [("database_url", "mysql://x"), ("storage_url", "ftp://x")])
+def test_what_is_no_address_is_named(run_command: RunCommand, name: str, value: str) -> None:
+    result = run_command("check", **{name: value})
+    assert result.status == 2
+    assert result.stderr.startswith(f"SG_{name.upper()}: ")
+
+
+def test_chaos_draws_up_a_ledger() -> None:
+    """A few jobs, to see that the command works; benchmarks/results has the large runs."""
+    command = [sys.executable, "-m", "benchmarks.chaos", "--jobs", "3", "--seed", "3"]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "| accepted | 3 |" in result.stdout

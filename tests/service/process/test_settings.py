@@ -1,0 +1,211 @@
+"""Settings and command line."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service import settings as settings_module
+from service.process import supervisor
+from service.settings import Settings, available_cores
+from sgmethod.io.image import DEFAULT_LIMITS
+from tests.harness.data import ROOT
+from tests.harness.service import Outcome, RunCommand
+from tests.harness.service_process import PATIENCE_S, wait_until
+
+COMPUTED = {"workers": "cores / 4, at least 1", "api_keys": "", "api_keys_file": "", "link_secret": ""}
+
+
+@pytest.fixture(autouse=True)
+def no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in os.environ:
+        if name.startswith("SG_"):
+            monkeypatch.delenv(name)
+
+
+def run(*arguments: str, **environment: str) -> Outcome:
+    """In a process of its own."""
+    command = [sys.executable, "-m", "service", *arguments]
+    everything = {**os.environ, **environment}
+    done = subprocess.run(
+        command, cwd=ROOT, env=everything, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+    )
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def expected_row(name: str, field: Any) -> str:
+    default = COMPUTED.get(name, str(field.default))
+    return f"| `SG_{name.upper()}` | {default or 'none'} | {field.description} |"
+
+
+def test_the_operators_page_has_every_setting_with_its_default() -> None:
+    rows = re.findall(r"^\| `SG_.*$", (ROOT / "docs" / "deploy.md").read_text(), re.MULTILINE)
+    assert rows == [expected_row(name, field) for name, field in Settings.model_fields.items()]
+
+
+def test_every_setting_says_what_it_is() -> None:
+    for name, field in Settings.model_fields.items():
+        assert field.description, name
+        unit = name.rpartition("_")[2]
+        if unit in ("s", "bytes", "pixels"):
+            assert {"s": "seconds"}.get(unit, unit) in field.description, name
+
+
+def test_limits_never_exceed_what_the_encoder_reads() -> None:
+    bounds = {"max_pixels": DEFAULT_LIMITS.max_pixels, "max_side": DEFAULT_LIMITS.max_side}
+    for name, bound in bounds.items():
+        with pytest.raises(ValueError, match=name):
+            Settings.model_validate({name: bound + 1})
+        assert getattr(Settings.model_validate({name: bound}), name) == bound
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3, 100])
+def test_threads_of_all_workers_stay_within_the_cores(workers: int) -> None:
+    threads = Settings(workers=workers).encode_threads
+    assert threads >= 1
+    assert threads * workers <= max(available_cores(), workers)
+
+
+def test_threads_can_be_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SG_THREADS", "7")
+    assert Settings().encode_threads == 7
+
+
+@pytest.mark.parametrize(("text", "cores"), [("max 100000", 8), ("250000 100000", 2), ("50000 100000", 1), ("?", 8)])
+def test_a_containers_processor_quota_counts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, cores: int
+) -> None:
+    quota = tmp_path / "cpu.max"
+    quota.write_text(text)
+    monkeypatch.setattr(settings_module, "CGROUP_CPU_LIMIT", quota)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: set(range(8)))
+    assert available_cores() == cores
+    assert Settings().workers == max(1, cores // 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("SG_PORT", "x"),
+        ("SG_PORT", "70000"),
+        ("SG_WORKERS", "0"),
+        ("SG_LEASE_S", "nan"),
+        ("SG_STOP_GRACE_S", "inf"),
+        ("SG_SEND_TIMEOUT_S", "1e9"),
+        ("SG_MAX_ATTEMPTS", "9" * 30),
+        ("SG_JOB_MEMORY_BYTES", "9" * 30),
+        ("SG_API_KEYS", "ann:secret"),
+        ("SG_API_KEYS_FILE", "/dev/null/keys"),
+        ("SG_MAX_SIDE", "-1"),
+    ],
+)
+def test_a_bad_setting_is_named_in_one_line(run_command: RunCommand, name: str, value: str) -> None:
+    result = run_command("serve", **{name: value})
+    assert result.status == 2
+    assert re.fullmatch(rf"{name}[: ].+\n", result.stderr)
+
+
+def test_keys_that_are_none_do_not_leave_all_open(run_command: RunCommand) -> None:
+    result = run_command("serve", SG_API_KEYS=",")
+    assert (result.status, result.stderr.count("\n")) == (2, 1)
+    assert "leave all open" in result.stderr
+
+
+def test_a_misspelt_setting_is_named() -> None:
+    result = run("serve", SG_WORKER="3", SG_API_KEY="the-clients", SG_HOST="no.such.host.invalid")
+    assert result.status == 1
+    misspelt, trouble = result.stderr.splitlines()
+    assert misspelt.startswith("SG_WORKER is no setting")
+    assert trouble.startswith("cannot start: SG_HOST and SG_PORT, no.such.host.invalid:")
+
+
+def test_an_empty_setting_means_its_default(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SG_PORT", "")
+    assert Settings().port == 8000
+
+
+def test_time_limit_and_timeout_must_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SG_JOB_TIMEOUT_S", "10")
+    with pytest.raises(ValueError, match="SG_MAX_TIME_LIMIT_S"):
+        Settings()
+
+
+def test_a_taken_port_is_one_clear_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        result = run("serve", SG_PORT=str(taken.getsockname()[1]), SG_DATA_DIR=str(tmp_path / "data"))
+    assert result.status == 1
+    assert re.fullmatch(r"cannot start: .*[Aa]ddress already in use.*\n", result.stderr)
+
+
+@pytest.mark.parametrize("command", ["serve", "web", "worker", "sweep"])
+@pytest.mark.parametrize("file", ["data", "data/jobs.sqlite3", "data/sources"])
+def test_a_data_folder_that_cannot_be_is_one_clear_line(
+    run_command: RunCommand, tmp_path: Path, file: str, command: str
+) -> None:
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).write_text("this is neither a folder nor a database" * 100)
+    start = run if command == "web" else run_command  # which leaves its socket to the end of the process
+    result = start(command, SG_PORT="0", SG_DATA_DIR=str(tmp_path / "data"))
+    assert result.status == 1
+    verb = "sweep" if command == "sweep" else "start"
+    (line,) = [line for line in result.stderr.splitlines() if "INFO" not in line]
+    assert re.fullmatch(rf"cannot {verb}: .+", line)
+
+
+def test_an_object_store_that_has_no_address_is_one_clear_line(run_command: RunCommand, tmp_path: Path) -> None:
+    elsewhere = {"SG_STORAGE_URL": "s3://bucket", "AWS_ENDPOINT_URL": "store.example"}
+    result = run_command("serve", SG_DATA_DIR=str(tmp_path / "data"), **elsewhere)
+    assert result.status == 1
+    assert re.fullmatch(r"cannot start: .*AWS_ENDPOINT_URL must begin with http.*\n", result.stderr)
+
+
+@pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])
+def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) -> None:
+    """SIGTERM as soon as there is a sign of life: exit status 0 all the same."""
+    environment = {**os.environ, "SG_PORT": "0", "SG_DATA_DIR": str(tmp_path / "data"), "SG_WORKERS": "1"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "service", command],
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    ) as process:
+        assert process.stdout is not None
+        assert first_words in process.stdout.readline()
+        process.terminate()
+        rest = process.stdout.read()
+    assert process.returncode == 0
+    assert "Traceback" not in rest
+    assert "is killed" not in rest
+
+
+def test_web_process_and_worker_never_import_torch() -> None:
+    modules = "sys, service.web.app, service.worker.worker, service.process.supervisor"
+    script = f"import {modules}; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=60, check=False).returncode == 0
+
+
+def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As when the system is out of memory or processes for a moment: the supervisor outlives it."""
+    monkeypatch.setattr(supervisor, "FIRST_PAUSE_S", 0.0)
+    process = supervisor.Supervised("worker 1", ["--help"], ())
+    process.process.wait()
+    start, refusals = subprocess.Popen, iter([OSError(11, "Resource temporarily unavailable")] * 3)
+
+    def popen(*arguments: Any, **named: Any) -> subprocess.Popen[bytes]:
+        for error in refusals:
+            raise error
+        return start(*arguments, **named)
+
+    monkeypatch.setattr(subprocess, "Popen", popen)
+    first = process.process
+    wait_until(lambda: process.keep_alive() or process.process is not first)
+    process.process.wait()

@@ -1,0 +1,144 @@
+"""Files are whole or absent, and lie only where our own keys say; on disk and in a bucket alike."""
+
+from __future__ import annotations
+
+import os
+import stat
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from service.storage.bucket import ObjectStorage
+from service.storage.disk import DiskStorage, Storage, bitstream_key, source_key
+from tests.harness.s3_server import S3Server
+
+JOB = "0123456789abcdef" * 2
+A_MOMENT_S = -5.0  # what was stored just now is older than this, whatever the server's clock
+
+OpenStorage = Callable[[], Storage]
+
+
+@pytest.fixture(params=["disk", "s3"])
+def open_storage(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> OpenStorage:
+    """Opens the same storage each time."""
+    if request.param == "disk":
+        return lambda: DiskStorage(tmp_path / "data")
+    server: S3Server = request.getfixturevalue("s3")
+    for name, value in server.environment.items():
+        monkeypatch.setenv(name, value)
+    url = server.new_storage()
+    return lambda: ObjectStorage(url)
+
+
+@pytest.fixture
+def storage(open_storage: OpenStorage) -> Storage:
+    return open_storage()
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> DiskStorage:
+    return DiskStorage(tmp_path / "data")
+
+
+def test_what_was_put_is_there(storage: Storage, open_storage: OpenStorage) -> None:
+    keys = {source_key(JOB), bitstream_key(JOB, 1), bitstream_key(JOB, 2)}
+    for key in keys:
+        storage.put(key, key.encode())
+    again = open_storage()
+    again.check()
+    assert again.get(bitstream_key(JOB, 1)) == bitstream_key(JOB, 1).encode()
+    with again.open(source_key(JOB)) as file:
+        assert os.read(file.fileno(), 1000) == source_key(JOB).encode()  # as a child reads it
+    assert set(again.old(A_MOMENT_S)) == keys
+    again.delete(source_key(JOB))
+    again.delete(source_key(JOB))
+    for read in (again.get, again.open):
+        with pytest.raises(FileNotFoundError):
+            read(source_key(JOB))
+    assert set(storage.old(A_MOMENT_S)) == keys - {source_key(JOB)}
+
+
+def test_what_is_put_again_is_replaced(storage: Storage) -> None:
+    storage.put(source_key(JOB), b"first")
+    storage.put(source_key(JOB), b"second")
+    assert storage.get(source_key(JOB)) == b"second"
+
+
+def test_young_files_are_not_old(storage: Storage) -> None:
+    storage.put(source_key(JOB), b"data")
+    assert list(storage.old(60)) == []
+
+
+@pytest.mark.parametrize(
+    "key", ["", "a", "../a", "sources/../a", f"sources/{JOB}/a", f"sources/{JOB}\n", "/etc/passwd"]
+)
+def test_other_keys_are_refused(storage: Storage, key: str) -> None:
+    for action in (storage.get, storage.open, storage.delete):
+        with pytest.raises(ValueError, match="not a storage key"):
+            action(key)
+    with pytest.raises(ValueError, match="not a storage key"):
+        storage.put(key, b"")
+
+
+def test_a_failed_write_leaves_nothing(disk: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_space(_descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", no_space)
+    with pytest.raises(OSError, match="No space"):
+        disk.put(source_key(JOB), b"data")
+    assert list(disk.old(A_MOMENT_S)) == []
+
+
+def test_everything_is_synced_before_put_returns(disk: DiskStorage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rule 1: the file's bytes before the rename, the folder after it."""
+    steps: list[str] = []
+    sync, rename = os.fsync, Path.replace
+
+    def note_sync(descriptor: int) -> None:
+        steps.append("sync " + ("folder" if stat.S_ISDIR(os.fstat(descriptor).st_mode) else "file"))
+        sync(descriptor)
+
+    def note_rename(path: Path, target: Path) -> Path:
+        steps.append("rename")
+        return rename(path, target)
+
+    monkeypatch.setattr(os, "fsync", note_sync)
+    monkeypatch.setattr(Path, "replace", note_rename)
+    disk.put(source_key(JOB), b"data")
+    assert steps == ["sync file", "rename", "sync folder"]
+
+
+def test_what_was_never_stored_whole_is_old(disk: DiskStorage, tmp_path: Path) -> None:
+    leftover = f"unfinished/{JOB}"
+    path = tmp_path / "data" / leftover
+    path.write_bytes(b"half")
+    assert list(disk.old(60)) == []
+    an_hour_ago = time.time() - 3600
+    os.utime(path, (an_hour_ago, an_hour_ago))
+    assert list(disk.old(60)) == [leftover]
+    disk.delete(leftover)
+    assert not path.exists()
+
+
+def test_a_storage_that_is_gone(disk: DiskStorage, tmp_path: Path) -> None:
+    disk.check()
+    (tmp_path / "data").rename(tmp_path / "elsewhere")
+    with pytest.raises(OSError, match="No such file"):
+        disk.check()
+
+
+def test_a_bucket_that_is_not_there(s3: S3Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in s3.environment.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(OSError, match=r"the object store failed: .*404"):
+        ObjectStorage("s3://another/sgmethod").check()
+    with pytest.raises(OSError, match="the object store failed"):
+        ObjectStorage("s3://another/sgmethod").put(source_key(JOB), b"data")
+
+
+def test_pictures_are_the_owners_alone(disk: DiskStorage, tmp_path: Path) -> None:
+    disk.put(source_key(JOB), b"data")
+    assert (tmp_path / "data" / "sources").stat().st_mode & 0o077 == 0

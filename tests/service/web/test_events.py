@@ -1,0 +1,120 @@
+"""Streams of server-sent events."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+
+from tests.harness.data import golden_path
+from tests.harness.service import SMALL, Service, StartService, assert_problem
+from tests.harness.service_process import wait_until
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+Event = tuple[str, dict[str, Any]]
+
+
+def read(answer: httpx.Response) -> Iterator[Event]:
+    """Events by name with their data, until the stream ends."""
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/event-stream")
+    name = ""
+    for line in answer.iter_lines():
+        if line.startswith("event: "):
+            name = line.removeprefix("event: ")
+        elif line.startswith("data: "):
+            yield name, json.loads(line.removeprefix("data: "))
+
+
+@contextlib.contextmanager
+def stream(service: Service, job_id: str) -> Iterator[Iterator[Event]]:
+    with httpx.stream("GET", f"{service.url}/jobs/{job_id}/events", timeout=60) as answer:
+        yield read(answer)
+
+
+def test_a_job_from_the_queue_to_its_result(service: Service) -> None:
+    job_id = service.accepted(SMALL, bpp=2, time_limit_s=2)
+    with stream(service, job_id) as events:
+        seen = list(events)
+    names = [name for name, _ in seen]
+    assert (names[0], names[-1]) == ("state", "done")
+    assert "trace" in names
+    states = [data["state"] for name, data in seen if name == "state"]
+    assert states == sorted(states, key=["queued", "running", "done"].index)
+    progress = [data["progress"] for name, data in seen if name == "trace"]
+    assert progress == sorted(progress)
+    job = service.job(job_id)
+    assert seen[-1][1] == {name: value for name, value in job.items() if name not in ("progress", "trace")}
+    points = [point for name, data in seen if name == "trace" for point in data["trace"]]
+    assert points == job["trace"]
+
+
+def test_a_job_that_is_done_already(web: Service) -> None:
+    with stream(web, web.published(PICTURE)) as events:
+        assert [name for name, _ in events] == ["state", "done"]
+
+
+def test_a_job_that_fails(web: Service) -> None:
+    job_id = web.accepted()
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+        web.refuse(job_id)
+        *_, (name, job) = events
+    assert (name, job["error"]["code"]) == ("failed", "refused")
+
+
+def test_a_job_that_is_removed(web: Service) -> None:
+    job_id = web.accepted()
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+        assert web.client.delete(f"/jobs/{job_id}").status_code == 204
+        assert list(events) == [("removed", {})]
+    assert_problem(web.client.get(f"/jobs/{job_id}/events"), 404)
+
+
+def test_a_job_table_that_goes_away(start_service: StartService) -> None:
+    """The stream ends, and can be opened again once the table is back."""
+    web = start_service("web")
+    job_id = web.accepted()
+    table, aside = web.data_dir / "jobs.sqlite3", web.data_dir / "aside"
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+        table.rename(aside)
+        assert list(events) == []
+    assert_problem(web.client.get(f"/jobs/{job_id}/events"), 503)
+    aside.rename(table)
+    with stream(web, job_id) as events:
+        assert next(events)[1]["state"] == "queued"
+    assert "Traceback" not in web.log.read_text()
+
+
+def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: StartService) -> None:
+    web = start_service("web", max_event_streams=2)
+    job_id = web.accepted()
+    with stream(web, job_id) as first, stream(web, job_id) as second:
+        next(first), next(second)
+        answer = web.client.get(f"/jobs/{job_id}/events")
+        assert_problem(answer, 503, "streams")
+        assert answer.headers["retry-after"]
+    for _ in range(4):  # more than the limit: each gives its place back
+
+        def opened() -> bool:
+            with httpx.stream("GET", f"{web.url}/jobs/{job_id}/events", timeout=60) as answer:
+                return answer.status_code == 200 and next(read(answer))[0] == "state"
+
+        assert wait_until(opened)
+
+
+def test_open_streams_do_not_hold_up_the_end(start_service: StartService) -> None:
+    web = start_service("web", stop_grace_s=30)
+    job_id = web.accepted()
+    with stream(web, job_id) as events:
+        next(events)
+        assert web.stop() == 0
+        # A stream that the server had cut off, as it does at half of the grace time, would raise an error here.
+        assert "done" not in [name for name, _ in events]
+    web.start()
+    assert web.job(job_id)["state"] == "queued"

@@ -1,0 +1,94 @@
+"""Probes and figures."""
+
+from __future__ import annotations
+
+import re
+import shutil
+
+import httpx
+import pytest
+
+from tests.harness.data import golden_path
+from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service_process import wait_until
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+
+
+def figures(service: Service) -> dict[str, float]:
+    answer = service.client.get("/metrics")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/plain")
+    lines = [line for line in answer.text.splitlines() if not line.startswith("#")]
+    return {name: float(value) for name, value in (line.rsplit(" ", 1) for line in lines)}
+
+
+@pytest.mark.parametrize("path", ["/livez", "/healthz", "/readyz"])
+def test_probes(web: Service, path: str) -> None:
+    answer = web.client.get(path)
+    assert (answer.status_code, answer.json()["status"]) == (200, "ok")
+    assert web.client.head(path).status_code == 200
+
+
+def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> None:
+    web = start_service("web", stall_s=2)
+    assert web.client.get("/readyz").status_code == 200
+    job_id = web.accepted()
+    problem = wait_until(lambda: (answer := web.client.get("/readyz")).status_code == 503 and answer)
+    assert isinstance(problem, httpx.Response)
+    assert_problem(problem, 503, "no worker")
+    assert web.client.get("/livez").status_code == 200
+    web.client.delete(f"/jobs/{job_id}")
+    assert web.client.get("/readyz").status_code == 200
+    web.accepted()
+    web.published(PICTURE)  # a worker was there just now
+    web.accepted()
+    assert web.client.get("/readyz").status_code == 200
+
+
+def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
+    service = start_service(stall_s=2)
+    service.wait(service.accepted_slow(), "running")
+    service.accepted()
+    started = figures(service)["process_start_time_seconds"]
+    wait_until(lambda: figures(service)["sgmethod_oldest_job_waits_seconds"] > 3)
+    assert service.client.get("/readyz").status_code == 200
+    assert figures(service)["process_start_time_seconds"] == started
+
+
+def test_a_storage_out_of_reach(start_service: StartService) -> None:
+    web = start_service("web")
+    shutil.rmtree(web.data_dir / "sources")
+    assert_problem(web.client.get("/readyz"), 503, "storage")
+    assert web.client.get("/livez").status_code == 200
+
+
+def test_a_job_table_out_of_reach(start_service: StartService) -> None:
+    web = start_service("web")
+    for file in web.data_dir.glob("jobs.sqlite3*"):
+        file.write_bytes(b"this is no database" * 1000)
+    assert_problem(web.client.get("/readyz"), 503, "job table")
+    assert web.client.get("/livez").status_code == 200
+    assert figures(web)["sgmethod_job_table_up"] == 0
+
+
+def test_figures(start_service: StartService) -> None:
+    web = start_service("web")
+    done = web.published(PICTURE)
+    web.accepted()
+    for _ in range(3):
+        assert web.client.get(f"/decode/{done}.png").status_code == 200
+    web.client.get("/decode/nothing.png")
+    web.client.get("/no/such/path")
+    web.client.request("BREW", "/no/such/path")
+    seen = figures(web)
+    assert seen["sgmethod_jobs_accepted_total"] == 1
+    assert (seen['sgmethod_jobs{state="queued"}'], seen['sgmethod_jobs{state="done"}']) == (1, 1)
+    route = "/decode/{job_id}.{kind}"
+    assert seen[f'sgmethod_requests_total{{method="GET",route="{route}",status="200"}}'] == 3
+    assert seen[f'sgmethod_requests_total{{method="GET",route="{route}",status="404"}}'] == 1
+    assert seen['sgmethod_requests_total{method="GET",route="none",status="404"}'] == 1
+    assert (seen['sgmethod_decode_cache_total{found="yes"}'], seen["sgmethod_decode_seconds_count"]) == (2, 1)
+    assert seen["sgmethod_decode_cache_bytes"] > 0
+    assert seen["sgmethod_job_table_up"] == 1
+    assert not [name for name in seen if re.search(r"such|BREW", name)]

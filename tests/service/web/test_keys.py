@@ -1,0 +1,253 @@
+"""API keys: who may see and do what, how often, and links for those without a key."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from service import keys
+from service.keys import KeyRing, Link, RateLimit, digest, parse_keys
+from service.settings import Settings
+from tests.harness.data import ROOT, golden_path
+from tests.harness.service import SMALL, Service, StartService, assert_problem
+from tests.harness.service_process import PATIENCE_S
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+SECRET = "0123456789abcdef" * 2
+ANN, BOB = "key-of-ann", "key-of-bob"
+KEYS = f"ann:{digest(ANN)},bob:{digest(BOB)}"
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process that knows ann and bob."""
+    folder = tmp_path_factory.mktemp("guarded") / "data"
+    service = Service(folder, "web", api_keys=KEYS, link_secret=SECRET, key_request_rate=1000, link_max_age_s=100)
+    yield service
+    assert service.stop() == 0
+
+
+def bearer(key: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {key}"}
+
+
+@pytest.fixture
+def ann(guarded: Service) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=guarded.url, headers=bearer(ANN), timeout=PATIENCE_S) as client:
+        yield client
+
+
+@pytest.fixture
+def bob(guarded: Service) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=guarded.url, headers=bearer(BOB), timeout=PATIENCE_S) as client:
+        yield client
+
+
+def post(client: httpx.Client, **headers: str) -> httpx.Response:
+    return client.post("/encode?bpp=1", content=SMALL, headers={"Content-Type": "image/png", **headers})
+
+
+def test_keys_are_read() -> None:
+    a, b, c = digest("a"), digest("b"), digest("c")
+    text = f" ann:{a}, bob:{b}  # of the first floor\n# nobody:x\n\nann:{c}\n"
+    assert parse_keys(text) == {a: "ann", b: "bob", c: "ann"}
+    assert parse_keys("") == {}
+    for wrong in ("ann", f":{a}", f"ann:{a[:-1]}", f"ann:{a.upper()}", f"an n:{a}", f"ann:{a};bob:{b}", "ann:secret"):
+        with pytest.raises(ValueError, match=r"^key [12] is not a name") as refusal:
+            parse_keys(wrong)
+        assert "secret" not in str(refusal.value)  # it might be one
+
+
+def test_a_key_ring() -> None:
+    ring = KeyRing(parse_keys(KEYS))
+    assert (ring.owner_of(ANN), ring.owner_of(BOB)) == ("ann", "bob")
+    for wrong in ("", "ann", digest(ANN), ANN + "x", "ключ"):
+        assert ring.owner_of(wrong) is None
+    assert ring
+    assert not KeyRing({})
+
+
+def test_a_new_key_works(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "service.keys"]
+    made = subprocess.run([*command, "carol"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    key, line = (text.split()[1] for text in made.splitlines())
+    file = tmp_path / "keys"
+    file.write_text(f"# customers\n{line}\n")
+    ring = KeyRing(Settings(api_keys=KEYS, api_keys_file=file).key_names)
+    assert (ring.owner_of(key), ring.owner_of(ANN)) == ("carol", "ann")
+    assert key not in line
+    refused = subprocess.run([*command, "no name"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+
+
+def test_key_files_that_cannot_be_used(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="cannot be read"):
+        Settings(api_keys_file=tmp_path / "nowhere")
+    (tmp_path / "empty").write_text("# nobody yet\n")
+    with pytest.raises(ValueError, match="hold no key"):  # and not: open to all
+        Settings(api_keys_file=tmp_path / "empty")
+    with pytest.raises(ValueError, match="32 characters"):
+        Settings.model_validate({"link_secret": "short"})
+
+
+def test_rate_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(keys.time, "monotonic", lambda: clock[0])
+    rate = RateLimit(2.0)
+    assert [rate.wait_s("ann") for _ in range(5)] == [0, 0, 0, 0, 0.5]
+    assert rate.wait_s("bob") == 0
+    clock[0] = 0.5
+    assert [rate.wait_s("ann") for _ in range(2)] == [0, 0.5]
+    clock[0] = 100
+    assert [rate.wait_s("ann") for _ in range(5)] == [0, 0, 0, 0, 0.5]
+    slow = RateLimit(0.1)
+    assert slow.wait_s("ann") == 0
+    assert slow.wait_s("ann") == pytest.approx(10)
+
+
+def test_rate_limit_forgets_names_that_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(keys.time, "monotonic", lambda: clock[0])
+    rate = RateLimit(1.0)
+    for number in range(3000):
+        clock[0] += 1
+        rate.wait_s(f"link to {number}")
+    assert len(rate._spent) <= keys.MOST_BUCKETS + 1
+
+
+@pytest.mark.parametrize(
+    "authorization",
+    ["", "Bearer", "Bearer wrong", f"Basic {ANN}", f"Bearer {digest(ANN)}", f"Bearer {ANN} {BOB}", ANN, "Bearer \xff"],
+)
+@pytest.mark.parametrize("path", ["/jobs", "/jobs/x", "/decode/x.png", "/metrics", "/encode", "/no/such"])
+def test_without_a_good_key(guarded: Service, authorization: str, path: str) -> None:
+    headers = {"Authorization": authorization.encode("latin-1")} if authorization else {}
+    answer = guarded.client.request("POST" if path == "/encode" else "GET", path, headers=headers)
+    assert_problem(answer, 401)
+    assert answer.headers["www-authenticate"] == "Bearer"
+
+
+@pytest.mark.parametrize("path", ["/", "/livez", "/readyz", "/openapi.json", "/static/app.js"])
+def test_what_needs_no_key(guarded: Service, path: str) -> None:
+    assert guarded.client.get(path).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "path", ["/static/../jobs", "/static/%2e%2e/jobs", "/static/..%2fjobs", "/livez/../jobs", "//jobs"]
+)
+def test_no_way_around_the_key(guarded: Service, path: str) -> None:
+    request = httpx.Request("GET", guarded.url)
+    request.url = httpx.URL(guarded.url).copy_with(raw_path=path.encode())
+    assert guarded.client.send(request).status_code in (401, 404)
+
+
+def test_jobs_are_their_owners_alone(guarded: Service, ann: httpx.Client, bob: httpx.Client) -> None:
+    mine = post(ann).json()
+    done = guarded.published(PICTURE, "ann")
+    assert ann.get(mine["status_url"]).status_code == 200
+    assert ann.get(f"/decode/{done}.png").status_code == 200
+    for job_id in (mine["id"], done):
+        for path in ("/jobs/{}", "/jobs/{}/events", "/decode/{}.png", "/bitstreams/{}.sg"):
+            assert_problem(bob.get(path.format(job_id)), 404)
+        assert_problem(bob.delete(f"/jobs/{job_id}"), 404)
+        assert_problem(bob.post(f"/jobs/{job_id}/links"), 404)
+        assert ann.get(f"/jobs/{job_id}").status_code == 200
+    assert {mine["id"], done} <= {job["id"] for job in ann.get("/jobs").json()["jobs"]}
+    assert not {mine["id"], done} & {job["id"] for job in bob.get("/jobs").json()["jobs"]}
+
+
+def test_idempotency_keys_of_two_owners(ann: httpx.Client, bob: httpx.Client) -> None:
+    first = post(ann, **{"Idempotency-Key": "one"}).json()["id"]
+    assert post(bob, **{"Idempotency-Key": "one"}).json()["id"] != first
+    assert post(ann, **{"Idempotency-Key": "one"}).json()["id"] == first
+
+
+def test_one_owner_cannot_fill_the_queue(start_service: StartService) -> None:
+    web = start_service("web", api_keys=KEYS, max_queued_per_key=2)
+    web.client.headers.update(bearer(ANN))
+    accepted = [web.post(key=key) for key in ("a", "b")]
+    refused = web.post(key="c")
+    assert_problem(refused, 429, "2 jobs")
+    assert refused.headers["retry-after"]
+    assert web.post(key="a").json() == accepted[0].json()
+    web.client.headers.update(bearer(BOB))
+    assert web.post(key="c").status_code == 202
+    assert len(web.files()) == 3
+
+
+def test_too_many_requests(start_service: StartService) -> None:
+    web = start_service("web", api_keys=KEYS, key_request_rate=0.01)
+    answers = [web.client.get("/jobs", headers=bearer(ANN)) for _ in range(3)]
+    assert [answer.status_code for answer in answers] == [200, 429, 429]
+    assert int(answers[1].headers["retry-after"]) >= 1
+    assert web.client.get("/jobs", headers=bearer(BOB)).status_code == 200
+    assert web.client.get("/livez").status_code == 200
+
+
+def test_a_body_is_not_read_without_a_key(guarded: Service) -> None:
+    answer = guarded.raw(
+        b"POST /encode?bpp=1 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\n"
+        b"Content-Length: 1000000\r\nExpect: 100-continue\r\n\r\n"
+    )
+    assert answer.startswith(b"HTTP/1.1 401 ")  # and not "100 Continue" first
+
+
+def test_links(guarded: Service, ann: httpx.Client, bob: httpx.Client) -> None:
+    done = guarded.published(PICTURE, "ann")
+    links = ann.post(f"/jobs/{done}/links?expires_s=50").json()
+    anyone = guarded.client
+    picture = anyone.get(links["decode_url"])
+    assert picture.content == ann.get(f"/decode/{done}.png").content
+    assert anyone.get(links["decode_url"]).content == picture.content  # as often as one likes, until it expires
+    assert anyone.head(links["decode_url"]).status_code == 200
+    assert anyone.get(links["decode_url"].replace(".png", ".webp") + "&width=10").status_code == 200
+    assert anyone.get(links["bitstream_url"]).content == PICTURE
+    assert bob.get(links["bitstream_url"]).status_code == 404  # a key speaks for its owner, whatever the link
+
+    query = links["decode_url"].partition("?")[2]
+    other = guarded.published(PICTURE, "ann")
+    assert_problem(anyone.get(f"/decode/{other}.png?{query}"), 401, "altered")
+    assert_problem(anyone.get(f"/bitstreams/{done}.sg?{query}"), 401, "altered")
+    assert_problem(anyone.get(f"/jobs/{done}?{query}"), 401)
+    assert_problem(anyone.delete(f"/jobs/{done}?{query}"), 401)
+    assert_problem(anyone.post(f"/decode/{done}.png?{query}"), 401)
+    assert_problem(anyone.get(links["decode_url"].replace("expires=", "expires=9")), 401, "altered")
+    assert_problem(anyone.get(links["decode_url"][:-1]), 401, "altered")
+    assert_problem(anyone.get(f"/decode/{done}.png?signature=" + "0" * 64), 401, "altered")
+    assert_problem(anyone.get(f"/decode/{done}.png?expires=x&signature=ü"), 401, "altered")
+
+    ann.delete(f"/jobs/{done}")
+    assert_problem(anyone.get(links["decode_url"]), 404)
+
+
+def test_links_expire(guarded: Service) -> None:
+    done = guarded.published(PICTURE, "ann")
+    late, soon = (Link("decode", done, int(time.time()) + seconds).query(SECRET) for seconds in (-1, 50))
+    assert_problem(guarded.client.get(f"/decode/{done}.png?{late}"), 401, "expired")
+    assert guarded.client.get(f"/decode/{done}.png?{soon}").status_code == 200
+    foreign = Link("decode", done, int(time.time()) + 50).query("another secret")
+    assert_problem(guarded.client.get(f"/decode/{done}.png?{foreign}"), 401, "altered")
+
+
+def test_links_have_a_longest_life(guarded: Service, ann: httpx.Client) -> None:
+    done = guarded.published(PICTURE, "ann")
+    assert ann.post(f"/jobs/{done}/links?expires_s=100").status_code == 200
+    for wrong in ("101", "0", "-1", "x", "9" * 30):
+        assert_problem(ann.post(f"/jobs/{done}/links?expires_s={wrong}"), 422)
+
+
+def test_no_links_without_a_secret(web: Service) -> None:
+    assert_problem(web.client.post(f"/jobs/{web.published(PICTURE)}/links"), 404, "not set up")
+
+
+def test_binding_elsewhere_without_keys_is_said(start_service: StartService) -> None:
+    open_to_all = start_service("web", host="0.0.0.0")
+    assert "SG_API_KEYS" in open_to_all.log.read_text()
+    guarded = start_service("web", host="0.0.0.0", api_keys=KEYS)
+    assert "SG_API_KEYS" not in guarded.log.read_text()

@@ -1,0 +1,109 @@
+"""Pictures and views of finished jobs and of posted bitstreams, over HTTP."""
+
+from __future__ import annotations
+
+import io
+
+import httpx
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import sgmethod
+from sgmethod.view import View
+from tests.harness.data import golden_path
+from tests.harness.service import SMALL, Service, StartService, assert_problem
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+OTHER = golden_path("v1-paper.sg").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def done(web: Service) -> str:
+    return web.published(PICTURE)
+
+
+def pixels_of(answer: httpx.Response) -> NDArray[np.uint8]:
+    assert answer.status_code == 200, answer.text
+    assert int(answer.headers["content-length"]) == len(answer.content)
+    return np.asarray(Image.open(io.BytesIO(answer.content)))
+
+
+@pytest.mark.parametrize(
+    ("query", "view"),
+    [
+        ("", View()),
+        ("?scale=2", View(2.0)),
+        ("?scale=0.5&region=2,3,20,16", View(0.5, (2, 3, 20, 16))),
+        ("?width=30&region=0,0,10,10", View(3.0, (0, 0, 10, 10))),
+    ],
+)
+def test_views_of_a_job_and_of_a_body(web: Service, done: str, query: str, view: View) -> None:
+    expected = sgmethod.decode(PICTURE, view=view)
+    for _ in range(2):  # drawn, and from memory
+        np.testing.assert_array_equal(pixels_of(web.client.get(f"/decode/{done}.png{query}")), expected)
+    posted = web.client.post(f"/decode{query}", content=PICTURE)
+    assert posted.headers["cache-control"] == "no-store"
+    np.testing.assert_array_equal(pixels_of(posted), expected)
+
+
+def test_the_older_version_of_the_file(web: Service) -> None:
+    answer = web.client.get(f"/decode/{web.published(OTHER)}.png?scale=0.5")
+    np.testing.assert_array_equal(pixels_of(answer), sgmethod.decode(OTHER, view=View(0.5)))
+
+
+@pytest.mark.parametrize(("kind", "media_type"), [("png", "image/png"), ("jpg", "image/jpeg"), ("webp", "image/webp")])
+def test_kinds_of_file(web: Service, done: str, kind: str, media_type: str) -> None:
+    url = f"/decode/{done}.{kind}?width=20"
+    whole = web.client.get(url)
+    assert whole.headers["content-type"] == media_type
+    assert "immutable" in whole.headers["cache-control"]
+    assert pixels_of(whole).shape[1] == 20
+    head = web.client.head(url)
+    assert (head.status_code, head.content) == (200, b"")
+    for name in ("etag", "content-type", "content-length", "cache-control"):
+        assert head.headers[name] == whole.headers[name]
+    again = web.client.get(url, headers={"If-None-Match": whole.headers["etag"]})
+    assert (again.status_code, again.content, again.headers["etag"]) == (304, b"", whole.headers["etag"])
+    other = web.client.get(f"/decode/{done}.{kind}?width=21", headers={"If-None-Match": whole.headers["etag"]})
+    assert other.status_code == 200
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        *("scale=0", "scale=65", "scale=nan", "scale=x", "width=0", "width=-1", "width=1e3", "scale=1&width=5"),
+        *("region=1,2,3", "region=-1,0,5,5", "region=0,0,0,0", "region=0,0,99999,1", "region=a,b,c,d", "scale=64"),
+    ],
+)
+def test_views_that_are_refused(start_service: StartService, query: str, web: Service, done: str) -> None:
+    if query == "scale=64":
+        web = start_service("web", max_decode_pixels=10_000)
+        done = web.published(PICTURE)
+    assert_problem(web.client.get(f"/decode/{done}.png?{query}"), 422)
+    assert_problem(web.client.post(f"/decode?{query}", content=PICTURE), 422)
+
+
+@pytest.mark.parametrize("name", ["{}", "{}.gif", "{}.", "{}.png.jpg", "{}.PNG", "{}.svg", "{}.png/", "{}.png%00"])
+def test_files_that_do_not_exist(web: Service, done: str, name: str) -> None:
+    assert_problem(web.client.get("/decode/" + name.format(done)), 404)
+
+
+def test_bodies_that_are_no_bitstream(start_service: StartService) -> None:
+    web = start_service("web", max_bitstream_bytes=len(PICTURE))
+    flipped = bytes([*PICTURE[:-1], PICTURE[-1] ^ 1])
+    for body in (b"", b"SG", SMALL[: len(PICTURE)], PICTURE[:-1], flipped):
+        assert_problem(web.client.post("/decode", content=body), 422)
+    assert web.client.post("/decode", content=PICTURE).status_code == 200
+    too_large = PICTURE + b"x"
+    assert assert_problem(web.client.post("/decode", content=too_large), 413)["max_bytes"] == len(PICTURE)
+    assert_problem(web.client.post("/decode", content=iter([PICTURE, b"x"])), 413)
+    assert web.files() == []
+
+
+def test_a_removed_job_is_gone_from_memory_too(web: Service) -> None:
+    job_id = web.published(PICTURE)
+    assert web.client.get(f"/decode/{job_id}.png").status_code == 200
+    assert web.client.delete(f"/jobs/{job_id}").status_code == 204
+    assert_problem(web.client.get(f"/decode/{job_id}.png"), 404)

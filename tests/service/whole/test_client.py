@@ -1,0 +1,155 @@
+"""The Python client and `sgmethod encode --server`, against a real service and against none."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+import sgmethod
+from service.keys import digest
+from sgmethod import Budget
+from sgmethod.client import Client
+from sgmethod.errors import ServerError
+from sgmethod.trace import TracePoint
+from tests.harness.data import ROOT, golden_path
+from tests.harness.service import SMALL, Service, StartService
+from tests.harness.service_process import wait_until
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+
+
+def test_an_encode(service: Service) -> None:
+    seen: list[TracePoint] = []
+    with Client(service.url) as client:
+        encoded = client.encode(SMALL, Budget("bpp", 2), time_limit_s=1, on_progress=seen.append)
+    assert sgmethod.decode(encoded.data).shape == (48, 64, 3)
+    assert encoded.figures["bytes"] == len(encoded.data)
+    assert encoded.trace == seen
+    assert service.client.get("/jobs").json()["jobs"] == []  # it cleans up behind itself
+
+
+def test_step_by_step(service: Service) -> None:
+    with Client(service.url) as client:
+        job_id = client.submit(SMALL, Budget("bpp", 2), "paper", time_limit_s=0.5, priority="bulk")
+        assert client.job(job_id)["profile"] == "paper"
+        assert client.wait(job_id)["state"] == "done"
+        pixels = sgmethod.decode(client.bitstream(job_id))
+        assert client.picture(job_id, scale=0.5, region="0,0,64,48") != client.picture(job_id)
+        assert client.picture(job_id, "jpg")[:3] == b"\xff\xd8\xff"
+        assert pixels.shape == (48, 64, 3)
+        client.remove(job_id)
+        with pytest.raises(ServerError, match="no such job"):
+            client.job(job_id)
+
+
+def test_what_the_server_refuses(service: Service) -> None:
+    with Client(service.url) as client:
+        with pytest.raises(ServerError, match="not a PNG"):
+            client.submit(b"hello", Budget("bpp", 1))
+        with pytest.raises(ServerError, match="bytes"):
+            client.encode(SMALL, Budget("bytes", 1))
+        with pytest.raises(ServerError, match="no such job"):
+            client.wait("0" * 32)
+
+
+def test_a_job_that_somebody_removes(web: Service) -> None:
+    with Client(web.url) as client:
+        job_id = client.submit(SMALL, Budget("bpp", 1))
+        before = watches(web)
+
+        def remove() -> None:
+            wait_until(lambda: watches(web) > before)
+            web.client.delete(f"/jobs/{job_id}")
+
+        thread = threading.Thread(target=remove)
+        thread.start()
+        with pytest.raises(ServerError, match="removed"):
+            client.wait(job_id)
+        thread.join()
+
+
+def watches(web: Service) -> float:
+    """How many streams of events have begun."""
+    counter = 'sgmethod_requests_total{method="GET",route="/jobs/{job_id}/events",status="200"} '
+    lines = web.client.get("/metrics").text.splitlines()
+    return sum(float(line.removeprefix(counter)) for line in lines if line.startswith(counter))
+
+
+def test_a_server_that_is_not_there() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        url = f"http://127.0.0.1:{free.getsockname()[1]}"
+    with Client(url, patience_s=0.1) as client:
+        with pytest.raises(ServerError, match="cannot be reached"):
+            client.submit(SMALL, Budget("bpp", 1))
+        with pytest.raises(ServerError, match="cannot be reached"):
+            client.wait("0" * 32)
+    for wrong in ("http://[", "nonsense"):
+        with pytest.raises(ServerError), Client(wrong, patience_s=0) as client:
+            client.job("0" * 32)
+
+
+def test_a_full_queue_is_waited_for(start_service: StartService) -> None:
+    web = start_service("web", queue_length=1)
+    first = web.accepted()
+    with Client(web.url, patience_s=0) as hasty, pytest.raises(ServerError, match="full"):
+        hasty.submit(SMALL, Budget("bpp", 1))
+    threading.Timer(0.5, lambda: web.client.delete(f"/jobs/{first}")).start()
+    with Client(web.url, patience_s=60) as patient:
+        assert patient.submit(SMALL, Budget("bpp", 1)) != first
+
+
+def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
+    web = start_service("web")
+    with Client(web.url) as client:
+        job_id = client.submit(SMALL, Budget("bpp", 2))
+        port = web.url.rpartition(":")[2]
+
+        def restart() -> None:
+            wait_until(lambda: watches(web) == 1)
+            web.stop()
+            web.environment["SG_PORT"] = port
+            web.start()
+            wait_until(lambda: watches(web) == 1)
+            web.publish(job_id, PICTURE)
+
+        thread = threading.Thread(target=restart)
+        thread.start()
+        assert client.wait(job_id)["state"] == "done"
+        thread.join()
+
+
+def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
+    service = start_service(api_keys=f"ann:{digest('secret')}")
+    (tmp_path / "in.png").write_bytes(SMALL)
+
+    def encode(*arguments: str, key: str = "secret") -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "sgmethod", "encode", "in.png", "out.sg", "--server", service.url]
+        environment = {**os.environ, "SG_API_KEY": key, "PYTHONPATH": str(ROOT)}
+        everything = [*command, "--time-limit", "1", *arguments]
+        return subprocess.run(
+            everything, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False
+        )
+
+    done = encode("--bpp", "2", "--json", "--trace", "trace.json")
+    assert (done.returncode, done.stderr) == (0, "")
+    figures = json.loads(done.stdout)
+    data = (tmp_path / "out.sg").read_bytes()
+    assert figures["bytes"] == len(data)
+    assert sgmethod.info(data)["width"] == 64
+    trace = json.loads((tmp_path / "trace.json").read_text())
+    assert trace["stats"] == figures
+    assert trace["trace"]
+
+    (tmp_path / "out.sg").unlink()
+    for refused, words in ((encode(key="wrong"), "not known"), (encode("--seed", "1"), "--seed")):
+        assert refused.returncode == 2
+        assert words in refused.stderr
+        assert refused.stderr.count("\n") == 1
+        assert not (tmp_path / "out.sg").exists()

@@ -1,0 +1,237 @@
+"""The rules of durability, each under fire: real processes, real encodes, either database.
+
+After everything that happens here, each accepted job has ended, none was published twice, and nothing is
+left over but the bitstreams of those that are done.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import httpx
+import pytest
+
+from tests.harness.postgres_server import PostgresServer
+from tests.harness.service import SLOW, Service, StartService
+from tests.harness.service_process import PATIENCE_S, encoder_of, processes, wait_until
+
+
+@pytest.fixture
+def start_service(start_service: StartService, database_url: str) -> StartService:
+    """Every test here runs once on either database."""
+    return partial(start_service, database_url=database_url)
+
+
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
+    """Gives SG_DATABASE_URL of empty job tables, all in one kind of database."""
+    if request.param == "sqlite":
+        return lambda: "sqlite"
+    server: PostgresServer = request.getfixturevalue("postgres")
+    return server.new_database
+
+
+@pytest.fixture(scope="module")
+def one_worker(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A service for all tests that leave it as they found it."""
+    service = Service(tmp_path_factory.mktemp("one") / "data", database_url=new_table())
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.fixture(scope="module")
+def two_workers(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """The same with two workers, and leases long enough that a worker on a busy machine is not taken for lost."""
+    service = Service(tmp_path_factory.mktemp("two") / "data", database_url=new_table(), workers=2, lease_s=2)
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.fixture
+def solo(one_worker: Service) -> Iterator[Service]:
+    """A service with one worker and no jobs."""
+    yield one_worker
+    one_worker.clear()
+
+
+@pytest.fixture
+def duo(two_workers: Service) -> Iterator[Service]:
+    """A service with two workers and no jobs."""
+    yield two_workers
+    two_workers.clear()
+
+
+def running(job_id: str) -> int:
+    """Wait for the job's encoder; its process number."""
+    return wait_until(lambda: encoder_of(job_id)) or 0
+
+
+def assert_settled(service: Service, *done: str) -> None:
+    """These jobs are done and all others have failed or are gone; nothing runs, and nothing is left over."""
+    jobs = service.client.get("/jobs?limit=200").json()["jobs"]
+    assert {job["id"] for job in jobs if job["state"] == "done"} == set(done)
+    assert {job["state"] for job in jobs} <= {"done", "failed"}
+    assert service.ours("encoder") == []
+    published = sorted(f"bitstreams/{job['id']}.{job['attempt']}.sg" for job in jobs if job["state"] == "done")
+    wait_until(lambda: service.files() == published)
+    for job_id in done:
+        assert service.client.get(f"/bitstreams/{job_id}.sg").status_code == 200
+
+
+def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
+    """The web process is killed right after its 202: the encode goes on, and requests find its successor."""
+    service = solo
+    job_id = service.accepted()
+    (web,) = service.ours("web")
+    os.kill(web, signal.SIGKILL)
+    service.client.close()
+    service.client = httpx.Client(base_url=service.url, timeout=PATIENCE_S)
+    assert service.wait(job_id)["attempt"] == 1
+    assert service.ours("web") != [web]
+    assert_settled(service, job_id)
+
+
+def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) -> None:
+    """All processes are killed, one job being encoded and one just accepted: both are done after the next start."""
+    service = start_service()
+    first = service.accepted()
+    running(first)
+    second = service.accepted()
+    service.kill_all()
+    service.start()
+    assert [service.wait(job_id)["attempt"] for job_id in (first, second)] == [2, 1]
+    assert_settled(service, first, second)
+
+
+def test_rule_1_one_key_one_job(start_service: StartService) -> None:
+    """The same Idempotency-Key several times at once: one job, one source."""
+    service = start_service("web")
+    with ThreadPoolExecutor(6) as pool:
+        answers = list(pool.map(lambda _: service.post(key="the-same"), range(6)))
+    assert {answer.status_code for answer in answers} == {202}
+    ids = {answer.json()["id"] for answer in answers}
+    assert len(ids) == 1
+    assert [job["id"] for job in service.client.get("/jobs").json()["jobs"]] == list(ids)
+    assert service.files() == [f"sources/{ids.pop()}"]
+
+
+def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
+    """A worker that sleeps beyond its lease ends its encoder when it wakes up, and changes nothing."""
+    service = duo
+    job_id = service.accepted_slow()
+    encoder = running(job_id)
+    sleeper = processes()[encoder].parent
+    os.kill(sleeper, signal.SIGSTOP)
+    try:
+        wait_until(lambda: service.job(job_id)["attempt"] == 2)
+        assert encoder in processes()
+    finally:
+        os.kill(sleeper, signal.SIGCONT)
+    wait_until(lambda: encoder not in processes())
+    job = service.job(job_id)
+    assert (job["state"], job["attempt"]) == ("running", 2)
+    assert service.client.delete(f"/jobs/{job_id}").status_code == 204
+    wait_until(lambda: not service.ours("encoder"))
+    assert_settled(service)
+
+
+def test_rule_3_published_once(duo: Service) -> None:
+    """A worker sleeps while its encoder finishes; another publishes; the first wakes up with a result in hand."""
+    service = duo
+    job_id = service.accepted()
+    encoder = running(job_id)
+    sleeper = processes()[encoder].parent
+    os.kill(sleeper, signal.SIGSTOP)
+    try:
+        job = service.wait(job_id)
+        wait_until(lambda: encoder not in processes())
+    finally:
+        os.kill(sleeper, signal.SIGCONT)
+    wait_until(lambda: f"job {job_id}: attempt 1 is no longer ours" in service.log.read_text())
+    assert job["attempt"] == 2
+    assert service.job(job_id) == job
+    assert_settled(service, job_id)
+
+
+def test_rule_4_the_encoder_ends_with_its_worker(solo: Service) -> None:
+    """The worker is killed: its encoder ends too, and the job goes to the next worker when the lease is over."""
+    service = solo
+    job_id = service.accepted()
+    encoder = running(job_id)
+    (worker,) = service.ours("worker")
+    os.kill(worker, signal.SIGKILL)
+    wait_until(lambda: encoder not in processes())
+    assert service.wait(job_id)["attempt"] == 2
+    assert service.ours("worker") != [worker]
+    assert_settled(service, job_id)
+
+
+def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
+    """DELETE of a running job ends its encoder; in any state nothing remains of the job."""
+    service = solo
+    done = service.accepted()
+    failed = service.accepted(bytes=1)
+    assert [service.wait(job_id)["state"] for job_id in (done, failed)] == ["done", "failed"]
+    current, waiting, last = service.accepted_slow(), service.accepted(), service.accepted()
+    encoder = running(current)
+    for job_id in (waiting, current, done, failed):
+        assert service.client.delete(f"/jobs/{job_id}").status_code == 204
+        for address in (f"/jobs/{job_id}", f"/bitstreams/{job_id}.sg", f"/decode/{job_id}.png"):
+            assert service.client.get(address).status_code == 404
+        assert service.client.delete(f"/jobs/{job_id}").status_code == 404
+    wait_until(lambda: encoder not in processes())
+    assert service.wait(last)["attempt"] == 1
+    assert_settled(service, last)
+
+
+def test_rule_4_timed_out(start_service: StartService) -> None:
+    """An encode beyond the time-out is ended and not tried again."""
+    service = start_service(job_timeout_s=0.5, max_time_limit_s=0.4)
+    job = service.wait(service.accepted(SLOW, bpp=1, time_limit_s=0.4))
+    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
+    assert_settled(service)
+
+
+def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
+    """The encoding process alone dies: its worker starts the job again at once."""
+    service = solo
+    job_id = service.accepted()
+    os.kill(running(job_id), signal.SIGKILL)
+    job = service.wait(job_id)
+    assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
+    assert_settled(service, job_id)
+
+
+def test_rule_5_poison(solo: Service) -> None:
+    """A job whose encoder always dies fails after four attempts, with its last error."""
+    service = solo
+    job_id = service.accepted()
+    killed: set[int] = set()
+    while len(killed) < 4:
+        encoder = wait_until(lambda: (number := encoder_of(job_id)) not in killed and number)
+        os.kill(encoder or 0, signal.SIGKILL)
+        killed.add(encoder or 0)
+    job = service.wait(job_id)
+    assert (job["state"], job["attempt"], job["result"]) == ("failed", 4, None)
+    assert job["error"] == {"code": "crashed", "detail": "the encoder crashed (Killed)"}
+    healthy = service.accepted()
+    assert service.wait(healthy)["state"] == "done"
+    assert_settled(service, healthy)
+
+
+def test_stopping_hands_the_job_back(start_service: StartService) -> None:
+    """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
+    service = start_service(max_attempts=1)
+    job_id = service.accepted_slow()
+    encoder = running(job_id)
+    ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
+    assert service.stop() == 0
+    assert not ours & set(processes())
+    service.start()
+    assert service.wait(job_id, "running", "failed")["state"] == "running"
+    assert service.job(job_id)["attempt"] == 2
+    assert service.client.delete(f"/jobs/{job_id}").status_code == 204

@@ -1,0 +1,211 @@
+"""Trouble around the service: a full disk, a database that restarts, machines that come and go, stray processes."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psycopg
+import pytest
+from PIL import Image
+
+from tests.harness.data import ROOT, golden_path
+from tests.harness.postgres_server import PostgresServer
+from tests.harness.s3_server import S3Server
+from tests.harness.service import StartService, assert_problem
+from tests.harness.service_process import PATIENCE_S, encoder_of, processes, wait_until
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+DISK_BYTES = 4 * 2**20
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of its own, with little room, where services keep their data."""
+    folder = tmp_path / "data0"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", str(folder)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("a file system cannot be mounted here, so full disks were not tested: run the tests as root")
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def fill(disk: Path) -> Path:
+    """Leave no room at all; the file that takes it."""
+    ballast = disk / "ballast"
+    with ballast.open("wb", buffering=0) as file:
+        for size in (65536, 4096, 1):
+            try:
+                while file.write(bytes(size)):
+                    pass
+            except OSError:
+                continue
+    return ballast
+
+
+def test_full_disk_while_accepting(small_disk: Path, start_service: StartService, database_url: str) -> None:
+    """Rule 1: what cannot be kept is not accepted, and nothing of it stays."""
+    web = start_service("web", database_url=database_url)
+    done = web.published(PICTURE)
+    before = web.files()
+    ballast = fill(small_disk)
+    assert_problem(web.post(), 503)
+    assert web.files() == before
+    assert web.client.get(f"/jobs/{done}").status_code == 200
+    assert web.client.get(f"/decode/{done}.png").status_code == 200
+    ballast.unlink()
+    job_id = web.accepted()
+    assert web.files() == [*before, f"sources/{job_id}"]
+
+
+def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
+    """A result waits for room; the encode is not done again."""
+    service = start_service(database_url=database_url, lease_s=30)
+    job_id = service.accepted()
+    wait_until(lambda: encoder_of(job_id))
+    ballast = fill(small_disk)
+    wait_until(lambda: "cannot be stored yet" in service.log.read_text())
+    assert service.job(job_id)["state"] == "running"
+    ballast.unlink()
+    job = service.wait(job_id)
+    assert (job["state"], job["attempt"]) == ("done", 1)
+    wait_until(lambda: service.files() == [f"bitstreams/{job_id}.1.sg"])
+
+
+def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgres: PostgresServer) -> None:
+    """A row without a job of the engine gets one."""
+    database_url = postgres.new_database()
+    service = start_service(database_url=database_url)
+    (worker,) = service.ours("worker")
+    os.kill(worker, signal.SIGSTOP)
+    job_id = service.accepted()
+    with psycopg.connect(database_url, options="-c search_path=sgmethod_engine") as db:
+        assert db.execute("DELETE FROM procrastinate_jobs").rowcount == 1
+    os.kill(worker, signal.SIGCONT)
+    assert service.wait(job_id)["attempt"] == 1
+
+
+def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: PostgresServer) -> None:
+    """An encode goes on meanwhile, its result is published afterwards, and new jobs find their workers."""
+    service = start_service(database_url=postgres.new_database(), lease_s=20)
+    job_id = service.accepted_long(3)
+    wait_until(lambda: encoder_of(job_id))
+    postgres.stop("immediate")
+    wait_until(lambda: f"job {job_id}: no heartbeat" in service.log.read_text())
+    postgres.start()
+    job = service.wait(job_id)
+    assert (job["state"], job["attempt"]) == ("done", 1)
+    assert service.wait(service.accepted())["attempt"] == 1
+    wait_until(lambda: len(service.files()) == 2)
+
+
+def test_the_end_does_not_wait_for_a_database(start_service: StartService, postgres: PostgresServer) -> None:
+    database_url = postgres.new_database()
+    service = start_service(database_url=database_url)
+    assert service.client.get("/readyz").status_code == 200
+    with psycopg.connect(database_url, autocommit=True) as db:
+        wait_until(lambda: db.execute("SELECT 1 FROM sgmethod_engine.procrastinate_workers").fetchone())
+    postgres.stop("immediate")
+    try:
+        assert service.client.get("/readyz").status_code == 503
+        assert service.stop() == 0
+    finally:
+        postgres.start()
+    log = service.log.read_text()
+    assert "is killed" not in log
+    assert "Traceback" not in log
+
+
+def test_a_storage_that_breaks(start_service: StartService) -> None:
+    """What cannot be had just now is a 503, what is lost a 500, and a job can be removed all the same."""
+    web = start_service("web")
+    lost, damaged, unreachable = (web.published(PICTURE) for _ in range(3))
+    folder = web.data_dir / "bitstreams"
+    (folder / f"{lost}.1.sg").unlink()
+    (folder / f"{damaged}.1.sg").write_bytes(PICTURE[:-1])
+    assert_problem(web.client.get(f"/bitstreams/{lost}.sg"), 500, "missing")
+    assert_problem(web.client.get(f"/decode/{lost}.png"), 500, "missing")
+    assert_problem(web.client.get(f"/decode/{damaged}.png"), 500, "damaged")
+    folder.rename(web.data_dir / "aside")
+    folder.write_bytes(b"")
+    for path in (f"/bitstreams/{unreachable}.sg", f"/decode/{unreachable}.png"):
+        answer = web.client.get(path)
+        assert_problem(answer, 503, "storage")
+        assert answer.headers["retry-after"]
+    assert web.client.delete(f"/jobs/{unreachable}").status_code == 204
+    assert web.client.get(f"/jobs/{unreachable}").status_code == 404
+    assert "Traceback" not in web.log.read_text()
+
+
+def test_workers_that_share_only_a_database_and_a_bucket(
+    tmp_path: Path, start_service: StartService, postgres: PostgresServer, s3: S3Server
+) -> None:
+    """As on several machines: no common folder. One is killed in the middle; the others do its work."""
+    shared = {"database_url": postgres.new_database(), "storage_url": s3.new_storage(), "lease_s": 2}
+    web = start_service("web", **shared, extra=s3.environment)
+    workers = []
+    for name in ("a", "b"):
+        environment = {**web.environment, "SG_DATA_DIR": str(tmp_path / name)}
+        with (tmp_path / f"{name}.log").open("w") as log:
+            command = [sys.executable, "-m", "service", "worker"]
+            workers.append(subprocess.Popen(command, cwd=ROOT, env=environment, stderr=log))
+    jobs = [web.accepted() for _ in range(3)]
+    victim = wait_until(lambda: [process.parent for job in jobs if (process := processes().get(encoder_of(job) or 0))])[
+        0
+    ]
+    wait_until(lambda: all("attempt 1" in (tmp_path / f"{name}.log").read_text() for name in ("a", "b")))
+    os.kill(victim, signal.SIGKILL)
+    assert [web.wait(job_id)["state"] for job_id in jobs] == ["done"] * 3
+    for job_id in jobs:
+        assert web.client.get(f"/decode/{job_id}.png").status_code == 200
+    assert not (tmp_path / "a").exists()
+    assert not (tmp_path / "b").exists()
+    for worker in workers:
+        worker.terminate()
+        assert worker.wait(PATIENCE_S) == (-signal.SIGKILL if worker.pid == victim else 0)
+
+
+def test_a_worker_by_itself(start_service: StartService) -> None:
+    """A worker started by hand takes jobs from the same folder, and stops with exit status 0."""
+    web = start_service("web")
+    command = [sys.executable, "-m", "service", "worker"]
+    with web.log.open("a") as log:
+        worker = subprocess.Popen(command, cwd=ROOT, env=web.environment, stderr=log)
+    assert web.wait(web.accepted())["state"] == "done"
+    worker.send_signal(signal.SIGTERM)
+    assert worker.wait(PATIENCE_S) == 0
+
+
+def test_supervisor_killed_alone(start_service: StartService) -> None:
+    """Without their supervisor the other processes end by themselves, so that a new one finds free ground."""
+    service = start_service()
+    job_id = service.accepted_slow()
+    encoder = wait_until(lambda: encoder_of(job_id))
+    orphans = {encoder, *service.ours("web"), *service.ours("worker")}
+    service.process.kill()
+    service.process.wait()
+    wait_until(lambda: not orphans & set(processes()))
+
+
+def test_interrupt_stops_too(start_service: StartService) -> None:
+    service = start_service()
+    service.client.close()
+    service.process.send_signal(signal.SIGINT)
+    assert service.process.wait(PATIENCE_S) == 0
+
+
+def test_memory_limit(start_service: StartService) -> None:
+    """An encode that wants more memory than it may have fails, and nothing else does."""
+    service = start_service(job_memory_bytes=500 * 2**20, max_pixels=10**8)
+    file = io.BytesIO()
+    Image.new("RGB", (9000, 9000)).save(file, "PNG")
+    job = service.wait(service.accepted(file.getvalue()))
+    assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "refused")
+    assert "memory" in job["error"]["detail"]
+    assert service.client.get("/livez").status_code == 200
