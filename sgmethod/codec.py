@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.bitstream import v1
+from sgmethod.bitstream.stream import MAX_SIDE
 from sgmethod.budget import Budget
 from sgmethod.decode import decode, info
 from sgmethod.errors import BudgetError, ImageError
@@ -105,7 +105,7 @@ def _measured(task: Task, data: bytes, steps: int) -> Encoded:
     """Decode the very bytes and measure them."""
     decoded, source = decode(data), task.source()
     height, width = source.shape[:2]
-    db, gaussians = psnr(decoded, source), int(info(data)["gaussians"])  # type: ignore[call-overload]
+    db, gaussians = psnr(decoded, source), info(data).gaussians
     task.recorder.report("done", steps, steps, 10 ** (-db / 10), (gaussians, 8 * len(data)))
     stats = Stats(
         bytes=len(data),
@@ -125,8 +125,8 @@ def _measured(task: Task, data: bytes, steps: int) -> Encoded:
 def _check_image(pixels: NDArray[np.float32]) -> None:
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
-    if max(pixels.shape) > v1.MAX_SIDE:
-        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {v1.MAX_SIDE}")
+    if max(pixels.shape) > MAX_SIDE:
+        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {MAX_SIDE}")
     if not np.issubdtype(pixels.dtype, np.floating):
         raise ImageError(f"an image must hold floating-point values in [0, 1], got {pixels.dtype}")
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:

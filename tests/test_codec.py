@@ -63,13 +63,13 @@ def assert_true_figures(encoded: Encoded, pixels: FloatArray) -> None:
     stats, decoded = encoded.stats, decode(encoded.data)
     height, width = pixels.shape[:2]
     assert decoded.shape == pixels.shape
-    assert stats.bytes == len(encoded.data) == info(encoded.data)["bytes"]
+    assert stats.bytes == len(encoded.data) == info(encoded.data).bytes
     assert stats.bpp == 8 * len(encoded.data) / (width * height)
     assert (stats.width, stats.height) == (width, height)
     assert stats.psnr == psnr(decoded, source(pixels))
     assert stats.ms_ssim == ms_ssim(decoded, source(pixels))
-    assert stats.gaussians == info(encoded.data)["gaussians"]
-    assert stats.profile == info(encoded.data)["profile"]
+    assert stats.gaussians == info(encoded.data).gaussians
+    assert stats.profile == info(encoded.data).profile
 
 
 # --- budgets

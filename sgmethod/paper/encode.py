@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sgmethod.bitstream import v1
-from sgmethod.bitstream.v1 import Stream
+from sgmethod.bitstream import container, v1
+from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.decode import decode
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.fit import Picture, Task, fit
@@ -34,7 +34,7 @@ def encode(task: Task, settings: Settings) -> tuple[bytes, int]:
         raise BudgetError(f"profile {task.profile} has no quality scale; give bpp, bytes, psnr or gaussians")
     else:
         stream = encoder.within_bytes(task.budget.max_bytes(width, height) or 0)
-    return v1.serialise(stream), encoder.steps
+    return container.serialise(stream), encoder.steps
 
 
 @dataclass
@@ -43,7 +43,7 @@ class _Encoder:
     settings: Settings
     steps: int = 0
 
-    def within_bytes(self, max_bytes: int) -> Stream:
+    def within_bytes(self, max_bytes: int) -> StreamV1:
         """The best stream of at most max_bytes."""
         height, width = self.task.pixels.shape[:2]
         s = self.settings
@@ -58,7 +58,7 @@ class _Encoder:
         n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
         return self.run(n, max_bytes)
 
-    def reach_psnr(self, target_db: float) -> Stream:
+    def reach_psnr(self, target_db: float) -> StreamV1:
         """The smallest stream found that reaches target_db, else the best found.
 
         Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the
@@ -66,18 +66,18 @@ class _Encoder:
         """
         pixels = self.task.pixels.shape[0] * self.task.pixels.shape[1]
         n = max(pixels // 300, 1)
-        tried: dict[int, tuple[float, Stream]] = {}
+        tried: dict[int, tuple[float, StreamV1]] = {}
         limit = self.task.until_s()
         for attempt in range(PSNR_ATTEMPTS):
             stream = self.run(n, None, None if limit is None else limit * (attempt + 1) / PSNR_ATTEMPTS)
-            tried[n] = (psnr(decode(v1.serialise(stream)), self.task.source()), stream)
+            tried[n] = (psnr(decode(container.serialise(stream)), self.task.source()), stream)
             n = _next_count(tried, target_db, pixels)
             if n in tried:
                 break
         reached = [m for m, (db, _) in tried.items() if db >= target_db]
         return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1]
 
-    def run(self, n: int, max_bytes: int | None, until_s: float | None = None) -> Stream:
+    def run(self, n: int, max_bytes: int | None, until_s: float | None = None) -> StreamV1:
         """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b."""
         task, settings = self.task, self.settings
         tune_until = task.until_s() if until_s is None else until_s
@@ -92,7 +92,7 @@ class _Encoder:
         return stream
 
 
-def _next_count(tried: dict[int, tuple[float, Stream]], target_db: float, most: int) -> int:
+def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most: int) -> int:
     """The number of Gaussians to try next, from the two attempts nearest to the target."""
     nearest = sorted(tried, key=lambda m: abs(tried[m][0] - target_db))[:2]
     n, db = nearest[0], tried[nearest[0]][0]

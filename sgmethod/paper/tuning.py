@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, Stream, file_bytes
+from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, StreamV1, file_bytes
 from sgmethod.fitting.fit import FrameAdam, Parameters, Picture, Plan, Recorder, run
 from sgmethod.paper import lattice
 from sgmethod.paper.codebook import ResidualCodebook
@@ -168,7 +168,7 @@ class Tuner:
         self.optimiser.step()
         self._widen()
 
-    def stream(self, profile: str) -> Stream:
+    def stream(self, profile: str) -> StreamV1:
         """The integer codes as syntax elements, Gaussians grouped by bitwidth, rows of each group from the top."""
         self.fit_budget()
         low, high = self.ranges[2], self.ranges[3]
@@ -188,7 +188,7 @@ class Tuner:
                     colors[rows].astype(np.uint8),
                 )
             )
-        return Stream(
+        return StreamV1(
             profile=profile,
             width=self.job.picture.width,
             height=self.job.picture.height,
@@ -200,7 +200,7 @@ class Tuner:
         )
 
 
-def tune(gaussians: Gaussians, job: Job, recorder: Recorder, profile: str) -> tuple[Stream, int]:
+def tune(gaussians: Gaussians, job: Job, recorder: Recorder, profile: str) -> tuple[StreamV1, int]:
     """Quantisation-aware fine-tuning; the stream, and the steps that took."""
     tuner = Tuner(gaussians, job)
     done = run(Plan("tune", job.settings.tune_steps, job.until_s), recorder, tuner.step, job.settings.final_rate)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from sgmethod.bitstream import v3
+from sgmethod.bitstream import container, v3
 from sgmethod.bitstream.v3 import CUTOFF
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.fit import FrameAdam, Parameters, Picture, Plan, Recorder, Task, run
@@ -210,7 +210,7 @@ class RdFit:
 
     def _steer(self, at: float, exponent: float) -> None:
         """Move the quantum towards the goal."""
-        self.size = len(v3.serialise(self.coder.stream(self.p)))
+        self.size = len(container.serialise(self.coder.stream(self.p)))
         s = self.settings
         if self.goal.max_bytes is None and self.goal.psnr is None:
             self.coder = self.coder.with_quantum(self._given_quantum(at))
@@ -258,7 +258,7 @@ def encode(task: Task, settings: RdSettings) -> tuple[bytes, int]:
         done = run(plan, task.recorder, fit.step, settings.final_rate)
         fit.settle()
         stream = Finish(fit.p, fit.coder, fit.picture, goal, settings, task).stream()
-        return v3.serialise(stream), done
+        return container.serialise(stream), done
 
 
 def _goal(task: Task) -> Goal:

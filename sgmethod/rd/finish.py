@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, RdStream
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, StreamV3
 from sgmethod.decode import decode
 from sgmethod.fitting.fit import Parameters, Picture, Task
 from sgmethod.metrics import psnr
@@ -43,7 +43,7 @@ class Finish:
         self.source = task.source()
         self.clock, self.until = task.recorder.clock, task.until_s()
 
-    def stream(self) -> RdStream:
+    def stream(self) -> StreamV3:
         """The coded picture."""
         if self.goal.psnr is not None:
             best = self._at_psnr(self.goal.psnr)
@@ -59,15 +59,15 @@ class Finish:
     def _left_s(self) -> float:
         return math.inf if self.until is None else max(self.until - self.clock.seconds(), 0.0)
 
-    def _refined(self, coder: Coder, max_payload: int = NO_LIMIT) -> RdStream:
+    def _refined(self, coder: Coder, max_payload: int = NO_LIMIT) -> StreamV3:
         price = self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
         sweeps = self.settings.refine_sweeps
         return coder.refined(self.p, self.picture.target, price, sweeps, self._left_s(), max_payload)
 
-    def _psnr(self, stream: RdStream) -> float:
-        return min(psnr(decode(v3.serialise(stream)), self.source), EXACT_DB)
+    def _psnr(self, stream: StreamV3) -> float:
+        return min(psnr(decode(container.serialise(stream)), self.source), EXACT_DB)
 
-    def _within(self, limit: int) -> RdStream:
+    def _within(self, limit: int) -> StreamV3:
         """With the finest quantum at which the Gaussians fit; or, where the fit was cut short and far from its size,
         with the quantum as it was and fewer Gaussians, if that is better."""
         s, coder = self.settings, self._coder_within(limit)
@@ -98,7 +98,7 @@ class Finish:
     def _payload(self, log_quantum: float) -> int:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
-    def _at_psnr(self, target_db: float) -> RdStream:
+    def _at_psnr(self, target_db: float) -> StreamV3:
         """The smallest found that reaches the target; the nearest if none does."""
         slack = self.settings.psnr_slack_db
         tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
@@ -121,7 +121,7 @@ class Finish:
             return streams[at]
         return self._fewer(streams[at], target_db)
 
-    def _fewer(self, stream: RdStream, target_db: float) -> RdStream:
+    def _fewer(self, stream: StreamV3, target_db: float) -> StreamV3:
         """With as few bytes of the stream's quantum as still reach the target, by bisection. Some tens of Gaussians
         move by tenths of a decibel whatever the quantum, and the coarsest there is may be too fine for them."""
         coder, too_small = self.coder.with_quantum(stream.quantum), -1

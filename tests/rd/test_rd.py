@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import CUTOFF
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import CUTOFF, StreamV3
 from sgmethod.fitting.fit import Clock, Recorder
 from sgmethod.io.image import read_image
 from sgmethod.native.reference import render
@@ -50,8 +50,8 @@ def quadrants(side: int) -> FloatArray:
     return np.stack([(x + y) % 2, (x + y) % 2 * x / 3, (x + y) % 2 * y / 3], 2).astype(np.float32)
 
 
-def stream(encoded: Encoded) -> v3.RdStream:
-    return v3.parse(encoded.data)
+def stream(encoded: Encoded) -> StreamV3:
+    return container.parse(encoded.data)
 
 
 def assert_sound(encoded: Encoded, pixels: FloatArray) -> None:
