@@ -19,7 +19,7 @@ from PIL import Image
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, ImageError, TracePoint, codec, decode, encode, info
 from sgmethod.budget import BudgetKind
-from sgmethod.fitting.fit import Clock
+from sgmethod.fitting.recorder import Clock
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import BASELINE, PAPER, PROFILES, RD
 from tests.harness.data import PHOTOGRAPHS

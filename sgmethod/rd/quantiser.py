@@ -1,6 +1,6 @@
 """The quantiser of profile rd as the fit sees it: steps from sensitivity, and the rate.
 
-The integers and the exact rounding live in native code (sgmethod/native/rd_symbols.h), where also the derivation of
+The integers and the exact rounding live in native code (sgmethod/native/rd/symbols.h), where also the derivation of
 the steps stands. All of them follow from the size s = sqrt(l1 l3), the quantum q and m, the length of the colour in
 its steps of q / (1.5 s):
 
@@ -16,7 +16,7 @@ import math
 from torch import Tensor
 
 from sgmethod.bitstream.v3 import CUTOFF, StreamV3, quantum_code, quantum_of
-from sgmethod.fitting.fit import Parameters
+from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 
 
