@@ -15,6 +15,7 @@ from pydantic import Field, SecretStr, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
+from sgmethod.io.image import ImageLimits
 
 MIN_SECRET_LENGTH = 32
 LONGEST_S = 86_400.0  # what the system and both databases can surely count
@@ -114,11 +115,8 @@ class Settings(BaseSettings):
     max_event_streams: int = Field(default=100, ge=1, description="streams of events at once before new ones get 503")
 
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="bytes of one image file")
-    # The upper bounds are those of sgmethod.image: the encoder reads nothing larger.
-    max_pixels: int = Field(
-        default=50_000_000, ge=1, le=100_000_000, description="pixels (width x height) of one image"
-    )
-    max_side: int = Field(default=16_384, ge=1, le=65_535, description="pixels of an image's longer side")
+    max_pixels: int = Field(default=50_000_000, ge=1, description="pixels (width x height) of one image")
+    max_side: int = Field(default=16_384, ge=1, description="pixels of an image's longer side")
     body_chunk_timeout_s: float = Field(default=5.0, gt=0, description="seconds without a byte of an upload before 408")
     body_timeout_s: float = Field(default=120.0, gt=0, description="seconds for a whole upload before 408")
     min_upload_rate: int = Field(
@@ -160,6 +158,14 @@ class Settings(BaseSettings):
         _ = self.key_names
         if 0 < len(self.link_secret.get_secret_value()) < MIN_SECRET_LENGTH:
             raise ValueError(f"SG_LINK_SECRET must have {MIN_SECRET_LENGTH} characters or more")
+        return self
+
+    @model_validator(mode="after")
+    def _images_can_be_read(self) -> Settings:
+        most = ImageLimits()
+        for name in ("max_pixels", "max_side"):
+            if getattr(self, name) > getattr(most, name):
+                raise ValueError(f"SG_{name.upper()} must be at most {getattr(most, name)}: no larger image is read")
         return self
 
     @model_validator(mode="after")

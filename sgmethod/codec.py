@@ -15,13 +15,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.bitstream.stream import MAX_SIDE
 from sgmethod.budget import Budget
 from sgmethod.decode import decode, info
 from sgmethod.errors import BudgetError, ImageError
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
 from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.native import native
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings
 from sgmethod.rd import encode as rd
@@ -126,8 +126,8 @@ def _measured(request: Request, data: bytes, steps: int) -> Encoded:
 def _check_image(pixels: NDArray[np.float32]) -> None:
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
-    if max(pixels.shape) > MAX_SIDE:
-        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {MAX_SIDE}")
+    if max(pixels.shape) > native.MAX_SIDE:
+        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {native.MAX_SIDE}")
     if not np.issubdtype(pixels.dtype, np.floating):
         raise ImageError(f"an image must hold floating-point values in [0, 1], got {pixels.dtype}")
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:

@@ -14,7 +14,6 @@ import pytest
 from PIL import Image
 
 from sgmethod import BitstreamError, decode, info, set_threads
-from sgmethod.bitstream import v1
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
 from sgmethod.decode import draw
@@ -75,7 +74,7 @@ def test_golden_pixels(name: str) -> None:
 def test_pixels_are_the_same_everywhere(name: str) -> None:
     """Bit by bit, for each instruction set this processor has and several numbers of threads."""
     if name == "scattered":
-        scene = Scene(scattered(700, 301, 203), 301, 203, (0, 0, 0), v1.CUTOFF)
+        scene = Scene(scattered(700, 301, 203), 301, 203, (0, 0, 0), native.CUTOFF_V1)
     else:
         scene = parse(golden(name)).scene()
     gaussians, width, height = scene.gaussians, scene.width, scene.height

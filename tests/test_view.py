@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sgmethod import BitstreamError, ViewError, decode, view
-from sgmethod.bitstream import container, v1, v3
+from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.decode import draw
+from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.harness.data import golden, golden_path
@@ -109,7 +110,7 @@ def test_sizes(data: bytes, scale: float, region: tuple[int, int, int, int] | No
     assert decode(data, view=asked).shape == (size[1], size[0], 3)
 
 
-def scene(gaussians: Gaussians, cutoff: float = v1.CUTOFF) -> Scene:
+def scene(gaussians: Gaussians, cutoff: float = native.CUTOFF_V1) -> Scene:
     return Scene(gaussians, WIDTH, HEIGHT, (90, 90, 90), cutoff)
 
 
@@ -120,7 +121,7 @@ def test_each_gaussian_keeps_its_integral() -> None:
     assert np.allclose(after, before * 0.2**2, rtol=1e-5)
 
 
-@pytest.mark.parametrize("cutoff", [v1.CUTOFF, v3.CUTOFF])
+@pytest.mark.parametrize("cutoff", [native.CUTOFF_V1, native.CUTOFF_V3])
 def test_the_covariance_grows_by_what_is_missing(cutoff: float) -> None:
     gaussians = scattered()
     shrunk = View(0.25).apply(scene(gaussians, cutoff)).gaussians

@@ -10,7 +10,6 @@ from sgmethod.scene import Scene
 
 MAGIC = b"SGM"
 PREFIX_BYTES = len(MAGIC) + 1 + 4  # magic, version, CRC-32 of all that follows
-MAX_SIDE = 65_535  # pixels
 
 
 @dataclass(frozen=True)

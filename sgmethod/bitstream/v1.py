@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 
 from sgmethod.bitstream.stream import NO_LIMITS, PREFIX_BYTES, Info, Limits
 from sgmethod.errors import BitstreamError, ViewError
+from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians, Scene
 
 PROFILE_CODES = {"baseline": 0, "paper": 1}
 CODEBOOK_STAGES, CODEBOOK_ENTRIES, COLOR_INDEX_BITS = 2, 8, 3
 MIN_BITWIDTH, MAX_BITWIDTH = 1, 16
-CUTOFF = 5.5  # sigma at which a Gaussian of this version ends
 BACKGROUND = (0, 0, 0)
 
 
@@ -164,7 +164,7 @@ class StreamV1:
         del limits  # parse() has seen to them
         if prefix < 1:
             raise ViewError(f"profile {self.profile} has no order that a prefix could follow")
-        return Scene(self.dequantised(), self.width, self.height, BACKGROUND, CUTOFF)
+        return Scene(self.dequantised(), self.width, self.height, BACKGROUND, native.CUTOFF_V1)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
         """The description of the file."""

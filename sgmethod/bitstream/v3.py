@@ -22,7 +22,6 @@ from sgmethod.scene import Gaussians, Scene
 HEADER = struct.Struct(">BHHH3B")  # flags, width, height, quantum code, background
 HEADER_BYTES = PREFIX_BYTES + HEADER.size
 FLAG_GREY, FLAG_UPRIGHT = 1, 2
-CUTOFF = 3.0  # sigma at which a Gaussian of this version ends
 MIN_QUANTUM, MAX_QUANTUM = 2.0**-10, 16.0
 
 
@@ -121,7 +120,7 @@ class StreamV3:
 
     def scene(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Scene:
         """What is to be drawn, as far as that part of the payload tells. Raises BitstreamError."""
-        return Scene(self.gaussians(prefix, limits), self.width, self.height, self.background, CUTOFF)
+        return Scene(self.gaussians(prefix, limits), self.width, self.height, self.background, native.CUTOFF_V3)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV3:
         """The description of the file. Raises BitstreamError, also for more Gaussians than the limit."""

@@ -29,7 +29,7 @@ import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
 from sgmethod.errors import ImageError
+from sgmethod.native import native
 
 Float32Array = npt.NDArray[np.float32]
 Levels = npt.NDArray[np.integer[Any]]
@@ -90,11 +91,11 @@ class ImageLimits:
 
     max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB
     and needs 2.3 times that while it works (RGBA, the worst kind measured).
-    max_side: pixels of the longer side. 65,535 is what sixteen bits count, and JPEG allows no more.
+    max_side: pixels of the longer side. The default is what an .sg file has room for; JPEG allows no more.
     """
 
     max_pixels: int = 100_000_000
-    max_side: int = 65_535
+    max_side: int = field(default_factory=lambda: native.MAX_SIDE)
 
     def check(self, width: int, height: int) -> None:
         """Raise ImageError if a picture of width x height pixels is empty or too large."""
@@ -107,27 +108,24 @@ class ImageLimits:
             )
 
 
-DEFAULT_LIMITS = ImageLimits()
-
-
-def read_header(data: bytes, limits: ImageLimits = DEFAULT_LIMITS) -> ImageHeader:
+def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     """The header of an image file, read without decoding pixels.
 
     Raises ImageError if data is none of the five formats, has a damaged header, more than one frame, samples
     of an unknown range, or a size of zero or beyond limits. A file that passes can still have damaged pixels.
     """
     with _only_image_errors():
-        return _open(data, limits)[1]
+        return _open(data, limits or ImageLimits())[1]
 
 
-def read_image(data: bytes, limits: ImageLimits = DEFAULT_LIMITS) -> Float32Array:
+def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:
     """Decode an image file by the rules at the top of this module.
 
     Returns float32 [H, W, 3] in [0, 1], sRGB values as stored, C-contiguous.
     Raises ImageError where read_header does, and if pixel data are damaged or missing.
     """
     with _only_image_errors():
-        reader, _ = _open(data, limits)
+        reader, _ = _open(data, limits or ImageLimits())
         orientation = _orientation(reader, data)
         samples = _read_samples(reader, data)
         if isinstance(reader, PngImageFile):

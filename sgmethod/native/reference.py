@@ -15,10 +15,8 @@ import math
 import torch
 from torch import Tensor
 
-CUTOFF = 5.5  # of version 1 of the file
 
-
-def render(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], cutoff: float = CUTOFF) -> Tensor:
+def render(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], cutoff: float) -> Tensor:
     """Image [3, height, width] of Gaussians, differentiable by torch in every argument.
 
     means [N, 2] in pixels (x, y); factors [N, 3] = (l1, l2, l3) of the lower triangular L in pixels,

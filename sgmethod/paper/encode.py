@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sgmethod.bitstream import container, v1
-from sgmethod.bitstream.v1 import CUTOFF, StreamV1
+from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.decode import decode
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.picture import Picture
 from sgmethod.fitting.request import Request
 from sgmethod.fitting.schedule import Schedule
 from sgmethod.metrics import psnr
+from sgmethod.native import native
 from sgmethod.paper.fit import fit
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.profiles import PaperSettings
@@ -86,7 +87,7 @@ class _Encoder:
         tune_until = request.until_s() if until_s is None else until_s
         begun = request.recorder.clock.seconds()
         fit_until = None if tune_until is None else begun + FIT_SHARE * (tune_until - begun)
-        picture = Picture(request.pixels, settings.lambda_g, CUTOFF)
+        picture = Picture(request.pixels, settings.lambda_g, native.CUTOFF_V1)
         start = place(request.pixels, n, settings, np.random.default_rng(request.seed))
         fitted, fit_steps = fit(picture, start, settings, request.recorder, fit_until)
         tuner = Tuner(fitted, picture, settings, max_bytes, request.seed)

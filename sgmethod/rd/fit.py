@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import CUTOFF, background_of
+from sgmethod.bitstream.v3 import background_of
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture
@@ -46,7 +46,8 @@ class RdFit:
         background = background_of(pixels)
         grey = len(set(background)) == 1 and _is_grey(pixels[::GREY_PROBE, ::GREY_PROBE]) and _is_grey(pixels)
         self.coder = Coder((self.width, self.height), control.quantum, background, grey)
-        self.picture = Picture((pixels - np.array(background, np.float32) / 255).astype(np.float32), 0.0, CUTOFF)
+        above = (pixels - np.array(background, np.float32) / 255).astype(np.float32)
+        self.picture = Picture(above, 0.0, native.CUTOFF_V3)
         self.values = self.picture.target.numel()
         self.pyramid = Pyramid(self.picture, settings)
         self.mse = 1.0

@@ -15,7 +15,7 @@ import math
 
 from torch import Tensor
 
-from sgmethod.bitstream.v3 import CUTOFF, StreamV3, quantum_code, quantum_of
+from sgmethod.bitstream.v3 import StreamV3, quantum_code, quantum_of
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 
@@ -75,5 +75,5 @@ class Coder:
         upright = not bool(p.factors[:, 1].any())
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
         arrays = *p.arrays(), target.numpy()
-        payload = native.rd_refine(parameters, *arrays, CUTOFF, price, sweeps, seconds, max_payload)
+        payload = native.rd_refine(parameters, *arrays, native.CUTOFF_V3, price, sweeps, seconds, max_payload)
         return StreamV3(*self.size, self.quantum, self.background, self.grey, upright, payload)

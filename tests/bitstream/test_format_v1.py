@@ -69,7 +69,7 @@ def test_tables_and_limits() -> None:
     assert f"At offset {offset}, for each group" in TEXT
     assert f"| tables | {v1.TABLE_BYTES} |" in TEXT
     assert f"| group list | {v1.GROUP_BYTES} for each group |" in TEXT
-    assert f"exp(-{v1.CUTOFF})" in TEXT
+    assert f"exp(-{native.CUTOFF_V1})" in TEXT
     assert f"max_pixels={MAX_PIXELS:_}" in TEXT
     assert f"{native.TILE_WIDTH} x {native.TILE_HEIGHT}" in TEXT
     for profile, code in v1.PROFILE_CODES.items():

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
 from sgmethod.bitstream import container, v3
-from sgmethod.bitstream.stream import MAX_SIDE, PREFIX_BYTES
+from sgmethod.bitstream.stream import PREFIX_BYTES
 from sgmethod.bitstream.v3 import HEADER, StreamV3
+from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View
 from tests.bitstream import plain_decoder_v3 as plain_decoder_rd
@@ -59,7 +60,7 @@ def test_header_table() -> None:
     assert flags["range"] == f"0..{v3.FLAG_GREY | v3.FLAG_UPRIGHT}"
     assert f"{v3.FLAG_GREY}: grey" in flags["meaning"]
     assert f"{v3.FLAG_UPRIGHT}: upright" in flags["meaning"]
-    assert [row["range"] for row in fields[1:3]] == [f"1..{MAX_SIDE}"] * 2
+    assert [row["range"] for row in fields[1:3]] == [f"1..{native.MAX_SIDE}"] * 2
     assert f"# Version {StreamV3.VERSION}\n" in TEXT
     assert f"fewer than {v3.HEADER_BYTES} bytes" in TEXT
 

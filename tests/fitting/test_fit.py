@@ -15,19 +15,20 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from sgmethod.bitstream.v1 import CUTOFF
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.schedule import Schedule
-from sgmethod.native import reference
+from sgmethod.native import native, reference
 from sgmethod.paper.fit import fit
 from sgmethod.profiles import BASELINE, PAPER, PaperSettings
 from sgmethod.scene import Gaussians
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
 from tests.harness.data import PHOTOGRAPHS
+
+CUTOFF = native.CUTOFF_V1
 
 FloatArray = NDArray[np.float32]
 
@@ -66,7 +67,8 @@ def design(means: Tensor, factors: Tensor, size: tuple[int, int]) -> NDArray[np.
     """Weights [pixels, Gaussians] in float64."""
     one = torch.ones(1, 3, dtype=torch.float64)
     columns = [
-        reference.render(m[None], f[None], one, size)[0] for m, f in zip(means.double(), factors.double(), strict=True)
+        reference.render(m[None], f[None], one, size, CUTOFF)[0]
+        for m, f in zip(means.double(), factors.double(), strict=True)
     ]
     return torch.stack(columns, -1).reshape(-1, len(means)).numpy()
 
@@ -114,7 +116,7 @@ def test_gradients_are_those_of_the_mean_squared_error() -> None:
     colors = torch.randn(10, 3, generator=torch.Generator().manual_seed(0))
     leaves = [t.double().requires_grad_() for t in (means, factors, colors)]
     target = torch.from_numpy(image).double().permute(2, 0, 1)
-    mse = (reference.render(leaves[0], leaves[1], leaves[2], (17, 12)) - target).square().mean()
+    mse = (reference.render(leaves[0], leaves[1], leaves[2], (17, 12), CUTOFF) - target).square().mean()
     expected = torch.autograd.grad(mse, leaves)
     found_mse, found = Picture(image, 0.0, CUTOFF).gradients(Parameters(means, factors, colors))
     assert found_mse == pytest.approx(mse.item(), rel=1e-5)  # worst seen 2e-7

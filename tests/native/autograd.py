@@ -36,7 +36,7 @@ class _Render(torch.autograd.Function):
 def render(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]) -> Tensor:
     """Image [3, height, width] of Gaussians, differentiable in means, factors and colors.
 
-    Arguments as sgmethod.reference.render, in float32. A Gaussian whose l1 or l3 is not positive, or that is
+    Arguments as sgmethod.native.reference.render, in float32. A Gaussian whose l1 or l3 is not positive, or that is
     not finite, contributes nothing.
     """
     image: Tensor = _Render.apply(means, factors, colors, size)  # type: ignore[no-untyped-call]

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import CUTOFF
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from tests.native.test_codec_v3 import encoded, rows, scattered
+
+CUTOFF = native.CUTOFF_V3
 
 SIZE = (150, 70)  # a strip that is not full at the end
 NO_LIMIT = 1 << 40

@@ -22,10 +22,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sgmethod.bitstream import v1
 from sgmethod.native import native, reference
 from tests.native.autograd import render
 
+CUTOFF = native.CUTOFF_V1
 ISAS = range(native.best_isa() + 1)
 VALUE_TOLERANCE = 1e-5  # worst seen 4.3e-6, from the recurrence down a column
 GRADIENT_TOLERANCE = 5e-6  # worst seen 1.8e-6
@@ -91,7 +91,7 @@ def reference_of(name: str) -> tuple[Tensor, list[Tensor]]:
     """The picture and the gradients by means, factors and colours, in float64."""
     c = case(name)
     leaves = [t.double().requires_grad_() for t in (c.means, c.factors, c.colors)]
-    picture = reference.render(leaves[0], leaves[1], leaves[2], c.size)
+    picture = reference.render(leaves[0], leaves[1], leaves[2], c.size, CUTOFF)
     if not len(c.means):
         return picture, [torch.zeros_like(leaf) for leaf in leaves]
     return picture.detach(), list(torch.autograd.grad(picture, leaves, c.upstream.double()))
@@ -123,7 +123,7 @@ def magnitudes_of(name: str) -> Magnitudes:
         z1, z2 = np.abs(dx / l1), np.abs(dy - l2 / l1 * dx) / l3
         t = (np.abs(dy) + shear * np.abs(dx)) / l3
         sigma, grown = (z1 * z1 + z2 * z2) / 2, 1 + z2 * t
-        e = np.exp(-sigma) * (sigma < reference.CUTOFF + RIM * grown)
+        e = np.exp(-sigma) * (sigma < CUTOFF + RIM * grown)
         z2_once, z2_twice = z2 * grown + t, z2 * z2 * grown + 2 * z2 * t
         by_l2 = z1 * z2_once / l3
         terms = [
@@ -133,7 +133,7 @@ def magnitudes_of(name: str) -> Magnitudes:
             by_l2,
             z2_twice / l3,
         ]
-        on_rim = np.abs(sigma - reference.CUTOFF) < RIM * grown
+        on_rim = np.abs(sigma - CUTOFF) < RIM * grown
         slope = np.tensordot(color, up, 1) * e
         for target, mask in ((gradients, True), (rims, on_rim)):
             geometry = [(slope * term * mask).sum() for term in terms]
@@ -272,12 +272,12 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
         torch.zeros(3, 101, 101),
     )
     row = native_picture(c, isa)[0, 50]
-    reach = scale * np.sqrt(2 * reference.CUTOFF)
+    reach = scale * np.sqrt(2 * CUTOFF)
     lit = np.flatnonzero(row.numpy()) - 50
     assert lit.min() == -np.floor(reach)
     assert lit.max() == np.floor(reach)
-    assert row[50].item() == pytest.approx(1 - np.exp(-reference.CUTOFF), abs=1e-6)  # worst seen 0
-    assert native.MAX_CUTOFF == reference.CUTOFF == v1.CUTOFF
+    assert row[50].item() == pytest.approx(1 - np.exp(-CUTOFF), abs=1e-6)  # worst seen 0
+    assert native.MAX_CUTOFF == CUTOFF
 
 
 NOT_DRAWN = {

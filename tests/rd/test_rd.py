@@ -14,15 +14,18 @@ from numpy.typing import NDArray
 
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import CUTOFF, StreamV3
+from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.io.image import read_image
+from sgmethod.native import native
 from sgmethod.native.reference import render
 from sgmethod.profiles import RD
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
 from tests.harness.data import PHOTOGRAPHS
+
+CUTOFF = native.CUTOFF_V3
 
 FloatArray = NDArray[np.float32]
 STEPS = 240

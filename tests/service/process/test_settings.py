@@ -15,7 +15,7 @@ import pytest
 from service import settings as settings_module
 from service.process import supervisor
 from service.settings import Settings, available_cores
-from sgmethod.io.image import DEFAULT_LIMITS
+from sgmethod.io.image import ImageLimits
 from tests.harness.data import ROOT
 from tests.harness.service import Outcome, RunCommand
 from tests.harness.service_process import PATIENCE_S, wait_until
@@ -59,7 +59,7 @@ def test_every_setting_says_what_it_is() -> None:
 
 
 def test_limits_never_exceed_what_the_encoder_reads() -> None:
-    bounds = {"max_pixels": DEFAULT_LIMITS.max_pixels, "max_side": DEFAULT_LIMITS.max_side}
+    bounds = {"max_pixels": ImageLimits().max_pixels, "max_side": ImageLimits().max_side}
     for name, bound in bounds.items():
         with pytest.raises(ValueError, match=name):
             Settings.model_validate({name: bound + 1})
