@@ -20,7 +20,13 @@ FOLDERS = ("benchmarks", "docs", "service", "sgmethod", "tests")
 
 
 def documents() -> list[Path]:
-    listing = subprocess.run(["git", "ls-files", "*.md"], cwd=ROOT, capture_output=True, text=True, check=True)
+    listing = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.md"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return [ROOT / name for name in listing.stdout.splitlines() if (ROOT / name).exists()]
 
 
