@@ -20,14 +20,9 @@ FOLDERS = ("benchmarks", "docs", "service", "sgmethod", "tests")
 
 
 def documents() -> list[Path]:
-    listing = subprocess.run(
-        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.md"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return [ROOT / name for name in listing.stdout.splitlines() if (ROOT / name).exists()]
+    command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.md"]
+    listing = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    return [ROOT / name for name in listing.splitlines() if (ROOT / name).exists()]
 
 
 def prose(path: Path) -> str:
