@@ -23,8 +23,7 @@ from sgmethod import Budget
 from sgmethod.codec import encode
 from sgmethod.io.image import read_image
 from sgmethod.profiles import PAPER, PROFILES, RD, RdSettings
-from sgmethod.rd import encode as rd
-from sgmethod.rd import quantiser
+from sgmethod.rd import fit, quantiser
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,8 @@ def _keep_all(_: Any, _bits: float, _most: int) -> None:
 PARTS = (
     Part("nothing", {}),
     Part("growth (all placed by structure at the start)", {"start_share": 1.0, "bits_of_new": 1e12}),
-    Part("structure (random start)", {}, lambda: patch.object(rd, "PAPER", replace(PAPER, structure_guided=False))),
-    Part("dropping Gaussians", {}, lambda: patch.object(rd.RdFit, "_drop", _keep_all)),
+    Part("structure (random start)", {}, lambda: patch.object(fit, "PAPER", replace(PAPER, structure_guided=False))),
+    Part("dropping Gaussians", {}, lambda: patch.object(fit.RdFit, "_drop", _keep_all)),
     Part("dropping those not worth their bits", {"bits_of_dropped": RD.bits_of_nothing}),
     Part("smaller pictures at first", {"halvings": 0}),
     Part("a price for existing (anything may grow)", {"bits_of_new": 0.0}),

@@ -24,8 +24,12 @@ from PIL import Image, ImageOps
 
 from benchmarks.machine import ISA_NAMES, ROOT, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
-from sgmethod.fitting.fit import Clock, Parameters, Picture, Recorder, fit
+from sgmethod.bitstream.v1 import CUTOFF
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.native import native
+from sgmethod.paper.fit import fit
 from sgmethod.profiles import PAPER
 from sgmethod.start.placement import place
 
@@ -65,7 +69,7 @@ def fitted(image: NDArray[np.float32], n: int, steps: int) -> tuple[Parameters, 
     torch.set_num_threads(1)  # as encode() does: two pools of threads on the same cores cost several times the time
     settings = replace(PAPER, fit_steps=steps)
     start = place(image, n, settings, np.random.default_rng(0))
-    picture = Picture(image, settings.lambda_g)
+    picture = Picture(image, settings.lambda_g, CUTOFF)
     clock = Clock()
     gaussians, done = fit(picture, start, settings, Recorder(clock, None), None)
     if done < steps:

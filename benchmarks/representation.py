@@ -20,12 +20,13 @@ import torch
 from benchmarks.machine import ROOT, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
 from sgmethod.bitstream import v3
-from sgmethod.fitting.fit import Clock, Plan, Recorder, run
+from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.fitting.schedule import Schedule
 from sgmethod.io.image import read_image
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import RD, RdSettings
-from sgmethod.rd.encode import GAUSSIANS_GUESS, RdFit
-from sgmethod.rd.finish import Goal
+from sgmethod.rd.fit import RdFit
+from sgmethod.rd.rate_control import GAUSSIANS_GUESS, RateControl
 
 FREE_FROM = 0.85  # of the profile's schedule
 
@@ -44,16 +45,18 @@ def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, An
     """PSNR and MS-SSIM of the float Gaussians, rendered and rounded to 8 bits."""
     pixels = read_image(picture.read_bytes())
     recorder = Recorder(Clock(), None)
-    quantum = 0.8 * GAUSSIANS_GUESS * pixels.shape[0] * pixels.shape[1] / gaussians  # leaves a few more to choose from
+    area = pixels.shape[0] * pixels.shape[1]
+    quantum = 0.8 * GAUSSIANS_GUESS * area / gaussians  # leaves a few more to choose from
     began = time.perf_counter()
-    fit = RdFit(pixels, Goal(quantum, max_gaussians=gaussians), settings, 0, recorder)
+    control = RateControl(settings, area, quantum, max_gaussians=gaussians)
+    fit = RdFit(pixels, control, settings, 0, recorder)
 
     def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         if progress >= FREE_FROM * RD.steps / settings.steps:
             fit.coder = fit.coder.with_quantum(v3.MIN_QUANTUM)
         return fit.step(rate, progress)
 
-    run(Plan("fit", settings.steps, patience=1.0), recorder, step, settings.final_rate)
+    Schedule("fit", settings.steps, settings.final_rate, patience=1.0).run(recorder, step)
     seconds = time.perf_counter() - began
     shown = pixels - fit.picture.residual(fit.p).permute(1, 2, 0).numpy()
     levels = np.round(np.clip(shown, 0, 1) * 255).astype(np.uint8)

@@ -15,11 +15,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.bitstream import v1
+from sgmethod.bitstream.stream import MAX_SIDE
 from sgmethod.budget import Budget
 from sgmethod.decode import decode, info
 from sgmethod.errors import BudgetError, ImageError
-from sgmethod.fitting.fit import Clock, Recorder, Task
+from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.fitting.request import Request
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings
@@ -78,16 +79,16 @@ def encode(
         raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
     if time_limit_s is not None and not (math.isfinite(time_limit_s) and time_limit_s > 0):
         raise BudgetError(f"the time limit must be a positive number of seconds, got {time_limit_s}")
-    task = Task(
+    request = Request(
         np.ascontiguousarray(pixels, np.float32), budget, profile, seed, Recorder(Clock(time_limit_s), on_progress)
     )
     settings = PROFILES[profile]
     with _SingleTorchThread(), _memory_errors():
         if isinstance(settings, RdSettings):
-            data, steps = rd.encode(task, settings)
+            data, steps = rd.encode(request, settings)
         else:
-            data, steps = paper.encode(task, settings)
-    return _measured(task, data, steps)
+            data, steps = paper.encode(request, settings)
+    return _measured(request, data, steps)
 
 
 @contextmanager
@@ -101,12 +102,12 @@ def _memory_errors() -> Iterator[None]:
         raise MemoryError("there is not enough memory for this encode") from error
 
 
-def _measured(task: Task, data: bytes, steps: int) -> Encoded:
+def _measured(request: Request, data: bytes, steps: int) -> Encoded:
     """Decode the very bytes and measure them."""
-    decoded, source = decode(data), task.source()
+    decoded, source = decode(data), request.source()
     height, width = source.shape[:2]
-    db, gaussians = psnr(decoded, source), int(info(data)["gaussians"])  # type: ignore[call-overload]
-    task.recorder.report("done", steps, steps, 10 ** (-db / 10), (gaussians, 8 * len(data)))
+    db, gaussians = psnr(decoded, source), info(data).gaussians
+    request.recorder.report("done", steps, steps, 10 ** (-db / 10), (gaussians, 8 * len(data)))
     stats = Stats(
         bytes=len(data),
         bpp=8 * len(data) / (width * height),
@@ -114,19 +115,19 @@ def _measured(task: Task, data: bytes, steps: int) -> Encoded:
         ms_ssim=ms_ssim(decoded, source),
         gaussians=gaussians,
         steps=steps,
-        seconds=task.recorder.clock.seconds(),
+        seconds=request.recorder.clock.seconds(),
         width=width,
         height=height,
-        profile=task.profile,
+        profile=request.profile,
     )
-    return Encoded(data, stats, task.recorder.points)
+    return Encoded(data, stats, request.recorder.points)
 
 
 def _check_image(pixels: NDArray[np.float32]) -> None:
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
-    if max(pixels.shape) > v1.MAX_SIDE:
-        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {v1.MAX_SIDE}")
+    if max(pixels.shape) > MAX_SIDE:
+        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {MAX_SIDE}")
     if not np.issubdtype(pixels.dtype, np.floating):
         raise ImageError(f"an image must hold floating-point values in [0, 1], got {pixels.dtype}")
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:

@@ -24,7 +24,7 @@ class OptimiserSettings:
 
 
 @dataclass(frozen=True)
-class Settings(OptimiserSettings):
+class PaperSettings(OptimiserSettings):
     """Hyper-parameters of profiles paper and baseline."""
 
     # Structure-guided initialisation (section III-B)
@@ -111,7 +111,7 @@ class RdSettings(OptimiserSettings):
     psnr_slack_db: float = 0.05
 
 
-PAPER = Settings()
+PAPER = PaperSettings()
 BASELINE = replace(
     PAPER,
     structure_guided=False,
@@ -121,6 +121,6 @@ BASELINE = replace(
     mean_bitwidth=6.0,
 )
 RD = RdSettings()
-PROFILES: dict[str, Settings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
+PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
 PROFILE_NAMES = tuple(PROFILES)
 DEFAULT_PROFILE = "rd"

@@ -1,4 +1,4 @@
-"""The set of Gaussians, in plain arrays."""
+"""What a decoder draws: a set of Gaussians, and the picture that they make."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ FloatArray = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Gaussians:
-    """N Gaussians over a picture; what the renderer draws.
+    """N Gaussians over a picture.
 
     means [N, 2]: centres (x, y) in pixels, the first pixel's centre at (0.5, 0.5);
     factors [N, 3]: (l1, l2, l3) in pixels of the lower triangular L, covariance = L L^T;
@@ -25,3 +25,17 @@ class Gaussians:
 
     def __len__(self) -> int:
         return len(self.means)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that drawing a picture needs. Every version of the file format gives one.
+
+    width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends.
+    """
+
+    gaussians: Gaussians
+    width: int
+    height: int
+    background: tuple[int, int, int]
+    cutoff: float

@@ -9,12 +9,12 @@ total weight (docs/format.md).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sgmethod.errors import ViewError
-from sgmethod.scene import Gaussians
+from sgmethod.scene import Gaussians, Scene
 
 PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
@@ -51,14 +51,17 @@ class View:
         _, _, w, h = self.area(width, height)
         return max(round(w * self.scale), 1), max(round(h * self.scale), 1)
 
-    def apply(self, gaussians: Gaussians, width: int, height: int, cutoff: float) -> Gaussians:
-        """The Gaussians, which end at sigma = cutoff, in output pixels, low-passed where that is a reduction."""
+    def apply(self, scene: Scene) -> Scene:
+        """The scene in output pixels, low-passed where that is a reduction. Raises ViewError as area() does."""
         if self.scale == 1 and self.region is None:
-            return gaussians
-        x, y, w, h = self.area(width, height)
-        out_width, out_height = self.size(width, height)
+            return scene
+        x, y, w, h = self.area(scene.width, scene.height)
+        width, height = self.size(scene.width, scene.height)
         # The two may differ by rounding, so that the output's edges are the region's edges.
-        return _resized(gaussians, (x, y), (out_width / w, out_height / h), PIXEL_VARIANCE / _variance(cutoff))
+        scale = width / w, height / h
+        widening = PIXEL_VARIANCE / _variance(scene.cutoff)
+        gaussians = _resized(scene.gaussians, (x, y), scale, widening)
+        return replace(scene, gaussians=gaussians, width=width, height=height)
 
 
 def _variance(cutoff: float) -> float:

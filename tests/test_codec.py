@@ -19,7 +19,7 @@ from PIL import Image
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, ImageError, TracePoint, codec, decode, encode, info
 from sgmethod.budget import BudgetKind
-from sgmethod.fitting.fit import Clock
+from sgmethod.fitting.recorder import Clock
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import BASELINE, PAPER, PROFILES, RD
 from tests.harness.data import PHOTOGRAPHS
@@ -63,13 +63,13 @@ def assert_true_figures(encoded: Encoded, pixels: FloatArray) -> None:
     stats, decoded = encoded.stats, decode(encoded.data)
     height, width = pixels.shape[:2]
     assert decoded.shape == pixels.shape
-    assert stats.bytes == len(encoded.data) == info(encoded.data)["bytes"]
+    assert stats.bytes == len(encoded.data) == info(encoded.data).bytes
     assert stats.bpp == 8 * len(encoded.data) / (width * height)
     assert (stats.width, stats.height) == (width, height)
     assert stats.psnr == psnr(decoded, source(pixels))
     assert stats.ms_ssim == ms_ssim(decoded, source(pixels))
-    assert stats.gaussians == info(encoded.data)["gaussians"]
-    assert stats.profile == info(encoded.data)["profile"]
+    assert stats.gaussians == info(encoded.data).gaussians
+    assert stats.profile == info(encoded.data).profile
 
 
 # --- budgets

@@ -14,10 +14,12 @@ import pytest
 from PIL import Image
 
 from sgmethod import BitstreamError, decode, info, set_threads
-from sgmethod.bitstream.v1 import PROFILE_CODES, Group, Stream, parse, serialise
-from sgmethod.decode import dequantise, render_pixels
+from sgmethod.bitstream import v1
+from sgmethod.bitstream.container import parse, serialise
+from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
+from sgmethod.decode import draw
 from sgmethod.native import native
-from sgmethod.scene import Gaussians
+from sgmethod.scene import Gaussians, Scene
 from tests.harness.data import golden, golden_path
 
 GOLDEN = sorted(golden(1))
@@ -47,7 +49,7 @@ def wide(n: int, width: int, height: int, *, scale_px: float, positions: tuple[f
     factor_range = np.array([[scale_px] * 2, [-scale_px, scale_px], [scale_px] * 2], np.float32)
     codebooks = rng.normal(0, 1, (2, 8, 3)).astype(np.float16)
     return serialise(
-        Stream("paper", width, height, 12, np.array([positions] * 2, np.float32), factor_range, codebooks, (group,))
+        StreamV1("paper", width, height, 12, np.array([positions] * 2, np.float32), factor_range, codebooks, (group,))
     )
 
 
@@ -60,7 +62,7 @@ def restored_threads() -> Iterator[None]:
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_pixels(name: str) -> None:
-    """Exact: tests/make_golden.py wrote these pictures when the streams were made."""
+    """Exact: make_golden.py wrote these pictures when the streams were made."""
     pixels = decode(golden(name))
     expected = np.asarray(Image.open(golden_path(f"{name}.png")))
     assert pixels.dtype == np.uint8
@@ -73,11 +75,11 @@ def test_golden_pixels(name: str) -> None:
 def test_pixels_are_the_same_everywhere(name: str) -> None:
     """Bit by bit, for each instruction set this processor has and several numbers of threads."""
     if name == "scattered":
-        gaussians, width, height = scattered(700, 301, 203), 301, 203
+        scene = Scene(scattered(700, 301, 203), 301, 203, (0, 0, 0), v1.CUTOFF)
     else:
-        stream = parse(golden(name))
-        gaussians, width, height = dequantise(stream), stream.width, stream.height
-    expected = render_pixels(gaussians, width, height)
+        scene = parse(golden(name)).scene()
+    gaussians, width, height = scene.gaussians, scene.width, scene.height
+    expected = draw(scene)
     assert expected.shape == (height, width, 3)
     for threads in (1, 2, 3, 8):
         set_threads(threads)
@@ -86,12 +88,12 @@ def test_pixels_are_the_same_everywhere(name: str) -> None:
             raster = native.Rasterization(gaussians.means, gaussians.factors, width, height, isa=isa)
             raster.render_bytes(gaussians.colors, pixels)
             assert np.array_equal(pixels, expected), (threads, isa)
-        assert np.array_equal(render_pixels(gaussians, width, height), expected)
+        assert np.array_equal(draw(scene), expected)
 
 
 def test_levels_are_computed_in_double_and_rounded_once() -> None:
     stream = parse(golden("v1-every-bitwidth"))
-    gaussians = dequantise(stream)
+    gaussians = stream.dequantised()
     at = 0
     for group in stream.groups:
         for k, (codes, bits, low, high) in enumerate(
@@ -120,7 +122,7 @@ def test_thin_pictures(size: tuple[int, int]) -> None:
 def test_info() -> None:
     for name in GOLDEN:
         data = golden(name)
-        stream, fields = parse(data), info(data)
+        stream, fields = parse(data), info(data).to_dict()
         json.dumps(fields, allow_nan=False)
         assert fields["bytes"] == len(data)
         assert fields["bpp"] == 8 * len(data) / (stream.width * stream.height)
@@ -155,7 +157,7 @@ def test_the_limit_of_pixels() -> None:
     huge = wide(1, 65_535, 65_535, scale_px=9.0)
     with pytest.raises(BitstreamError, match="65535 x 65535 pixels"):
         decode(huge)
-    assert info(huge)["width"] == 65_535
+    assert info(huge).width == 65_535
 
 
 HOSTILE = {
@@ -206,7 +208,7 @@ def test_geometry_beyond_single_precision_is_harmless() -> None:
     began = time.process_time()
     for _ in range(3000):
         ranges = rng.choice(EXTREMES, (5, 2)).astype(np.float32)
-        data = serialise(Stream("paper", 40, 70, 12, ranges[:2], ranges[2:], codebooks, (group,)))
+        data = serialise(StreamV1("paper", 40, 70, 12, ranges[:2], ranges[2:], codebooks, (group,)))
         try:
             drawn += int(decode(data).any())
         except BitstreamError as error:

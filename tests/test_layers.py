@@ -95,7 +95,7 @@ def test_modules_do_not_import_in_a_circle() -> None:
 def test_the_imports_are_found() -> None:
     assert "sgmethod.errors" in IMPORTS["sgmethod.decode"]
     assert "sgmethod.native._native" in IMPORTS["sgmethod.native"]
-    assert "sgmethod.bitstream.v1" in IMPORTS["sgmethod.codec"]  # from sgmethod.bitstream import v1
+    assert "sgmethod.bitstream.container" in IMPORTS["sgmethod.decode"]  # from sgmethod.bitstream import container
     assert "sgmethod.paper.lattice" in IMPORTS["sgmethod.paper.tuning"]
     assert "sgmethod.codec" in IMPORTS["sgmethod.cli.main"]  # within a function
     assert "service.web.guards.problems" in IMPORTS["service.web.routes.jobs"]

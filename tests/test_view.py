@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sgmethod import BitstreamError, ViewError, decode, view
-from sgmethod.bitstream import v1, v3
-from sgmethod.bitstream.v3 import RdStream
-from sgmethod.decode import render_pixels
-from sgmethod.scene import Gaussians
+from sgmethod.bitstream import container, v1, v3
+from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.decode import draw
+from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View
 from tests.harness.data import golden, golden_path
 
@@ -30,7 +30,7 @@ def scattered(n: int = 700, smallest_px: float = 0.4) -> Gaussians:
 
 @pytest.fixture(scope="module")
 def data() -> bytes:
-    return v3.serialise(RdStream.of(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
+    return container.serialise(StreamV3.of(scattered(), (WIDTH, HEIGHT), 0.01, (120, 110, 100), False))
 
 
 def decibels(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
@@ -109,9 +109,13 @@ def test_sizes(data: bytes, scale: float, region: tuple[int, int, int, int] | No
     assert decode(data, view=asked).shape == (size[1], size[0], 3)
 
 
+def scene(gaussians: Gaussians, cutoff: float = v1.CUTOFF) -> Scene:
+    return Scene(gaussians, WIDTH, HEIGHT, (90, 90, 90), cutoff)
+
+
 def test_each_gaussian_keeps_its_integral() -> None:
     gaussians = scattered()
-    shrunk = View(0.2).apply(gaussians, WIDTH, HEIGHT, 5.5)
+    shrunk = View(0.2).apply(scene(gaussians)).gaussians
     before, after = ((g.colors.T * g.factors[:, 0] * g.factors[:, 2]).astype(float) for g in (gaussians, shrunk))
     assert np.allclose(after, before * 0.2**2, rtol=1e-5)
 
@@ -119,7 +123,7 @@ def test_each_gaussian_keeps_its_integral() -> None:
 @pytest.mark.parametrize("cutoff", [v1.CUTOFF, v3.CUTOFF])
 def test_the_covariance_grows_by_what_is_missing(cutoff: float) -> None:
     gaussians = scattered()
-    shrunk = View(0.25).apply(gaussians, WIDTH, HEIGHT, cutoff)
+    shrunk = View(0.25).apply(scene(gaussians, cutoff)).gaussians
     before, after = (np.zeros((len(gaussians), 2, 2)) for _ in range(2))
     for covariance, factors in ((before, gaussians.factors), (after, shrunk.factors)):
         lower = np.zeros_like(covariance)
@@ -139,10 +143,7 @@ def test_what_adds_nothing_stays_so() -> None:
     gaussians.factors[1::3, 2] = 0
     visible = Gaussians(*(a[2::3].copy() for a in (gaussians.means, gaussians.factors, gaussians.colors)))
     for asked in (View(0.3), View(region=(5, 5, 100, 100))):
-        size = asked.size(WIDTH, HEIGHT)
-        with_them, without = (
-            render_pixels(asked.apply(g, WIDTH, HEIGHT, 5.5), *size, (90, 90, 90)) for g in (gaussians, visible)
-        )
+        with_them, without = (draw(asked.apply(scene(g))) for g in (gaussians, visible))
         assert np.array_equal(with_them, without)
 
 

@@ -1,6 +1,8 @@
-"""The .sg file, version 1: syntax elements <-> bytes. docs/format.md is its description in words.
+"""Version 1 of the file (profiles paper and baseline): integer codes <-> bytes, in fields of fixed length.
 
-header   magic, version, checksum, picture size, bits per coordinate, groups       (HEADER)
+docs/format.md describes it in words. Behind the checksum stand
+
+header   profile, picture size, bits per coordinate, groups                        (HEADER)
 tables   ranges of positions and factors, colour codebooks                         (only if there are Gaussians)
 groups   bitwidth and number of Gaussians of each group
 records  per Gaussian x, y, l1, l2, l3, first and second colour index, most significant bit first
@@ -8,22 +10,21 @@ records  per Gaussian x, y, l1, l2, l3, first and second colour index, most sign
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.errors import BitstreamError
+from sgmethod.bitstream.stream import NO_LIMITS, PREFIX_BYTES, Info, Limits
+from sgmethod.errors import BitstreamError, ViewError
+from sgmethod.scene import FloatArray, Gaussians, Scene
 
-MAGIC = b"SGM"
-VERSION = 1
 PROFILE_CODES = {"baseline": 0, "paper": 1}
 CODEBOOK_STAGES, CODEBOOK_ENTRIES, COLOR_INDEX_BITS = 2, 8, 3
 MIN_BITWIDTH, MAX_BITWIDTH = 1, 16
-CUTOFF = 5.5  # sigma at which a Gaussian of version 1 ends
-MAX_SIDE = 65_535
+CUTOFF = 5.5  # sigma at which a Gaussian of this version ends
+BACKGROUND = (0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -38,13 +39,12 @@ class Field:
 
 HEADER = (
     Field("profile", 1, 0, 1),
-    Field("width", 2, 1, MAX_SIDE),
-    Field("height", 2, 1, MAX_SIDE),
+    Field("width", 2, 1, 2**16 - 1),
+    Field("height", 2, 1, 2**16 - 1),
     Field("position_bits", 1, MIN_BITWIDTH, MAX_BITWIDTH),
     Field("groups", 1, 0, MAX_BITWIDTH),
 )
 GROUP = (Field("bitwidth", 1, MIN_BITWIDTH, MAX_BITWIDTH), Field("gaussians", 3, 1, 2**24 - 1))
-PREFIX_BYTES = len(MAGIC) + 1 + 4  # magic, version, CRC-32 of all that follows
 HEADER_BYTES = PREFIX_BYTES + sum(f.bytes for f in HEADER)
 POSITION_TABLE_BYTES, FACTOR_TABLE_BYTES = 2 * 2 * 4, 3 * 2 * 4
 CODEBOOK_BYTES = CODEBOOK_STAGES * CODEBOOK_ENTRIES * 3 * 2
@@ -66,13 +66,27 @@ class Group:
     colors: NDArray[np.uint8]
 
 
+@dataclass(frozen=True, kw_only=True)
+class InfoV1(Info):
+    """Info of a version 1 file. Ranges and codebooks as in StreamV1; groups: bitwidth and Gaussians of each."""
+
+    position_bits: int
+    position_range: list[list[float]]
+    factor_range: list[list[float]]
+    codebooks: list[list[list[float]]]
+    groups: list[dict[str, int]]
+
+
 @dataclass(frozen=True)
-class Stream:
-    """All syntax elements of a version 1 file.
+class StreamV1:
+    """All integer codes of a version 1 file, with the tables that give them meaning.
 
     position_range [2, 2]: for x and y the coordinate in pixels of code 0 and of the last code;
     factor_range [3, 2]: the same for l1, l2, l3; codebooks [2, 8, 3]: RGB entries of both stages.
     """
+
+    VERSION: ClassVar[int] = 1
+    MIN_BYTES: ClassVar[int] = HEADER_BYTES
 
     profile: str
     width: int
@@ -83,10 +97,94 @@ class Stream:
     codebooks: NDArray[np.float16]
     groups: tuple[Group, ...]
 
+    @classmethod
+    def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> StreamV1:
+        """From what follows the checksum.
+
+        Raises BitstreamError for anything but a whole body, and beyond the limits before the records are read.
+        """
+        header = _read_fields(HEADER, body)
+        at = sum(f.bytes for f in HEADER)
+        profile = next(name for name, code in PROFILE_CODES.items() if code == header["profile"])
+        size = header["width"], header["height"], header["position_bits"]
+        limits.check_size(header["width"], header["height"])
+        if header["groups"] == 0:
+            if len(body) != at:
+                raise BitstreamError("the file has bytes after its end")
+            empty = np.zeros((2, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros((2, 8, 3), np.float16)
+            return cls(profile, *size, *empty, ())
+        tables = _read_tables(body[at : at + TABLE_BYTES])
+        at += TABLE_BYTES
+        counts = []
+        for _ in range(header["groups"]):
+            group = _read_fields(GROUP, body[at : at + GROUP_BYTES])
+            counts.append((group["bitwidth"], group["gaussians"]))
+            at += GROUP_BYTES
+        _check_count(sum(n for _, n in counts), header["width"] * header["height"], limits)
+        return cls(profile, *size, *tables, _read_groups(body[at:], header["position_bits"], counts))
+
+    def body(self) -> bytes:
+        """What follows the checksum."""
+        values = {
+            "profile": PROFILE_CODES[self.profile],
+            "width": self.width,
+            "height": self.height,
+            "position_bits": self.position_bits,
+            "groups": len(self.groups),
+        }
+        body = bytearray(_write_fields(HEADER, values))
+        if self.groups:
+            body += self.position_range.astype(">f4").tobytes()
+            body += self.factor_range.astype(">f4").tobytes()
+            body += self.codebooks.astype(">f2").tobytes()
+            for group in self.groups:
+                body += _write_fields(GROUP, {"bitwidth": group.bitwidth, "gaussians": len(group.positions)})
+            bits = [_records_to_bits(group, self.position_bits) for group in self.groups]
+            body += np.packbits(np.concatenate(bits)).tobytes()
+        return bytes(body)
+
     @property
     def gaussians(self) -> int:
         """Number of Gaussians."""
         return sum(len(g.positions) for g in self.groups)
+
+    def dequantised(self) -> Gaussians:
+        """The Gaussians, exactly as every decoder must see them (docs/format.md)."""
+        if not self.groups:
+            return Gaussians(np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
+        means = [_levels(g.positions, self.position_range, self.position_bits) for g in self.groups]
+        factors = [_levels(g.factors, self.factor_range, g.bitwidth) for g in self.groups]
+        first, second = self.codebooks.astype(np.float32)
+        indices = np.concatenate([g.colors for g in self.groups])
+        colors = first[indices[:, 0]] + second[indices[:, 1]]
+        return Gaussians(np.concatenate(means), np.concatenate(factors), colors)
+
+    def scene(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Scene:
+        """What is to be drawn. Raises ViewError for a prefix below 1."""
+        del limits  # parse() has seen to them
+        if prefix < 1:
+            raise ViewError(f"profile {self.profile} has no order that a prefix could follow")
+        return Scene(self.dequantised(), self.width, self.height, BACKGROUND, CUTOFF)
+
+    def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
+        """The description of the file."""
+        del limits
+        return InfoV1(
+            bytes=file_bytes,
+            bpp=8 * file_bytes / (self.width * self.height),
+            version=self.VERSION,
+            checksum=checksum,
+            profile=self.profile,
+            width=self.width,
+            height=self.height,
+            gaussians=self.gaussians,
+            position_bits=self.position_bits,
+            position_range=self.position_range.tolist(),
+            factor_range=self.factor_range.tolist(),
+            codebooks=self.codebooks.astype(np.float64).tolist(),
+            groups=[{"bitwidth": g.bitwidth, "gaussians": len(g.positions)} for g in self.groups],
+            bits=self.size_bits(),
+        )
 
     def size_bits(self) -> dict[str, int]:
         """Bits spent on headers (with tables of ranges and groups, checksum and padding), positions,
@@ -121,67 +219,18 @@ def _widths(position_bits: int, bitwidth: int) -> tuple[int, ...]:
     return (position_bits,) * 2 + (bitwidth,) * 3 + (COLOR_INDEX_BITS,) * CODEBOOK_STAGES
 
 
-def serialise(stream: Stream) -> bytes:
-    """The file's bytes."""
-    values = {
-        "profile": PROFILE_CODES[stream.profile],
-        "width": stream.width,
-        "height": stream.height,
-        "position_bits": stream.position_bits,
-        "groups": len(stream.groups),
-    }
-    body = bytearray(_write_fields(HEADER, values))
-    if stream.groups:
-        body += stream.position_range.astype(">f4").tobytes()
-        body += stream.factor_range.astype(">f4").tobytes()
-        body += stream.codebooks.astype(">f2").tobytes()
-        for group in stream.groups:
-            body += _write_fields(GROUP, {"bitwidth": group.bitwidth, "gaussians": len(group.positions)})
-        bits = [_records_to_bits(group, stream.position_bits) for group in stream.groups]
-        body += np.packbits(np.concatenate(bits)).tobytes()
-    return MAGIC + bytes([VERSION]) + struct.pack(">I", zlib.crc32(body)) + bytes(body)
-
-
-def parse(data: bytes, max_pixels: int | None = None, max_gaussians: int | None = None) -> Stream:
-    """The syntax elements of a file.
-
-    Raises BitstreamError for anything but a whole, intact file, and for a picture of more than max_pixels or
-    max_gaussians before anything behind the header is read.
-    """
-    if len(data) < HEADER_BYTES:
-        raise BitstreamError(f"the file is too short: {len(data)} bytes")
-    if data[:3] != MAGIC:
-        raise BitstreamError("this is not an .sg file")
-    if data[3] != VERSION:
-        raise BitstreamError(f"version {data[3]} of the format is not known to this decoder")
-    body = memoryview(data)[PREFIX_BYTES:]
-    if zlib.crc32(body) != struct.unpack(">I", data[4:8])[0]:
-        raise BitstreamError("the file is damaged: its checksum does not match")
-    header = _read_fields(HEADER, body)
-    at = sum(f.bytes for f in HEADER)
-    profile = next(name for name, code in PROFILE_CODES.items() if code == header["profile"])
-    size = header["width"], header["height"], header["position_bits"]
-    pixels = header["width"] * header["height"]
-    if max_pixels is not None and pixels > max_pixels:
-        raise BitstreamError(f"{size[0]} x {size[1]} pixels are more than the limit of {max_pixels}")
-    if header["groups"] == 0:
-        if len(body) != at:
-            raise BitstreamError("the file has bytes after its end")
-        empty = np.zeros((2, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros((2, 8, 3), np.float16)
-        return Stream(profile, *size, *empty, ())
-    tables = _read_tables(body[at : at + TABLE_BYTES])
-    at += TABLE_BYTES
-    counts = []
-    for _ in range(header["groups"]):
-        group = _read_fields(GROUP, body[at : at + GROUP_BYTES])
-        counts.append((group["bitwidth"], group["gaussians"]))
-        at += GROUP_BYTES
-    gaussians = sum(n for _, n in counts)
+def _check_count(gaussians: int, pixels: int, limits: Limits) -> None:
     if gaussians > pixels:
         raise BitstreamError(f"the file claims more Gaussians than its picture's {pixels} pixels")
-    if max_gaussians is not None and gaussians > max_gaussians:
-        raise BitstreamError(f"the file has more Gaussians than the limit of {max_gaussians}")
-    return Stream(profile, *size, *tables, _read_groups(body[at:], header["position_bits"], counts))
+    if limits.max_gaussians is not None and gaussians > limits.max_gaussians:
+        raise BitstreamError(f"the file has more Gaussians than the limit of {limits.max_gaussians}")
+
+
+def _levels(codes: NDArray[Any], value_range: FloatArray, bits: int) -> FloatArray:
+    """low + code (high - low) / (2^bits - 1), computed in float64 and rounded once to float32."""
+    low, high = value_range.astype(np.float64).T
+    values: FloatArray = (low + codes * ((high - low) / (2**bits - 1))).astype(np.float32)
+    return values
 
 
 def _write_fields(fields: tuple[Field, ...], values: dict[str, int]) -> bytes:

@@ -1,25 +1,24 @@
-"""The .sg file, version 3 (profile rd): a short header, then one entropy-coded payload.
+"""Version 3 of the file (profile rd): a short header, then one entropy-coded payload.
 
-The payload's model is native (sgmethod/native/rd_models.h), written once for both directions; docs/format.md
-describes it.
+The payload's model is native (sgmethod/native/rd/models.h), written once for both directions. docs/format.md
+describes both in words.
 """
 
 from __future__ import annotations
 
 import math
 import struct
-import zlib
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.bitstream.v1 import MAGIC, MAX_SIDE, PREFIX_BYTES
+from sgmethod.bitstream.stream import NO_LIMITS, PREFIX_BYTES, Info, Limits
 from sgmethod.errors import BitstreamError
 from sgmethod.native import native
-from sgmethod.scene import Gaussians
+from sgmethod.scene import Gaussians, Scene
 
-VERSION = 3
 HEADER = struct.Struct(">BHHH3B")  # flags, width, height, quantum code, background
 HEADER_BYTES = PREFIX_BYTES + HEADER.size
 FLAG_GREY, FLAG_UPRIGHT = 1, 2
@@ -42,14 +41,27 @@ def quantum_of(code: int) -> float:
     return (1 + (code & 0xFF) / 256) * 2.0 ** (4 - (code >> 8))
 
 
+@dataclass(frozen=True, kw_only=True)
+class InfoV3(Info):
+    """Info of a version 3 file. The other fields as in StreamV3."""
+
+    quantum: float
+    background: list[int]
+    grey: bool
+    upright: bool
+
+
 @dataclass(frozen=True)
-class RdStream:
+class StreamV3:
     """A version 3 file.
 
     quantum: root of the picture energy (image in [0, 1], summed over pixels and channels) that one quantiser step
     of any parameter stands for; background: 8-bit RGB below all Gaussians; grey: no chroma in the payload;
     upright: no shear in it.
     """
+
+    VERSION: ClassVar[int] = 3
+    MIN_BYTES: ClassVar[int] = HEADER_BYTES
 
     width: int
     height: int
@@ -62,7 +74,7 @@ class RdStream:
     @classmethod
     def of(
         cls, gaussians: Gaussians, size: tuple[int, int], quantum: float, background: tuple[int, int, int], grey: bool
-    ) -> RdStream:
+    ) -> StreamV3:
         """Quantise and code Gaussians over a picture of size (width, height)."""
         quantum = quantum_of(quantum_code(quantum))
         upright = not gaussians.factors[:, 1].any()
@@ -70,56 +82,68 @@ class RdStream:
         payload = native.rd_encode(parameters, gaussians.means, gaussians.factors, gaussians.colors)
         return cls(*size, quantum, background, grey, upright, payload)
 
-    def gaussians(self, prefix: float = 1.0, max_gaussians: int | None = None) -> Gaussians:
+    @classmethod
+    def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> StreamV3:
+        """From what follows the checksum. The payload is not looked at. Raises BitstreamError."""
+        flags, width, height, code, *background = HEADER.unpack(body[: HEADER.size])
+        if width == 0 or height == 0:
+            raise BitstreamError(f"the picture's size is {width} x {height}")
+        if flags > (FLAG_GREY | FLAG_UPRIGHT):
+            raise BitstreamError(f"header field flags is {flags}, which this version does not know")
+        quantum = quantum_of(code)
+        if not MIN_QUANTUM <= quantum <= MAX_QUANTUM:
+            raise BitstreamError(f"header field quantum is {quantum}, outside {MIN_QUANTUM} .. {MAX_QUANTUM}")
+        limits.check_size(width, height)
+        red, green, blue = background
+        grey, upright = bool(flags & FLAG_GREY), bool(flags & FLAG_UPRIGHT)
+        return cls(width, height, quantum, (red, green, blue), grey, upright, bytes(body[HEADER.size :]))
+
+    def body(self) -> bytes:
+        """What follows the checksum."""
+        flags = FLAG_GREY * self.grey | FLAG_UPRIGHT * self.upright
+        code = quantum_code(self.quantum)
+        return HEADER.pack(flags, self.width, self.height, code, *self.background) + self.payload
+
+    def gaussians(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Gaussians:
         """The Gaussians, largest first; with prefix < 1 those in that part of the payload.
 
-        Raises BitstreamError, also for more than max_gaussians.
+        Raises BitstreamError, also for more Gaussians than the limit.
         """
-        limit = {} if max_gaussians is None else {"max_gaussians": max_gaussians}
+        most = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians}
         parameters = native.RdParameters(self.width, self.height, self.quantum, self.grey, self.upright)
         cut = math.ceil(prefix * len(self.payload))
         try:
-            return Gaussians(*native.rd_decode(parameters, self.payload[:cut], prefix < 1, **limit))
+            return Gaussians(*native.rd_decode(parameters, self.payload[:cut], prefix < 1, **most))
         except RuntimeError as error:
             raise BitstreamError(f"the file is damaged: {error}") from error
         except OverflowError as error:
-            raise BitstreamError(f"the file has more Gaussians than the limit of {max_gaussians}") from error
+            raise BitstreamError(f"the file has more Gaussians than the limit of {limits.max_gaussians}") from error
+
+    def scene(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Scene:
+        """What is to be drawn, as far as that part of the payload tells. Raises BitstreamError."""
+        return Scene(self.gaussians(prefix, limits), self.width, self.height, self.background, CUTOFF)
+
+    def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV3:
+        """The description of the file. Raises BitstreamError, also for more Gaussians than the limit."""
+        return InfoV3(
+            bytes=file_bytes,
+            bpp=8 * file_bytes / (self.width * self.height),
+            version=self.VERSION,
+            checksum=checksum,
+            profile="rd",
+            width=self.width,
+            height=self.height,
+            gaussians=len(self.gaussians(limits=limits)),
+            quantum=self.quantum,
+            background=list(self.background),
+            grey=self.grey,
+            upright=self.upright,
+            bits=self.size_bits(),
+        )
 
     def size_bits(self) -> dict[str, int]:
         """Bits spent on the header and on the payload, which mixes all attributes."""
         return {"headers": 8 * HEADER_BYTES, "payload": 8 * len(self.payload)}
-
-
-def serialise(stream: RdStream) -> bytes:
-    """The file's bytes."""
-    flags = FLAG_GREY * stream.grey | FLAG_UPRIGHT * stream.upright
-    code = quantum_code(stream.quantum)
-    body = HEADER.pack(flags, stream.width, stream.height, code, *stream.background) + stream.payload
-    return MAGIC + bytes([VERSION]) + struct.pack(">I", zlib.crc32(body)) + body
-
-
-def parse(data: bytes, max_pixels: int | None = None) -> RdStream:
-    """The header and payload of a version 3 file. Raises BitstreamError for anything but a whole, intact file."""
-    if len(data) < HEADER_BYTES:
-        raise BitstreamError(f"the file is too short: {len(data)} bytes")
-    body = memoryview(data)[PREFIX_BYTES:]
-    if zlib.crc32(body) != struct.unpack(">I", data[4:8])[0]:
-        raise BitstreamError("the file is damaged: its checksum does not match")
-    flags, width, height, code, *background = HEADER.unpack(body[: HEADER.size])
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise BitstreamError(f"the picture's size is {width} x {height}")
-    if flags > (FLAG_GREY | FLAG_UPRIGHT):
-        raise BitstreamError(f"header field flags is {flags}, which this version does not know")
-    quantum = quantum_of(code)
-    if not MIN_QUANTUM <= quantum <= MAX_QUANTUM:
-        raise BitstreamError(f"header field quantum is {quantum}, outside {MIN_QUANTUM} .. {MAX_QUANTUM}")
-    if max_pixels is not None and width * height > max_pixels:
-        raise BitstreamError(f"{width} x {height} pixels are more than the limit of {max_pixels}")
-    red, green, blue = background
-    payload = bytes(body[HEADER.size :])
-    return RdStream(
-        width, height, quantum, (red, green, blue), bool(flags & FLAG_GREY), bool(flags & FLAG_UPRIGHT), payload
-    )
 
 
 def background_of(pixels: NDArray[np.float32]) -> tuple[int, int, int]:

@@ -228,7 +228,7 @@ def _decode(arguments: argparse.Namespace) -> None:
 
 
 def _info(arguments: argparse.Namespace) -> None:
-    fields = info(_read(arguments.input))
+    fields = info(_read(arguments.input)).to_dict()
     if arguments.json:
         print(json.dumps(fields, allow_nan=False))
         return

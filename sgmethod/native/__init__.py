@@ -1,7 +1,8 @@
 """The compiled kernels: drawing, gradients, the optimiser's step, the entropy coder, refining.
 
 Arrays of numpy come in, and results leave in arrays that the caller brings.
-The C++ sources lie beside this file: core/ (threads, vectors), raster/, fit/ and rd/; bindings.cpp translates.
+The C++ sources lie beside this file: core/ (constants, threads, vectors), raster/ (drawing), fit/ (loss, optimiser) and
+rd/ (profile rd: integers, entropy coder, refining) know nothing of Python; bindings/ translates.
 """
 
 from __future__ import annotations

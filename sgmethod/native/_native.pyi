@@ -1,4 +1,4 @@
-"""Types of the compiled module (sgmethod/native/bindings.cpp). Arrays are C-contiguous float32.
+"""Types of the compiled module (sgmethod/native/bindings/). Arrays are C-contiguous float32.
 
 Only numpy's are typed, though tensors would be taken: torch hands its memory over in Python code, where an interrupt
 that arrives is lost, because the binding takes any error there for "not an array of this kind".
@@ -9,7 +9,16 @@ from numpy.typing import NDArray
 
 from sgmethod.scene import FloatArray
 
-MAX_CUTOFF: float
+MAX_SIDE: int  # pixels along a side of a picture
+CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
+CUTOFF_V3: float  # and of version 3
+MAX_CUTOFF: float  # the largest that the kernels take
+MIN_SCALE: float  # pixels; l1 and l3 are at least this
+COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+"""Orthonormal axes of a colour in profile rd, one a row: luma-like, and two chroma-like."""
+COLOR_SCALE: float
+"""A colour's step in profile rd is quantum / (COLOR_SCALE s), with s the Gaussian's size in pixels."""
+R_STEP: float  # the step of r = l2 / l3 over that of v = log sqrt(l1 / l3) in profile rd
 TILE_WIDTH: int
 TILE_HEIGHT: int
 
@@ -77,7 +86,7 @@ def frame_adam(
     second: FloatArray,
     bias: FloatArray,
 ) -> None:
-    """One step of sgmethod.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
+    """One step of sgmethod.fitting.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
 
 def keep_near(reach: float, width: float, height: float, means: FloatArray, factors: FloatArray) -> None:
     """Move each mean that is further than reach sqrt(l1 l3) outside the picture back to there."""
@@ -90,7 +99,7 @@ def rd_rate_gradient(
     by_factors: FloatArray,
     by_colors: FloatArray,
 ) -> None:
-    """Add the gradient that sgmethod.quantise.rd.add_rate_gradient describes to by_factors and by_colors."""
+    """Add the gradient that sgmethod.rd.quantiser.add_rate_gradient describes to by_factors and by_colors."""
 
 class RdParameters:
     """What the stream of profile rd needs to know before its first Gaussian."""
@@ -121,7 +130,7 @@ def rd_refine(
     seconds: float,
     max_bytes: int,
 ) -> bytes:
-    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/rd_refine.h)."""
+    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/rd/refine.h)."""
 
 def rd_decode(
     parameters: RdParameters, data: bytes, prefix: bool = False, max_gaussians: int = ...

@@ -1,4 +1,4 @@
-"""Profiles paper and baseline: a budget -> structure-guided start, fit, quantisation-aware tuning -> bytes."""
+"""Profiles paper and baseline: structure-guided start, fit, quantisation-aware tuning, for a budget of any kind."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sgmethod.bitstream import v1
-from sgmethod.bitstream.v1 import Stream
+from sgmethod.bitstream import container, v1
+from sgmethod.bitstream.v1 import CUTOFF, StreamV1
 from sgmethod.decode import decode
 from sgmethod.errors import BudgetError
-from sgmethod.fitting.fit import Picture, Task, fit
+from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.request import Request
+from sgmethod.fitting.schedule import Schedule
 from sgmethod.metrics import psnr
-from sgmethod.paper.tuning import Job, bits_per_gaussian, tune
-from sgmethod.profiles import Settings
+from sgmethod.paper.fit import fit
+from sgmethod.paper.tuning import Tuner, bits_per_gaussian
+from sgmethod.profiles import PaperSettings
 from sgmethod.start.placement import place
 
 FIT_SHARE = 0.6  # of a time limit; the rest is for tuning
@@ -22,30 +25,30 @@ PSNR_ATTEMPTS = 4
 PSNR_PER_DOUBLING_DB = 1.7  # of the number of Gaussians; where a search for a PSNR starts from
 
 
-def encode(task: Task, settings: Settings) -> tuple[bytes, int]:
+def encode(request: Request, settings: PaperSettings) -> tuple[bytes, int]:
     """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
-    encoder = _Encoder(task, settings)
-    height, width = task.pixels.shape[:2]
-    if task.budget.kind == "psnr":
-        stream = encoder.reach_psnr(task.budget.value)
-    elif task.budget.kind == "gaussians":
-        stream = encoder.run(task.gaussians_asked(), None)
-    elif task.budget.kind == "quality":
-        raise BudgetError(f"profile {task.profile} has no quality scale; give bpp, bytes, psnr or gaussians")
+    encoder = _Encoder(request, settings)
+    height, width = request.pixels.shape[:2]
+    if request.budget.kind == "psnr":
+        stream = encoder.reach_psnr(request.budget.value)
+    elif request.budget.kind == "gaussians":
+        stream = encoder.run(request.gaussians_asked(), None)
+    elif request.budget.kind == "quality":
+        raise BudgetError(f"profile {request.profile} has no quality scale; give bpp, bytes, psnr or gaussians")
     else:
-        stream = encoder.within_bytes(task.budget.max_bytes(width, height) or 0)
-    return v1.serialise(stream), encoder.steps
+        stream = encoder.within_bytes(request.budget.max_bytes(width, height) or 0)
+    return container.serialise(stream), encoder.steps
 
 
 @dataclass
 class _Encoder:
-    task: Task
-    settings: Settings
+    request: Request
+    settings: PaperSettings
     steps: int = 0
 
-    def within_bytes(self, max_bytes: int) -> Stream:
+    def within_bytes(self, max_bytes: int) -> StreamV1:
         """The best stream of at most max_bytes."""
-        height, width = self.task.pixels.shape[:2]
+        height, width = self.request.pixels.shape[:2]
         s = self.settings
         groups = s.max_bitwidth - s.min_bitwidth + 1 if s.adaptive_bitwidth else 1
         bits = v1.record_budget_bits(max_bytes, groups)
@@ -53,46 +56,46 @@ class _Encoder:
         if bits < least:
             smallest = max_bytes + math.ceil((least - bits) / 8)
             raise BudgetError(
-                f"a file of profile {self.task.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
+                f"a file of profile {self.request.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
             )
         n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
         return self.run(n, max_bytes)
 
-    def reach_psnr(self, target_db: float) -> Stream:
+    def reach_psnr(self, target_db: float) -> StreamV1:
         """The smallest stream found that reaches target_db, else the best found.
 
         Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the
         logarithm of that number.
         """
-        pixels = self.task.pixels.shape[0] * self.task.pixels.shape[1]
+        pixels = self.request.pixels.shape[0] * self.request.pixels.shape[1]
         n = max(pixels // 300, 1)
-        tried: dict[int, tuple[float, Stream]] = {}
-        limit = self.task.until_s()
+        tried: dict[int, tuple[float, StreamV1]] = {}
+        limit = self.request.until_s()
         for attempt in range(PSNR_ATTEMPTS):
             stream = self.run(n, None, None if limit is None else limit * (attempt + 1) / PSNR_ATTEMPTS)
-            tried[n] = (psnr(decode(v1.serialise(stream)), self.task.source()), stream)
+            tried[n] = (psnr(decode(container.serialise(stream)), self.request.source()), stream)
             n = _next_count(tried, target_db, pixels)
             if n in tried:
                 break
         reached = [m for m, (db, _) in tried.items() if db >= target_db]
         return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1]
 
-    def run(self, n: int, max_bytes: int | None, until_s: float | None = None) -> Stream:
+    def run(self, n: int, max_bytes: int | None, until_s: float | None = None) -> StreamV1:
         """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b."""
-        task, settings = self.task, self.settings
-        tune_until = task.until_s() if until_s is None else until_s
-        begun = task.recorder.clock.seconds()
+        request, settings = self.request, self.settings
+        tune_until = request.until_s() if until_s is None else until_s
+        begun = request.recorder.clock.seconds()
         fit_until = None if tune_until is None else begun + FIT_SHARE * (tune_until - begun)
-        picture = Picture(task.pixels, settings.lambda_g)
-        start = place(task.pixels, n, settings, np.random.default_rng(task.seed))
-        fitted, fit_steps = fit(picture, start, settings, task.recorder, fit_until)
-        job = Job(picture, settings, max_bytes, tune_until, task.seed)
-        stream, tune_steps = tune(fitted, job, task.recorder, task.profile)
-        self.steps += fit_steps + tune_steps
-        return stream
+        picture = Picture(request.pixels, settings.lambda_g, CUTOFF)
+        start = place(request.pixels, n, settings, np.random.default_rng(request.seed))
+        fitted, fit_steps = fit(picture, start, settings, request.recorder, fit_until)
+        tuner = Tuner(fitted, picture, settings, max_bytes, request.seed)
+        schedule = Schedule("tune", settings.tune_steps, settings.final_rate, tune_until)
+        self.steps += fit_steps + schedule.run(request.recorder, tuner.step)
+        return tuner.stream(request.profile)
 
 
-def _next_count(tried: dict[int, tuple[float, Stream]], target_db: float, most: int) -> int:
+def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most: int) -> int:
     """The number of Gaussians to try next, from the two attempts nearest to the target."""
     nearest = sorted(tried, key=lambda m: abs(tried[m][0] - target_db))[:2]
     n, db = nearest[0], tried[nearest[0]][0]

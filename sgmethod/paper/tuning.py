@@ -12,46 +12,38 @@ budget. They start from the sensitivity of the picture to each Gaussian's shape.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, Stream, file_bytes
-from sgmethod.fitting.fit import FrameAdam, Parameters, Picture, Plan, Recorder, run
+from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, StreamV1, file_bytes
+from sgmethod.fitting.adam import FrameAdam
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.picture import Picture
 from sgmethod.paper import lattice
 from sgmethod.paper.codebook import ResidualCodebook
-from sgmethod.profiles import Settings
+from sgmethod.profiles import PaperSettings
 from sgmethod.scene import Gaussians
 
 MIN_SPAN_PX = 1e-3
 FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budget
 
 
-def bits_per_gaussian(settings: Settings) -> float:
+def bits_per_gaussian(settings: PaperSettings) -> float:
     """Expected bits of one Gaussian's record."""
     return 2 * settings.position_bits + 3 * settings.mean_bitwidth + CODEBOOK_STAGES * COLOR_INDEX_BITS
-
-
-@dataclass(frozen=True)
-class Job:
-    """What to tune: the picture, its settings, the file's largest size (None: as lambda_b decides), when to be done,
-    and the seed."""
-
-    picture: Picture
-    settings: Settings
-    max_bytes: int | None
-    until_s: float | None
-    seed: int
 
 
 class Tuner:
     """Latent parameters with their quantisers."""
 
-    def __init__(self, gaussians: Gaussians, job: Job) -> None:
-        s = self.settings = job.settings
-        self.job = job
+    def __init__(
+        self, gaussians: Gaussians, picture: Picture, settings: PaperSettings, max_bytes: int | None, seed: int
+    ) -> None:
+        """max_bytes: the file's largest size; None where lambda_b is to decide it."""
+        self.picture, self.max_bytes = picture, max_bytes
+        s = self.settings = settings
         self.p = Parameters.of(gaussians)
         self.n = len(gaussians)
         l1, _, l3 = self.p.factors.T
@@ -62,7 +54,7 @@ class Tuner:
             stages=CODEBOOK_STAGES,
             entries=CODEBOOK_ENTRIES,
             decay=s.codebook_decay,
-            seed=job.seed,
+            seed=seed,
         )
         self.position_bits = torch.tensor([float(s.position_bits)])
         tail = s.range_quantile
@@ -117,12 +109,12 @@ class Tuner:
 
     def fit_budget(self) -> None:
         """Shift all soft bitwidths by the largest amount that keeps the file within the budget."""
-        if self.job.max_bytes is None or not self.settings.adaptive_bitwidth:
+        if self.max_bytes is None or not self.settings.adaptive_bitwidth:
             return
         low, high = -64.0, 64.0
         for _ in range(32):
             self.shift = (low + high) / 2
-            low, high = (self.shift, high) if self.file_bytes() <= self.job.max_bytes else (low, self.shift)
+            low, high = (self.shift, high) if self.file_bytes() <= self.max_bytes else (low, self.shift)
         self.shift = low
 
     def quantised(self) -> tuple[Parameters, Tensor]:
@@ -143,7 +135,7 @@ class Tuner:
             leaf.requires_grad_()
         quantised, index = self.quantised()
         with torch.no_grad():
-            mse, grad = self.job.picture.gradients(quantised)
+            mse, grad = self.picture.gradients(quantised)
         grads = torch.autograd.grad([quantised.means, quantised.factors], leaves, [grad.means, grad.factors])
         with torch.no_grad():
             for leaf in leaves:
@@ -153,13 +145,13 @@ class Tuner:
         return mse, (self.n, 8 * self.file_bytes())
 
     def _move(self, grad: Parameters, others: list[Tensor], coded_colors: Tensor, rate: float) -> None:
-        s, picture = self.settings, self.job.picture
+        s, picture = self.settings, self.picture
         # L_r, each colour weighed by its Gaussian's part of the picture, so that it is on the scale of the MSE.
         energy = math.pi * self.weights / (3 * picture.width * picture.height)
         grad.colors = grad.colors + 2 * s.lambda_r * energy[:, None] * (self.p.colors - coded_colors)
         self.adam.step(self.p, grad, rate * s.tune_rate)
         # L_b, or with a budget the price at which the mean bitwidth does not move.
-        price = others[4].mean() if self.job.max_bytes is not None else -s.lambda_b / self.n
+        price = others[4].mean() if self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price
         for parameter, value in zip([*self.ranges, self.soft_bits], others, strict=True):
             parameter.grad = value
@@ -168,7 +160,7 @@ class Tuner:
         self.optimiser.step()
         self._widen()
 
-    def stream(self, profile: str) -> Stream:
+    def stream(self, profile: str) -> StreamV1:
         """The integer codes as syntax elements, Gaussians grouped by bitwidth, rows of each group from the top."""
         self.fit_budget()
         low, high = self.ranges[2], self.ranges[3]
@@ -188,20 +180,13 @@ class Tuner:
                     colors[rows].astype(np.uint8),
                 )
             )
-        return Stream(
+        return StreamV1(
             profile=profile,
-            width=self.job.picture.width,
-            height=self.job.picture.height,
+            width=self.picture.width,
+            height=self.picture.height,
             position_bits=self.settings.position_bits,
             position_range=torch.stack(self.ranges[:2], 1).numpy(),
             factor_range=torch.stack([low, high], 1).numpy(),
             codebooks=self.book.entries.numpy().astype(np.float16),
             groups=tuple(groups),
         )
-
-
-def tune(gaussians: Gaussians, job: Job, recorder: Recorder, profile: str) -> tuple[Stream, int]:
-    """Quantisation-aware fine-tuning; the stream, and the steps that took."""
-    tuner = Tuner(gaussians, job)
-    done = run(Plan("tune", job.settings.tune_steps, job.until_s), recorder, tuner.step, job.settings.final_rate)
-    return tuner.stream(profile), done

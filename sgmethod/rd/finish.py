@@ -1,73 +1,61 @@
-"""Profile rd: from fitted Gaussians to the file that meets the goal best.
+"""From fitted Gaussians to the coded picture that meets the budget best.
 
-The quantum is chosen by the goal; then every Gaussian's integers are refined on the picture that the others leave
-(sgmethod/native/rd_refine.cpp).
+The search for the quantum tries several. Each try quantises all Gaussians with one quantum, and then refines the
+integers of each on the picture that the others leave (sgmethod/native/rd/refine.cpp).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, RdStream
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, StreamV3
 from sgmethod.decode import decode
-from sgmethod.fitting.fit import Parameters, Picture, Task
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.request import Request
 from sgmethod.metrics import psnr
-from sgmethod.profiles import RdSettings
 from sgmethod.rd import quantiser
+from sgmethod.rd.fit import RdFit
 from sgmethod.rd.quantiser import Coder
 
 NO_LIMIT = 1 << 40
 EXACT_DB = 99.0  # of a picture without any error
 
 
-@dataclass(frozen=True)
-class Goal:
-    """What steers the quantum: a size in bytes never to exceed, a PSNR in dB to reach, or neither (both None: the
-    quantum given stays); and a number of Gaussians not to exceed."""
-
-    quantum: float
-    max_bytes: int | None = None
-    psnr: float | None = None
-    max_gaussians: int | None = None
-
-
 class Finish:
     """The last part of one encode."""
 
-    def __init__(
-        self, p: Parameters, coder: Coder, picture: Picture, goal: Goal, settings: RdSettings, task: Task
-    ) -> None:
-        self.p, self.coder, self.picture, self.goal, self.settings = p, coder, picture, goal, settings
-        self.source = task.source()
-        self.clock, self.until = task.recorder.clock, task.until_s()
+    def __init__(self, fit: RdFit, request: Request) -> None:
+        self.p, self.coder, self.picture = fit.p, fit.coder, fit.picture
+        self.control, self.settings = fit.control, fit.settings
+        self.source = request.source()
+        self.clock, self.until = request.recorder.clock, request.until_s()
 
-    def stream(self) -> RdStream:
+    def stream(self) -> StreamV3:
         """The coded picture."""
-        if self.goal.psnr is not None:
-            best = self._at_psnr(self.goal.psnr)
-        elif self.goal.max_bytes is not None:
-            best = self._within(self.goal.max_bytes - HEADER_BYTES)
+        if self.control.psnr is not None:
+            best = self._at_psnr(self.control.psnr)
+        elif self.control.max_bytes is not None:
+            best = self._within(self.control.max_bytes - HEADER_BYTES)
         else:
-            best = self._refined(self.coder.with_quantum(self.goal.quantum))
+            best = self._refined(self.coder.with_quantum(self.control.quantum))
         # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
         background = self.coder.stream(Parameters.empty(0))
-        enough = min(self._psnr(best), self.goal.psnr or math.inf)
+        enough = min(self._psnr(best), self.control.psnr or math.inf)
         return background if self._psnr(background) >= enough else best
 
     def _left_s(self) -> float:
         return math.inf if self.until is None else max(self.until - self.clock.seconds(), 0.0)
 
-    def _refined(self, coder: Coder, max_payload: int = NO_LIMIT) -> RdStream:
+    def _refined(self, coder: Coder, max_payload: int = NO_LIMIT) -> StreamV3:
         price = self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
         sweeps = self.settings.refine_sweeps
         return coder.refined(self.p, self.picture.target, price, sweeps, self._left_s(), max_payload)
 
-    def _psnr(self, stream: RdStream) -> float:
-        return min(psnr(decode(v3.serialise(stream)), self.source), EXACT_DB)
+    def _psnr(self, stream: StreamV3) -> float:
+        return min(psnr(decode(container.serialise(stream)), self.source), EXACT_DB)
 
-    def _within(self, limit: int) -> RdStream:
+    def _within(self, limit: int) -> StreamV3:
         """With the finest quantum at which the Gaussians fit; or, where the fit was cut short and far from its size,
         with the quantum as it was and fewer Gaussians, if that is better."""
         s, coder = self.settings, self._coder_within(limit)
@@ -98,7 +86,7 @@ class Finish:
     def _payload(self, log_quantum: float) -> int:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
-    def _at_psnr(self, target_db: float) -> RdStream:
+    def _at_psnr(self, target_db: float) -> StreamV3:
         """The smallest found that reaches the target; the nearest if none does."""
         slack = self.settings.psnr_slack_db
         tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
@@ -121,7 +109,7 @@ class Finish:
             return streams[at]
         return self._fewer(streams[at], target_db)
 
-    def _fewer(self, stream: RdStream, target_db: float) -> RdStream:
+    def _fewer(self, stream: StreamV3, target_db: float) -> StreamV3:
         """With as few bytes of the stream's quantum as still reach the target, by bisection. Some tens of Gaussians
         move by tenths of a decibel whatever the quantum, and the coarsest there is may be too fine for them."""
         coder, too_small = self.coder.with_quantum(stream.quantum), -1

@@ -1,6 +1,6 @@
 """The quantiser of profile rd as the fit sees it: steps from sensitivity, and the rate.
 
-The integers and the exact rounding live in native code (sgmethod/native/rd_symbols.h), where also the derivation of
+The integers and the exact rounding live in native code (sgmethod/native/rd/symbols.h), where also the derivation of
 the steps stands. All of them follow from the size s = sqrt(l1 l3), the quantum q and m, the length of the colour in
 its steps of q / (1.5 s):
 
@@ -15,8 +15,8 @@ import math
 
 from torch import Tensor
 
-from sgmethod.bitstream.v3 import CUTOFF, RdStream, quantum_code, quantum_of
-from sgmethod.fitting.fit import Parameters
+from sgmethod.bitstream.v3 import CUTOFF, StreamV3, quantum_code, quantum_of
+from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 
 
@@ -59,13 +59,13 @@ class Coder:
         native.rd_quantise(self._parameters, *p.arrays(), *out.arrays())
         return out
 
-    def stream(self, p: Parameters) -> RdStream:
+    def stream(self, p: Parameters) -> StreamV3:
         """The coded picture."""
-        return RdStream.of(p.numpy(), self.size, self.quantum, self.background, self.grey)
+        return StreamV3.of(p.numpy(), self.size, self.quantum, self.background, self.grey)
 
     def refined(
         self, p: Parameters, target: Tensor, price: float, sweeps: int, seconds: float, max_payload: int
-    ) -> RdStream:
+    ) -> StreamV3:
         """The coded picture, with integers changed one Gaussian at a time where that lowers squared error plus price
         times bits; then without those that gain least for their bits, until the payload has at most max_payload bytes.
 
@@ -76,4 +76,4 @@ class Coder:
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
         arrays = *p.arrays(), target.numpy()
         payload = native.rd_refine(parameters, *arrays, CUTOFF, price, sweeps, seconds, max_payload)
-        return RdStream(*self.size, self.quantum, self.background, self.grey, upright, payload)
+        return StreamV3(*self.size, self.quantum, self.background, self.grey, upright, payload)

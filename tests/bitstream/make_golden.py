@@ -17,9 +17,10 @@ from collections.abc import Callable
 import numpy as np
 
 from sgmethod import Budget, decode, encode
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v1 import Group, Stream, serialise
-from sgmethod.bitstream.v3 import RdStream
+from sgmethod.bitstream import container
+from sgmethod.bitstream.container import serialise
+from sgmethod.bitstream.v1 import Group, StreamV1
+from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.io.files import encode_png, write_atomically
 from sgmethod.io.image import read_image
 from sgmethod.scene import Gaussians
@@ -46,7 +47,7 @@ def every_bitwidth() -> bytes:
         colors = rng.integers(0, 8, (4, 2))
         groups.append(Group(bitwidth, positions.astype(np.uint16), factors.astype(np.uint16), colors.astype(np.uint8)))
     return serialise(
-        Stream(
+        StreamV1(
             profile="baseline",
             width=33,
             height=70,
@@ -62,7 +63,7 @@ def every_bitwidth() -> bytes:
 def empty() -> bytes:
     """No Gaussians: black."""
     nothing = np.zeros((2, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros((2, 8, 3), np.float16)
-    return serialise(Stream("paper", 7, 5, 12, *nothing, ()))
+    return serialise(StreamV1("paper", 7, 5, 12, *nothing, ()))
 
 
 def rd_photograph(grey: bool) -> bytes:
@@ -85,7 +86,7 @@ def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False) -> byt
     factors[:, 1] *= 0 if upright else rng.choice([-1, 1], n)
     colors = rng.normal(0.1, 0.5, (n, 3)) / np.sqrt(factors[:, :1])
     gaussians = Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
-    return v3.serialise(RdStream.of(gaussians, size, 0.05, (120, 90, 60), grey=False))
+    return container.serialise(StreamV3.of(gaussians, size, 0.05, (120, 90, 60), grey=False))
 
 
 GOLDEN: dict[str, Callable[[], bytes]] = {

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
-from sgmethod.bitstream import v1
-from sgmethod.bitstream.v1 import GROUP, HEADER, Field
+from sgmethod.bitstream import container, v1
+from sgmethod.bitstream.stream import MAGIC, PREFIX_BYTES
+from sgmethod.bitstream.v1 import GROUP, HEADER, Field, StreamV1
 from sgmethod.decode import MAX_PIXELS
 from sgmethod.native import native
 from tests.bitstream import plain_decoder
@@ -35,9 +36,7 @@ def table(section: str) -> list[dict[str, str]]:
     return [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
 
 
-@pytest.mark.parametrize(
-    ("section", "fields", "offset"), [("Header", HEADER, v1.PREFIX_BYTES), ("Group list", GROUP, 0)]
-)
+@pytest.mark.parametrize(("section", "fields", "offset"), [("Header", HEADER, PREFIX_BYTES), ("Group list", GROUP, 0)])
 def test_field_tables(section: str, fields: tuple[Field, ...], offset: int) -> None:
     rows = table(section)
     assert [row["field"] for row in rows] == [field.name for field in fields]
@@ -50,11 +49,11 @@ def test_field_tables(section: str, fields: tuple[Field, ...], offset: int) -> N
 
 def test_what_every_version_begins_with() -> None:
     magic, version, checksum = table("Every version")
-    assert bytes.fromhex(re.findall(r"\((.*)\)", magic["value"])[0]) == v1.MAGIC
-    assert str(v1.VERSION) in re.findall(r"\d+", version["value"])
-    assert f"# Version {v1.VERSION}\n" in TEXT
+    assert bytes.fromhex(re.findall(r"\((.*)\)", magic["value"])[0]) == MAGIC
+    assert str(StreamV1.VERSION) in re.findall(r"\d+", version["value"])
+    assert f"# Version {StreamV1.VERSION}\n" in TEXT
     assert [int(row["offset"]) for row in (magic, version, checksum)] == [0, 3, 4]
-    assert int(checksum["offset"]) + int(checksum["size"]) == v1.PREFIX_BYTES
+    assert int(checksum["offset"]) + int(checksum["size"]) == PREFIX_BYTES
     assert f"`123456789` it is {zlib.crc32(b'123456789'):#x}" in TEXT
 
 
@@ -100,11 +99,11 @@ def test_both_refuse_the_same_files(name: str, at: int, value: bytes, growth: in
     data = data[: len(data) + growth] if growth < 0 else data + bytes(growth)
     data = data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
     try:
-        v1.parse(data)
+        container.parse(data)
     except BitstreamError:
         with pytest.raises(plain_decoder.RefusedError):
             plain_decoder.parse(data)
     else:
         width, height, gaussians = plain_decoder.parse(data)
-        stream = v1.parse(data)
+        stream = container.parse(data)
         assert (width, height, len(gaussians)) == (stream.width, stream.height, stream.gaussians)

@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import HEADER, RdStream
+from sgmethod.bitstream import container, v3
+from sgmethod.bitstream.stream import MAX_SIDE, PREFIX_BYTES
+from sgmethod.bitstream.v3 import HEADER, StreamV3
 from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View
 from tests.bitstream import plain_decoder_v3 as plain_decoder_rd
@@ -48,7 +49,7 @@ def assert_same_pixels(plain: tuple[int, int, bytes], pixels: np.ndarray) -> Non
 def test_header_table() -> None:
     fields = table("Header of version 3")
     assert [row["field"] for row in fields] == ["flags", "width", "height", "quantum", "background"]
-    at = v3.PREFIX_BYTES
+    at = PREFIX_BYTES
     for row, size in zip(fields, (struct.calcsize(f) for f in (">B", ">H", ">H", ">H", ">3B")), strict=True):
         assert (int(row["offset"]), int(row["size"])) == (at, size)
         at += size
@@ -58,24 +59,24 @@ def test_header_table() -> None:
     assert flags["range"] == f"0..{v3.FLAG_GREY | v3.FLAG_UPRIGHT}"
     assert f"{v3.FLAG_GREY}: grey" in flags["meaning"]
     assert f"{v3.FLAG_UPRIGHT}: upright" in flags["meaning"]
-    assert [row["range"] for row in fields[1:3]] == [f"1..{v3.MAX_SIDE}"] * 2
-    assert f"# Version {v3.VERSION}\n" in TEXT
+    assert [row["range"] for row in fields[1:3]] == [f"1..{MAX_SIDE}"] * 2
+    assert f"# Version {StreamV3.VERSION}\n" in TEXT
     assert f"fewer than {v3.HEADER_BYTES} bytes" in TEXT
 
 
 def test_every_quantum_code() -> None:
     """The range in the table is exactly what our decoder takes."""
     single, low, high = (int(n) for n in re.findall(r"\d+", table("Header of version 3")[3]["range"]))
-    empty = RdStream(3, 2, 1.0, (0, 0, 0), False, False, b"")
+    empty = StreamV3(3, 2, 1.0, (0, 0, 0), False, False, b"")
     for code in (*range(520), *range(3500, 4200), 0xFFFF):
-        data = bytearray(v3.serialise(empty))
+        data = bytearray(container.serialise(empty))
         data[13:15] = code.to_bytes(2, "big")
         data[4:8] = struct.pack(">I", zlib.crc32(data[8:]))
         if code == single or low <= code <= high:
-            assert v3.parse(bytes(data)).quantum == plain_decoder_rd.parse_header(bytes(data)).quantum
+            assert container.parse(bytes(data)).quantum == plain_decoder_rd.parse_header(bytes(data)).quantum
         else:
             with pytest.raises(BitstreamError, match="quantum"):
-                v3.parse(bytes(data))
+                container.parse(bytes(data))
             with pytest.raises(plain_decoder_rd.RefusedError):
                 plain_decoder_rd.parse_header(bytes(data))
 
@@ -102,7 +103,7 @@ def test_golden_bytes_and_pixels(name: str) -> None:
 
 def test_golden_streams_show_everything() -> None:
     assert GOLDEN.keys() == HASHES.keys()
-    streams = {name: v3.parse(data) for name, data in GOLDEN.items()}
+    streams = {name: container.parse(data) for name, data in GOLDEN.items()}
     assert {(s.grey, s.upright) for s in streams.values()} == {(False, False), (True, False), (False, True)}
     assert {(s.width, s.height, len(s.gaussians())) for s in streams.values()} >= {(7, 5, 0), (1, 1, 1)}
     factors = streams["v3-every-class"].gaussians().factors.astype(np.float64)
@@ -113,7 +114,7 @@ def test_golden_streams_show_everything() -> None:
 @pytest.mark.parametrize("name", GOLDEN)
 def test_the_plain_decoder_finds_the_same_gaussians(name: str) -> None:
     header, plain = plain_decoder_rd.parse(GOLDEN[name])
-    stream = v3.parse(GOLDEN[name])
+    stream = container.parse(GOLDEN[name])
     assert header == plain_decoder_rd.Header(
         stream.grey, stream.upright, stream.width, stream.height, stream.quantum, stream.background
     )
@@ -125,11 +126,11 @@ def test_the_plain_decoder_finds_the_same_gaussians(name: str) -> None:
 @pytest.mark.parametrize("payload", ["0d22f0588931", "00000d188bc18931"])
 def test_a_first_state_that_no_encoder_leaves_is_refused(payload: str) -> None:
     """Though the next words would lift it to one."""
-    data = bytearray(v3.serialise(RdStream(9, 9, 1.0, (0, 0, 0), False, False, bytes.fromhex(payload))))
+    data = bytearray(container.serialise(StreamV3(9, 9, 1.0, (0, 0, 0), False, False, bytes.fromhex(payload))))
     data[18:20] = b"\0\0"
     data[4:8] = struct.pack(">I", zlib.crc32(data[8:]))
     with pytest.raises(BitstreamError, match="begins"):
-        v3.parse(bytes(data)).gaussians()
+        container.parse(bytes(data)).gaussians()
     with pytest.raises(plain_decoder_rd.RefusedError, match="start"):
         plain_decoder_rd.parse(bytes(data))
 
@@ -166,7 +167,7 @@ def test_both_take_and_refuse_the_same_files(name: str, place: float, value: byt
     data = data[: len(data) + growth] if growth < 0 else data + bytes(growth)
     data = data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
     try:
-        ours = rows(v3.parse(data).gaussians(part))
+        ours = rows(container.parse(data).gaussians(part))
     except BitstreamError:
         with pytest.raises(plain_decoder_rd.RefusedError):
             plain_decoder_rd.parse(data) if part == 1 else plain_decoder_rd.parse_part(data, part)

@@ -17,7 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode, info
-from sgmethod.bitstream.v1 import Group, Stream, serialise
+from sgmethod.bitstream.container import serialise
+from sgmethod.bitstream.v1 import Group, StreamV1
 from tests.harness.data import golden
 
 MUTATIONS = 10_000
@@ -118,7 +119,7 @@ def crowded() -> bytes:
     )
     ranges = np.array([[0, 500], [0, 200], [1, 5], [-3, 3], [1, 5]], np.float32)
     codebooks = rng.normal(0, 0.2, (2, 8, 3)).astype(np.float16)
-    return serialise(Stream("paper", 500, 200, 12, ranges[:2], ranges[2:], codebooks, (group,)))
+    return serialise(StreamV1("paper", 500, 200, 12, ranges[:2], ranges[2:], codebooks, (group,)))
 
 
 def outcome(data: bytes) -> str:
@@ -132,7 +133,7 @@ def outcome(data: bytes) -> str:
         width, height = struct.unpack_from(">HH", data, 9)
         assert pixels.shape == (height, width, 3)
         assert pixels.dtype == np.uint8
-        assert info(data)["bytes"] == len(data)
+        assert info(data).bytes == len(data)
         found = "drawn"
     assert time.process_time() - began < MAX_CPU_S
     return found

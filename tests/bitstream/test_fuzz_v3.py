@@ -14,8 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode, info
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import RdStream
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.scene import Gaussians
 from sgmethod.view import View
 from tests.bitstream.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove, with_checksum
@@ -73,7 +73,7 @@ def crowded() -> bytes:
     rng = np.random.default_rng(0)
     means, factors = rng.uniform(0, 200, (n, 2)), np.tile((1.0, 0.0, 1.0), (n, 1))
     gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, np.full((n, 3), 0.5))))
-    return v3.serialise(RdStream.of(gaussians, (200, 200), 1.5, (10, 20, 30), True))
+    return container.serialise(StreamV3.of(gaussians, (200, 200), 1.5, (10, 20, 30), True))
 
 
 def huge() -> bytes:
@@ -82,7 +82,7 @@ def huge() -> bytes:
     rng = np.random.default_rng(0)
     means, factors = rng.uniform(0, 150, (n, 2)), np.tile((500.0, 9.0, 700.0), (n, 1))
     gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
-    return v3.serialise(RdStream.of(gaussians, (150, 150), 1.0, (10, 20, 30), False))
+    return container.serialise(StreamV3.of(gaussians, (150, 150), 1.0, (10, 20, 30), False))
 
 
 SEEDS = [*GOLDEN, crowded(), huge()]
@@ -102,7 +102,7 @@ def outcome(data: bytes, view: View) -> str:
         assert pixels.shape == (*view.size(*size)[::-1], 3)
         assert pixels.dtype == np.uint8
         if view.prefix == 1:
-            fields = info(data)
+            fields = info(data).to_dict()
             assert fields["bytes"] == len(data)
             assert fields["gaussians"] <= min(size[0] * size[1], 8 * len(data))  # type: ignore[operator]
         found = "drawn"

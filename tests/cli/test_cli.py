@@ -99,7 +99,7 @@ def test_encode_and_decode(run: Run) -> None:
     assert figures["bytes"] == len(data) <= 700
     assert figures["bpp"] == 8 * len(data) / (128 * 96)
     assert (figures["width"], figures["height"]) == (128, 96)
-    assert figures["gaussians"] == info(data)["gaussians"]
+    assert figures["gaussians"] == info(data).gaussians
 
     assert run("decode", "out.sg", "out.png") == Ran(0, "", "")
     pixels = np.asarray(Image.open("out.png"))
@@ -138,7 +138,7 @@ def test_info_of_version_3(run: Run) -> None:
     Path("rd.sg").write_bytes(data)
     ran = run("info", "rd.sg", "--json")
     assert (ran.status, ran.err) == (0, "")
-    assert json.loads(ran.out) == json.loads(json.dumps(info(data)))
+    assert json.loads(ran.out) == json.loads(json.dumps(info(data).to_dict()))
     ran = run("info", "rd.sg")
     assert (ran.status, ran.err) == (0, "")
     shown = dict(line.split(maxsplit=1) for line in ran.out.splitlines())
@@ -189,7 +189,7 @@ def test_info(run: Run) -> None:
     data = Path("picture.sg").read_bytes()
     ran = run("info", "picture.sg", "--json")
     assert (ran.status, ran.err) == (0, "")
-    assert json.loads(ran.out) == json.loads(json.dumps(info(data)))
+    assert json.loads(ran.out) == json.loads(json.dumps(info(data).to_dict()))
     ran = run("info", "picture.sg")
     assert (ran.status, ran.err) == (0, "")
     shown = dict(line.split(maxsplit=1) for line in ran.out.splitlines())

@@ -15,9 +15,15 @@ from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from sgmethod.fitting.fit import Clock, FrameAdam, Parameters, Picture, Plan, Recorder, fit, run
+from sgmethod.bitstream.v1 import CUTOFF
+from sgmethod.fitting.adam import FrameAdam
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.fitting.schedule import Schedule
 from sgmethod.native import reference
-from sgmethod.profiles import BASELINE, PAPER, Settings
+from sgmethod.paper.fit import fit
+from sgmethod.profiles import BASELINE, PAPER, PaperSettings
 from sgmethod.scene import Gaussians
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
@@ -70,7 +76,7 @@ def design(means: Tensor, factors: Tensor, size: tuple[int, int]) -> NDArray[np.
 
 def test_solved_colours_reach_the_least_squares_residual() -> None:
     image, means, factors = small_case()
-    found = Picture(image, 0.0).solve_colors(means, factors, steps=60, damping=0.0).double().numpy()
+    found = Picture(image, 0.0, CUTOFF).solve_colors(means, factors, steps=60, damping=0.0).double().numpy()
     matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     best = np.linalg.lstsq(matrix, target)[0]
     residual, least = (np.square(matrix @ c - target).sum() for c in (found, best))
@@ -84,7 +90,7 @@ def test_damping_is_that_of_a_ridge_weighed_by_energy() -> None:
     matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     energy = math.pi * (factors[:, 0] * factors[:, 2]).double().numpy()
     for damping in (1e-2, 1.0):
-        found = Picture(image, 0.0).solve_colors(means, factors, steps=60, damping=damping).double().numpy()
+        found = Picture(image, 0.0, CUTOFF).solve_colors(means, factors, steps=60, damping=damping).double().numpy()
         ridge = np.linalg.solve(matrix.T @ matrix + damping * np.diag(energy), matrix.T @ target)
         assert np.abs(found - ridge).max() < 1e-4  # worst seen 2e-6
 
@@ -94,7 +100,7 @@ def test_more_steps_of_the_solver_do_not_make_it_worse() -> None:
     matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     errors = []
     for steps in (0, 1, 2, 4, 8, 16, 32):
-        colors = Picture(image, 0.0).solve_colors(means, factors, steps, damping=0.0).double().numpy()
+        colors = Picture(image, 0.0, CUTOFF).solve_colors(means, factors, steps, damping=0.0).double().numpy()
         errors.append(np.square(matrix @ colors - target).sum())
     assert errors[0] == pytest.approx(np.square(target).sum())
     assert all(b <= a * (1 + 1e-6) for a, b in pairwise(errors))
@@ -110,7 +116,7 @@ def test_gradients_are_those_of_the_mean_squared_error() -> None:
     target = torch.from_numpy(image).double().permute(2, 0, 1)
     mse = (reference.render(leaves[0], leaves[1], leaves[2], (17, 12)) - target).square().mean()
     expected = torch.autograd.grad(mse, leaves)
-    found_mse, found = Picture(image, 0.0).gradients(Parameters(means, factors, colors))
+    found_mse, found = Picture(image, 0.0, CUTOFF).gradients(Parameters(means, factors, colors))
     assert found_mse == pytest.approx(mse.item(), rel=1e-5)  # worst seen 2e-7
     for mine, true in zip((found.means, found.factors, found.colors), expected, strict=True):
         assert (mine - true).abs().max() < 1e-4 * true.abs().max()  # worst seen 5e-6
@@ -142,7 +148,7 @@ def test_a_step_is_relative_to_the_gaussians_own_scale() -> None:
 @pytest.mark.parametrize("rate", [1e-3, 0.1])
 def test_a_step_lowers_the_error(rate: float) -> None:
     image, means, factors = small_case()
-    picture = Picture(image, 0.0)
+    picture = Picture(image, 0.0, CUTOFF)
     p = Parameters(means, factors, picture.solve_colors(means, factors, 10))
     before, grad = picture.gradients(p)
     FrameAdam(10, PAPER).step(p, grad, rate)
@@ -181,7 +187,7 @@ def test_the_rate_falls_from_one_to_the_last() -> None:
         rates.append(rate)
         return inner(rate)
 
-    assert run(Plan("fit", 50), recorder(), step, 0.03) == len(rates) == 50
+    assert Schedule("fit", 50, 0.03).run(recorder(), step) == len(rates) == 50
     assert rates[0] == pytest.approx(1)
     assert rates[-1] == pytest.approx(0.03, abs=0.002)
     assert rates == sorted(rates, reverse=True)
@@ -196,7 +202,7 @@ def test_a_time_limit_shortens_the_schedule() -> None:
         return inner(rate)
 
     clock = FakeClock(0.01)
-    done = run(Plan("fit", 10**9, until_s=2.0), Recorder(clock, None), step, 0.03)
+    done = Schedule("fit", 10**9, 0.03, until_s=2.0).run(Recorder(clock, None), step)
     assert 10 < done == len(rates) < 201
     assert clock.now == pytest.approx(2.0, abs=0.1)
     assert rates[-1] == pytest.approx(0.03, abs=0.01)
@@ -205,7 +211,7 @@ def test_a_time_limit_shortens_the_schedule() -> None:
 
 def test_a_limit_that_has_passed_leaves_one_step() -> None:
     for until in (0.0, -5.0):
-        assert run(Plan("fit", 1000, until), recorder(), falling(), 0.03) == 1
+        assert Schedule("fit", 1000, 0.03, until).run(recorder(), falling()) == 1
 
 
 def test_a_fit_that_no_longer_improves_ends_early() -> None:
@@ -216,16 +222,16 @@ def test_a_fit_that_no_longer_improves_ends_early() -> None:
 
     seen: list[TracePoint] = []
     found = Recorder(FakeClock(1.0), seen.append)
-    assert 200 < run(Plan("fit", 1000), found, step, 0.03) < 700
-    assert run(Plan("fit", 1000), recorder(), lambda *_: (0.5, (5, 0)), 0.03) < 500
-    assert run(Plan("fit", 1000), recorder(), falling(), 0.03) == 1000
+    assert 200 < Schedule("fit", 1000, 0.03).run(found, step) < 700
+    assert Schedule("fit", 1000, 0.03).run(recorder(), lambda *_: (0.5, (5, 0))) < 500
+    assert Schedule("fit", 1000, 0.03).run(recorder(), falling()) == 1000
 
 
 def test_the_recorder_keeps_its_interval_but_every_beginning_and_end() -> None:
     seen: list[TracePoint] = []
     kept = Recorder(FakeClock(0.001), seen.append)
-    run(Plan("fit", 500), kept, falling(), 0.03)
-    run(Plan("tune", 500), kept, falling(), 0.03)
+    Schedule("fit", 500, 0.03).run(kept, falling())
+    Schedule("tune", 500, 0.03).run(kept, falling())
     assert seen == kept.points
     assert 6 <= len(seen) <= 30
     for phase in ("fit", "tune"):
@@ -246,22 +252,22 @@ def test_a_report_that_raises_ends_the_run() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run(Plan("fit", 500), Recorder(FakeClock(1.0), abandon), falling(), 0.03)
+        Schedule("fit", 500, 0.03).run(Recorder(FakeClock(1.0), abandon), falling())
 
 
 # --- whole fits
 
 
 def psnr_of(gaussians: Gaussians, image: FloatArray) -> float:
-    mse, _ = Picture(image, 0.0).gradients(Parameters.of(gaussians))
+    mse, _ = Picture(image, 0.0, CUTOFF).gradients(Parameters.of(gaussians))
     return -10 * math.log10(max(mse, 1e-12))
 
 
 @pytest.mark.parametrize("profile", [PAPER, BASELINE], ids=("paper", "baseline"))
-def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: Settings) -> None:
+def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -> None:
     settings = replace(profile, fit_steps=200)
     start = place(photo(), 150, settings, np.random.default_rng(0))
-    picture = Picture(photo(), settings.lambda_g)
+    picture = Picture(photo(), settings.lambda_g, CUTOFF)
     p = Parameters.of(start)
     solved = picture.solve_colors(p.means, p.factors, steps=60)
     begun = psnr_of(Gaussians(start.means, start.factors, solved.numpy()), photo())
@@ -305,7 +311,7 @@ def test_extreme_pictures_stay_finite(name: str) -> None:
     for n in sorted({1, min(40, pixels), pixels}):
         start = place(image, n, settings, np.random.default_rng(0))
         kept = recorder()
-        fitted, _ = fit(Picture(image, settings.lambda_g), start, settings, kept, None)
+        fitted, _ = fit(Picture(image, settings.lambda_g, CUTOFF), start, settings, kept, None)
         for array in (fitted.means, fitted.factors, fitted.colors):
             assert np.isfinite(array).all()
         assert (fitted.factors[:, [0, 2]] >= np.float32(settings.min_scale_px)).all()
@@ -317,7 +323,7 @@ def test_nothing_to_draw_is_soon_done() -> None:
     settings = replace(PAPER, fit_steps=400)
     image = np.zeros((30, 40, 3), np.float32)
     start = place(image, 20, settings, np.random.default_rng(0))
-    fitted, steps = fit(Picture(image, settings.lambda_g), start, settings, recorder(), None)
+    fitted, steps = fit(Picture(image, settings.lambda_g, CUTOFF), start, settings, recorder(), None)
     assert steps < 200
     assert not fitted.colors.any()
 
@@ -325,7 +331,7 @@ def test_nothing_to_draw_is_soon_done() -> None:
 def test_the_same_start_gives_the_same_fit() -> None:
     settings = replace(PAPER, fit_steps=40)
     start = place(photo(), 60, settings, np.random.default_rng(0))
-    fits = [fit(Picture(photo(), settings.lambda_g), start, settings, recorder(), None)[0] for _ in range(2)]
+    fits = [fit(Picture(photo(), settings.lambda_g, CUTOFF), start, settings, recorder(), None)[0] for _ in range(2)]
     for one, other in zip(*((f.means, f.factors, f.colors) for f in fits), strict=True):
         assert np.array_equal(one, other)
     assert np.array_equal(start.colors, place(photo(), 60, settings, np.random.default_rng(0)).colors)

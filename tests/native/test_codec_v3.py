@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from sgmethod import BitstreamError
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import MAX_QUANTUM, MIN_QUANTUM, RdStream, quantum_code, quantum_of
+from sgmethod.bitstream import container, v3
+from sgmethod.bitstream.stream import Limits
+from sgmethod.bitstream.v3 import MAX_QUANTUM, MIN_QUANTUM, StreamV3, quantum_code, quantum_of
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 
@@ -251,7 +252,7 @@ def test_every_cut_gives_the_first_gaussians(seed: int) -> None:
 
 def test_prefix_of_a_stream() -> None:
     values = scattered(300, (120, 90))
-    stream = RdStream.of(values, (120, 90), 0.05, (1, 2, 3), False)
+    stream = StreamV3.of(values, (120, 90), 0.05, (1, 2, 3), False)
     whole = stream.gaussians()
     sizes = np.sqrt(whole.factors[:, 0] * whole.factors[:, 2])
     sizes = sizes[sizes > 1]  # of the smallest, one side may be at its least
@@ -282,7 +283,7 @@ def test_exact_bytes() -> None:
         [[8.3, 1.2, 5.1], [2.2, 0, 2.3], [0.9, -0.4, 1.7], [0.4, 0.1, 0.5]],
         [[0.31, 0.22, 0.13], [-0.2, 0.1, 0.3], [0.5, 0.4, 0.4], [0.9, -0.9, 0.8]],
     )
-    data = v3.serialise(RdStream.of(values, (64, 48), 0.1, (128, 64, 32), False))
+    data = container.serialise(StreamV3.of(values, (64, 48), 0.1, (128, 64, 32), False))
     assert data.hex() == (
         "53474d03ff74d1ef00004000300" + "89a80402005fd21d79042ace09b7ef0239b28feb4040634421dc4a7950ad091c11dafad4c"
     )
@@ -311,10 +312,10 @@ def test_stream_round_trip() -> None:
     for grey, shear in itertools.product((False, True), (0, 1)):
         values = scattered(40, (70, 50))
         values.factors[:, 1] *= shear
-        stream = RdStream.of(values, (70, 50), 0.1, (9, 8, 7), grey)
+        stream = StreamV3.of(values, (70, 50), 0.1, (9, 8, 7), grey)
         assert (stream.grey, stream.upright) == (grey, not shear)
-        data = v3.serialise(stream)
-        assert v3.parse(data) == stream
+        data = container.serialise(stream)
+        assert container.parse(data) == stream
         assert sum(stream.size_bits().values()) == 8 * len(data)
 
 
@@ -331,27 +332,27 @@ def test_stream_round_trip() -> None:
     ],
 )
 def test_refused_headers(at: int, value: bytes, why: str) -> None:
-    data = v3.serialise(RdStream.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
+    data = container.serialise(StreamV3.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
     data = data[:at] + value + data[at + len(value) :]
     with pytest.raises(BitstreamError, match=why):
-        v3.parse(data if at == 4 else repaired(data)).gaussians()
+        container.parse(data if at == 4 else repaired(data)).gaussians()
 
 
 def test_a_limit_of_gaussians() -> None:
-    stream = RdStream.of(
+    stream = StreamV3.of(
         gaussians([[35, 25]] * 3000, [[9, 0, 9]] * 3000, [[0.5, 0, 0]] * 3000), (70, 50), 0.1, (9, 8, 7), False
     )
-    assert len(stream.gaussians(max_gaussians=3000)) == 3000
+    assert len(stream.gaussians(limits=Limits(max_gaussians=3000))) == 3000
     for prefix in (1.0, 0.9):
         with pytest.raises(BitstreamError, match=r"limit of 2999$"):
-            stream.gaussians(prefix, max_gaussians=2999)
+            stream.gaussians(prefix, Limits(max_gaussians=2999))
 
 
 def test_limits_of_parse() -> None:
-    data = v3.serialise(RdStream.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
-    assert v3.parse(data, max_pixels=3500).width == 70
+    data = container.serialise(StreamV3.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
+    assert container.parse(data, Limits(max_pixels=3500)).width == 70
     with pytest.raises(BitstreamError, match="limit of 3499"):
-        v3.parse(data, max_pixels=3499)
+        container.parse(data, Limits(max_pixels=3499))
     for length in range(v3.HEADER_BYTES):
         with pytest.raises(BitstreamError):
-            v3.parse(repaired(data[:length]) if length > 8 else data[:length])
+            container.parse(repaired(data[:length]) if length > 8 else data[:length])

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from sgmethod.fitting.fit import FrameAdam, Parameters
+from sgmethod.fitting.adam import FrameAdam
+from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 from sgmethod.profiles import RD
 from sgmethod.rd.quantiser import add_rate_gradient

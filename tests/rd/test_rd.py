@@ -13,15 +13,15 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
-from sgmethod.bitstream import v3
-from sgmethod.bitstream.v3 import CUTOFF
-from sgmethod.fitting.fit import Clock, Recorder
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import CUTOFF, StreamV3
+from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.io.image import read_image
 from sgmethod.native.reference import render
 from sgmethod.profiles import RD
-from sgmethod.rd import encode as rd
-from sgmethod.rd.finish import Goal
+from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import BLURS_PX, SCALE_OF_BLUR, candidates
+from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
 from tests.harness.data import PHOTOGRAPHS
 
 FloatArray = NDArray[np.float32]
@@ -50,8 +50,8 @@ def quadrants(side: int) -> FloatArray:
     return np.stack([(x + y) % 2, (x + y) % 2 * x / 3, (x + y) % 2 * y / 3], 2).astype(np.float32)
 
 
-def stream(encoded: Encoded) -> v3.RdStream:
-    return v3.parse(encoded.data)
+def stream(encoded: Encoded) -> StreamV3:
+    return container.parse(encoded.data)
 
 
 def assert_sound(encoded: Encoded, pixels: FloatArray) -> None:
@@ -71,7 +71,7 @@ def test_a_size_is_kept_and_used(max_bytes: int) -> None:
     assert 0.97 * max_bytes <= len(encoded.data) <= max_bytes
 
 
-@pytest.mark.parametrize("max_bytes", [rd.SMALLEST_FILE, 30, 41, 64, 100])
+@pytest.mark.parametrize("max_bytes", [SMALLEST_FILE, 30, 41, 64, 100])
 @pytest.mark.parametrize("picture", [lambda: quadrants(400), crop, lambda: noise(30, 40)])
 def test_a_few_bytes_are_never_exceeded(
     picture: Callable[[], FloatArray], max_bytes: int, monkeypatch: pytest.MonkeyPatch
@@ -85,7 +85,7 @@ def test_a_few_bytes_are_never_exceeded(
 
 def test_fewer_bytes_than_a_file_has() -> None:
     with pytest.raises(BudgetError, match="at least 18 bytes"):
-        encode(crop(), Budget("bytes", rd.SMALLEST_FILE - 1))
+        encode(crop(), Budget("bytes", SMALLEST_FILE - 1))
 
 
 @pytest.mark.parametrize(("target_db", "beyond_db"), [(15.0, 0.5), (18.0, 0.1), (22.0, 0.1), (28.0, 0.1)])
@@ -122,7 +122,7 @@ def test_a_given_number_and_quality_hold_under_a_time_limit() -> None:
     pixels = np.ascontiguousarray(np.tile(crop(), (4, 4, 1)))
     assert encode(pixels, Budget("gaussians", 60), time_limit_s=0.3).stats.gaussians <= 60
     coded = stream(encode(pixels, Budget("quality", 25), time_limit_s=0.3))
-    assert coded.quantum == pytest.approx(rd.quality_quantum(25), rel=1 / 256)
+    assert coded.quantum == pytest.approx(quality_quantum(25), rel=1 / 256)
 
 
 def test_growth_goes_on_in_small_pictures() -> None:
@@ -148,10 +148,10 @@ def test_quality_is_monotone_in_size_and_error() -> None:
 
 def test_quality_is_a_quantum() -> None:
     """16 points halve it, and it is not steered."""
-    assert rd.quality_quantum(0) == 3.2
-    assert rd.quality_quantum(48) == pytest.approx(rd.quality_quantum(32) / 2)
+    assert quality_quantum(0) == 3.2
+    assert quality_quantum(48) == pytest.approx(quality_quantum(32) / 2)
     coded = stream(encode(crop(), Budget("quality", 40)))
-    assert coded.quantum == pytest.approx(rd.quality_quantum(40), rel=1 / 256)
+    assert coded.quantum == pytest.approx(quality_quantum(40), rel=1 / 256)
 
 
 @pytest.mark.parametrize("n", [1, 3, 20, 90])
@@ -281,17 +281,17 @@ def test_growth_on_odd_sizes(size: tuple[int, int]) -> None:
 
 
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
-    def fit_with(seconds: float) -> rd.RdFit:
-        goal = Goal(0.1, max_bytes=2000)
-        fit = rd.RdFit(noise(128, 160), goal, RD, 0, Recorder(Clock(), None))
+    def fit_with(seconds: float) -> RdFit:
+        control = RateControl(RD, 128 * 160, 0.1, max_bytes=2000)
+        fit = RdFit(noise(128, 160), control, RD, 0, Recorder(Clock(), None))
         with torch.no_grad():
             fit.hurry(seconds)
         return fit
 
     hurried, unhurried = fit_with(0.0), fit_with(math.inf)
-    assert (hurried.finest.width, unhurried.finest.width) == (20, 160)
-    assert hurried._picture_at(RD.halved_until) is hurried.finest
-    assert hurried._picture_at(RD.whole_from) is hurried.picture is hurried.pictures[0]
+    assert (hurried.pyramid.finest.width, unhurried.pyramid.finest.width) == (20, 160)
+    assert hurried.pyramid.at(RD.halved_until, 1000) is hurried.pyramid.finest
+    assert hurried.pyramid.at(RD.whole_from, 1000) is hurried.picture is hurried.pyramid.levels[0]
     with torch.no_grad():
         before = len(hurried.p.means)
         hurried._grow(before + 10)

@@ -85,7 +85,7 @@ def draw(bitstream: bytes, drawing: Drawing) -> bytes:
 def draw_unknown(bitstream: bytes, wanted: ViewQuery, max_pixels: int, max_gaussians: int) -> bytes:
     """PNG of a bitstream of which nothing is known yet. Raises BitstreamError, ProblemError 422."""
     fields = sgmethod.info(bitstream, max_gaussians)  # a few kilobytes can hold millions of equal ones
-    size = (int(str(fields["width"])), int(str(fields["height"])))
+    size = (fields.width, fields.height)
     return draw(bitstream, Drawing.of(wanted, "png", size, max_pixels))
 
 

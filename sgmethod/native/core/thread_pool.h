@@ -21,4 +21,12 @@ void parallel_chunks(int count, int size, const Body& body) {
   parallel_for((count + size - 1) / size, [&](int chunk) { body(chunk * size, std::min(count, (chunk + 1) * size), chunk); });
 }
 
+// Calls body(i) for [0, count) in tasks of `size`.
+template <typename Body>
+void parallel_each(int count, int size, const Body& body) {
+  parallel_chunks(count, size, [&](int first, int last, int) {
+    for (int i = first; i < last; ++i) body(i);
+  });
+}
+
 }  // namespace sg

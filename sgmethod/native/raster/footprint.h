@@ -4,13 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/constants.h"
+
 namespace sg {
-
-constexpr int kTileWidth = 16;  // columns of a strip
-
-// docs/format.md: the ellipse sigma <= cutoff carries the Gaussian, and the weight is exp(-sigma) - exp(-cutoff)
-// there, so that it meets zero at the rim. Every version of the format has a cutoff of its own, at most this:
-constexpr float kMaxCutoff = 5.5f;
 
 // exp(-x) rounded from double: the C library's may differ from machine to machine, which pixels must not.
 float exp_minus(double x);

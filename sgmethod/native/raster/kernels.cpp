@@ -53,12 +53,6 @@ SG_KERNELS(avx512, 16, [[gnu::target("avx512f,avx512dq,avx512vl,prefer-vector-wi
 
 }  // namespace
 
-int best_isa() {
-  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl"))
-    return kAvx512;
-  return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") ? kAvx2 : kBaseline;
-}
-
 const TileKernels& kernels(int isa) {
   static const TileKernels* const table[] = {&k_baseline, &k_avx2, &k_avx512};
   return *table[isa];

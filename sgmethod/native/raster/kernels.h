@@ -5,11 +5,6 @@
 
 namespace sg {
 
-enum Isa { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
-
-// The best instruction set this processor has.
-int best_isa();
-
 constexpr int kPairGradients = 8;  // mean x, y; l1, l2, l3; colour r, g, b
 
 // A run of rows in one strip of columns.
@@ -53,6 +48,7 @@ struct FitKernels {
   void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture, float* products);
 };
 
+// Of an instruction set (core/isa.h).
 const TileKernels& kernels(int isa);
 const FitKernels& fit_kernels(int isa);
 

@@ -8,20 +8,43 @@
 #include <numeric>
 #include <stdexcept>
 
-#include "raster/kernels.h"
+#include "core/isa.h"
 #include "core/thread_pool.h"
+#include "raster/kernels.h"
 
 namespace sg {
 namespace {
 
 constexpr int kChunk = 256;               // Gaussians of a task, at least
 constexpr int kMaxBins = 64;
+constexpr int kMaxGridSide = 1 << 20;     // pixels; the number of tiles stays within an int
 constexpr int64_t kMaxReserve = 1 << 20;  // pairs of a bin; boxes may promise far more than there are
 
 // Gaussians in a bin. Each bin counts its pairs in all tiles, which is not to take more time than finding them.
 int bin_size(int n, int tiles) {
   const int64_t bins = std::clamp<int64_t>(int64_t{8} * n / tiles, 1, kMaxBins);
   return std::max(kChunk, static_cast<int>((n + bins - 1) / bins));
+}
+
+void require(bool condition, const char* message) {
+  if (!condition) throw std::invalid_argument(message);
+}
+
+int checked_side(int side) {
+  require(side > 0, "the image must have pixels");
+  require(side <= kMaxGridSide, "the image is too large");
+  return side;
+}
+
+int checked_isa(int isa) {
+  const int best = best_isa();
+  require(isa <= best, "this processor lacks the instruction set");
+  return isa < 0 ? best : isa;
+}
+
+float checked_cutoff(float cutoff) {
+  require(cutoff > 0 && cutoff <= kMaxCutoff, "the cutoff is out of range");
+  return cutoff;
 }
 
 // At least the number of tiles that the box around an ellipse touches; not a number where it overflows.
@@ -34,9 +57,9 @@ float box_tiles(const float* l, float reach) {
 
 Rasterization::Rasterization(const float* means, const float* factors, int n, int width, int height, float cutoff, int isa,
                              int64_t max_pairs)
-    : n_(n), width_(width), height_(height), strips_((width + kTileWidth - 1) / kTileWidth),
-      blocks_((height + kTileHeight - 1) / kTileHeight), isa_(isa),
-      chunk_(bin_size(n, strips_ * blocks_)), reach_(std::sqrt(2.0f * cutoff)), floor_(exp_minus(cutoff)),
+    : n_(n), width_(checked_side(width)), height_(checked_side(height)), strips_((width + kTileWidth - 1) / kTileWidth),
+      blocks_((height + kTileHeight - 1) / kTileHeight), isa_(checked_isa(isa)),
+      chunk_(bin_size(n, strips_ * blocks_)), reach_(std::sqrt(2.0f * checked_cutoff(cutoff))), floor_(exp_minus(cutoff)),
       footprints_(n), factors_(factors, factors + 3 * static_cast<int64_t>(n)) {
   const int tiles = strips_ * blocks_;
   bins_.resize((n + chunk_ - 1) / chunk_);

@@ -13,7 +13,6 @@
 
 namespace sg {
 
-constexpr int kTileHeight = 64;
 constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // of a picture
 constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory ends long before
 
@@ -32,7 +31,8 @@ class Rasterization {
  public:
   // means [n, 2] in pixels, factors [n, 3] = (l1, l2, l3) in pixels. Gaussians that are not finite or have
   // l1 or l3 <= 0 contribute nothing. Throws std::overflow_error if more than max_pairs (Gaussian, tile) pairs
-  // would be needed: memory and time follow that number.
+  // would be needed: memory and time follow that number. isa: one of core/isa.h, or below 0 for the best. Throws
+  // std::invalid_argument for a size, cutoff or instruction set that cannot be.
   Rasterization(const float* means, const float* factors, int n, int width, int height, float cutoff, int isa,
                 int64_t max_pairs);
 

@@ -47,12 +47,9 @@ uint64_t most_in(const RdParameters& p, size_t bytes) {
 // Calls visit(i, integers) for each Gaussian, in parallel; without integers where nothing is left of it.
 template <typename Visit>
 void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n, const Visit& visit) {
-  parallel_for((n + kQuantiseChunk - 1) / kQuantiseChunk, [&](int chunk) {
-    const int64_t last = std::min<int64_t>(n, int64_t{kQuantiseChunk} * (chunk + 1));
-    for (int64_t i = int64_t{kQuantiseChunk} * chunk; i < last; ++i) {
-      Symbols s{};
-      visit(i, quantise(p, means + 2 * i, factors + 3 * i, colors + 3 * i, s) ? &s : nullptr);
-    }
+  parallel_each(n, kQuantiseChunk, [&](int64_t i) {
+    Symbols s{};
+    visit(i, quantise(p, means + 2 * i, factors + 3 * i, colors + 3 * i, s) ? &s : nullptr);
   });
 }
 
@@ -131,6 +128,12 @@ class Decoding {
 };
 
 }  // namespace
+
+RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright)
+    : width(width), height(height), quantum(quantum), grey(grey), upright(upright) {
+  if (!(width > 0 && height > 0 && quantum > 0)) throw std::invalid_argument("parameters must be positive");
+  if (width > kMaxSide || height > kMaxSide) throw std::invalid_argument("a side is more than 65535 pixels");
+}
 
 std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n) {
   std::vector<Symbols> all(n);

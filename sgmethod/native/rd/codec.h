@@ -1,4 +1,4 @@
-// Profile rd: Gaussians <-> bytes. The model of the stream is written once, for both directions (rd_codec.cpp).
+// Profile rd: Gaussians <-> bytes. The model of the stream is written once, for both directions (codec.cpp, models.h).
 #pragma once
 
 #include <cstddef>
@@ -8,6 +8,8 @@
 namespace sg {
 
 struct RdParameters {
+  // Throws std::invalid_argument for what no file can have.
+  RdParameters(int width, int height, double quantum, bool grey, bool upright);
   int width, height;
   double quantum;   // about the root of the error energy of one step of any parameter; image in [0, 1]
   bool grey;        // no chroma in the stream

@@ -3,11 +3,13 @@
 #include <cmath>
 #include <cstring>
 
+#include "core/constants.h"
+
 namespace sg {
 namespace {
 
 constexpr double kClassWidth = 0.34657359027997264;  // log(2) / 2: one class in u
-constexpr double kMinScale = 0.3f;
+constexpr double kLeastScale = static_cast<float>(kMinScale);
 constexpr int kMaxRefineBits = 12;
 // Centres further out than this are moved there, as are those that a 16-bit coordinate does not reach (the smallest
 // classes at the end of sides above 65,531 pixels).
@@ -25,16 +27,16 @@ Pair exact_exp(Pair x) {
 
 double class_size(int c) { return ((c & 1) ? 1.4142135623730951 : 1.0) * Steps::power((c - (c & 1)) / 2); }
 
-// Colours in an orthonormal basis (a DCT over the three channels): equal steps are equal errors in RGB.
+// A colour along the axes of kColorBasis.
 struct Luma {
   double y, a, b;
 };
 Luma to_luma(const float* c) {
-  return {(c[0] + c[1] + c[2]) * 0.57735026918962576, (c[0] - c[2]) * 0.70710678118654752,
-          (c[0] - 2.0 * c[1] + c[2]) * 0.40824829046386302};
+  return {(c[0] + c[1] + c[2]) * kColorBasis[0][0], (c[0] - c[2]) * kColorBasis[1][0],
+          (c[0] - 2.0 * c[1] + c[2]) * kColorBasis[2][0]};
 }
 void to_rgb(const Luma& l, float* c) {
-  const double y = l.y * 0.57735026918962576, a = l.a * 0.70710678118654752, b = l.b * 0.40824829046386302;
+  const double y = l.y * kColorBasis[0][0], a = l.a * kColorBasis[1][0], b = l.b * kColorBasis[2][0];
   c[0] = static_cast<float>(y + a + b);
   c[1] = static_cast<float>(y - 2.0 * b);
   c[2] = static_cast<float>(y - a + b);
@@ -87,8 +89,8 @@ Geometry::Geometry(const Symbols& s, const Steps& steps) {
   const double v = s.v * steps.v(), r = s.r * steps.r();
   const double size = class_size(s.size_class);
   const Pair e = exact_exp(Pair{u + v, u - v});
-  l1 = std::max(size * e[0], kMinScale);
-  l3 = std::max(size * e[1], kMinScale);
+  l1 = std::max(size * e[0], kLeastScale);
+  l3 = std::max(size * e[1], kLeastScale);
   l2 = r * l3;
   // (side / (sqrt(2) / m scale))^2
   const double square = steps.square * Steps::power(2 * cell_bits(s.size_class) - 1);

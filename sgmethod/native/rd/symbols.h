@@ -17,13 +17,13 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/constants.h"
 #include "rd/codec.h"
 
 namespace sg {
 
 constexpr int kMinClass = -4, kMaxClass = 28;  // size 2^(class / 2) pixels
 constexpr int kMaxColor = 1 << 20, kMaxShape = 1 << 16;
-constexpr double kColorScale = 1.5;  // a colour's step is quantum / (kColorScale s)
 constexpr double kMaxAspect = 20.0;  // of v: exp(20) is beyond any picture
 
 // The integers of one Gaussian.
@@ -45,7 +45,7 @@ struct Steps {
   int exponent;   // of the power of two nearest to m
   int u_bits() const { return std::clamp(exponent - 1, 0, 8); }  // 0.3466 / 2^bits against 0.707 / m
   double v() const { return power(-exponent); }
-  double r() const { return power(1 - exponent); }
+  double r() const { return kRStep * v(); }
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
   static double power(int exponent);                    // of two
 };

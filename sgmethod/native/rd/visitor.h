@@ -10,6 +10,7 @@
 #include <cstring>
 #include <vector>
 
+#include "core/isa.h"
 #include "raster/kernels.h"
 #include "rd/models.h"
 #include "rd/refine.h"

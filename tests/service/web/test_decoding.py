@@ -62,7 +62,7 @@ def test_what_is_no_bitstream() -> None:
 @pytest.mark.parametrize("name", ["v1-paper.sg", "v3-color.sg"])
 def test_gaussians_of_a_bitstream_are_limited(name: str) -> None:
     data = golden_path(name).read_bytes()
-    count = int(str(sgmethod.info(data)["gaussians"]))
+    count = sgmethod.info(data).gaussians
     assert draw_unknown(data, ViewQuery(), NO_LIMIT, count) == encode_picture(sgmethod.decode(data), "png")
     with pytest.raises(BitstreamError, match=f"limit of {count - 1}$"):
         draw_unknown(data, ViewQuery(), NO_LIMIT, count - 1)

@@ -142,7 +142,7 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
     figures = json.loads(done.stdout)
     data = (tmp_path / "out.sg").read_bytes()
     assert figures["bytes"] == len(data)
-    assert sgmethod.info(data)["width"] == 64
+    assert sgmethod.info(data).width == 64
     trace = json.loads((tmp_path / "trace.json").read_text())
     assert trace["stats"] == figures
     assert trace["trace"]

@@ -1,0 +1,52 @@
+"""The .sg file: magic, version and checksum, which all versions share, and which module reads which version.
+
+magic "SGM" | version, 1 byte | CRC-32 of all that follows, 4 bytes | the version's own header and payload
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+from sgmethod.bitstream.stream import MAGIC, NO_LIMITS, PREFIX_BYTES, Info, Limits, Stream
+from sgmethod.bitstream.v1 import StreamV1
+from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.errors import BitstreamError
+
+# A new version of the format is a module beside this one, and a line here.
+VERSIONS: dict[int, type[Stream]] = {
+    1: StreamV1,
+    3: StreamV3,
+}
+CHECKSUM = struct.Struct(">I")
+
+
+def serialise(stream: Stream) -> bytes:
+    """The file's bytes."""
+    body = stream.body()
+    return MAGIC + bytes([stream.VERSION]) + CHECKSUM.pack(zlib.crc32(body)) + body
+
+
+def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
+    """The stream in a file of any version.
+
+    Raises BitstreamError for anything but a whole, intact file within the limits.
+    """
+    if len(data) < PREFIX_BYTES:
+        raise BitstreamError(f"the file is too short: {len(data)} bytes")
+    if data[:3] != MAGIC:
+        raise BitstreamError("this is not an .sg file")
+    version = VERSIONS.get(data[3])
+    if version is None:
+        raise BitstreamError(f"version {data[3]} of the format is not known to this decoder")
+    if len(data) < version.MIN_BYTES:
+        raise BitstreamError(f"the file is too short: {len(data)} bytes")
+    body = memoryview(data)[PREFIX_BYTES:]
+    if zlib.crc32(body) != CHECKSUM.unpack(data[4:PREFIX_BYTES])[0]:
+        raise BitstreamError("the file is damaged: its checksum does not match")
+    return version.parse(body, limits)
+
+
+def info(data: bytes, limits: Limits = NO_LIMITS) -> Info:
+    """What a file says of itself. Raises BitstreamError."""
+    return parse(data, limits).info(len(data), data[4:PREFIX_BYTES].hex(), limits)

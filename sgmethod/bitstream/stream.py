@@ -1,0 +1,89 @@
+"""What every version of the file format gives: a stream, and from it a scene and a description of the file."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import ClassVar, Protocol
+
+from sgmethod.errors import BitstreamError
+from sgmethod.scene import Scene
+
+MAGIC = b"SGM"
+PREFIX_BYTES = len(MAGIC) + 1 + 4  # magic, version, CRC-32 of all that follows
+MAX_SIDE = 65_535  # pixels
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a file may claim before memory is taken for it: pixels of the picture, Gaussians; None for any number."""
+
+    max_pixels: int | None = None
+    max_gaussians: int | None = None
+
+    def check_size(self, width: int, height: int) -> None:
+        """Raise BitstreamError for a picture of more pixels."""
+        if self.max_pixels is not None and width * height > self.max_pixels:
+            raise BitstreamError(f"{width} x {height} pixels are more than the limit of {self.max_pixels}")
+
+
+NO_LIMITS = Limits()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Info:
+    """What a file says of itself: its header, and the bits spent on each part. Each version adds fields of its own.
+
+    bytes: the file's size; bpp: bits per pixel; checksum: hexadecimal; bits: their sum is the file's size.
+    """
+
+    bytes: int
+    bpp: float
+    version: int
+    checksum: str
+    profile: str
+    width: int
+    height: int
+    gaussians: int
+    bits: dict[str, int]
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain JSON types, the bits last."""
+        fields = asdict(self)
+        return {**fields, "bits": fields.pop("bits")}
+
+
+class Stream(Protocol):
+    """A file without its magic, version and checksum, parsed."""
+
+    VERSION: ClassVar[int]
+    MIN_BYTES: ClassVar[int]  # of a whole file
+
+    @property
+    def width(self) -> int:
+        """Of the picture, pixels."""
+        ...
+
+    @property
+    def height(self) -> int:
+        """Of the picture, pixels."""
+        ...
+
+    @classmethod
+    def parse(cls, body: memoryview, limits: Limits) -> Stream:
+        """From what follows the checksum. Raises BitstreamError."""
+        ...
+
+    def body(self) -> bytes:
+        """What follows the checksum."""
+        ...
+
+    def scene(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Scene:
+        """What is to be drawn; with prefix < 1 as far as that part of the file tells.
+
+        Raises BitstreamError, also for more Gaussians than the limit, and ViewError where there is no prefix.
+        """
+        ...
+
+    def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> Info:
+        """The description of the file. Raises BitstreamError."""
+        ...

@@ -1,0 +1,56 @@
+"""Error against time, as an encode goes on."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+from sgmethod.trace import Progress, TracePoint
+
+REPORT_INTERVAL_S = 0.1
+
+
+class Clock:
+    """Seconds since the encode began, and its limit."""
+
+    def __init__(self, limit_s: float | None = None) -> None:
+        self.start = time.perf_counter()
+        self.limit_s = limit_s
+
+    def seconds(self) -> float:
+        """Seconds since the start."""
+        return time.perf_counter() - self.start
+
+
+class Recorder:
+    """Collects the trace and hands it on, at most every REPORT_INTERVAL_S."""
+
+    def __init__(self, clock: Clock, on_progress: Progress | None) -> None:
+        self.clock, self.on_progress = clock, on_progress
+        self.points: list[TracePoint] = []
+        self._interval_s = REPORT_INTERVAL_S
+
+    def due(self) -> bool:
+        """Whether the next point of a phase will be taken."""
+        return not self.points or self.clock.seconds() - self.points[-1].seconds >= self._interval_s
+
+    def measured(self, error: Callable[[], float]) -> float:
+        """An error that only the trace needs. Measuring takes no more than a tenth of the time."""
+        began = self.clock.seconds()
+        mse = error()
+        self._interval_s = max(REPORT_INTERVAL_S, 10 * (self.clock.seconds() - began))
+        return mse
+
+    def report(self, phase: str, step: int, steps: int, mse: float, counts: tuple[int, int]) -> None:
+        """Add a point; counts = (number of Gaussians, bits of the file or 0)."""
+        new_phase = not self.points or self.points[-1].phase != phase
+        if not (new_phase or step == steps or self.due()):
+            return
+        seconds = self.clock.seconds()
+        psnr = -10 * math.log10(max(mse, 1e-12))
+        gaussians, bits = counts
+        point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), -(-bits // 8), gaussians, phase)
+        self.points.append(point)
+        if self.on_progress:
+            self.on_progress(point)

@@ -1,0 +1,52 @@
+"""The schedule of a fit: how the rate falls, and when it is over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sgmethod.fitting.recorder import Recorder
+
+PERFECT_MSE = 1e-7  # 70 dB: a tenth of what rounding to 8 bits leaves
+PROGRESS_DB = 0.01  # what counts as progress
+
+Step = Callable[[float, float], tuple[float, tuple[int, int]]]
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """One phase of an encode: its name in the trace, its steps, the part of the rate at which it ends, the second at
+    which it must be over, and the part of it without progress after which it has converged."""
+
+    phase: str
+    steps: int
+    final_rate: float
+    until_s: float | None = None
+    patience: float = 0.3
+
+    def run(self, recorder: Recorder, step: Step) -> int:
+        """Repeat step(rate, progress) -> (mse, counts); returns the steps done.
+
+        The rate falls along a cosine from 1 to final_rate. Progress follows the steps or the time, whichever is
+        further, so that a time limit shortens the schedule instead of cutting it off. The phase ends early when the
+        error has stopped falling.
+        """
+        begun = recorder.clock.seconds()
+        best, best_at, done = math.inf, 0.0, 0
+        progress = 0.0
+        while progress < 1:
+            rate = self.final_rate + (1 - self.final_rate) * 0.5 * (1 + math.cos(math.pi * progress))
+            mse, counts = step(rate, progress)
+            done += 1
+            progress = done / self.steps
+            if self.until_s is not None:
+                progress = max(progress, (recorder.clock.seconds() - begun) / max(self.until_s - begun, 1e-9))
+            recorder.report(self.phase, done if progress < 1 else self.steps, self.steps, mse, counts)
+            if mse < best * 10 ** (-PROGRESS_DB / 10):
+                best, best_at = mse, progress
+            elif progress - best_at > self.patience:
+                break
+            if mse < PERFECT_MSE:
+                break
+        return done

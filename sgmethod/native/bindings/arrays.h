@@ -1,0 +1,61 @@
+// Python's arrays as the kernels take them: C-contiguous, float32, in the processor's memory.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <climits>
+#include <cstdint>
+#include <memory>
+#include <utility>
+#include <vector>
+
+namespace nb = nanobind;
+
+// Inputs of another type or layout are converted. Arguments of the kinds that end in Out are bound with noconvert(),
+// because a result would go to the converted copy and be lost.
+template <int Columns>
+using Rows = nb::ndarray<const float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
+template <int Columns>
+using RowsOut = nb::ndarray<float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
+using Image = nb::ndarray<const float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
+using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
+using BytesOut = nb::ndarray<uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
+
+inline void require(bool condition, const char* message) {
+  if (!condition) throw nb::value_error(message);
+}
+
+// The number of Gaussians: of rows in each of the arrays.
+template <typename First, typename... Others>
+int gaussians(const First& first, const Others&... others) {
+  require(((others.shape(0) == first.shape(0)) && ...), "one row per Gaussian");
+  require(first.shape(0) <= INT_MAX, "too many Gaussians");
+  return static_cast<int>(first.shape(0));
+}
+
+template <typename Array>
+int side(const Array& image, int axis) {
+  require(image.shape(axis) <= INT_MAX, "the image is too large");
+  return static_cast<int>(image.shape(axis));
+}
+
+// Of an image [3, height, width].
+template <typename Array>
+void require_size(const Array& image, int width, int height) {
+  require(side(image, 1) == height && side(image, 2) == width, "image has another size");
+}
+
+// A numpy array that owns the values.
+template <size_t Columns>
+nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>> own(std::vector<float>&& values) {
+  auto kept = std::make_unique<std::vector<float>>(std::move(values));
+  nb::capsule owner(kept.get(), [](void* p) noexcept { delete static_cast<std::vector<float>*>(p); });
+  std::vector<float>& held = *kept.release();
+  return nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>(held.data(), {held.size() / Columns, Columns}, owner);
+}
+
+// What each room adds to the module.
+void bind_raster(nb::module_& m);
+void bind_fit(nb::module_& m);
+void bind_rd(nb::module_& m);

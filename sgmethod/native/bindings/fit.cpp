@@ -1,0 +1,58 @@
+#include <nanobind/stl/tuple.h>
+
+#include <tuple>
+#include <utility>
+
+#include "bindings/arrays.h"
+#include "fit/loss.h"
+#include "fit/optimiser.h"
+
+using namespace nb::literals;
+
+namespace {
+
+// The loss and a share in the array it refers to.
+struct LossOfTarget {
+  LossOfTarget(Image image, float lambda_g)
+      : target(std::move(image)), loss(target.data(), side(target, 2), side(target, 1), lambda_g) {}
+  Image target;
+  sg::ReconstructionLoss loss;
+};
+
+std::tuple<double, double> evaluate(LossOfTarget& held, Image image, ImageOut grad) {
+  require_size(image, held.loss.width(), held.loss.height());
+  require_size(grad, held.loss.width(), held.loss.height());
+  nb::gil_scoped_release release;
+  const sg::Loss value = held.loss(image.data(), grad.data());
+  return {value.mse, value.geometry};
+}
+
+void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors,
+                Rows<2> by_means, Rows<3> by_factors, Rows<3> by_colors, RowsOut<8> first, RowsOut<8> second,
+                RowsOut<2> bias) {
+  const int n = gaussians(means, factors, colors, by_means, by_factors, by_colors, first, second, bias);
+  nb::gil_scoped_release release;
+  sg::frame_adam(settings, rate, n, {means.data(), factors.data(), colors.data()},
+                 {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), bias.data());
+}
+
+void keep_near(float reach, float width, float height, RowsOut<2> means, Rows<3> factors) {
+  const int n = gaussians(means, factors);
+  nb::gil_scoped_release release;
+  sg::keep_near(reach, width, height, n, means.data(), factors.data());
+}
+
+}  // namespace
+
+void bind_fit(nb::module_& m) {
+  nb::class_<LossOfTarget>(m, "ReconstructionLoss")
+      .def(nb::init<Image, float>(), "target"_a, "lambda_g"_a)
+      .def("__call__", &evaluate, "image"_a, "grad"_a.noconvert());
+  nb::class_<sg::AdamSettings>(m, "AdamSettings")
+      .def(nb::init<float, float, float, float, float, float>(), "mean_rate"_a, "factor_rate"_a, "color_rate"_a, "beta1"_a,
+           "beta2"_a, "min_scale"_a);
+  m.def("frame_adam", &frame_adam, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
+        "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(),
+        "bias"_a.noconvert());
+  m.def("keep_near", &keep_near, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a);
+}

@@ -1,0 +1,39 @@
+// The module of Python. The files of this folder check and convert arguments; all else is in the rooms beside it.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/tuple.h>
+
+#include <tuple>
+
+#include "bindings/arrays.h"
+#include "core/constants.h"
+#include "core/isa.h"
+#include "core/thread_pool.h"
+
+namespace {
+
+std::tuple<double, double, double> color_axis(int row) {
+  const double* axis = sg::kColorBasis[row];
+  return {axis[0], axis[1], axis[2]};
+}
+
+}  // namespace
+
+NB_MODULE(_native, m) {
+  m.doc() = "The compiled kernels. Types and meanings stand in sgmethod/native/_native.pyi.";
+  m.attr("MAX_SIDE") = sg::kMaxSide;
+  m.attr("CUTOFF_V1") = sg::kCutoffV1;
+  m.attr("CUTOFF_V3") = sg::kCutoffV3;
+  m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
+  m.attr("MIN_SCALE") = sg::kMinScale;
+  m.attr("TILE_WIDTH") = sg::kTileWidth;
+  m.attr("TILE_HEIGHT") = sg::kTileHeight;
+  m.attr("COLOR_BASIS") = std::make_tuple(color_axis(0), color_axis(1), color_axis(2));
+  m.attr("COLOR_SCALE") = sg::kColorScale;
+  m.attr("R_STEP") = sg::kRStep;
+  m.def("best_isa", &sg::best_isa);
+  m.def("thread_count", &sg::thread_count);
+  m.def("set_thread_count", &sg::set_thread_count, nb::arg("count"));
+  bind_raster(m);
+  bind_fit(m);
+  bind_rd(m);
+}

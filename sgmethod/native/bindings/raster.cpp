@@ -1,0 +1,77 @@
+#include "raster/rasterization.h"
+
+#include <nanobind/stl/tuple.h>
+
+#include <tuple>
+
+#include "bindings/arrays.h"
+
+using namespace nb::literals;
+
+namespace {
+
+using Color = std::tuple<float, float, float>;
+
+sg::Rasterization* rasterization(Rows<2> means, Rows<3> factors, int width, int height, float cutoff, int isa,
+                                 int64_t max_pairs) {
+  require(means.shape(0) == factors.shape(0), "means and factors differ in number");
+  const int n = gaussians(means);
+  nb::gil_scoped_release release;
+  return new sg::Rasterization(means.data(), factors.data(), n, width, height, cutoff, isa, max_pairs);
+}
+
+void require_colors(const sg::Rasterization& r, const Rows<3>& colors) {
+  require(gaussians(colors) == r.gaussians(), "one colour per Gaussian");
+}
+
+sg::Gradients gradients(const sg::Rasterization& r, const Rows<3>& colors, const RowsOut<2>& means,
+                        const RowsOut<3>& factors, const RowsOut<3>& out_colors) {
+  require(gaussians(colors, means, factors, out_colors) == r.gaussians(), "one row per Gaussian");
+  return {means.data(), factors.data(), out_colors.data()};
+}
+
+void render(const sg::Rasterization& r, Rows<3> colors, ImageOut image) {
+  require_colors(r, colors);
+  require_size(image, r.width(), r.height());
+  nb::gil_scoped_release release;
+  r.render(colors.data(), image.data());
+}
+
+void render_bytes(const sg::Rasterization& r, Rows<3> colors, BytesOut image, Color background) {
+  require_colors(r, colors);
+  require(side(image, 0) == r.height() && side(image, 1) == r.width(), "image has another size");
+  const auto [red, green, blue] = background;
+  const float below[3] = {red, green, blue};
+  nb::gil_scoped_release release;
+  r.render_bytes(colors.data(), below, image.data());
+}
+
+double squared_error(const sg::Rasterization& r, Rows<3> colors, Image target, RowsOut<2> means, RowsOut<3> factors,
+                     RowsOut<3> out_colors) {
+  const sg::Gradients out = gradients(r, colors, means, factors, out_colors);
+  require_size(target, r.width(), r.height());
+  nb::gil_scoped_release release;
+  return r.squared_error(colors.data(), target.data(), out);
+}
+
+void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors,
+              RowsOut<3> out_colors) {
+  const sg::Gradients out = gradients(r, colors, means, factors, out_colors);
+  require_size(grad, r.width(), r.height());
+  nb::gil_scoped_release release;
+  r.backward(colors.data(), grad.data(), out);
+}
+
+}  // namespace
+
+void bind_raster(nb::module_& m) {
+  nb::class_<sg::Rasterization>(m, "Rasterization")
+      .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
+           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs)
+      .def("render", &render, "colors"_a, "image"_a.noconvert())
+      .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
+      .def("squared_error", &squared_error, "colors"_a, "target"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
+           "out_colors"_a.noconvert())
+      .def("backward", &backward, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
+           "out_colors"_a.noconvert());
+}

@@ -1,0 +1,82 @@
+#include <nanobind/stl/tuple.h>
+
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "bindings/arrays.h"
+#include "rd/codec.h"
+#include "rd/rate.h"
+#include "rd/refine.h"
+
+using namespace nb::literals;
+
+namespace {
+
+// Runs a function that gives bytes, without Python's lock.
+template <typename Encode>
+nb::bytes bytes_of(const Encode& encode) {
+  std::vector<uint8_t> bytes;
+  {
+    nb::gil_scoped_release release;
+    bytes = encode();
+  }
+  return nb::bytes(bytes.data(), bytes.size());
+}
+
+void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors, RowsOut<3> by_factors,
+                   RowsOut<3> by_colors) {
+  const int n = gaussians(factors, colors, by_factors, by_colors);
+  nb::gil_scoped_release release;
+  sg::rd_rate_gradient(quantum, weight, n, factors.data(), colors.data(), by_factors.data(), by_colors.data());
+}
+
+void quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,
+              RowsOut<3> out_factors, RowsOut<3> out_colors) {
+  const int n = gaussians(means, factors, colors, out_means, out_factors, out_colors);
+  nb::gil_scoped_release release;
+  sg::rd_quantise(p, means.data(), factors.data(), colors.data(), n, out_means.data(), out_factors.data(),
+                  out_colors.data());
+}
+
+nb::bytes encode(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors) {
+  const int n = gaussians(means, factors, colors);
+  return bytes_of([&] { return sg::rd_encode(p, means.data(), factors.data(), colors.data(), n); });
+}
+
+nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Image target, float cutoff,
+                 double price, int sweeps, double seconds, uint64_t max_bytes) {
+  const int n = gaussians(means, factors, colors);
+  require_size(target, p.width, p.height);
+  const sg::RefineSettings settings{cutoff, price, sweeps, seconds, max_bytes};
+  return bytes_of(
+      [&] { return sg::rd_refine(p, means.data(), factors.data(), colors.data(), n, target.data(), settings); });
+}
+
+auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max_gaussians) {
+  sg::GaussianArrays decoded;
+  {
+    const auto* bytes = static_cast<const uint8_t*>(data.data());
+    const size_t size = data.size();
+    nb::gil_scoped_release release;
+    decoded = sg::rd_decode(p, bytes, size, prefix, max_gaussians);
+  }
+  return std::make_tuple(own<2>(std::move(decoded.means)), own<3>(std::move(decoded.factors)),
+                         own<3>(std::move(decoded.colors)));
+}
+
+}  // namespace
+
+void bind_rd(nb::module_& m) {
+  nb::class_<sg::RdParameters>(m, "RdParameters")
+      .def(nb::init<int, int, double, bool, bool>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
+           "upright"_a = false);
+  m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a, "by_factors"_a.noconvert(),
+        "by_colors"_a.noconvert());
+  m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),
+        "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
+  m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
+  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a, "cutoff"_a, "price"_a,
+        "sweeps"_a, "seconds"_a, "max_bytes"_a);
+  m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
+}

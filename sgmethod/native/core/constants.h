@@ -1,0 +1,31 @@
+// The numbers of the format (docs/format.md) and of the kernels that more than one room needs. Python reads them from
+// the compiled module.
+#pragma once
+
+namespace sg {
+
+constexpr int kMaxSide = 65535;  // pixels along a side of a picture: a file has 16 bits for it
+
+// A Gaussian ends at the ellipse sigma = cutoff. Its weight is exp(-sigma) - exp(-cutoff), which is zero there. Each
+// version of the format has its own cutoff.
+constexpr float kCutoffV1 = 5.5f;
+constexpr float kCutoffV3 = 3.0f;
+constexpr float kMaxCutoff = kCutoffV1;  // the kernels' exponentials are sized for it
+
+constexpr double kMinScale = 0.3;  // pixels; l1 and l3 are at least this. Kernels use it in single precision.
+
+// A tile is the part of a picture that one task draws: a strip of columns, cut into blocks of rows.
+constexpr int kTileWidth = 16;
+constexpr int kTileHeight = 64;
+
+// Rows: the luma-like axis and two chroma-like axes of profile rd, a DCT over red, green and blue. The basis is
+// orthonormal, so equal steps are equal errors in RGB.
+constexpr double kColorBasis[3][3] = {{0.57735026918962576, 0.57735026918962576, 0.57735026918962576},
+                                      {0.70710678118654752, 0.0, -0.70710678118654752},
+                                      {0.40824829046386302, -2 * 0.40824829046386302, 0.40824829046386302}};
+constexpr double kColorScale = 1.5;  // a colour's step is quantum / (kColorScale s), with s the Gaussian's size in pixels
+
+// The step of r = l2 / l3 over the step of v = log sqrt(l1 / l3): both then change the picture by the same energy.
+constexpr double kRStep = 2.0;
+
+}  // namespace sg

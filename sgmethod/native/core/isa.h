@@ -1,0 +1,11 @@
+// The instruction sets that the kernels are compiled for.
+#pragma once
+
+namespace sg {
+
+enum Isa { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
+
+// The best instruction set this processor has.
+int best_isa();
+
+}  // namespace sg

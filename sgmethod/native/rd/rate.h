@@ -1,0 +1,10 @@
+// Profile rd: the price of bits, as the fit sees it. The fit moves real numbers, so the estimate is smooth.
+#pragma once
+
+namespace sg {
+
+// Adds the gradient that sgmethod.rd.quantiser.add_rate_gradient describes to grad_factors [n, 3] and grad_colors [n, 3].
+void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,
+                      float* grad_colors);
+
+}  // namespace sg

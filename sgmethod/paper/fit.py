@@ -1,0 +1,41 @@
+"""The fit of profiles paper and baseline: all Gaussians together, without any quantisation."""
+
+from __future__ import annotations
+
+import math
+
+from sgmethod.fitting.adam import FrameAdam
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.recorder import Recorder
+from sgmethod.fitting.schedule import Schedule
+from sgmethod.profiles import PaperSettings
+from sgmethod.scene import Gaussians
+
+
+def add_energy_gradient(p: Parameters, grad: Parameters, weight: float) -> None:
+    """Add the gradient of weight * sum |c|^2 pi l1 l3: what an error proportional to each colour would cost, and
+    so a price on large colours that cancel each other."""
+    area = math.pi * weight * p.factors[:, 0] * p.factors[:, 2]
+    energy = p.colors.square().sum(1) * area
+    grad.colors += 2 * p.colors * area[:, None]
+    grad.factors[:, 0] += energy / p.factors[:, 0]
+    grad.factors[:, 2] += energy / p.factors[:, 2]
+
+
+def fit(
+    picture: Picture, start: Gaussians, settings: PaperSettings, recorder: Recorder, until_s: float | None
+) -> tuple[Gaussians, int]:
+    """Fitted Gaussians without any quantisation, and the steps that took."""
+    p = Parameters.of(start)
+    p.colors = picture.solve_colors(p.means, p.factors, settings.color_solve_steps)
+    adam = FrameAdam(len(start), settings)
+
+    def step(rate: float, _: float) -> tuple[float, tuple[int, int]]:
+        mse, grad = picture.gradients(p)
+        add_energy_gradient(p, grad, settings.lambda_e / picture.target.numel())
+        adam.step(p, grad, rate)
+        return mse, (len(start), 0)
+
+    done = Schedule("fit", settings.fit_steps, settings.final_rate, until_s).run(recorder, step)
+    return p.numpy(), done

@@ -1,0 +1,177 @@
+"""The fit of profile rd: Gaussians are placed, moved, added and dropped under the price of their bits.
+
+Few Gaussians are placed by structure. Then all are fitted together. At set times Gaussians whose energy is not worth
+their bits are dropped, the quantum is steered, and new Gaussians are added where they take more error away than their
+bits are worth.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import CUTOFF, background_of
+from sgmethod.fitting.adam import FrameAdam
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.recorder import Recorder
+from sgmethod.native import native
+from sgmethod.profiles import PAPER, RdSettings
+from sgmethod.rd import growth, quantiser
+from sgmethod.rd.pyramid import Pyramid
+from sgmethod.rd.quantiser import Coder
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.scene import FloatArray
+from sgmethod.start.placement import place
+
+GREY_TOLERANCE = 0.25 / 255  # channels that differ by less than this everywhere are one
+GREY_PROBE = 16  # every so many pixels are looked at first
+FEWEST_AT_START = 4
+GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
+
+
+class RdFit:
+    """The state of one fit: the Gaussians, the optimiser's averages of them, and the coder with the quantum."""
+
+    def __init__(
+        self, pixels: FloatArray, control: RateControl, settings: RdSettings, seed: int, recorder: Recorder
+    ) -> None:
+        """pixels [H, W, 3] in [0, 1]; recorder says when an error will be shown, and so must be exact."""
+        self.control, self.settings, self.recorder = control, settings, recorder
+        self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
+        background = background_of(pixels)
+        grey = len(set(background)) == 1 and _is_grey(pixels[::GREY_PROBE, ::GREY_PROBE]) and _is_grey(pixels)
+        self.coder = Coder((self.width, self.height), control.quantum, background, grey)
+        self.picture = Picture((pixels - np.array(background, np.float32) / 255).astype(np.float32), 0.0, CUTOFF)
+        self.values = self.picture.target.numel()
+        self.pyramid = Pyramid(self.picture, settings)
+        self.mse = 1.0
+        self.size = 0  # of the file in bytes, when last looked at
+        self.due = sorted([*settings.growth_at, *settings.trim_at])
+        self.p = self._place(np.random.default_rng(seed))
+        self.adam = FrameAdam(len(self.p.means), settings)
+
+    def _place(self, rng: np.random.Generator) -> Parameters:
+        """A part of the expected Gaussians, where the structure is. They are few, so a small picture shows enough."""
+        share = int(self.control.expected_gaussians() * self.settings.start_share)
+        n = min(max(share, FEWEST_AT_START), self.control.most_gaussians(1.0))
+        picture = self.pyramid.smallest(n)
+        image = picture.target.permute(1, 2, 0).numpy() + np.array(self.coder.background, np.float32) / 255
+        placed = Parameters.of(place(np.ascontiguousarray(image), n, PAPER, rng))
+        means, factors = placed.means * picture.spacing, placed.factors * picture.spacing
+        return Parameters(means, factors, picture.solve_colors(means, factors, self.settings.color_solve_steps))
+
+    def hurry(self, seconds: float) -> None:
+        """Fit a smaller picture, most of the time, where so many seconds are too few for the whole one: fewer than all
+        steps would take if all were as fast as the first, which is a third of what they take."""
+        times = []
+        for _ in range(3):  # the first one also touches new memory
+            began = self.recorder.clock.seconds()
+            self.picture.gradients(self.p)
+            times.append(self.recorder.clock.seconds() - began)
+        self.pyramid.choose_finest(seconds, self.settings.steps * min(times))
+        # What is narrower falls between the pixels.
+        narrowest = self.settings.min_scale_px * self.pyramid.finest.spacing
+        self.adam = FrameAdam(len(self.p.means), replace(self.settings, min_scale_px=narrowest))
+
+    def step(self, rate: float, progress: float) -> tuple[float, tuple[int, int]]:
+        """One optimiser step, after whatever is due at this part of the schedule."""
+        at = None
+        while self.due and progress >= self.due[0]:
+            at = self.due.pop(0)
+        if at is not None:  # of several that one slow step has passed, the last
+            self._reconsider(at)
+        picture = self.pyramid.at(progress, len(self.p.means))
+        mse, grad = picture.gradients(self.p)
+        if picture is self.picture:
+            self.mse = mse
+        elif self.recorder.due():
+            self.mse = self.recorder.measured(lambda: self.picture.residual(self.p).square().mean().item())
+        quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.values)
+        self.adam.step(self.p, grad, rate)
+        self._stay_in_grid()
+        return self.mse, (len(self.p.means), 8 * self.size)
+
+    def settle(self) -> None:
+        """What the end of the schedule does, and a time limit may have skipped."""
+        if self.control.max_gaussians is not None:
+            self._drop(self.settings.bits_of_nothing, self.control.max_gaussians)
+
+    def _price(self) -> float:
+        """Squared error, summed over the picture, that a bit has to be worth."""
+        return self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum)
+
+    def _stay_in_grid(self) -> None:
+        """Keep centres where the file can put them: within two cells of the picture, each about as wide as they are."""
+        native.keep_near(GRID_REACH, self.width, self.height, self.p.means.numpy(), self.p.factors.numpy())
+
+    def _reconsider(self, at: float) -> None:
+        """Drop Gaussians, steer the quantum and, while growing, add Gaussians."""
+        s, most = self.settings, self.control.most_gaussians(at)
+        self._drop(s.bits_of_dropped if at >= s.growth_at[-1] else s.bits_of_nothing, most)
+        self._steer(at)
+        if at in s.growth_at:
+            self._grow(most)
+
+    def _drop(self, bits: float, most: int) -> None:
+        """Remove Gaussians whose energy is not worth so many bits, and the least of those beyond so many."""
+        energies = quantiser.energies(self.p)
+        if len(energies) > most:
+            energies[torch.argsort(energies, stable=True)[: len(energies) - most]] = 0
+        keep = torch.nonzero(energies > bits * quantiser.error_per_bit(self.coder.quantum))[:, 0]
+        if len(keep) == len(self.p.means):
+            return
+        kept = self.p.rows(keep)
+        psnr = self.control.psnr
+        if psnr is not None and self._rounded_psnr(kept) < psnr - self.settings.missed_db:
+            return  # none would come back once the growth is over
+        self.p = kept
+        self.adam.select(keep)
+
+    def _steer(self, at: float) -> None:
+        """Move the quantum as the rate control says."""
+        self.size = len(container.serialise(self.coder.stream(self.p)))
+        quantum = self.control.steered(self.coder.quantum, at, self.size, lambda: self._rounded_psnr(self.p))
+        if quantum != self.coder.quantum:
+            self.coder = self.coder.with_quantum(quantum)
+
+    def _grow(self, most: int) -> None:
+        """Add Gaussians where they gain more than their bits are worth, so many in all at most."""
+        n = len(self.p.means)
+        picture = self.pyramid.finest
+        residual = picture.residual(self.p)
+        room = min(self.control.new_gaussians(n), most - n)
+        least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
+        found = growth.candidates(picture.interleaved(residual), room, least_gain)
+        means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
+        if len(means) == 0:
+            return
+        # Neighbours overlap: their colours are solved together, or they would overshoot.
+        colors = picture.solve_colors(means, factors, self.settings.color_solve_steps, residual_of=residual)
+        self.p = Parameters(
+            torch.cat([self.p.means, means]),
+            torch.cat([self.p.factors, factors]),
+            torch.cat([self.p.colors, colors]),
+        )
+        self.adam.extend(len(means))
+        self._sort()
+
+    def _sort(self) -> None:
+        """By place, along bands as high as a tile: what a tile needs then lies together in memory."""
+        means = self.p.means
+        order = torch.argsort((means[:, 1] / native.TILE_HEIGHT).floor() * 2 * self.width + means[:, 0], stable=True)
+        self.p = self.p.rows(order)
+        self.adam.select(order)
+
+    def _rounded_psnr(self, p: Parameters) -> float:
+        residual = self.picture.residual(self.coder.rounded(p))
+        return -10 * math.log10(max(residual.square().mean().item(), 1e-12))
+
+
+def _is_grey(pixels: FloatArray) -> bool:
+    red, green, blue = pixels.transpose(2, 0, 1)
+    return all(bool((np.abs(a - b) < GREY_TOLERANCE).all()) for a, b in ((red, green), (green, blue), (red, blue)))

@@ -1,0 +1,130 @@
+"""Rate control: how one budget of any kind becomes a quantum, a number of Gaussians, and a way to steer both.
+
+One number, the quantum, sets all quantiser steps and the price of a bit. A budget in bytes or in decibels steers it
+while the Gaussians are fitted. A quality sets it once; a number of Gaussians leaves it at a fixed quality.
+
+Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth finds local maxima of a
+gain, and what is added early is not what is best late. The surplus is given up step by step (_surplus).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.errors import BudgetError
+from sgmethod.fitting.request import Request
+from sgmethod.profiles import RdSettings
+
+SMALLEST_FILE = HEADER_BYTES  # without any Gaussian there is no payload
+GAUSSIANS_QUALITY = 85.0  # at which a number of Gaussians asked for is fitted
+# First guesses of how many Gaussians there will be: by the bits of one, and by pixels over the quantum.
+BIT_GUESS = 30.0
+GAUSSIANS_GUESS = 0.0023
+PIXELS_OF_FIRST_GUESS = 20  # a Gaussian, at least; growth may put more
+
+
+def quality_quantum(quality: float) -> float:
+    """The quantum of a quality in 0 .. 100: 16 points halve it, 0 is 3.2. On photographs of 0.4 megapixels 25 comes to
+    about 0.05 bpp, 50 to 0.2, 75 to 0.8, 100 to 2.3."""
+    return 3.2 * 2 ** (-quality / 16)
+
+
+@dataclass(frozen=True)
+class RateControl:
+    """What a budget asks of one picture.
+
+    pixels: of the picture; quantum: the first, and the last one where nothing steers it; max_bytes: of the file, never
+    to be exceeded; psnr: dB to reach; max_gaussians: not to be exceeded. At most one of the last three is given.
+    Times (`at`) are parts of the schedule, 0 to 1.
+    """
+
+    settings: RdSettings
+    pixels: int
+    quantum: float
+    max_bytes: int | None = None
+    psnr: float | None = None
+    max_gaussians: int | None = None
+
+    @classmethod
+    def of(cls, request: Request, settings: RdSettings) -> RateControl:
+        """The rate control of a request. Raises BudgetError for a budget that no file can meet."""
+        height, width = request.pixels.shape[:2]
+        pixels, budget = width * height, request.budget
+        if budget.kind == "quality":
+            return cls(settings, pixels, quality_quantum(budget.value))
+        if budget.kind == "psnr":
+            return cls(settings, pixels, min(0.1 * 2 ** ((34 - budget.value) / 2.5), 0.4), psnr=budget.value)
+        if budget.kind == "gaussians":
+            quantum = quality_quantum(GAUSSIANS_QUALITY)
+            return cls(settings, pixels, quantum, max_gaussians=request.gaussians_asked())
+        asked = budget.max_bytes(width, height) or 0
+        if asked < SMALLEST_FILE:
+            raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {asked}")
+        # More bytes than the picture has samples would ask for steps so fine that nothing is left of the method.
+        max_bytes = min(asked, SMALLEST_FILE + 3 * pixels)
+        bpp = max(8 * max_bytes / pixels, 1e-3)
+        return cls(settings, pixels, 0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes)
+
+    def expected_gaussians(self) -> int:
+        """A first guess of how many Gaussians there will be."""
+        if self.max_gaussians is not None:
+            return self.max_gaussians
+        if self.max_bytes is not None:
+            return max(min(int(8 * self.max_bytes / BIT_GUESS), self.pixels), 1)
+        return max(min(int(GAUSSIANS_GUESS * self.pixels / self.quantum), self.pixels // PIXELS_OF_FIRST_GUESS), 1)
+
+    def most_gaussians(self, at: float) -> int:
+        """How many Gaussians there may be at a time of the schedule."""
+        if self.max_gaussians is not None:
+            return min(self.pixels, int(self.max_gaussians * self._excess(at)))
+        if self.max_bytes is not None:
+            return min(self.pixels, int(self.settings.most * self.expected_gaussians()))
+        return self.pixels
+
+    def new_gaussians(self, now: int) -> int:
+        """How many Gaussians may be added to so many at once.
+
+        Where no size is given the price of bits alone decides how many there will be; each time they may double.
+        """
+        s = self.settings
+        share = s.growth if self.max_bytes is not None else 1.0
+        return max(int(share * now), self.expected_gaussians() // len(s.growth_at), 4)
+
+    def steered(self, quantum: float, at: float, file_bytes: int, psnr: Callable[[], float]) -> float:
+        """The quantum from this time on, given the quantum now and what it comes to: the file's size, and its PSNR in
+        dB, which is asked for where it is needed."""
+        s = self.settings
+        if self.max_bytes is None and self.psnr is None:
+            return self._given_quantum(at)
+        if at < s.steering_from:
+            return quantum
+        exponent = s.steering_exponent if at in s.growth_at else s.trim_exponent
+        ratio: float
+        if self.max_bytes is not None:
+            # More than the whole size from the first: the fine steps that this means serve Gaussians well while they
+            # are few. Later there are more Gaussians than can stay, and those that gain least for their bits go.
+            ratio = (file_bytes / (self.max_bytes * self._excess(at))) ** exponent
+        else:
+            assert self.psnr is not None
+            # Early in the growth a larger error than the final one is right.
+            missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
+            aim = self.psnr - s.early_db * missing
+            ratio = 2 ** ((psnr() - aim) / s.db_per_doubling * exponent)
+        if ratio == 1.0:
+            return quantum
+        return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
+
+    def _surplus(self, at: float) -> float:
+        """1 while there may be more than was asked for, falling to 0."""
+        s = self.settings
+        return 1 - min(max((at - s.excess_from) / (s.excess_until - s.excess_from), 0), 1)
+
+    def _excess(self, at: float) -> float:
+        """How many times what was asked for there may be: Gaussians, or bytes."""
+        return 1 + self.settings.excess * self._surplus(at)
+
+    def _given_quantum(self, at: float) -> float:
+        """The quantum asked for; finer early, where a size or a PSNR would have steered it to."""
+        return self.quantum / float(self.settings.finer_early ** self._surplus(at))
