@@ -2,7 +2,7 @@
 
 Sections are those of the paper "Structure-Guided Allocation of 2D Gaussians for Image Representation and
 Compression". Where the paper gives no number, the comment names the measurement that chose it, on the sample
-photographs that scikit-image carries (docs/design.md).
+photographs that scikit-image carries (docs/notebook.md).
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PaperSettings(OptimiserSettings):
     lambda_b: float = 0.0012  # bitwidth loss, section IV-A; used where no byte budget sets the bitwidths
     lambda_r: float = 1.0  # commitment of colours to the codebooks (GSImage)
     # Ours: energy of each Gaussian alone, in the fit. Large colours that cancel would not survive six bits each;
-    # with it 28.9 -> 29.3 dB and 28.4 -> 28.8 dB on two photographs after quantisation (docs/design.md).
+    # with it 28.9 -> 29.3 dB and 28.4 -> 28.8 dB on two photographs after quantisation (docs/notebook.md).
     lambda_e: float = 0.003
 
     # Schedule: ours.
@@ -69,46 +69,58 @@ class PaperSettings(OptimiserSettings):
 
 @dataclass(frozen=True)
 class RdSettings(OptimiserSettings):
-    """Hyper-parameters of profile rd: ours (docs/design.md). Times are parts of the schedule."""
+    """Hyper-parameters of profile rd: ours. Times are parts of the schedule, 0 to 1.
+
+    docs/notebook.md has the measurement behind each number.
+    """
 
     steps: int = 1500
-    start_share: float = 0.1  # of the expected Gaussians, placed by structure; the others grow where the error is
-    growth_at: tuple[float, ...] = (0.03, 0.09, 0.15, 0.21, 0.27, 0.33, 0.39, 0.45, 0.55, 0.65)
-    growth: float = 1.0  # at most this part of the Gaussians is added at once
-    bits_of_new: float = 20.0  # a Gaussian is added where it gains more than so many bits are worth
-    bits_of_dropped: float = 25.0  # and dropped at the end of the growth and after where its energy is worth less
-    bits_of_nothing: float = 4.3  # likewise before: such a Gaussian rounds to nothing
-    rate_weight: float = 2.0  # of the theoretical price of a bit
     color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
-    # While Gaussians are few a picture of half the size, or less, serves as well.
+
+    # Growth: Gaussians are added at these times, where each gains more than its bits are worth.
+    start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow
+    growth_at: tuple[float, ...] = (0.03, 0.09, 0.15, 0.21, 0.27, 0.33, 0.39, 0.45, 0.55, 0.65)
+    growth: float = 1.0  # new Gaussians at one time are at most this part of those that there are
+    most: float = 5.0  # under a budget of bytes there are never more Gaussians than so many times the expected number
+    bits_of_new: float = 20.0  # a new Gaussian takes away at least the error that so many bits are worth
+
+    # A Gaussian is dropped when its own energy is worth fewer bits than this.
+    bits_of_nothing: float = 4.3  # while Gaussians are added: what is worth less rounds to nothing in the file
+    bits_of_dropped: float = 25.0  # from the last growth on
+    missed_db: float = 0.1  # nothing is dropped that would take a PSNR so far below the one asked for
+    rate_weight: float = 2.0  # price of a bit in the fit, in multiples of its theoretical price
+
+    # Size of the picture that is fitted: while Gaussians are few, half the size or less serves as well.
     halvings: int = 3
     pixels_per_gaussian: float = 20.0
     halved_until: float = 0.5
-    whole_from: float = 0.8  # under a time limit too short for the whole picture before
-    # Steering of the quantum towards a size or a PSNR
-    steering_from: float = 0.12
-    steering_exponent: float = 0.9
-    steering_limit: float = 1.35  # the quantum's largest change at a time
-    early_db: float = 2.0  # below the final PSNR, right when steering begins
-    missed_db: float = 0.1  # Gaussians whose loss would take the PSNR so far below its goal stay
+    whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
+
+    # Rate control: the quantum moves towards the size or the PSNR asked for, at the times of growth and at these.
     trim_at: tuple[float, ...] = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
-    trim_exponent: float = 1.0
-    excess: float = 0.5  # of bytes, or of Gaussians, over what was asked for at first
-    finer_early: float = 4.0  # how many times finer a quantum that was given is at first
-    excess_from: float = 0.45  # from here on both are given up,
-    excess_until: float = 0.97  # and here they are gone
-    most: float = 5.0  # Gaussians at any time, of those expected
-    db_per_doubling: float = 2.5  # PSNR lost when the quantum doubles
-    # The end: integers refined
-    fit_share: float = 0.9  # of a time limit; what is left is for this
-    refine_weight: float = 0.35  # of the theoretical price of a bit
-    refine_sweeps: int = 6
-    least_used: float = 0.985  # of the size; below, a finer quantum is tried
+    steering_from: float = 0.12
+    steering_exponent: float = 0.9  # at the times of growth
+    trim_exponent: float = 1.0  # later
+    steering_limit: float = 1.35  # the quantum's largest change at one time, as a factor
+    db_per_doubling: float = 2.5  # PSNR that is lost when the quantum doubles
+    early_db: float = 2.0  # when steering begins, a PSNR so far below the final one is right
+
+    # Surplus: early in the fit there may be more than the budget allows. Between these times it is given up.
+    excess: float = 0.5  # a budget of 100 bytes, or Gaussians, allows 150 at first
+    finer_early: float = 4.0  # a quantum that the budget gives is so many times finer at first
+    excess_from: float = 0.45
+    excess_until: float = 0.97
+
+    # The end: one quantum for all, then integers are refined.
+    fit_share: float = 0.9  # of a time limit; the rest is for the end
+    refine_weight: float = 0.35  # price of a bit in refining, in multiples of its theoretical price
+    refine_sweeps: int = 6  # over all Gaussians
+    least_used: float = 0.985  # of the bytes allowed; if refining leaves less in use, a finer quantum is tried
     size_tries: int = 4
     quantum_per_size: float = 1.4  # the quantum goes with about this power of the size's inverse
-    far_from_size: float = 1.1  # a fit that was cut short: fewer Gaussians may be better than coarser ones
+    far_from_size: float = 1.1  # of the bytes allowed; a fit that ends beyond was cut short, and also tries to drop
     psnr_tries: int = 7
-    psnr_slack_db: float = 0.05
+    psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
 
 
 PAPER = PaperSettings()

@@ -97,7 +97,7 @@ def test_the_imports_are_found() -> None:
     assert "sgmethod.native._native" in IMPORTS["sgmethod.native"]
     assert "sgmethod.bitstream.container" in IMPORTS["sgmethod.decode"]  # from sgmethod.bitstream import container
     assert "sgmethod.paper.lattice" in IMPORTS["sgmethod.paper.tuning"]
-    assert "sgmethod.codec" in IMPORTS["sgmethod.cli.main"]  # within a function
+    assert "sgmethod.codec" in IMPORTS["sgmethod.cli.commands"]  # within a function
     assert "service.web.guards.problems" in IMPORTS["service.web.routes.jobs"]
     assert room("service.web.guards.problems") == "web/guards/"
     assert room("service.web.app") == "web/"

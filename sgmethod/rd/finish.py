@@ -23,7 +23,7 @@ EXACT_DB = 99.0  # of a picture without any error
 
 
 class Finish:
-    """The last part of one encode."""
+    """The search for the quantum of one encode, once its Gaussians are fitted."""
 
     def __init__(self, fit: RdFit, request: Request) -> None:
         self.p, self.coder, self.picture = fit.p, fit.coder, fit.picture
@@ -32,13 +32,13 @@ class Finish:
         self.clock, self.until = request.recorder.clock, request.until_s()
 
     def stream(self) -> StreamV3:
-        """The coded picture."""
+        """The coded picture that meets the budget best."""
         if self.control.psnr is not None:
             best = self._at_psnr(self.control.psnr)
         elif self.control.max_bytes is not None:
             best = self._within(self.control.max_bytes - HEADER_BYTES)
         else:
-            best = self._refined(self.coder.with_quantum(self.control.quantum))
+            best = self._quantise_and_refine(self.coder.with_quantum(self.control.quantum))
         # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
         background = self.coder.stream(Parameters.empty(0))
         enough = min(self._psnr(best), self.control.psnr or math.inf)
@@ -47,7 +47,7 @@ class Finish:
     def _left_s(self) -> float:
         return math.inf if self.until is None else max(self.until - self.clock.seconds(), 0.0)
 
-    def _refined(self, coder: Coder, max_payload: int = NO_LIMIT) -> StreamV3:
+    def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT) -> StreamV3:
         price = self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
         sweeps = self.settings.refine_sweeps
         return coder.refined(self.p, self.picture.target, price, sweeps, self._left_s(), max_payload)
@@ -56,23 +56,30 @@ class Finish:
         return min(psnr(decode(container.serialise(stream)), self.source), EXACT_DB)
 
     def _within(self, limit: int) -> StreamV3:
-        """With the finest quantum at which the Gaussians fit; or, where the fit was cut short and far from its size,
-        with the quantum as it was and fewer Gaussians, if that is better."""
+        """The best with a payload of at most `limit` bytes.
+
+        The first try is the finest quantum at which all Gaussians fit. If refining leaves bytes unused, finer ones
+        follow. A fit that was cut short can be far from its size: then the quantum as it is, with fewer Gaussians, is
+        tried too.
+        """
         s, coder = self.settings, self._coder_within(limit)
-        found = [self._refined(coder, limit)]
+        found = [self._quantise_and_refine(coder, limit)]
         # Refining makes files smaller, by a percent or, where the fit was short, a fifth.
         for _ in range(s.size_tries):
             used = len(found[-1].payload) / max(limit, 1)
             if used >= s.least_used or used == 0 or self._left_s() == 0:
                 break
             coder = coder.with_quantum(coder.quantum * used**s.quantum_per_size)
-            found.append(self._refined(coder, limit))
+            found.append(self._quantise_and_refine(coder, limit))
         if len(self.coder.stream(self.p).payload) > s.far_from_size * limit:
-            found.append(self._refined(self.coder, limit))
+            found.append(self._quantise_and_refine(self.coder, limit))
         return max(found, key=self._psnr)
 
     def _coder_within(self, limit: int) -> Coder:
-        """By bisection from near the steered quantum; even the coarsest may leave too much."""
+        """The finest quantum at which all Gaussians fit, by bisection.
+
+        Even the coarsest may leave too much. Then refining drops Gaussians.
+        """
         low, high = math.log(0.8 * self.coder.quantum), math.log(1.02 * self.coder.quantum)
         while self._payload(high) > limit and high < math.log(MAX_QUANTUM):
             low, high = high, high + math.log(2)
@@ -87,13 +94,13 @@ class Finish:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
     def _at_psnr(self, target_db: float) -> StreamV3:
-        """The smallest found that reaches the target; the nearest if none does."""
+        """The smallest found that reaches the PSNR; the nearest to it if none does."""
         slack = self.settings.psnr_slack_db
         tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
         at, streams, took = math.log2(self.coder.quantum), {}, 0.0
         for _ in range(self.settings.psnr_tries):
             began = self.clock.seconds()
-            stream = self._refined(self.coder.with_quantum(2**at))
+            stream = self._quantise_and_refine(self.coder.with_quantum(2**at))
             tried[at], streams[at] = self._psnr(stream) - target_db, stream
             took = self.clock.seconds() - began
             if 0 <= tried[at] <= slack or took > self._left_s():
@@ -110,14 +117,17 @@ class Finish:
         return self._fewer(streams[at], target_db)
 
     def _fewer(self, stream: StreamV3, target_db: float) -> StreamV3:
-        """With as few bytes of the stream's quantum as still reach the target, by bisection. Some tens of Gaussians
-        move by tenths of a decibel whatever the quantum, and the coarsest there is may be too fine for them."""
+        """The fewest bytes at the stream's quantum that still reach the PSNR, by bisection.
+
+        In a picture of some tens of Gaussians each of them is worth tenths of a decibel, whatever the quantum. So the
+        coarsest quantum that reaches the PSNR may end well above it.
+        """
         coder, too_small = self.coder.with_quantum(stream.quantum), -1
         for _ in range(self.settings.psnr_tries):
             if len(stream.payload) - too_small <= 2 or self._left_s() == 0:
                 break
             middle = (too_small + len(stream.payload)) // 2
-            smaller = self._refined(coder, middle)
+            smaller = self._quantise_and_refine(coder, middle)
             if self._psnr(smaller) >= target_db:
                 stream = smaller
             else:
@@ -125,7 +135,7 @@ class Finish:
         return stream
 
     def _next_quantum(self, tried: dict[float, float]) -> float:
-        """By the line through the two nearest to the target, aimed a little above it."""
+        """Where the line through the two tries nearest to the target meets it, or a little above."""
         slope = -self.settings.db_per_doubling
         (x, y), *others = sorted(tried.items(), key=lambda item: abs(item[1]))
         if others:

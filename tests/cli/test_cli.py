@@ -24,8 +24,8 @@ from PIL import Image
 import sgmethod
 from sgmethod import codec, decode, info
 from sgmethod.budget import BUDGET_KINDS, Budget
+from sgmethod.cli import commands, files, terminal
 from sgmethod.cli import main as cli
-from sgmethod.cli import terminal
 from sgmethod.io.image import read_image
 from sgmethod.metrics import psnr
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
@@ -305,7 +305,7 @@ def test_what_cannot_be_written_is_known_before_the_work(
 
     Path("folder").mkdir()
     for name in ("read_image", "_load_encoder", "decode"):
-        monkeypatch.setattr(cli, name, work)
+        monkeypatch.setattr(commands, name, work)
     assert_refused(run(*shlex.split(line)), why)
     assert Path("photo.png").read_bytes().startswith(b"\x89PNG")
     assert list(Path("folder").iterdir()) == []
@@ -370,7 +370,7 @@ def test_cut_bitstreams(run: Run, length: int) -> None:
 
 
 def test_endless_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli, "MAX_INPUT_BYTES", 1 << 20)
+    monkeypatch.setattr(files, "MAX_INPUT_BYTES", 1 << 20)
     assert_refused(run("info", "/dev/zero"), "more than 1,048,576 bytes")
 
 
@@ -388,7 +388,7 @@ def test_too_little_memory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def decode_more(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(cli, "decode", decode_more)
+    monkeypatch.setattr(commands, "decode", decode_more)
     assert_refused(run("decode", "picture.sg", "out.png"), "memory")
 
 
