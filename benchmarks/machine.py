@@ -15,6 +15,7 @@ from sgmethod.native import native
 from tests.harness.data import ROOT
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
+RESULTS = ROOT / "benchmarks" / "results"
 PACKAGES = ("numpy", "torch", "imagecodecs")
 
 

@@ -64,7 +64,7 @@ def open_table(database_url: str, folder: Path, lease_s: float, **options: int) 
 def what_all_say(target: Callable[..., None], number: int, *arguments: Any) -> list[Any]:
     """What so many processes that start together put into the queue they are given."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["job_table"])  # else each process loads everything anew
+    context.set_forkserver_preload([__name__])  # else each process loads everything anew
     said = context.SimpleQueue()
     processes = [context.Process(target=target, args=(*arguments, said)) for _ in range(number)]
     for process in processes:

@@ -1,19 +1,20 @@
-"""Real requests to a real service, with pictures and files of its own to go with them."""
+"""A real service: started, watched, stopped and killed; and for tests also asked, answered and worked for."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
+import os
+import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
-from PIL import Image
 
 import sgmethod
 from service.backends import open_backend, open_storage
@@ -29,22 +30,78 @@ from service.jobs.interface import (
 )
 from service.settings import Settings
 from service.storage.disk import bitstream_key
-from tests.harness.service_process import PATIENCE_S, ServiceProcess, wait_until
+from tests.harness.data import ROOT
+from tests.harness.pictures import SLOW, SMALL
+from tests.harness.processes import COMMANDS, PATIENCE_S, Kind, processes, wait_until
 
 
-def png(width: int, height: int, seed: int = 0) -> bytes:
-    """A picture with some structure: a gradient, a disc and a little noise."""
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
-    disc = (np.hypot(x - width / 2, y - height / 2) < min(width, height) / 4) * 90.0
-    noise = np.random.default_rng(seed).normal(0, 8, (height, width, 3))
-    pixels = np.stack([x / width * 160, y / height * 160, disc], axis=2) + noise + 40
-    file = io.BytesIO()
-    Image.fromarray(pixels.clip(0, 255).astype(np.uint8)).save(file, "PNG")
-    return file.getvalue()
+class ServiceProcess:
+    """One `python -m service`, started at once, and a client of it.
 
+    Give settings by name, such as queue_length=2; extra: more environment variables. What it writes to standard error
+    is appended to a log beside its data folder.
+    """
 
-SMALL = png(64, 48)
-SLOW = png(768, 768)
+    timeout_s = PATIENCE_S  # of the client's requests
+
+    def __init__(
+        self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
+        self.data_dir = data_dir
+        self.log = data_dir.with_name(data_dir.name + ".log")
+        chosen = {"port": 0, "data_dir": data_dir, **settings}
+        self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}, **(extra or {})}
+        self._command = [sys.executable, "-m", "service", command]
+        self.start()
+
+    def start(self) -> None:
+        """Start it, again after a stop or kill. It listens when this returns."""
+        with self.log.open("a") as log:
+            self.process = subprocess.Popen(
+                self._command, cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert self.process.stdout is not None
+        with self.process.stdout as output:
+            words = output.readline().split()
+        if words[:3] != ["sgmethod", "service", "on"]:
+            self.process.kill()
+            self.process.wait()
+            raise AssertionError(self.log.read_text())
+        self.url = words[3].rstrip(",")
+        self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
+
+    def family(self) -> dict[int, str]:
+        """All its processes that are alive, by number, with their command lines."""
+        alive = processes()
+        family = {self.process.pid}
+        for _ in range(2):  # children, then theirs
+            family |= {number for number, process in alive.items() if process.parent in family}
+        return {number: alive[number].command for number in sorted(family & alive.keys())}
+
+    def ours(self, kind: Kind) -> list[int]:
+        """The numbers of its processes of a kind."""
+        return [number for number, command in self.family().items() if COMMANDS[kind] in command]
+
+    def stop(self) -> int:
+        """Stop it as an operator does; the exit status."""
+        self.client.close()
+        self.process.terminate()
+        return self.process.wait(PATIENCE_S)
+
+    def kill_all(self) -> None:
+        """End every process at once, without a chance to say anything."""
+        self.client.close()
+        victims = self.family()
+        for number in victims:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        self.process.wait(PATIENCE_S)
+        wait_until(lambda: not victims.keys() & processes().keys())
+
+    def files(self) -> list[str]:
+        """What lies in the storage."""
+        folders = ("sources", "bitstreams", "unfinished")
+        return sorted(f"{f}/{path.name}" for f in folders for path in (self.data_dir / f).iterdir())
 
 
 class Service(ServiceProcess):

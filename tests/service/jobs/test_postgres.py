@@ -13,7 +13,7 @@ from service.jobs.postgres import PostgresJobs
 from service.process.stopping import StopSignal
 from tests.harness.job_table import RULES, claimed, submitted
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.service_process import PATIENCE_S
+from tests.harness.processes import PATIENCE_S
 
 
 @pytest.fixture

@@ -13,8 +13,9 @@ from service.jobs.interface import EncodeRequest, NewJob, SourceImage, new_job_i
 from service.settings import Settings
 from service.storage.disk import source_key
 from tests.harness.data import ROOT
+from tests.harness.pictures import SMALL
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.service import SMALL, Outcome, RunCommand
+from tests.harness.service import Outcome, RunCommand
 
 
 def verdicts(result: Outcome) -> dict[str, str]:

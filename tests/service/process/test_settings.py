@@ -17,8 +17,8 @@ from service.process import supervisor
 from service.settings import Settings, available_cores
 from sgmethod.io.image import DEFAULT_LIMITS
 from tests.harness.data import ROOT
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import Outcome, RunCommand
-from tests.harness.service_process import PATIENCE_S, wait_until
 
 COMPUTED = {"workers": "cores / 4, at least 1", "api_keys": "", "api_keys_file": "", "link_secret": ""}
 

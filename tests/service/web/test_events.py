@@ -10,8 +10,9 @@ from typing import Any
 import httpx
 
 from tests.harness.data import golden_path
-from tests.harness.service import SMALL, Service, StartService, assert_problem
-from tests.harness.service_process import wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 Event = tuple[str, dict[str, Any]]

@@ -19,8 +19,8 @@ from service.process.lifeline import Lifeline
 from service.worker.encode_child import Spec, send, to_json
 from service.worker.encode_process import Encoded, EncodeProcess, Message, Refused, TracePoint
 from tests.harness.data import ROOT
-from tests.harness.service import SMALL
-from tests.harness.service_process import processes, wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import processes, wait_until
 
 PREAMBLE = "import os, sys, time; from service.worker.encode_child import send; out = sys.stdout.buffer\n"
 
