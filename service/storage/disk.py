@@ -7,13 +7,13 @@ folder. Keys are ours (job id and attempt); nothing a client names ever becomes 
 from __future__ import annotations
 
 import contextlib
-import os
 import re
-import secrets
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Protocol
+
+from sgmethod.io.files import sync_folder, write_atomically
 
 _UNFINISHED = "unfinished"
 _KEY = re.compile(rf"(sources|{_UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}\.sg")
@@ -66,14 +66,6 @@ class Storage(Protocol):
         ...
 
 
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 class DiskStorage:
     """Storage in a local folder, which is created if need be, readable by its owner alone."""
 
@@ -81,24 +73,13 @@ class DiskStorage:
         self._root = root
         for folder in (*_FOLDERS, _UNFINISHED):
             (root / folder).mkdir(mode=0o700, parents=True, exist_ok=True)
-        _sync_folder(root)
+        sync_folder(root)
 
     def _path(self, key: str) -> Path:
         return self._root / check_key(key)
 
     def put(self, key: str, data: bytes) -> None:
-        path = self._path(key)
-        unfinished = self._root / _UNFINISHED / secrets.token_hex(16)
-        try:
-            with unfinished.open("xb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            unfinished.replace(path)
-        except BaseException:
-            unfinished.unlink(missing_ok=True)
-            raise
-        _sync_folder(path.parent)
+        write_atomically(self._path(key), data, unfinished=self._root / _UNFINISHED)
 
     def get(self, key: str) -> bytes:
         return self._path(key).read_bytes()
