@@ -17,19 +17,11 @@ from typing import Any
 import httpx
 
 import sgmethod
-from service.backends import open_backend, open_storage
-from service.jobs.interface import (
-    Claim,
-    EncodeRequest,
-    EncodeResult,
-    JobBackend,
-    JobError,
-    NewJob,
-    SourceImage,
-    new_job_id,
-)
+from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
+from service.jobs.table import Claim, JobTable
+from service.opening import open_job_table, open_storage
 from service.settings import Settings
-from service.storage.disk import bitstream_key
+from service.storage.files import bitstream_key
 from tests.harness.data import ROOT
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import COMMANDS, PATIENCE_S, Kind, processes, wait_until
@@ -161,9 +153,9 @@ class Service(ServiceProcess):
         fields = sgmethod.info(bitstream)
         width, height = int(str(fields["width"])), int(str(fields["height"]))
         request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", width, height, 10)
-        backend = self._open_backend()
-        job, _ = backend.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
-        backend.close()
+        table = self._open_table()
+        job, _ = table.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
+        table.close()
         self.publish(job.id, bitstream)
         return job.id
 
@@ -172,28 +164,28 @@ class Service(ServiceProcess):
         fields = sgmethod.info(bitstream)
         width, height = int(str(fields["width"])), int(str(fields["height"]))
         stats = {"width": width, "height": height, "bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, "gaussians": 9}
-        backend = self._open_backend()
-        claim = self._claimed(backend, job_id)
+        table = self._open_table()
+        claim = self._claimed(table, job_id)
         key = bitstream_key(job_id, claim.attempt)
         open_storage(self._settings()).put(key, bitstream)
-        assert backend.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
-        backend.close()
+        assert table.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
+        table.close()
 
     def refuse(self, job_id: str) -> None:
         """Do as a worker whose codec refuses the job."""
-        backend = self._open_backend()
-        assert backend.fail(self._claimed(backend, job_id), JobError("refused", "it is refused"), retry=False)
-        backend.close()
+        table = self._open_table()
+        assert table.fail(self._claimed(table, job_id), JobError("refused", "it is refused"), retry=False)
+        table.close()
 
     def _settings(self) -> Settings:
         return Settings(data_dir=self.data_dir, database_url=self.environment.get("SG_DATABASE_URL", ""), lease_s=60)
 
-    def _open_backend(self) -> JobBackend:
-        return open_backend(self._settings())
+    def _open_table(self) -> JobTable:
+        return open_job_table(self._settings())
 
     @staticmethod
-    def _claimed(backend: JobBackend, job_id: str) -> Claim:
-        while (claim := backend.claim("test")) is not None and claim.job_id != job_id:
+    def _claimed(table: JobTable, job_id: str) -> Claim:
+        while (claim := table.claim("test")) is not None and claim.job_id != job_id:
             pass  # what other tests left waiting runs forever now
         assert claim is not None
         return claim

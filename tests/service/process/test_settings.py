@@ -188,7 +188,7 @@ def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) 
 
 
 def test_web_process_and_worker_never_import_torch() -> None:
-    modules = "sys, service.web.app, service.worker.worker, service.process.supervisor"
+    modules = "sys, service.web.app, service.worker.loop, service.process.supervisor"
     script = f"import {modules}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=60, check=False).returncode == 0
 
