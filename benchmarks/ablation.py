@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from benchmarks.machine import ROOT, in_words, origin, write_json
+from benchmarks.machine import RESULTS, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
 from sgmethod import Budget
 from sgmethod.codec import encode
@@ -78,7 +78,7 @@ def main() -> None:
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--steps", type=int, default=RD.steps)
     parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
-    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "ablation.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "ablation.json")
     options = parser.parse_args()
     every = pictures_in(options.images)
     pictures = every[:: max(len(every) // options.most, 1)][: options.most]

@@ -22,7 +22,7 @@ import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from benchmarks.machine import ISA_NAMES, ROOT, in_words, origin, write_json
+from benchmarks.machine import ISA_NAMES, RESULTS, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture
@@ -31,6 +31,7 @@ from sgmethod.native import native
 from sgmethod.paper.fit import fit
 from sgmethod.profiles import PAPER
 from sgmethod.start.placement import place
+from tests.harness.data import PHOTOGRAPHS
 
 SIZE = (768, 512)
 FIT_TARGET_S = 10.0  # 1,000 steps of profile paper's fit, regularisation included, two cores
@@ -52,7 +53,7 @@ class Spread:
 
 def load(folder: Path | None) -> tuple[str, NDArray[np.float32]]:
     """Name and pixels of the folder's first picture, or of a test picture, brought to SIZE."""
-    path = ROOT / "tests" / "data" / "kodim23-crop.png"
+    path = PHOTOGRAPHS / "kodim23-crop.png"
     if folder is not None:
         pictures = pictures_in(folder)
         if not pictures:
@@ -60,7 +61,7 @@ def load(folder: Path | None) -> tuple[str, NDArray[np.float32]]:
         path = pictures[0]
     with Image.open(path) as picture:
         fitted = ImageOps.fit(picture.convert("RGB"), SIZE, Image.Resampling.LANCZOS)
-    return path.name, np.asarray(fitted, np.float32) / 255
+    return path.name, np.asarray(fitted, np.float32) / np.float32(255)
 
 
 def fitted(image: NDArray[np.float32], n: int, steps: int) -> tuple[Parameters, float]:
@@ -80,10 +81,11 @@ class Jobs:
     """What is timed, on one set of Gaussians."""
 
     def __init__(self, p: Parameters) -> None:
-        self.p = p
-        self.image = torch.empty(3, SIZE[1], SIZE[0])
-        self.upstream = torch.randn(self.image.shape, generator=torch.Generator().manual_seed(0))
-        self.out = [torch.empty_like(t) for t in (p.means, p.factors, p.colors)]
+        self.shapes = p.means.numpy(), p.factors.numpy()
+        self.colors = p.colors.numpy()
+        self.image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
+        self.upstream = np.random.default_rng(0).standard_normal(self.image.shape, np.float32)
+        self.gradients = [np.empty_like(array) for array in (*self.shapes, self.colors)]
         self.by_name: dict[str, Callable[[int], None]] = {
             "binning": self.binning,
             "forward": self.forward,
@@ -92,17 +94,17 @@ class Jobs:
 
     def binning(self, isa: int) -> None:
         """Geometry over tiles."""
-        native.Rasterization(self.p.means, self.p.factors, *SIZE, isa=isa)
+        native.Rasterization(*self.shapes, *SIZE, isa=isa)
 
     def forward(self, isa: int) -> None:
         """Geometry and picture."""
-        native.Rasterization(self.p.means, self.p.factors, *SIZE, isa=isa).render(self.p.colors, self.image)
+        native.Rasterization(*self.shapes, *SIZE, isa=isa).render(self.colors, self.image)
 
     def both(self, isa: int) -> None:
         """Geometry, picture, all gradients."""
-        raster = native.Rasterization(self.p.means, self.p.factors, *SIZE, isa=isa)
-        raster.render(self.p.colors, self.image)
-        raster.backward(self.p.colors, self.upstream, *self.out)
+        raster = native.Rasterization(*self.shapes, *SIZE, isa=isa)
+        raster.render(self.colors, self.image)
+        raster.backward(self.colors, self.upstream, *self.gradients)
 
 
 def measure(jobs: Jobs, rounds: int) -> list[Spread]:
@@ -152,7 +154,7 @@ def main() -> None:
     parser.add_argument("--gaussians", type=int, default=5000)
     parser.add_argument("--steps", type=int, default=1000, help="of the fit beforehand, which is timed too")
     parser.add_argument("--rounds", type=int, default=60)
-    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "kernels.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "kernels.json")
     options = parser.parse_args()
     name, image = load(options.images)
     load_before = os.getloadavg()[0]

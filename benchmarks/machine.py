@@ -11,10 +11,12 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 from tests.harness.data import ROOT
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
+RESULTS = ROOT / "benchmarks" / "results"
 PACKAGES = ("numpy", "torch", "imagecodecs")
 
 
@@ -56,9 +58,7 @@ def commit() -> str:
 def write_json(path: Path, content: object) -> None:
     """Whole or not at all: an interrupted benchmark leaves the results before it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    part.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    part.replace(path)
+    write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
 
 
 def _git(*arguments: str) -> str:

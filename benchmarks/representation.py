@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.machine import ROOT, in_words, origin, write_json
+from benchmarks.machine import RESULTS, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
 from sgmethod.bitstream import v3
 from sgmethod.fitting.recorder import Clock, Recorder
@@ -34,10 +34,15 @@ FREE_FROM = 0.85  # of the profile's schedule
 def lengthened(steps: int) -> RdSettings:
     """The profile with more steps: what comes and goes does so at the same steps, and the rest is free."""
     part = RD.steps / steps
-    times = ("steering_from", "halved_until", "excess_from", "excess_until", "growth_at", "trim_at")
-    scaled = {name: tuple(part * np.atleast_1d(getattr(RD, name))) for name in times}
     return replace(
-        RD, steps=steps, **{name: value if name.endswith("_at") else value[0] for name, value in scaled.items()}
+        RD,
+        steps=steps,
+        steering_from=part * RD.steering_from,
+        halved_until=part * RD.halved_until,
+        excess_from=part * RD.excess_from,
+        excess_until=part * RD.excess_until,
+        growth_at=tuple(part * at for at in RD.growth_at),
+        trim_at=tuple(part * at for at in RD.trim_at),
     )
 
 
@@ -76,7 +81,7 @@ def main() -> None:
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--gaussians", default="5000,10000", help="numbers, separated by commas")
     parser.add_argument("--steps", type=int, default=RD.steps)
-    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results" / "representation.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "representation.json")
     options = parser.parse_args()
     pictures = pictures_in(options.images)
     if not pictures:

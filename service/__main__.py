@@ -12,8 +12,8 @@ from collections.abc import Callable
 
 from pydantic import ValidationError
 
-from service.backends import open_backend, open_storage
-from service.jobs.interface import BackendError
+from service.jobs.table import JobTableError
+from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.process import lifeline
 from service.process.listening import is_loopback, listen, url
 from service.process.stopping import StopSignal
@@ -43,7 +43,7 @@ def main() -> int:
         print(f"{name} is no setting of this service, and does nothing", file=sys.stderr)
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
-    except (OSError, BackendError, SgError) as error:
+    except (OSError, JobTableError, MissingPackagesError, SgError) as error:
         verb = "sweep" if arguments.command == "sweep" else "start"
         print(f"cannot {verb}: {' '.join(str(error).split())}", file=sys.stderr)
         return TROUBLE
@@ -78,7 +78,7 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
     stop = StopSignal()
     stop.on_signals()
     # Trouble with folder, database or bucket shows here, not as processes that keep dying.
-    open_backend(settings).close()
+    open_job_table(settings).close()
     open_storage(settings).check()
     supervise(settings, _announce(settings), stop)
 
@@ -93,15 +93,15 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
 
 
 def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
-    from service.worker.worker import Worker
+    from service.worker.loop import Worker
 
     stop = StopSignal()
     stop.on_signals()
     if arguments.lifeline is not None:
         lifeline.watch(arguments.lifeline, stop.request)
-    backend = open_backend(settings)
-    Worker(settings, backend, open_storage(settings), stop).run()
-    backend.close()
+    table = open_job_table(settings)
+    Worker(settings, table, open_storage(settings), stop).run()
+    table.close()
 
 
 def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
@@ -115,15 +115,15 @@ def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
 
 
 def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
-    backend = open_backend(settings)
+    table = open_job_table(settings)
     swept = sweep(
-        backend,
+        table,
         open_storage(settings),
         retention_s=settings.retention_s,
         orphan_age_s=arguments.orphan_age_s,
         dry_run=arguments.dry_run,
     )
-    backend.close()
+    table.close()
     verb = "would remove" if arguments.dry_run else "removed"
     print(f"{verb} finished jobs: {swept.jobs}, files that no job needs: {swept.files}")
 

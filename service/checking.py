@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from service.backends import open_backend, open_storage
-from service.jobs.interface import BackendError
+from service.jobs.table import JobTableError
+from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.settings import Settings
-from service.storage.disk import PROBE_FOLDER
+from service.storage.files import PROBE_FOLDER
 from sgmethod.errors import SgError
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
@@ -45,7 +45,7 @@ def check(settings: Settings) -> Iterator[Check]:
     for name, run in checks.items():
         try:
             yield Check(name, True, run(settings))
-        except (CheckError, BackendError, SgError, OSError, ImportError) as error:
+        except (CheckError, JobTableError, MissingPackagesError, SgError, OSError, ImportError) as error:
             yield Check(name, False, str(error))
 
 
@@ -54,9 +54,9 @@ def _settings(settings: Settings) -> str:
 
 
 def _database(settings: Settings) -> str:
-    backend = open_backend(settings)
-    jobs = backend.census().jobs
-    backend.close()
+    table = open_job_table(settings)
+    jobs = table.census().jobs
+    table.close()
     kind = "PostgreSQL" if settings.uses_postgres else f"SQLite, {settings.database_path}"
     return f"{kind}: {', '.join(f'{count} {state}' for state, count in jobs.items())}"
 

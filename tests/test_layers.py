@@ -123,7 +123,7 @@ def test_each_room_says_what_it_is_for(name: str) -> None:
 def test_the_service_leaves_the_encoder_to_its_own_process() -> None:
     for name, path in modules("service").items():
         imported = re.search(r"sgmethod\.(codec|rd|paper|fitting)\b|import torch", path.read_text())
-        assert imported is None or name == "service.worker.encode_child"
+        assert imported is None or name == "service.worker.encoder"
 
 
 def test_no_test_imports_a_benchmark() -> None:

@@ -16,10 +16,11 @@ from typing import Any
 
 import httpx
 
-from benchmarks.machine import ROOT
-from tests.harness.service_process import PATIENCE_S, Kind, ServiceProcess, processes
+from tests.harness.data import ROOT
+from tests.harness.processes import PATIENCE_S, Kind, processes
+from tests.harness.service import ServiceProcess
 
-SETTINGS = {"workers": 3, "threads": 1, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10}
+SETTINGS: dict[str, Any] = {"workers": 3, "threads": 1, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10}
 
 
 class ChaosService(ServiceProcess):

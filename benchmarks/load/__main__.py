@@ -4,7 +4,7 @@
     python -m benchmarks.load --encodes 100 [--time-limit 4] [--out FILE.md]
     python -m benchmarks.load --soak MINUTES [--time-limit 4] [--out FILE.md]
 
-The first starts `python -m service serve`, encodes a picture of 768x512 at 0.25 bpp, and has benchmarks.load_generator
+The first starts `python -m service serve`, encodes a picture of 768x512 at 0.25 bpp, and has benchmarks.load.generator
 ask for it as PNG 50 times a second, and 20 times a second for /livez, while another encode runs: once with no picture
 kept in memory, so that each request decodes, and once with the default. The others encode pictures one after the
 other, so many of 12 megapixels or of several sizes for so long, and watch the memory of web process, worker and
@@ -29,8 +29,9 @@ from PIL import Image, ImageOps
 
 from benchmarks.load.memory import measure_encodes, measure_soak
 from benchmarks.load.service import LoadService, made_picture, png, running
-from benchmarks.machine import ROOT, in_words, origin
+from benchmarks.machine import in_words, origin
 from benchmarks.pictures import pictures_in
+from tests.harness.data import ROOT
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
 RATE, LIVE_RATE = 50.0, 20.0
@@ -78,7 +79,7 @@ def under_load(service: LoadService, path: str, seconds: float) -> tuple[Spread,
         time.sleep(0.1)
     address = service.url.removeprefix("http://")
     wanted = [f"{RATE}={path}", f"{LIVE_RATE}=/livez"]
-    command = [sys.executable, "-m", "benchmarks.load_generator", address, str(seconds), *wanted]
+    command = [sys.executable, "-m", "benchmarks.load.generator", address, str(seconds), *wanted]
     done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
     if service.client.get(f"/jobs/{busy}").json()["state"] != "running":
         raise SystemExit("the encode ended too early: nothing was measured under load")

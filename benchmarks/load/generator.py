@@ -1,6 +1,6 @@
 """The load of benchmarks.load, in a process of its own: GET requests at fixed moments, whatever came of those before.
 
-    python -m benchmarks.load_generator HOST:PORT SECONDS RATE=PATH...     prints latencies as JSON
+    python -m benchmarks.load.generator HOST:PORT SECONDS RATE=PATH...     prints latencies as JSON
 
 A latency counts from the moment at which the request was due, so a server (or a generator) that falls behind shows
 in every request that had to wait. A plain client over asyncio's streams: the cores are shared with the server.

@@ -10,12 +10,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from PIL import Image
 
 from benchmarks.load.service import LoadService, made_picture, png, running
-from tests.harness.service_process import Kind
+from tests.harness.processes import Kind
 
 LARGE = (4000, 3000)
 MIXTURE = ((256, 192), (768, 512), (1536, 1024), (2048, 1536))
@@ -25,7 +25,7 @@ SAMPLE_S = 0.2
 REST_S = 5.0
 TOLERANCE = 1.2  # of what was there after the first encode; allocators keep some
 # Kept pictures are memory that is meant to be held; without them the floor is one.
-SETTINGS = {"workers": 1, "decode_cache_bytes": 0, "retention_s": 0}
+SETTINGS: dict[str, Any] = {"workers": 1, "decode_cache_bytes": 0, "retention_s": 0}
 NAMES: dict[Kind, str] = {"web": "web process", "worker": "worker", "encoder": "encoder"}
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from tests.harness.service_process import Kind, ServiceProcess
+from tests.harness.processes import Kind
+from tests.harness.service import ServiceProcess
 
 PATIENCE_S = 300.0
 
@@ -80,7 +81,7 @@ def _resident_bytes(process: int) -> int:
 
 
 @contextmanager
-def running(data_dir: Path, **settings: object) -> Iterator[LoadService]:
+def running(data_dir: Path, **settings: Any) -> Iterator[LoadService]:
     """`python -m service serve` until the context ends, which it does in order."""
     service = LoadService(data_dir, **settings)
     try:

@@ -16,9 +16,9 @@ from psycopg_pool import ConnectionPool
 
 from service.jobs.engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.interface import BackendError, JobRules
-from service.jobs.sql import WATCHED, SqlJobs
+from service.jobs.sql import WATCHED, SqlJobTable
 from service.jobs.statements import OVERDUE, SCHEMA, Cursor, Database
+from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
@@ -54,7 +54,7 @@ SELECT (SELECT count(*) FROM jobs LEFT JOIN busy USING (owner)
 
 
 class _Session:
-    """A connection as sql_jobs sees it."""
+    """A connection as sql.py sees it."""
 
     def __init__(self, connection: psycopg.Connection[DictRow]) -> None:
         self.connection = connection
@@ -68,11 +68,11 @@ def _translated_errors() -> Iterator[None]:
     try:
         yield
     except (psycopg.Error, ProcrastinateException) as error:
-        raise BackendError(f"PostgreSQL: {in_words(error)}") from error
+        raise JobTableError(f"PostgreSQL: {in_words(error)}") from error
 
 
-class PostgresJobs(SqlJobs):
-    """JobBackend on a PostgreSQL database, which is set up when first used.
+class PostgresJobTable(SqlJobTable):
+    """JobTable on a PostgreSQL database, which is set up when first used.
 
     url: postgresql://user:password@host/database, or what else libpq understands.
     """
@@ -107,10 +107,10 @@ class PostgresJobs(SqlJobs):
             db.execute("CREATE SCHEMA IF NOT EXISTS sgmethod")
             db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
             versions = {row["part"]: row["version"] for row in db.execute("SELECT * FROM version").fetchall()}
-            table = int(versions.get("jobs", 0))
-            if table > SCHEMA_VERSION:
-                raise BackendError("the database was written by a newer version of this service")
-            if table == 0:
+            written = int(versions.get("jobs", 0))
+            if written > SCHEMA_VERSION:
+                raise JobTableError("the database was written by a newer version of this service")
+            if written == 0:
                 db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
             if versions.get("engine") != procrastinate.__version__:
                 # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
@@ -156,7 +156,7 @@ class PostgresJobs(SqlJobs):
                 tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
                 for _ in range(rows - tokens):
                     self._wake(db)
-        except BackendError as error:
+        except JobTableError as error:
             log.warning("cannot top up the engine: %s", error)
 
     def close(self) -> None:

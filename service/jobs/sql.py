@@ -14,22 +14,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
-from service.jobs.interface import (
-    JOB_STATES,
-    Census,
-    Claim,
-    EncodeRequest,
-    EncodeResult,
-    Job,
-    JobError,
-    JobRules,
-    JsonObject,
-    KeyReusedError,
-    NewJob,
-    OwnQueueFullError,
-    QueueFullError,
-    SourceImage,
-)
+from service.jobs.job import JOB_STATES, EncodeRequest, EncodeResult, Job, JobError, JsonObject, NewJob, SourceImage
 from service.jobs.statements import (
     CLAIM,
     CRASH,
@@ -42,7 +27,8 @@ from service.jobs.statements import (
     TRACE_POINT,
     Database,
 )
-from service.storage.disk import bitstream_key, source_key
+from service.jobs.table import Census, Claim, JobRules, KeyReusedError, OwnQueueFullError, QueueFullError
+from service.storage.files import bitstream_key, source_key
 
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
@@ -89,8 +75,8 @@ def _json(value: Any) -> str:
     return json.dumps(asdict(value))
 
 
-class SqlJobs(ABC):
-    """All of JobBackend but delivery and closing, on whatever connections a subclass provides."""
+class SqlJobTable(ABC):
+    """All of JobTable but delivery and closing, on whatever connections a subclass provides."""
 
     def __init__(self, rules: JobRules) -> None:
         self._rules = rules
@@ -98,7 +84,7 @@ class SqlJobs(ABC):
 
     @abstractmethod
     def _connection(self) -> AbstractContextManager[Database]:
-        """A connection for reading. Within, the database's errors become BackendError."""
+        """A connection for reading. Within, the database's errors become JobTableError."""
 
     @abstractmethod
     def _transaction(self) -> AbstractContextManager[Database]:
@@ -137,7 +123,7 @@ class SqlJobs(ABC):
             self._wake(db)
             return _job(db.execute(SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
 
-    def find_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+    def find_by_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
         return self._one("WHERE owner = ? AND idempotency_key = ?", owner or "", idempotency_key)
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
@@ -275,7 +261,7 @@ class SqlJobs(ABC):
         statement = f"UPDATE jobs SET {assignments} {MINE}"
         return db.execute(statement, (*values, claim.job_id, claim.attempt)).rowcount == 1
 
-    def live_keys(self) -> set[str]:
+    def needed_keys(self) -> set[str]:
         with self._connection() as db:
             rows = db.execute("SELECT id, state, attempt, result FROM jobs").fetchall()
         waiting = {source_key(row["id"]) for row in rows if row["state"] in ("queued", "running")}

@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.jobs.interface import BackendError, JobRules
-from service.jobs.sql import SqlJobs
+from service.jobs.sql import SqlJobTable
 from service.jobs.statements import SCHEMA, Database
+from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
@@ -35,8 +35,8 @@ DROP TABLE jobs_1;
 SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1}
 
 
-class SqliteJobs(SqlJobs):
-    """JobBackend on one SQLite file in WAL mode, every commit synced to disk."""
+class SqliteJobTable(SqlJobTable):
+    """JobTable on one SQLite file in WAL mode, every commit synced to disk."""
 
     def __init__(self, path: Path, rules: JobRules) -> None:
         super().__init__(rules)
@@ -51,18 +51,18 @@ class SqliteJobs(SqlJobs):
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
-                raise BackendError(f"{self._path} was written by a newer version of this service")
+                raise JobTableError(f"{self._path} was written by a newer version of this service")
             if version < SCHEMA_VERSION:
                 for statement in SCRIPTS[version].split(";")[:-1]:
                     db.execute(statement)
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 
     def _identity(self) -> tuple[int, int]:
-        """Which file is at the path. Raises BackendError if there is none: SQLite would make an empty one."""
+        """Which file is at the path. Raises JobTableError if there is none: SQLite would make an empty one."""
         try:
             found = self._path.stat()
         except OSError as error:
-            raise BackendError(f"{self._path}: {error.strerror}") from error
+            raise JobTableError(f"{self._path}: {error.strerror}") from error
         return found.st_dev, found.st_ino
 
     def _follow_file(self) -> None:
@@ -101,7 +101,7 @@ class SqliteJobs(SqlJobs):
         except sqlite3.Error as error:
             if db is not None:
                 db.close()
-            raise BackendError(f"{self._path}: {error}") from error
+            raise JobTableError(f"{self._path}: {error}") from error
         except BaseException:
             if db is not None:
                 idle.put(db)

@@ -14,7 +14,7 @@ import obstore
 from obstore.exceptions import BaseError
 from obstore.store import from_url
 
-from service.storage.disk import check_key
+from service.storage.files import check_key
 
 ENDPOINT = "AWS_ENDPOINT_URL"
 TIMEOUT = timedelta(seconds=60)  # of one request; the largest image fits in at 1 MB a second
@@ -32,7 +32,7 @@ def _as_os_errors() -> Iterator[None]:
         raise OSError(errno.EIO, f"the object store failed: {first_line}") from error
 
 
-class ObjectStorage:
+class BucketStorage:
     """Storage in a bucket, beneath a prefix if the address has one.
 
     url: s3://bucket/prefix. Endpoint, region and credentials come from the usual AWS_ variables.

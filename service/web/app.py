@@ -14,8 +14,8 @@ from starlette.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
-from service.backends import open_backend, open_storage
 from service.keys import KeyRing, RateLimit
+from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.web.guards.gate import Gate
 from service.web.guards.metrics import RequestMetrics
@@ -42,7 +42,7 @@ UPLOADS_IN_MEMORY = 4
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     parts: Parts = app.state.parts
     yield
-    parts.backend.close()
+    parts.table.close()
 
 
 def _body_limits(settings: Settings) -> BodyLimits:
@@ -58,7 +58,7 @@ def _body_limits(settings: Settings) -> BodyLimits:
 def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASGIApp:
     """The application with its middleware, ready for a server; stopping tells it that the server is to stop.
 
-    Raises BackendError, OSError.
+    Raises JobTableError, MissingPackagesError, OSError.
     """
     app = FastAPI(
         title="sgmethod",
@@ -71,7 +71,7 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
     )
     parts = app.state.parts = Parts(
         settings,
-        open_backend(settings),
+        open_job_table(settings),
         open_storage(settings),
         PictureDecoder(settings.max_decodes, settings.max_waiting_decodes),
         PictureCache(settings.decode_cache_bytes),

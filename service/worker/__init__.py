@@ -1,5 +1,5 @@
-"""The worker: one job at a time, each encoded in a process of its own.
+"""The worker runs one job at a time, each in an encoder process of its own.
 
-A claimed job and its source image come in.
-A bitstream or a reason for failure leaves, and files that no job needs are removed.
+A claim on a job and the job's source image come in.
+A bitstream leaves, or the reason of a failure; files that no job needs are removed.
 """

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from service.jobs.interface import Job, JobBackend
-from service.storage.disk import Storage
+from service.jobs.job import Job
+from service.jobs.table import JobTable
+from service.storage.files import Storage
 
 # A file without a job is either left over from a crash or of a job being accepted or finished just now,
 # which takes seconds.
@@ -21,7 +22,7 @@ class Swept:
 
 
 def sweep(
-    backend: JobBackend,
+    table: JobTable,
     storage: Storage,
     *,
     retention_s: float,
@@ -30,13 +31,13 @@ def sweep(
 ) -> Swept:
     """Remove jobs that ended more than retention_s seconds ago (0: none), and files that no job needs.
 
-    With dry_run nothing is removed. Raises BackendError, OSError.
+    With dry_run nothing is removed. Raises JobTableError, OSError.
     """
-    expired = backend.finished(retention_s) if retention_s else []
+    expired = table.finished(retention_s) if retention_s else []
     if not dry_run:
         for job in expired:
-            _remove(backend, storage, job)
-    keep = backend.live_keys()
+            _remove(table, storage, job)
+    keep = table.needed_keys()
     orphans = [key for key in storage.old(orphan_age_s) if key not in keep]
     if not dry_run:
         for key in orphans:
@@ -44,7 +45,7 @@ def sweep(
     return Swept(len(expired), len(orphans))
 
 
-def _remove(backend: JobBackend, storage: Storage, job: Job) -> None:
-    removed = backend.remove(job.id)
+def _remove(table: JobTable, storage: Storage, job: Job) -> None:
+    removed = table.remove(job.id)
     if removed is not None and removed.result is not None:
         storage.delete(removed.result.bitstream_key)

@@ -39,8 +39,8 @@ class Browser:
         self._session = f"session/{started['sessionId']}/"
 
     def _ask(self, method: str, path: str, **body: Any) -> Any:
-        content = {"json": body} if method == "POST" else {}
-        answer = self._http.request(method, f"/{self._session}{path}", **content).json()["value"]
+        content = body if method == "POST" else None
+        answer = self._http.request(method, f"/{self._session}{path}", json=content).json()["value"]
         if isinstance(answer, dict) and "error" in answer:
             raise AssertionError(answer["message"])
         return answer

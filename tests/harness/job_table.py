@@ -7,19 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.jobs.interface import (
-    Claim,
-    EncodeRequest,
-    EncodeResult,
-    JobBackend,
-    JobError,
-    JobRules,
-    NewJob,
-    SourceImage,
-    new_job_id,
-)
-from service.jobs.postgres import PostgresJobs
-from service.jobs.sqlite import SqliteJobs
+from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
+from service.jobs.postgres import PostgresJobTable
+from service.jobs.sqlite import SqliteJobTable
+from service.jobs.table import Claim, JobRules, JobTable
 
 REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
@@ -28,7 +19,7 @@ CRASH = JobError("crashed", "it crashed")
 LONG_S, NO_TIME_S = 60.0, 0.0
 RULES = JobRules(LONG_S, 3)
 
-OpenTable = Callable[..., JobBackend]
+OpenTable = Callable[..., JobTable]
 
 
 def new(key: str | None = None, fingerprint: str = "f", **more: Any) -> NewJob:
@@ -36,35 +27,39 @@ def new(key: str | None = None, fingerprint: str = "f", **more: Any) -> NewJob:
     return NewJob(new_job_id(), REQUEST, IMAGE, fingerprint, key, **more)
 
 
-def submitted(backend: JobBackend, **more: Any) -> str:
+def submitted(table: JobTable, **more: Any) -> str:
     """The id of a new job."""
-    return backend.submit(new(**more), 100)[0].id
+    return table.submit(new(**more), 100)[0].id
 
 
-def claimed(backend: JobBackend) -> Claim:
+def claimed(table: JobTable) -> Claim:
     """The next claim; there must be one."""
-    claim = backend.claim("w")
+    claim = table.claim("w")
     assert claim is not None
     return claim
 
 
-def state(backend: JobBackend, job_id: str) -> str:
+def state(table: JobTable, job_id: str) -> str:
     """A job's state."""
-    job = backend.get(job_id)
+    job = table.get(job_id)
     assert job is not None
     return job.state
 
 
-def open_table(database_url: str, folder: Path, lease_s: float, **options: int) -> JobBackend:
+def open_table(database_url: str, folder: Path, lease_s: float, **options: int) -> JobTable:
     """The job table of SG_DATABASE_URL, SQLite's in the folder."""
     rules = JobRules(lease_s, 3, **options)
-    return SqliteJobs(folder / "jobs.sqlite3", rules) if database_url == "sqlite" else PostgresJobs(database_url, rules)
+    return (
+        SqliteJobTable(folder / "jobs.sqlite3", rules)
+        if database_url == "sqlite"
+        else PostgresJobTable(database_url, rules)
+    )
 
 
 def what_all_say(target: Callable[..., None], number: int, *arguments: Any) -> list[Any]:
     """What so many processes that start together put into the queue they are given."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["job_table"])  # else each process loads everything anew
+    context.set_forkserver_preload([__name__])  # else each process loads everything anew
     said = context.SimpleQueue()
     processes = [context.Process(target=target, args=(*arguments, said)) for _ in range(number)]
     for process in processes:

@@ -8,7 +8,7 @@ import sys
 import urllib.error
 import urllib.request
 
-from tests.harness.service_process import wait_until
+from tests.harness.processes import wait_until
 
 
 class S3Server:

@@ -1,50 +1,99 @@
-"""Real requests to a real service, with pictures and files of its own to go with them."""
+"""A real service: started, watched, stopped and killed; and for tests also asked, answered and worked for."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import io
+import os
+import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
-from PIL import Image
 
 import sgmethod
-from service.backends import open_backend, open_storage
-from service.jobs.interface import (
-    Claim,
-    EncodeRequest,
-    EncodeResult,
-    JobBackend,
-    JobError,
-    NewJob,
-    SourceImage,
-    new_job_id,
-)
+from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
+from service.jobs.table import Claim, JobTable
+from service.opening import open_job_table, open_storage
 from service.settings import Settings
-from service.storage.disk import bitstream_key
-from tests.harness.service_process import PATIENCE_S, ServiceProcess, wait_until
+from service.storage.files import bitstream_key
+from tests.harness.data import ROOT
+from tests.harness.pictures import SLOW, SMALL
+from tests.harness.processes import COMMANDS, PATIENCE_S, Kind, processes, wait_until
 
 
-def png(width: int, height: int, seed: int = 0) -> bytes:
-    """A picture with some structure: a gradient, a disc and a little noise."""
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
-    disc = (np.hypot(x - width / 2, y - height / 2) < min(width, height) / 4) * 90.0
-    noise = np.random.default_rng(seed).normal(0, 8, (height, width, 3))
-    pixels = np.stack([x / width * 160, y / height * 160, disc], axis=2) + noise + 40
-    file = io.BytesIO()
-    Image.fromarray(pixels.clip(0, 255).astype(np.uint8)).save(file, "PNG")
-    return file.getvalue()
+class ServiceProcess:
+    """One `python -m service`, started at once, and a client of it.
 
+    Give settings by name, such as queue_length=2; extra: more environment variables. What it writes to standard error
+    is appended to a log beside its data folder.
+    """
 
-SMALL = png(64, 48)
-SLOW = png(768, 768)
+    timeout_s = PATIENCE_S  # of the client's requests
+
+    def __init__(
+        self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
+    ) -> None:
+        self.data_dir = data_dir
+        self.log = data_dir.with_name(data_dir.name + ".log")
+        chosen = {"port": 0, "data_dir": data_dir, **settings}
+        self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}, **(extra or {})}
+        self._command = [sys.executable, "-m", "service", command]
+        self.start()
+
+    def start(self) -> None:
+        """Start it, again after a stop or kill. It listens when this returns."""
+        with self.log.open("a") as log:
+            self.process = subprocess.Popen(
+                self._command, cwd=ROOT, env=self.environment, stdout=subprocess.PIPE, stderr=log, text=True
+            )
+        assert self.process.stdout is not None
+        with self.process.stdout as output:
+            words = output.readline().split()
+        if words[:3] != ["sgmethod", "service", "on"]:
+            self.process.kill()
+            self.process.wait()
+            raise AssertionError(self.log.read_text())
+        self.url = words[3].rstrip(",")
+        self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
+
+    def family(self) -> dict[int, str]:
+        """All its processes that are alive, by number, with their command lines."""
+        alive = processes()
+        family = {self.process.pid}
+        for _ in range(2):  # children, then theirs
+            family |= {number for number, process in alive.items() if process.parent in family}
+        return {number: alive[number].command for number in sorted(family & alive.keys())}
+
+    def ours(self, kind: Kind) -> list[int]:
+        """The numbers of its processes of a kind."""
+        return [number for number, command in self.family().items() if COMMANDS[kind] in command]
+
+    def stop(self) -> int:
+        """Stop it as an operator does; the exit status."""
+        self.client.close()
+        self.process.terminate()
+        return self.process.wait(PATIENCE_S)
+
+    def kill_all(self) -> None:
+        """End every process at once, without a chance to say anything."""
+        self.client.close()
+        victims = self.family()
+        for number in victims:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(number, signal.SIGKILL)
+        self.process.wait(PATIENCE_S)
+        wait_until(lambda: not victims.keys() & processes().keys())
+
+    def files(self) -> list[str]:
+        """What lies in the storage."""
+        folders = ("sources", "bitstreams", "unfinished")
+        return sorted(f"{f}/{path.name}" for f in folders for path in (self.data_dir / f).iterdir())
 
 
 class Service(ServiceProcess):
@@ -101,42 +150,41 @@ class Service(ServiceProcess):
 
     def published(self, bitstream: bytes, owner: str | None = None) -> str:
         """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
-        fields = sgmethod.info(bitstream)
-        width, height = int(str(fields["width"])), int(str(fields["height"]))
-        request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", width, height, 10)
-        backend = self._open_backend()
-        job, _ = backend.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
-        backend.close()
+        info = sgmethod.info(bitstream)
+        request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", info.width, info.height, 10)
+        table = self._open_table()
+        job, _ = table.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
+        table.close()
         self.publish(job.id, bitstream)
         return job.id
 
     def publish(self, job_id: str, bitstream: bytes) -> None:
         """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running."""
-        fields = sgmethod.info(bitstream)
-        width, height = int(str(fields["width"])), int(str(fields["height"]))
-        stats = {"width": width, "height": height, "bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, "gaussians": 9}
-        backend = self._open_backend()
-        claim = self._claimed(backend, job_id)
+        info = sgmethod.info(bitstream)
+        size = {"width": info.width, "height": info.height, "bytes": len(bitstream)}
+        stats = {**size, "bpp": 1.0, "psnr": 30.0, "gaussians": 9}
+        table = self._open_table()
+        claim = self._claimed(table, job_id)
         key = bitstream_key(job_id, claim.attempt)
         open_storage(self._settings()).put(key, bitstream)
-        assert backend.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
-        backend.close()
+        assert table.finish(claim, EncodeResult(key, hashlib.sha256(bitstream).hexdigest(), stats))
+        table.close()
 
     def refuse(self, job_id: str) -> None:
         """Do as a worker whose codec refuses the job."""
-        backend = self._open_backend()
-        assert backend.fail(self._claimed(backend, job_id), JobError("refused", "it is refused"), retry=False)
-        backend.close()
+        table = self._open_table()
+        assert table.fail(self._claimed(table, job_id), JobError("refused", "it is refused"), retry=False)
+        table.close()
 
     def _settings(self) -> Settings:
         return Settings(data_dir=self.data_dir, database_url=self.environment.get("SG_DATABASE_URL", ""), lease_s=60)
 
-    def _open_backend(self) -> JobBackend:
-        return open_backend(self._settings())
+    def _open_table(self) -> JobTable:
+        return open_job_table(self._settings())
 
     @staticmethod
-    def _claimed(backend: JobBackend, job_id: str) -> Claim:
-        while (claim := backend.claim("test")) is not None and claim.job_id != job_id:
+    def _claimed(table: JobTable, job_id: str) -> Claim:
+        while (claim := table.claim("test")) is not None and claim.job_id != job_id:
             pass  # what other tests left waiting runs forever now
         assert claim is not None
         return claim

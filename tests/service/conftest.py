@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from service.__main__ import main
-from service.jobs.interface import JobBackend
+from service.jobs.table import JobTable
 from tests.harness import browser as browser_module
 from tests.harness.browser import Browser, find_driver
 from tests.harness.job_table import LONG_S, OpenTable, open_table
@@ -83,23 +83,23 @@ def database_url(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def open_backend(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
+def open_job_table(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
     """Opens the same table with leases of so many seconds."""
-    opened: list[JobBackend] = []
+    opened: list[JobTable] = []
 
-    def opener(lease_s: float, **options: int) -> JobBackend:
+    def opener(lease_s: float, **options: int) -> JobTable:
         opened.append(open_table(database_url, tmp_path, lease_s, **options))
         return opened[-1]
 
     yield opener
-    for backend in opened:
-        backend.close()
+    for table in opened:
+        table.close()
 
 
 @pytest.fixture
-def backend(open_backend: OpenTable) -> JobBackend:
+def table(open_job_table: OpenTable) -> JobTable:
     """An empty job table."""
-    return open_backend(LONG_S)
+    return open_job_table(LONG_S)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from service.jobs.interface import BackendError
+from service.jobs.table import JobTableError
 
 log = logging.getLogger(__name__)
 
@@ -101,7 +101,7 @@ async def _on_invalid_parameters(_request: Request, error: Exception) -> Respons
     return problem_response(ProblemError(422, detail, errors=errors))
 
 
-async def _on_backend_unavailable(_request: Request, error: Exception) -> Response:
+async def _on_table_unavailable(_request: Request, error: Exception) -> Response:
     log.error("the job table cannot be reached: %s", error)
     detail = "the job table cannot be reached just now"
     return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
@@ -127,7 +127,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(ProblemError, _on_problem)
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
-    app.add_exception_handler(BackendError, _on_backend_unavailable)
+    app.add_exception_handler(JobTableError, _on_table_unavailable)
     app.add_exception_handler(OSError, _on_storage_unavailable)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_anything)

@@ -47,20 +47,20 @@ class Drawing:
     height: int
 
     @classmethod
-    def of(cls, wanted: ViewQuery, kind: PictureFormat, size: tuple[int, int], max_pixels: int) -> Drawing:
+    def of(cls, query: ViewQuery, kind: PictureFormat, size: tuple[int, int], max_pixels: int) -> Drawing:
         """What the query asks of a picture of that size (width, height).
 
         Raises ProblemError 422 if it makes no picture, or one beyond max_pixels or what the kind of file holds.
         """
-        if wanted.scale is not None and wanted.width is not None:
+        if query.scale is not None and query.width is not None:
             raise ProblemError(422, "give scale or width, not both")
         region = None
-        if wanted.region is not None:
-            x, y, w, h = (int(number) for number in wanted.region.split(","))
+        if query.region is not None:
+            x, y, w, h = (int(number) for number in query.region.split(","))
             region = None if (x, y, w, h) == (0, 0, *size) else (x, y, w, h)
-        scale = 1.0 if wanted.scale is None else wanted.scale
-        if wanted.width is not None:
-            scale = wanted.width / max(region[2] if region else size[0], 1)
+        scale = 1.0 if query.scale is None else query.scale
+        if query.width is not None:
+            scale = query.width / max(region[2] if region else size[0], 1)
         try:
             view = View(scale, region)
             width, height = view.size(*size)
@@ -82,11 +82,11 @@ def draw(bitstream: bytes, drawing: Drawing) -> bytes:
     return encode_picture(sgmethod.decode(bitstream, view=drawing.view), drawing.kind)
 
 
-def draw_unknown(bitstream: bytes, wanted: ViewQuery, max_pixels: int, max_gaussians: int) -> bytes:
+def draw_unknown(bitstream: bytes, query: ViewQuery, max_pixels: int, max_gaussians: int) -> bytes:
     """PNG of a bitstream of which nothing is known yet. Raises BitstreamError, ProblemError 422."""
     fields = sgmethod.info(bitstream, max_gaussians)  # a few kilobytes can hold millions of equal ones
     size = (fields.width, fields.height)
-    return draw(bitstream, Drawing.of(wanted, "png", size, max_pixels))
+    return draw(bitstream, Drawing.of(query, "png", size, max_pixels))
 
 
 class PictureDecoder:

@@ -11,9 +11,10 @@ from anyio import to_thread
 from fastapi import APIRouter, Depends
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from service.jobs.interface import FINAL_STATES, BackendError, Job
+from service.jobs.job import FINAL_STATES, Job
+from service.jobs.table import JobTableError
 from service.web.guards.problems import ProblemError, problems
-from service.web.routes import views
+from service.web.routes import answers
 from service.web.routes.parts import KnownJob, Parts, UseParts
 
 log = logging.getLogger(__name__)
@@ -46,31 +47,31 @@ async def events(job: KnownJob, parts: UseParts, _: Annotated[None, Depends(_pla
     try:
         async for event in _story(job, parts):
             yield event
-    except BackendError as error:
+    except JobTableError as error:
         log.error("a stream of events ends early: %s", error)
 
 
 async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:
-    last: views.JobSummary | None = None
+    last: answers.JobSummary | None = None
     attempt, sent, progress = 0, 0, 0.0
     while True:
-        summary = views.summary(job)
+        summary = answers.summary(job)
         if summary != last:
             yield ServerSentEvent(event="state", data=summary)
             last = summary
         if job.attempt != attempt:
             attempt, sent = job.attempt, 0
-        points = await to_thread.run_sync(parts.backend.trace, job.id, sent)
+        points = await to_thread.run_sync(parts.table.trace, job.id, sent)
         if points:
             sent += len(points)
-            progress = max(progress, views.progress(points))
-            yield ServerSentEvent(event="trace", data=views.new_points(points, progress))
+            progress = max(progress, answers.progress(points))
+            yield ServerSentEvent(event="trace", data=answers.new_points(points, progress))
         if job.state in FINAL_STATES:
             yield ServerSentEvent(event=job.state, data=summary)
             return
         if await _set_within(parts.stopping, POLL_S):
             return
-        seen = await to_thread.run_sync(parts.backend.get, job.id)
+        seen = await to_thread.run_sync(parts.table.get, job.id)
         if seen is None:
             yield ServerSentEvent(event="removed", data={})
             return

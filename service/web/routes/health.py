@@ -9,9 +9,9 @@ from anyio import fail_after, to_thread
 from fastapi import APIRouter, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
-from service.jobs.interface import BackendError, Census
+from service.jobs.table import Census, JobTableError
 from service.web.guards.problems import ProblemError, problems
-from service.web.routes import views
+from service.web.routes import answers
 from service.web.routes.parts import Parts, UseParts
 
 log = logging.getLogger(__name__)
@@ -25,14 +25,14 @@ PATIENCE_S = 2.0  # a table that takes longer is no better than none
 @router.get("/healthz", include_in_schema=False)  # the name before there was /readyz
 @router.head("/livez", include_in_schema=False)
 @router.get("/livez")
-async def live() -> views.HealthView:
+async def live() -> answers.HealthView:
     """Whether the web process answers; waits for nothing."""
-    return views.HealthView(status="ok", version=VERSION)
+    return answers.HealthView(status="ok", version=VERSION)
 
 
 @router.head("/readyz", include_in_schema=False)
 @router.get("/readyz", responses=problems(503))
-async def ready(parts: UseParts) -> views.HealthView:
+async def ready(parts: UseParts) -> answers.HealthView:
     """Whether jobs are accepted and worked on: table and storage answer, and the queue does not stall."""
     census = await _census(parts)
     if census is None:
@@ -43,7 +43,7 @@ async def ready(parts: UseParts) -> views.HealthView:
         stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
         if stalled_s > parts.settings.stall_s:
             raise ProblemError(503, f"jobs wait, and no worker has been heard from for {stalled_s:.0f} s")
-    return views.HealthView(status="ok", version=VERSION)
+    return answers.HealthView(status="ok", version=VERSION)
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
@@ -57,8 +57,8 @@ async def metrics(parts: UseParts) -> Response:
 async def _census(parts: Parts) -> Census | None:
     try:
         with fail_after(PATIENCE_S):
-            return await to_thread.run_sync(parts.backend.census, limiter=parts.watching, abandon_on_cancel=True)
-    except (BackendError, TimeoutError) as error:
+            return await to_thread.run_sync(parts.table.census, limiter=parts.watching, abandon_on_cancel=True)
+    except (JobTableError, TimeoutError) as error:
         log.error("the job table does not answer: %r", error)
         return None
 

@@ -9,16 +9,17 @@ from typing import Annotated, Any
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
-from service.jobs.interface import PRIORITIES, Job, KeyReusedError, NewJob, OwnQueueFullError, QueueFullError
+from service.jobs.job import PRIORITIES, Job, NewJob
+from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError
 from service.keys import Link
-from service.storage.disk import source_key
+from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
-from service.web.routes import views
+from service.web.routes import answers
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
 from service.web.routes.submission import (
     FORM_TYPE,
     IMAGE_FIELD,
-    Wanted,
+    Submission,
     check_content_type,
     idempotency_key,
     new_job,
@@ -81,16 +82,16 @@ def _own_queue_full(limit: int) -> ProblemError:
     responses=problems(400, 408, 413, 415, 422, 429, 503),
     openapi_extra=ENCODE_EXTRA,
 )
-async def encode(request: Request, response: Response, parts: UseParts, caller: UseCaller) -> views.AcceptedView:
+async def encode(request: Request, response: Response, parts: UseParts, caller: UseCaller) -> answers.AcceptedView:
     """Accept an image to be encoded, with exactly one budget."""
     check_content_type(request)
     key = idempotency_key(request)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
     async with submission(request, parts.settings) as submitted, parts.accepting:
         image = await submitted.image_bytes(parts.settings.max_upload_bytes)
-        job = await to_thread.run_sync(_accept, parts, submitted.wanted, image, key, caller.owner)
+        job = await to_thread.run_sync(_accept, parts, submitted, image, key, caller.owner)
     parts.metrics.accepted.inc()
-    view = views.accepted(job)
+    view = answers.accepted(job)
     response.headers["Location"] = view.status_url
     response.headers.update(NEVER_STORED)
     return view
@@ -99,19 +100,19 @@ async def encode(request: Request, response: Response, parts: UseParts, caller: 
 def _check_queue(parts: Parts, key: str | None, owner: str | None) -> None:
     """Raises ProblemError 429 if the queue is full, or the owner's part of it, and the request no repetition."""
     own_limit = parts.settings.max_queued_per_key
-    if parts.backend.queued() >= parts.settings.queue_length:
+    if parts.table.queued() >= parts.settings.queue_length:
         refusal = _queue_full()
-    elif owner is not None and own_limit and parts.backend.queued(owner) >= own_limit:
+    elif owner is not None and own_limit and parts.table.queued(owner) >= own_limit:
         refusal = _own_queue_full(own_limit)
     else:
         return
-    if key is None or parts.backend.find_key(key, owner) is None:
+    if key is None or parts.table.find_by_key(key, owner) is None:
         raise refusal
 
 
-def _accept(parts: Parts, wanted: Wanted, image: bytes, key: str | None, owner: str | None) -> Job:
+def _accept(parts: Parts, submitted: Submission, image: bytes, key: str | None, owner: str | None) -> Job:
     """The image to the disk, then the job to the table; only then may the client be told."""
-    new = new_job(image, wanted, key, owner, parts.settings)
+    new = new_job(submitted, image, key, owner, parts.settings)
     try:
         parts.storage.put(source_key(new.id), image)
     except OSError as error:
@@ -136,7 +137,7 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
     # If the table fails, the image stays for the sweep: the row may have been written all the same.
     try:
         own_limit = parts.settings.max_queued_per_key if new.owner is not None else 0
-        return parts.backend.submit(new, parts.settings.queue_length, own_limit)
+        return parts.table.submit(new, parts.settings.queue_length, own_limit)
     except OwnQueueFullError:
         refusal = _own_queue_full(own_limit)
     except QueueFullError:
@@ -148,10 +149,10 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
 
 
 @router.get("/jobs/{job_id}", responses=problems(404, 503))
-def status(job: KnownJob, parts: UseParts, response: Response) -> views.JobView:
+def status(job: KnownJob, parts: UseParts, response: Response) -> answers.JobView:
     """State, place in the queue, progress, trace so far, and result or error."""
     response.headers.update(NEVER_STORED)
-    return views.with_trace(job, parts.backend.trace(job.id))
+    return answers.with_trace(job, parts.table.trace(job.id))
 
 
 @router.get("/jobs", responses=problems(422, 503))
@@ -161,12 +162,12 @@ def jobs(
     response: Response,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[int | None, Query(ge=1, le=2**53)] = None,
-) -> views.JobPage:
+) -> answers.JobPage:
     """All jobs, or the key's own where there are keys, newest first, a page at a time."""
     response.headers.update(NEVER_STORED)
-    page = parts.backend.page(limit + 1, before, caller.owner)
+    page = parts.table.page(limit + 1, before, caller.owner)
     older = f"/jobs?limit={limit}&before={page[limit - 1].number}" if len(page) > limit else None
-    return views.JobPage(jobs=[views.summary(job) for job in page[:limit]], next=older)
+    return answers.JobPage(jobs=[answers.summary(job) for job in page[:limit]], next=older)
 
 
 @router.post("/jobs/{job_id}/links", responses=problems(404, 422, 503))
@@ -175,7 +176,7 @@ def links(
     parts: UseParts,
     response: Response,
     expires_s: Annotated[int, Query(ge=1, description="seconds until they expire")] = 3600,
-) -> views.LinksView:
+) -> answers.LinksView:
     """Links to the picture and the bitstream, for whoever has no key."""
     response.headers.update(NEVER_STORED)
     secret = parts.settings.link_secret.get_secret_value()
@@ -185,13 +186,13 @@ def links(
         raise ProblemError(422, f"expires_s must be at most {parts.settings.link_max_age_s}")
     expires = int(time.time()) + expires_s
     picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
-    return views.links(job, picture, bitstream, expires)
+    return answers.links(job, picture, bitstream, expires)
 
 
 @router.delete("/jobs/{job_id}", status_code=204, responses=problems(404, 503))
 def remove(job: KnownJob, parts: UseParts) -> None:
     """Cancel the job if it is not done, and remove all that is kept of it."""
-    removed = parts.backend.remove(job.id)
+    removed = parts.table.remove(job.id)
     if removed is None:
         return
     # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.

@@ -10,9 +10,10 @@ from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, Request
 from fastapi import Path as PathParameter
 
-from service.jobs.interface import Job, JobBackend, is_job_id
+from service.jobs.job import Job, is_job_id
+from service.jobs.table import JobTable
 from service.settings import Settings
-from service.storage.disk import Storage
+from service.storage.files import Storage
 from service.web.guards.gate import Caller
 from service.web.guards.metrics import Metrics
 from service.web.guards.middleware import Outflow
@@ -33,7 +34,7 @@ class Parts:
     """
 
     settings: Settings
-    backend: JobBackend
+    table: JobTable
     storage: Storage
     decoder: PictureDecoder
     pictures: PictureCache
@@ -68,7 +69,7 @@ async def _known_job(job_id: JobId, parts: UseParts, caller: UseCaller) -> Job:
     """The job, if the caller may know of it; a foreign one looks the same as none."""
     if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
         raise no_such_job()
-    job = await to_thread.run_sync(parts.backend.get, job_id, caller.owner)
+    job = await to_thread.run_sync(parts.table.get, job_id, caller.owner)
     if job is None:
         raise no_such_job()
     return job

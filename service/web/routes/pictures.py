@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
-from service.jobs.interface import EncodeResult, Job
+from service.jobs.job import EncodeResult, Job
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes.bodies import body_as_file
 from service.web.routes.decoding import Drawing, ViewQuery, draw, draw_unknown
@@ -58,7 +58,7 @@ def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
     try:
         return parts.storage.get(result.bitstream_key)
     except FileNotFoundError as error:
-        if parts.backend.get(job.id) is None:  # removed while we looked
+        if parts.table.get(job.id) is None:  # removed while we looked
             raise no_such_job() from None
         raise _damaged(job, error) from error
 
@@ -82,12 +82,12 @@ def _damaged(job: Job, error: Exception) -> ProblemError:
     responses={**_files(*MEDIA_TYPES.values()), **NOT_MODIFIED, **problems(404, 409, 422, 503)},
 )
 async def picture(
-    job: KnownJob, kind: PictureFormat, wanted: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
+    job: KnownJob, kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
 ) -> Response:
     """The decoded picture, or a view of it, as PNG, JPEG or WebP."""
     result = _result(job)
     size = (int(result.stats["width"]), int(result.stats["height"]))
-    drawing = Drawing.of(wanted, kind, size, parts.settings.max_decode_pixels)
+    drawing = Drawing.of(query, kind, size, parts.settings.max_decode_pixels)
     headers = {"ETag": drawing.etag(result.sha256), "Cache-Control": IMMUTABLE}
     if _has_already(request, headers["ETag"]):
         return Response(status_code=304, headers=headers)
@@ -107,7 +107,7 @@ async def picture(
     responses={**_files(MEDIA_TYPES["png"]), **problems(408, 413, 422, 503)},
     openapi_extra={"requestBody": BITSTREAM_BODY},
 )
-async def picture_of_body(wanted: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
+async def picture_of_body(query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
     """A picture of the bitstream in the body, as PNG. Nothing is stored."""
     limits = parts.settings
     parts.outflow.check()
@@ -116,7 +116,7 @@ async def picture_of_body(wanted: Annotated[ViewQuery, Query()], parts: UseParts
         try:
             with parts.metrics.decode_seconds.time():
                 file = await parts.decoder.run(
-                    draw_unknown, data, wanted, limits.max_decode_pixels, limits.max_decode_gaussians
+                    draw_unknown, data, query, limits.max_decode_pixels, limits.max_decode_gaussians
                 )
         except BitstreamError as error:
             raise ProblemError(422, str(error)) from error

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
-from service.jobs.interface import PRIORITIES, EncodeRequest, NewJob, Priority, SourceImage, new_job_id
+from service.jobs.job import PRIORITIES, EncodeRequest, NewJob, Priority, SourceImage, new_job_id
 from service.settings import Settings
 from service.web.guards.problems import ProblemError
 from service.web.routes.bodies import body_as_file
@@ -45,18 +45,11 @@ def idempotency_key(request: Request) -> str | None:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What the fields of a submission ask for."""
-
-    encode: EncodeRequest
-    priority: Priority
-
-
-@dataclass(frozen=True)
 class Submission:
-    """A body that has come in whole: the image as a file, and what is wanted of it."""
+    """The body of POST /encode, come in whole: the request, and the image as a file."""
 
-    wanted: Wanted
+    request: EncodeRequest
+    priority: Priority
     image: UploadFile
 
     async def image_bytes(self, max_bytes: int) -> bytes:
@@ -86,35 +79,38 @@ async def submission(request: Request, settings: Settings) -> AsyncIterator[Subm
     if check_content_type(request) == FORM_TYPE:
         limits = {"max_files": 1, "max_fields": len(FIELDS), "max_part_size": MAX_FIELD_BYTES}
         async with request.form(**limits) as form:
-            wanted = _wanted([*query, *form.multi_items()], settings)
+            encode_request, priority = _encode_request([*query, *form.multi_items()], settings)
             image = form.get(IMAGE_FIELD)
             if not isinstance(image, UploadFile):
                 raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, or is not a file")
-            yield Submission(wanted, image)
+            yield Submission(encode_request, priority, image)
     else:
-        wanted = _wanted(query, settings)
+        encode_request, priority = _encode_request(query, settings)
         async with body_as_file(request, settings.max_upload_bytes) as image:
-            yield Submission(wanted, image)
+            yield Submission(encode_request, priority, image)
 
 
-def new_job(image: bytes, wanted: Wanted, key: str | None, owner: str | None, settings: Settings) -> NewJob:
-    """The job to accept, once the image's header has been looked at; no pixel is decoded.
+def new_job(submitted: Submission, image: bytes, key: str | None, owner: str | None, settings: Settings) -> NewJob:
+    """The job to accept. The image's header is read; no pixel is decoded.
 
     Raises ProblemError 415 for what is none of the formats, 422 for a damaged header or a size beyond
     the limits.
     """
     header = _checked_header(image, settings)
-    digest = hashlib.sha256(json.dumps(asdict(wanted)).encode())
+    asked = {"encode": asdict(submitted.request), "priority": submitted.priority}
+    digest = hashlib.sha256(json.dumps(asked).encode())
     digest.update(image)
-    return NewJob(new_job_id(), wanted.encode, header, digest.hexdigest(), key, owner, wanted.priority)
+    return NewJob(new_job_id(), submitted.request, header, digest.hexdigest(), key, owner, submitted.priority)
 
 
-def _wanted(given: Sequence[tuple[str, UploadFile | str]], settings: Settings) -> Wanted:
+def _encode_request(
+    given: Sequence[tuple[str, UploadFile | str]], settings: Settings
+) -> tuple[EncodeRequest, Priority]:
     """What the fields ask for, from the query and the form alike. Raises ProblemError 422."""
     fields = _text_fields(given)
     budget = _budget(fields)
     time_limit_s = _time_limit_s(fields, settings.max_time_limit_s)
-    return Wanted(EncodeRequest(budget.kind, budget.value, _profile(fields), time_limit_s), _priority(fields))
+    return EncodeRequest(budget.kind, budget.value, _profile(fields), time_limit_s), _priority(fields)
 
 
 def _text_fields(given: Sequence[tuple[str, UploadFile | str]]) -> dict[str, str]:
@@ -156,11 +152,11 @@ def _profile(fields: dict[str, str]) -> str:
 
 
 def _priority(fields: dict[str, str]) -> Priority:
-    wanted = fields.get("priority", PRIORITIES[0])
+    name = fields.get("priority", PRIORITIES[0])
     for priority in PRIORITIES:
-        if priority == wanted:
+        if priority == name:
             return priority
-    raise ProblemError(422, f"unknown priority {wanted!r}; use one of {', '.join(PRIORITIES)}")
+    raise ProblemError(422, f"unknown priority {name!r}; use one of {', '.join(PRIORITIES)}")
 
 
 def _time_limit_s(fields: dict[str, str], most_s: float) -> float:

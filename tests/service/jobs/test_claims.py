@@ -9,15 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from service.backends import open_backend as open_backend_of
 from service.jobs import sql
-from service.jobs.interface import (
-    Claim,
-    EncodeResult,
-    JobBackend,
-    JobError,
-)
-from service.jobs.sql import SqlJobs
+from service.jobs.job import EncodeResult, JobError
+from service.jobs.sql import SqlJobTable
+from service.jobs.table import Claim, JobTable
+from service.opening import open_job_table as open_backend_of
 from service.settings import Settings
 from tests.harness.job_table import (
     CRASH,
@@ -34,96 +30,96 @@ from tests.harness.job_table import (
 )
 
 
-def test_jobs_are_claimed_in_order_and_once(backend: JobBackend) -> None:
-    ids = [submitted(backend) for _ in range(3)]
-    claims = [claimed(backend) for _ in range(3)]
+def test_jobs_are_claimed_in_order_and_once(table: JobTable) -> None:
+    ids = [submitted(table) for _ in range(3)]
+    claims = [claimed(table) for _ in range(3)]
     assert [claim.job_id for claim in claims] == ids
     assert claims[0] == Claim(ids[0], 1, REQUEST)
-    assert backend.claim("w") is None
+    assert table.claim("w") is None
 
 
-def test_interactive_jobs_come_before_bulk_jobs(backend: JobBackend) -> None:
-    bulk, late_bulk = submitted(backend, priority="bulk"), submitted(backend, priority="bulk")
-    urgent = submitted(backend)
-    positions = {job.id: (job.position, job.priority) for job in backend.page(10)}
+def test_interactive_jobs_come_before_bulk_jobs(table: JobTable) -> None:
+    bulk, late_bulk = submitted(table, priority="bulk"), submitted(table, priority="bulk")
+    urgent = submitted(table)
+    positions = {job.id: (job.position, job.priority) for job in table.page(10)}
     assert positions == {urgent: (1, "interactive"), bulk: (2, "bulk"), late_bulk: (3, "bulk")}
-    assert [claimed(backend).job_id for _ in range(3)] == [urgent, bulk, late_bulk]
+    assert [claimed(table).job_id for _ in range(3)] == [urgent, bulk, late_bulk]
 
 
-def test_owners_take_turns(backend: JobBackend) -> None:
+def test_owners_take_turns(table: JobTable) -> None:
     """Who has the fewest running jobs is next, then who was served longest ago, then the oldest job."""
-    of_anna = [submitted(backend, owner="anna") for _ in range(4)]
-    of_bert = [submitted(backend, owner="bert") for _ in range(2)]
-    of_cora = [submitted(backend, owner="cora")]
-    first = claimed(backend)
+    of_anna = [submitted(table, owner="anna") for _ in range(4)]
+    of_bert = [submitted(table, owner="bert") for _ in range(2)]
+    of_cora = [submitted(table, owner="cora")]
+    first = claimed(table)
     assert first.job_id == of_anna[0]
-    assert [claimed(backend).job_id for _ in range(2)] == [of_bert[0], of_cora[0]]
-    assert backend.finish(first, RESULT)  # anna has none running
-    second = claimed(backend)
+    assert [claimed(table).job_id for _ in range(2)] == [of_bert[0], of_cora[0]]
+    assert table.finish(first, RESULT)  # anna has none running
+    second = claimed(table)
     assert second.job_id == of_anna[1]
-    assert backend.finish(second, RESULT)
-    third = claimed(backend)
+    assert table.finish(second, RESULT)
+    third = claimed(table)
     assert third.job_id == of_anna[2]
     # All have one running: bert was served before anna.
-    assert [claimed(backend).job_id for _ in range(2)] == [of_bert[1], of_anna[3]]
+    assert [claimed(table).job_id for _ in range(2)] == [of_bert[1], of_anna[3]]
 
 
-def test_running_jobs_of_an_owner_are_limited(open_backend: OpenTable) -> None:
-    backend = open_backend(LONG_S, max_running_per_owner=1)
-    first, second = [submitted(backend, owner="anna") for _ in range(2)]
-    other = submitted(backend, owner="bert", priority="bulk")
-    claim = claimed(backend)
-    assert (claim.job_id, claimed(backend).job_id) == (first, other)
-    assert backend.claim("w") is None
-    assert state(backend, second) == "queued"
-    assert backend.finish(claim, RESULT)
-    assert claimed(backend).job_id == second
+def test_running_jobs_of_an_owner_are_limited(open_job_table: OpenTable) -> None:
+    table = open_job_table(LONG_S, max_running_per_owner=1)
+    first, second = [submitted(table, owner="anna") for _ in range(2)]
+    other = submitted(table, owner="bert", priority="bulk")
+    claim = claimed(table)
+    assert (claim.job_id, claimed(table).job_id) == (first, other)
+    assert table.claim("w") is None
+    assert state(table, second) == "queued"
+    assert table.finish(claim, RESULT)
+    assert claimed(table).job_id == second
 
 
 def test_the_operators_limits_reach_the_table(tmp_path: Path) -> None:
-    backend = open_backend_of(Settings(data_dir=tmp_path, max_running_per_key=1, max_attempts=2, lease_s=LONG_S))
-    first, second = [submitted(backend, owner="anna") for _ in range(2)]
+    table = open_backend_of(Settings(data_dir=tmp_path, max_running_per_key=1, max_attempts=2, lease_s=LONG_S))
+    first, second = [submitted(table, owner="anna") for _ in range(2)]
     for crashes in (1, 2):
-        claim = claimed(backend)
-        assert (claim.job_id, backend.claim("w")) == (first, None)
-        assert backend.fail(claim, CRASH, retry=True)
-        assert state(backend, first) == ("queued" if crashes == 1 else "failed")
-    assert claimed(backend).job_id == second
-    backend.close()
+        claim = claimed(table)
+        assert (claim.job_id, table.claim("w")) == (first, None)
+        assert table.fail(claim, CRASH, retry=True)
+        assert state(table, first) == ("queued" if crashes == 1 else "failed")
+    assert claimed(table).job_id == second
+    table.close()
 
 
-def test_heartbeat_carries_the_trace(backend: JobBackend) -> None:
-    job_id = submitted(backend)
-    claim = claimed(backend)
-    assert backend.heartbeat(claim, [{"step": 0}, {"step": 1}], 0)
-    assert backend.heartbeat(claim, [], 2)
-    assert backend.heartbeat(claim, [{"step": 1}, {"step": 2}], 1)  # a point that was sent twice
-    assert backend.trace(job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
-    assert backend.trace(job_id, 2) == [{"step": 2}]
-    assert backend.trace(job_id, 3) == []
-    assert backend.fail(claim, CRASH, retry=True)
-    claimed(backend)
-    assert backend.trace(job_id) == []
+def test_heartbeat_carries_the_trace(table: JobTable) -> None:
+    job_id = submitted(table)
+    claim = claimed(table)
+    assert table.heartbeat(claim, [{"step": 0}, {"step": 1}], 0)
+    assert table.heartbeat(claim, [], 2)
+    assert table.heartbeat(claim, [{"step": 1}, {"step": 2}], 1)  # a point that was sent twice
+    assert table.trace(job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
+    assert table.trace(job_id, 2) == [{"step": 2}]
+    assert table.trace(job_id, 3) == []
+    assert table.fail(claim, CRASH, retry=True)
+    claimed(table)
+    assert table.trace(job_id) == []
 
 
-def test_finish(backend: JobBackend) -> None:
-    job_id = submitted(backend)
-    claim = claimed(backend)
-    assert backend.finish(claim, RESULT)
-    assert backend.finish(claim, RESULT)  # as after a commit whose answer was lost
-    job = backend.get(job_id)
+def test_finish(table: JobTable) -> None:
+    job_id = submitted(table)
+    claim = claimed(table)
+    assert table.finish(claim, RESULT)
+    assert table.finish(claim, RESULT)  # as after a commit whose answer was lost
+    job = table.get(job_id)
     assert job is not None
     assert (job.state, job.result, job.error) == ("done", RESULT, None)
-    assert backend.live_keys() == {RESULT.bitstream_key}
+    assert table.needed_keys() == {RESULT.bitstream_key}
 
 
-def test_a_stale_claim_changes_nothing(open_backend: OpenTable) -> None:
+def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
     """Rule 2: once the lease is over and another has claimed the job, the first worker's token is void."""
-    hasty = open_backend(NO_TIME_S)
+    hasty = open_job_table(NO_TIME_S)
     job_id = submitted(hasty)
     stale = claimed(hasty)
     assert hasty.reconcile() == []
-    fresh = claimed(open_backend(LONG_S))
+    fresh = claimed(open_job_table(LONG_S))
     assert (fresh.job_id, fresh.attempt) == (job_id, 2)
     before = hasty.get(job_id)
     assert not hasty.heartbeat(stale, [{"step": 1}], 0)
@@ -137,44 +133,44 @@ def test_a_stale_claim_changes_nothing(open_backend: OpenTable) -> None:
     assert not hasty.finish(stale, EncodeResult("bitstreams/x.9.sg", "cd" * 32, {}))
 
 
-def test_a_removed_job_is_lost_to_its_worker(backend: JobBackend) -> None:
-    job_id = submitted(backend)
-    claim = claimed(backend)
-    assert backend.heartbeat(claim, [{"step": 0}], 0)
-    removed = backend.remove(job_id)
+def test_a_removed_job_is_lost_to_its_worker(table: JobTable) -> None:
+    job_id = submitted(table)
+    claim = claimed(table)
+    assert table.heartbeat(claim, [{"step": 0}], 0)
+    removed = table.remove(job_id)
     assert removed is not None
     assert (removed.id, removed.state) == (job_id, "running")
-    assert backend.remove(job_id) is None
-    assert not backend.heartbeat(claim, [{"step": 1}], 1)
-    assert not backend.finish(claim, RESULT)
-    assert backend.trace(job_id) == []
+    assert table.remove(job_id) is None
+    assert not table.heartbeat(claim, [{"step": 1}], 1)
+    assert not table.finish(claim, RESULT)
+    assert table.trace(job_id) == []
 
 
-def test_crashes_are_limited(backend: JobBackend) -> None:
-    job_id = submitted(backend)
+def test_crashes_are_limited(table: JobTable) -> None:
+    job_id = submitted(table)
     for attempt in (1, 2):
-        claim = claimed(backend)
+        claim = claimed(table)
         assert claim.attempt == attempt
-        assert backend.fail(claim, CRASH, retry=True)
-        assert state(backend, job_id) == "queued"
-    assert backend.fail(claimed(backend), JobError("crashed", "the last one"), retry=True)
-    job = backend.get(job_id)
+        assert table.fail(claim, CRASH, retry=True)
+        assert state(table, job_id) == "queued"
+    assert table.fail(claimed(table), JobError("crashed", "the last one"), retry=True)
+    job = table.get(job_id)
     assert job is not None
     assert (job.state, job.crashes, job.error) == ("failed", 3, JobError("crashed", "the last one"))
     assert job.finished_at is not None
-    assert backend.claim("w") is None
+    assert table.claim("w") is None
 
 
-def test_a_refusal_is_final(backend: JobBackend) -> None:
-    job_id = submitted(backend)
-    assert backend.fail(claimed(backend), JobError("refused", "no"), retry=False)
-    job = backend.get(job_id)
+def test_a_refusal_is_final(table: JobTable) -> None:
+    job_id = submitted(table)
+    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
+    job = table.get(job_id)
     assert job is not None
     assert (job.state, job.crashes, job.error) == ("failed", 0, JobError("refused", "no"))
 
 
-def test_leases_that_are_over_count_as_crashes(open_backend: OpenTable) -> None:
-    hasty = open_backend(NO_TIME_S)
+def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> None:
+    hasty = open_job_table(NO_TIME_S)
     job_id = submitted(hasty)
     for _ in range(2):
         claimed(hasty)
@@ -185,14 +181,14 @@ def test_leases_that_are_over_count_as_crashes(open_backend: OpenTable) -> None:
     assert state(hasty, job_id) == "failed"
 
 
-def test_a_live_lease_is_left_alone(open_backend: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
-    backend = open_backend(LONG_S)
-    job_id = submitted(backend)
-    claimed(backend)
-    assert backend.reconcile() == []
+def test_a_live_lease_is_left_alone(open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = open_job_table(LONG_S)
+    job_id = submitted(table)
+    claimed(table)
+    assert table.reconcile() == []
     pass_time(monkeypatch, 10 * LONG_S)
-    assert backend.reconcile() == []
-    assert state(backend, job_id) == "running"
+    assert table.reconcile() == []
+    assert state(table, job_id) == "running"
 
 
 def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
@@ -201,82 +197,82 @@ def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     monkeypatch.setattr(sql.time, "monotonic", lambda: now + seconds)
 
 
-def move_clock(backend: JobBackend, seconds: float) -> None:
+def move_clock(table: JobTable, seconds: float) -> None:
     """Put the table's clock forward after all that was written."""
-    assert isinstance(backend, SqlJobs)
-    with backend._transaction() as db:
+    assert isinstance(table, SqlJobTable)
+    with table._transaction() as db:
         db.execute("UPDATE jobs SET lease_until = lease_until - ?", (seconds,))
 
 
 @pytest.mark.parametrize("jump_s", [1000.0, -1000.0])
 def test_a_clock_that_jumps_costs_nobody_a_job(
-    open_backend: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
+    open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
 ) -> None:
     """Nor does an outage, after which every lease is over: who lives has renewed it by the second look."""
-    backend = open_backend(LONG_S)
-    submitted(backend)
-    claim = claimed(backend)
-    move_clock(backend, jump_s)
-    assert backend.reconcile() == []
-    assert backend.heartbeat(claim, [], 0)
+    table = open_job_table(LONG_S)
+    submitted(table)
+    claim = claimed(table)
+    move_clock(table, jump_s)
+    assert table.reconcile() == []
+    assert table.heartbeat(claim, [], 0)
     pass_time(monkeypatch, LONG_S)
-    assert backend.reconcile() == []
-    job = backend.get(claim.job_id)
+    assert table.reconcile() == []
+    job = table.get(claim.job_id)
     assert job is not None
     assert (job.state, job.crashes) == ("running", 0)
 
 
 @pytest.mark.parametrize("jump_s", [1000.0, -1000.0])
 def test_a_clock_that_jumps_keeps_no_job(
-    open_backend: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
+    open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
 ) -> None:
     """A worker that is gone is noticed even if its lease lies far in the future by now."""
-    backend = open_backend(LONG_S)
-    job_id = submitted(backend)
-    claimed(backend)
-    move_clock(backend, jump_s)
-    assert backend.reconcile() == []
-    assert state(backend, job_id) == "running"
+    table = open_job_table(LONG_S)
+    job_id = submitted(table)
+    claimed(table)
+    move_clock(table, jump_s)
+    assert table.reconcile() == []
+    assert state(table, job_id) == "running"
     pass_time(monkeypatch, LONG_S)
-    assert backend.reconcile() == []
-    assert state(backend, job_id) == "queued"
+    assert table.reconcile() == []
+    assert state(table, job_id) == "queued"
 
 
-def test_a_request_of_another_version_holds_up_nobody(backend: JobBackend) -> None:
+def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
     """It is not encoded as if what is new in it were not there, and it fails when nobody has understood it."""
-    assert isinstance(backend, SqlJobs)
-    strange = submitted(backend)
-    with backend._transaction() as db:
+    assert isinstance(table, SqlJobTable)
+    strange = submitted(table)
+    with table._transaction() as db:
         request = json.dumps({**asdict(REQUEST), "effort": 9})
         db.execute("UPDATE jobs SET request = ? WHERE id = ?", (request, strange))
-    plain = submitted(backend)
-    claims = [backend.claim("w") for _ in range(4)]
+    plain = submitted(table)
+    claims = [table.claim("w") for _ in range(4)]
     assert [claim.job_id for claim in claims if claim is not None] == [plain]
-    job = backend.get(strange)
+    job = table.get(strange)
     assert job is not None
     assert job.error is not None
     assert (job.state, job.crashes, job.request) == ("failed", 3, REQUEST)
     assert "another version" in job.error.detail
 
 
-def test_a_released_job_keeps_its_place_and_counts_no_crash(backend: JobBackend) -> None:
-    first, second = submitted(backend), submitted(backend)
-    assert backend.release(claimed(backend))
-    again = claimed(backend)
+def test_a_released_job_keeps_its_place_and_counts_no_crash(table: JobTable) -> None:
+    first, second = submitted(table), submitted(table)
+    assert table.release(claimed(table))
+    again = claimed(table)
     assert (again.job_id, again.attempt) == (first, 2)
-    job = backend.get(first)
+    job = table.get(first)
     assert job is not None
     assert job.crashes == 0
-    assert claimed(backend).job_id == second
+    assert claimed(table).job_id == second
 
 
 def _claim_and_finish(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
-    backend = open_table(database_url, folder, LONG_S)
-    while claim := backend.claim("w"):
-        assert backend.heartbeat(claim, [{"step": 1}], 0)
-        assert backend.finish(claim, RESULT)
+    table = open_table(database_url, folder, LONG_S)
+    while claim := table.claim("w"):
+        assert table.heartbeat(claim, [{"step": 1}], 0)
+        assert table.finish(claim, RESULT)
         ids.put(claim.job_id)
-    backend.close()
+    table.close()
 
 
 def test_processes_share_a_table(database_url: str, tmp_path: Path) -> None:

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 import psycopg
 import pytest
 
-from service.jobs.interface import BackendError
-from service.jobs.postgres import PostgresJobs
+from service.jobs.postgres import PostgresJobTable
+from service.jobs.table import JobTableError
 from service.process.stopping import StopSignal
 from tests.harness.job_table import RULES, claimed, submitted
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.service_process import PATIENCE_S
+from tests.harness.processes import PATIENCE_S
 
 
 @pytest.fixture
@@ -22,8 +22,8 @@ def url(postgres: PostgresServer) -> str:
 
 
 @pytest.fixture
-def jobs(url: str) -> Iterator[PostgresJobs]:
-    jobs = PostgresJobs(url, RULES)
+def jobs(url: str) -> Iterator[PostgresJobTable]:
+    jobs = PostgresJobTable(url, RULES)
     yield jobs
     jobs.close()
 
@@ -36,7 +36,7 @@ def tokens(url: str) -> int:
 
 
 def test_rule_1_row_and_engine_job_are_one_transaction(
-    url: str, jobs: PostgresJobs, monkeypatch: pytest.MonkeyPatch
+    url: str, jobs: PostgresJobTable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     submitted(jobs)
     assert (jobs.queued(), tokens(url)) == (1, 1)
@@ -45,24 +45,24 @@ def test_rule_1_row_and_engine_job_are_one_transaction(
         raise psycopg.OperationalError("broken off")
 
     monkeypatch.setattr("service.jobs.sql._job", break_off)  # the last step of the transaction
-    with pytest.raises(BackendError, match="broken off"):
+    with pytest.raises(JobTableError, match="broken off"):
         submitted(jobs)
     assert (jobs.queued(), tokens(url)) == (1, 1)
 
 
-def test_rule_6_durability_settings(jobs: PostgresJobs) -> None:
+def test_rule_6_durability_settings(jobs: PostgresJobTable) -> None:
     with jobs._connection() as db:
         names = ("synchronous_commit", "idle_in_transaction_session_timeout", "search_path")
         values = [next(iter(db.execute(f"SHOW {name}").fetchone().values())) for name in names]
     assert values == ["on", "10s", "sgmethod,sgmethod_engine"]
 
 
-def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJobs) -> None:
+def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJobTable) -> None:
     """Its jobs are made anew from the table."""
     job_id = submitted(jobs)
     with psycopg.connect(url) as db:
         db.execute("UPDATE sgmethod.version SET version = '0.1' WHERE part = 'engine'")
-    later = PostgresJobs(url, RULES)
+    later = PostgresJobTable(url, RULES)
     assert tokens(url) == 0
     later._top_up()
     later._top_up()
@@ -71,15 +71,15 @@ def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJob
     later.close()
 
 
-def test_a_table_of_a_later_version(url: str, jobs: PostgresJobs) -> None:
+def test_a_table_of_a_later_version(url: str, jobs: PostgresJobTable) -> None:
     with psycopg.connect(url) as db:
         db.execute("UPDATE sgmethod.version SET version = '99' WHERE part = 'jobs'")
-    with pytest.raises(BackendError, match="newer"):
-        PostgresJobs(url, RULES)
+    with pytest.raises(JobTableError, match="newer"):
+        PostgresJobTable(url, RULES)
     assert jobs.queued() == 0
 
 
-def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobs) -> None:
+def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobTable) -> None:
     """Each job is announced by a call; what was called for nothing does no harm."""
     stop, taken = StopSignal(), threading.Semaphore(0)
 

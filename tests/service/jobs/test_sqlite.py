@@ -8,10 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.interface import (
-    BackendError,
-)
-from service.jobs.sqlite import SqliteJobs
+from service.jobs.sqlite import SqliteJobTable
+from service.jobs.table import JobTableError
 from tests.harness.job_table import (
     RESULT,
     RULES,
@@ -22,38 +20,38 @@ from tests.harness.job_table import (
 def test_a_table_that_cannot_be_read(tmp_path: Path) -> None:
     path = tmp_path / "jobs.sqlite3"
     path.write_bytes(b"this is not a database" * 100)
-    with pytest.raises(BackendError, match="not a database"):
-        SqliteJobs(path, RULES)
+    with pytest.raises(JobTableError, match="not a database"):
+        SqliteJobTable(path, RULES)
 
 
 def test_a_table_of_a_later_version(tmp_path: Path) -> None:
     path = tmp_path / "jobs.sqlite3"
-    SqliteJobs(path, RULES).close()
+    SqliteJobTable(path, RULES).close()
     database = sqlite3.connect(path)
     database.execute("PRAGMA user_version = 99")
     database.close()
-    with pytest.raises(BackendError, match="newer"):
-        SqliteJobs(path, RULES)
+    with pytest.raises(JobTableError, match="newer"):
+        SqliteJobTable(path, RULES)
 
 
 def test_a_table_that_is_removed_or_replaced(tmp_path: Path) -> None:
     """Nothing is accepted into a file that nobody else sees."""
     folder, aside = tmp_path / "data", tmp_path / "aside"
     folder.mkdir()
-    backend = SqliteJobs(folder / "jobs.sqlite3", RULES)
-    first = submitted(backend)
+    table = SqliteJobTable(folder / "jobs.sqlite3", RULES)
+    first = submitted(table)
     folder.rename(aside)
-    with pytest.raises(BackendError, match="No such file"):
-        submitted(backend)
+    with pytest.raises(JobTableError, match="No such file"):
+        submitted(table)
     folder.mkdir()
     (folder / "jobs.sqlite3").touch()
-    second = submitted(backend)
-    other = SqliteJobs(folder / "jobs.sqlite3", RULES)
+    second = submitted(table)
+    other = SqliteJobTable(folder / "jobs.sqlite3", RULES)
     assert [job.id for job in other.page(10)] == [second]
     shutil.rmtree(folder)
     aside.rename(folder)
-    assert [job.id for job in backend.page(10)] == [first]
-    backend.close()
+    assert [job.id for job in table.page(10)] == [first]
+    table.close()
     other.close()
 
 
@@ -63,13 +61,13 @@ def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
     database.executescript((Path(__file__).parent / "jobs_version_1.sql").read_text())
     database.close()
     for _ in range(2):  # the second time there is nothing left to do
-        backend = SqliteJobs(path, RULES)
-        waiting, done = backend.page(10)
+        table = SqliteJobTable(path, RULES)
+        waiting, done = table.page(10)
         assert (waiting.number, waiting.state, waiting.owner, waiting.priority) == (7, "queued", None, "interactive")
         assert (done.number, done.state, done.result) == (5, "done", RESULT)
-        assert backend.trace(done.id) == [{"step": 0}, {"step": 1}]
-        assert backend.find_key("key") == waiting
-        backend.close()
+        assert table.trace(done.id) == [{"step": 0}, {"step": 1}]
+        assert table.find_by_key("key") == waiting
+        table.close()
     database = sqlite3.connect(path)
     tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
     database.close()
@@ -77,11 +75,11 @@ def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
 
 
 def test_rule_6_durability_settings(tmp_path: Path) -> None:
-    backend = SqliteJobs(tmp_path / "jobs.sqlite3", RULES)
-    with backend._connection() as db:
+    table = SqliteJobTable(tmp_path / "jobs.sqlite3", RULES)
+    with table._connection() as db:
         values = {
             name: db.execute(f"PRAGMA {name}").fetchone()[0]
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
         }
     assert values == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 30_000}
-    backend.close()
+    table.close()

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from service.backends import open_backend, open_storage
-from service.jobs.interface import EncodeRequest, NewJob, SourceImage, new_job_id
+from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
+from service.opening import open_job_table, open_storage
 from service.settings import Settings
-from service.storage.disk import source_key
+from service.storage.files import source_key
 from tests.harness.data import ROOT
+from tests.harness.pictures import SMALL
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.service import SMALL, Outcome, RunCommand
+from tests.harness.service import Outcome, RunCommand
 
 
 def verdicts(result: Outcome) -> dict[str, str]:
@@ -46,10 +47,10 @@ def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> N
 
 def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path / "data")
-    backend, storage = open_backend(settings), open_storage(settings)
+    table, storage = open_job_table(settings), open_storage(settings)
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = backend.submit(NewJob(new_job_id(), request, image, "f"), 10)
-    backend.close()
+    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), 10)
+    table.close()
     needed, orphan = source_key(job.id), source_key(new_job_id())
     for key in (needed, orphan):
         storage.put(key, SMALL)

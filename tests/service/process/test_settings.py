@@ -17,8 +17,8 @@ from service.process import supervisor
 from service.settings import Settings, available_cores
 from sgmethod.io.image import ImageLimits
 from tests.harness.data import ROOT
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import Outcome, RunCommand
-from tests.harness.service_process import PATIENCE_S, wait_until
 
 COMPUTED = {"workers": "cores / 4, at least 1", "api_keys": "", "api_keys_file": "", "link_secret": ""}
 
@@ -188,7 +188,7 @@ def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) 
 
 
 def test_web_process_and_worker_never_import_torch() -> None:
-    modules = "sys, service.web.app, service.worker.worker, service.process.supervisor"
+    modules = "sys, service.web.app, service.worker.loop, service.process.supervisor"
     script = f"import {modules}; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=60, check=False).returncode == 0
 

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from service.storage.bucket import ObjectStorage
-from service.storage.disk import DiskStorage, Storage, bitstream_key, source_key
+from service.storage.bucket import BucketStorage
+from service.storage.disk import DiskStorage
+from service.storage.files import Storage, bitstream_key, source_key
 from tests.harness.s3_server import S3Server
 
 JOB = "0123456789abcdef" * 2
@@ -29,7 +30,7 @@ def open_storage(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: py
     for name, value in server.environment.items():
         monkeypatch.setenv(name, value)
     url = server.new_storage()
-    return lambda: ObjectStorage(url)
+    return lambda: BucketStorage(url)
 
 
 @pytest.fixture
@@ -134,9 +135,9 @@ def test_a_bucket_that_is_not_there(s3: S3Server, monkeypatch: pytest.MonkeyPatc
     for name, value in s3.environment.items():
         monkeypatch.setenv(name, value)
     with pytest.raises(OSError, match=r"the object store failed: .*404"):
-        ObjectStorage("s3://another/sgmethod").check()
+        BucketStorage("s3://another/sgmethod").check()
     with pytest.raises(OSError, match="the object store failed"):
-        ObjectStorage("s3://another/sgmethod").put(source_key(JOB), b"data")
+        BucketStorage("s3://another/sgmethod").put(source_key(JOB), b"data")
 
 
 def test_pictures_are_the_owners_alone(disk: DiskStorage, tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
-from tests.harness.service import SMALL, Service, StartService, assert_problem
-from tests.harness.service_process import wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService, assert_problem
 
 BOUNDARY = "frontier"
 HEAD = (

@@ -21,7 +21,7 @@ from tests.harness.data import golden_path
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 INFO = sgmethod.info(PICTURE)
-SIZE = (int(str(INFO["width"])), int(str(INFO["height"])))
+SIZE = (INFO.width, INFO.height)
 NO_LIMIT = 10**9
 
 
@@ -78,7 +78,7 @@ def test_png_is_lossless_and_whole(width: int, height: int) -> None:
 
 
 def test_png_of_many_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.web.routes.picture_files.MAX_CHUNK_BYTES", 100)
+    monkeypatch.setattr("sgmethod.io.png.MAX_CHUNK_BYTES", 100)
     pixels = np.random.default_rng(0).integers(0, 256, (20, 20, 3), np.uint8)
     file = encode_picture(pixels, "png")
     assert file.count(b"IDAT") > 10

@@ -10,8 +10,9 @@ from typing import Any
 import httpx
 
 from tests.harness.data import golden_path
-from tests.harness.service import SMALL, Service, StartService, assert_problem
-from tests.harness.service_process import wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 Event = tuple[str, dict[str, Any]]
@@ -79,13 +80,13 @@ def test_a_job_table_that_goes_away(start_service: StartService) -> None:
     """The stream ends, and can be opened again once the table is back."""
     web = start_service("web")
     job_id = web.accepted()
-    table, aside = web.data_dir / "jobs.sqlite3", web.data_dir / "aside"
+    file, aside = web.data_dir / "jobs.sqlite3", web.data_dir / "aside"
     with stream(web, job_id) as events:
         assert next(events)[1]["state"] == "queued"
-        table.rename(aside)
+        file.rename(aside)
         assert list(events) == []
     assert_problem(web.client.get(f"/jobs/{job_id}/events"), 503)
-    aside.rename(table)
+    aside.rename(file)
     with stream(web, job_id) as events:
         assert next(events)[1]["state"] == "queued"
     assert "Traceback" not in web.log.read_text()

@@ -9,8 +9,8 @@ import httpx
 import pytest
 
 from tests.harness.data import golden_path
+from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService, assert_problem
-from tests.harness.service_process import wait_until
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 

@@ -18,8 +18,9 @@ import pytest
 from PIL import Image
 
 from tests.harness.data import golden_path
-from tests.harness.service import SMALL, Service, StartService, assert_problem
-from tests.harness.service_process import wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 HEADER_LIMIT = 4096

@@ -15,8 +15,9 @@ from service import keys
 from service.keys import KeyRing, Link, RateLimit, digest, parse_keys
 from service.settings import Settings
 from tests.harness.data import ROOT, golden_path
-from tests.harness.service import SMALL, Service, StartService, assert_problem
-from tests.harness.service_process import PATIENCE_S
+from tests.harness.pictures import SMALL
+from tests.harness.processes import PATIENCE_S
+from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 SECRET = "0123456789abcdef" * 2

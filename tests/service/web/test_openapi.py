@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.keys import digest
-from service.web.routes import views
+from service.web.routes import answers
 from tests.harness.data import golden_path
 from tests.harness.service import Service, StartService
 
@@ -42,7 +42,7 @@ def test_no_answer_is_beyond_the_document(
 
 
 def test_examples_are_what_they_are_examples_of() -> None:
-    for view in (views.AcceptedView, views.JobSummary, views.TraceView, views.JobView):
+    for view in (answers.AcceptedView, answers.JobSummary, answers.TraceView, answers.JobView):
         (example,) = view.model_json_schema()["examples"]
         assert set(example) == set(view.model_fields)
         view.model_validate(example)

@@ -10,8 +10,9 @@ import pytest
 from service.keys import digest
 from tests.harness.browser import Browser
 from tests.harness.data import golden_path
-from tests.harness.service import SMALL, Service, StartService
-from tests.harness.service_process import wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 

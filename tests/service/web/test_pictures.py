@@ -13,7 +13,8 @@ from PIL import Image
 import sgmethod
 from sgmethod.view import View
 from tests.harness.data import golden_path
-from tests.harness.service import SMALL, Service, StartService, assert_problem
+from tests.harness.pictures import SMALL
+from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()

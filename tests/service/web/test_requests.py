@@ -15,7 +15,8 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from tests.harness.service import SMALL, Service, StartService, assert_problem, png
+from tests.harness.pictures import SMALL, png
+from tests.harness.service import Service, StartService, assert_problem
 
 GOOD_ID = "0123456789abcdef" * 2
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from service.jobs.interface import EncodeRequest, Job, JobError, JobState, SourceImage
-from service.web.routes.views import MAX_TRACE_POINTS, summary, with_trace
+from service.jobs.job import EncodeRequest, Job, JobError, JobState, SourceImage
+from service.web.routes.answers import MAX_TRACE_POINTS, summary, with_trace
 
 
 def job(state: JobState, error: JobError | None = None) -> Job:

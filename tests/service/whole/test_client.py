@@ -19,8 +19,9 @@ from sgmethod.client import Client
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
 from tests.harness.data import ROOT, golden_path
-from tests.harness.service import SMALL, Service, StartService
-from tests.harness.service_process import wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 

@@ -15,9 +15,10 @@ from functools import partial
 import httpx
 import pytest
 
+from tests.harness.pictures import SLOW
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.service import SLOW, Service, StartService
-from tests.harness.service_process import PATIENCE_S, encoder_of, processes, wait_until
+from tests.harness.processes import PATIENCE_S, encoder_of, processes, wait_until
+from tests.harness.service import Service, StartService
 
 
 @pytest.fixture

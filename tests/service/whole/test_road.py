@@ -11,8 +11,9 @@ from PIL import Image
 
 import sgmethod
 from sgmethod.profiles import DEFAULT_PROFILE
-from tests.harness.service import SMALL, Service, assert_problem, png
-from tests.harness.service_process import wait_until
+from tests.harness.pictures import SMALL, png
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, assert_problem
 
 
 @pytest.fixture(scope="module")

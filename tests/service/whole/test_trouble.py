@@ -16,9 +16,9 @@ from PIL import Image
 
 from tests.harness.data import ROOT, golden_path
 from tests.harness.postgres_server import PostgresServer
+from tests.harness.processes import PATIENCE_S, encoder_of, processes, wait_until
 from tests.harness.s3_server import S3Server
 from tests.harness.service import StartService, assert_problem
-from tests.harness.service_process import PATIENCE_S, encoder_of, processes, wait_until
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20

@@ -1,8 +1,8 @@
-"""The process that encodes one image: `python -m service.worker.encode_child SPEC`, started by a worker.
+"""The encoder process, which encodes one image: `python -m service.worker.encoder SPEC`, started by a worker.
 
-It knows neither the job table nor the storage. The image comes in as standard input; everything goes out
-as frames on standard output; SPEC is a JSON object (see Spec). Memory and whatever an image may break go
-away with the process.
+It knows neither the job table nor the storage. SPEC is a JSON object (see Spec). The image comes in as standard
+input, and everything goes out as frames on standard output. When the process ends its memory is free again, and
+whatever an image broke is gone.
 
 A frame is one letter, the payload's length (32 bits, big-endian) and the payload:
     T  a trace point (JSON)          any number of times
@@ -22,13 +22,13 @@ import sys
 from dataclasses import asdict, dataclass
 from typing import Any, BinaryIO
 
-from service.jobs.interface import EncodeRequest
+from service.jobs.job import EncodeRequest
 from service.process import lifeline
 
 FRAME_HEADER = struct.Struct(">cI")
 TRACE, REFUSED, STATS, BITSTREAM = b"T", b"E", b"R", b"D"
 
-# Beneath the web process, so that answers come at once while every core encodes.
+# Below the priority of the web process, so that answers come at once while every core encodes.
 NICENESS = 10
 PARENT_GONE = 3
 NO_MEMORY = b"the encode needs more memory than it may have here"
@@ -36,7 +36,7 @@ NO_MEMORY = b"the encode needs more memory than it may have here"
 
 @dataclass(frozen=True)
 class Spec:
-    """What to do. job_id and attempt are for the eyes of operators, who see them in the process list.
+    """What to do. job_id and attempt are there for operators, who see them in the process list.
 
     lifeline: descriptor to watch; memory_bytes: limit of this process.
     """
@@ -102,7 +102,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     except SgError as error:
         send(pipe, REFUSED, str(error).encode())
         return
-    except MemoryError:  # which another attempt would not have more of
+    except MemoryError:  # another attempt would have no more of it
         send(pipe, REFUSED, NO_MEMORY)
         return
     send(pipe, STATS, to_json(encoded.stats.to_dict()))
@@ -110,7 +110,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
 
 
 def main() -> None:
-    """Run one encode; exit status 0 whenever a verdict was sent."""
+    """Run one encode; exit status 0 whenever an outcome was sent."""
     spec = Spec.from_json(sys.argv[1])
     lifeline.watch(spec.lifeline, lambda: os._exit(PARENT_GONE))
     limit_memory(spec.memory_bytes)

@@ -1,4 +1,4 @@
-"""What a job is, and what a queue of jobs must do, whatever stores it.
+"""What a job table must do, whichever database it is in.
 
     queued --claim--> running --finish--> done
       ^                  |-----fail-----> failed
@@ -11,36 +11,15 @@ its token stale, so a job may run twice but is never published twice.
 
 from __future__ import annotations
 
-import re
-import secrets
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Protocol
 
+from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, JobState, JsonObject, NewJob
 from service.process.stopping import StopSignal
-from sgmethod.budget import BudgetKind
-
-JobState = Literal["queued", "running", "done", "failed"]
-JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
-FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
-Priority = Literal["interactive", "bulk"]
-PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
-JsonObject = Mapping[str, Any]
-
-_JOB_ID = re.compile(r"[0-9a-f]{32}")
 
 
-def new_job_id() -> str:
-    """128 random bits: who holds an id may read the job, so ids cannot be guessed."""
-    return secrets.token_hex(16)
-
-
-def is_job_id(text: str) -> bool:
-    """Whether text has the form of an id; nothing else ever reaches the table or the disk."""
-    return _JOB_ID.fullmatch(text) is not None
-
-
-class BackendError(Exception):
+class JobTableError(Exception):
     """The job table cannot be read or written just now; trying again later may succeed."""
 
 
@@ -70,92 +49,12 @@ class JobRules:
 
 
 @dataclass(frozen=True)
-class EncodeRequest:
-    """What the client asked for; the names are sgmethod's."""
-
-    budget_kind: BudgetKind
-    budget_value: float
-    profile: str
-    time_limit_s: float
-
-
-@dataclass(frozen=True)
-class SourceImage:
-    """What the image's header says; width and height in pixels, size in bytes."""
-
-    format: str
-    width: int
-    height: int
-    size_bytes: int
-
-
-@dataclass(frozen=True)
-class NewJob:
-    """A job to accept.
-
-    fingerprint: digest of the whole request, compared when an idempotency key comes again; owner: whose
-    API key came with the request, None where there are no keys.
-    """
-
-    id: str
-    request: EncodeRequest
-    image: SourceImage
-    fingerprint: str
-    idempotency_key: str | None = None
-    owner: str | None = None
-    priority: Priority = "interactive"
-
-
-@dataclass(frozen=True)
-class JobError:
-    """Why a job failed. code: "refused" by the codec, "crashed" or "timed_out"; detail: one sentence."""
-
-    code: str
-    detail: str
-
-
-@dataclass(frozen=True)
-class EncodeResult:
-    """A finished encode: where its bitstream lies, the bytes' SHA-256 (hex) and the codec's figures."""
-
-    bitstream_key: str
-    sha256: str
-    stats: JsonObject
-
-
-@dataclass(frozen=True)
 class Claim:
     """The right of one worker to run a job, until its lease is over. attempt is the fencing token."""
 
     job_id: str
     attempt: int
     request: EncodeRequest
-
-
-@dataclass(frozen=True)
-class Job:
-    """A row of the table. Times are seconds since 1970 (UTC).
-
-    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
-    turns, None unless queued; crashes: attempts that ended without a word, which is what the limit of
-    attempts counts.
-    """
-
-    number: int
-    id: str
-    owner: str | None
-    priority: Priority
-    state: JobState
-    position: int | None
-    request: EncodeRequest
-    image: SourceImage
-    attempt: int
-    crashes: int
-    created_at: float
-    started_at: float | None
-    finished_at: float | None
-    result: EncodeResult | None
-    error: JobError | None
 
 
 @dataclass(frozen=True)
@@ -171,8 +70,8 @@ class Census:
     silent_s: float | None
 
 
-class JobBackend(Protocol):
-    """A durable queue of jobs. Every method may raise BackendError; all are safe to call from any
+class JobTable(Protocol):
+    """A durable queue of jobs. Every method may raise JobTableError; all are safe to call from any
     thread. What a method has returned has reached the disk."""
 
     def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
@@ -183,7 +82,7 @@ class JobBackend(Protocol):
         """
         ...
 
-    def find_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+    def find_by_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
         """The owner's job that was accepted under the key; each owner has keys of their own."""
         ...
 
@@ -256,7 +155,7 @@ class JobBackend(Protocol):
         """
         ...
 
-    def live_keys(self) -> set[str]:
+    def needed_keys(self) -> set[str]:
         """Storage keys that some job still needs."""
         ...
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.jobs.interface import Job, JobState, JsonObject, Priority
+from service.jobs.job import Job, JobState, JsonObject, Priority
 
 # Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
 PHASES = {

@@ -1,4 +1,4 @@
-"""The worker's side of an encoding process: start it, read its frames, end it."""
+"""The worker's side of an encoder process: start it, read its frames, end it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import BinaryIO
 
-from service.jobs.interface import JsonObject
-from service.worker.encode_child import BITSTREAM, FRAME_HEADER, REFUSED, STATS, TRACE
+from service.jobs.job import JsonObject
+from service.worker.encoder import BITSTREAM, FRAME_HEADER, REFUSED, STATS, TRACE
 
 READ_BYTES = 1 << 16
 STDERR_TAIL_BYTES = 4096
@@ -44,11 +44,26 @@ class Encoded:
     bitstream: bytes
 
 
+@dataclass(frozen=True)
+class Crashed:
+    """The encoder process ended without an outcome, or its source image was gone; one sentence."""
+
+    detail: str
+
+
+@dataclass(frozen=True)
+class TimedOut:
+    """The encoder process ran for longer than limit_s, the limit of the settings."""
+
+    limit_s: float
+
+
+Outcome = Encoded | Refused | Crashed | TimedOut
 Message = TracePoint | Refused | Encoded
 
 
-class EncodeProcess:
-    """A child process in a group of its own; leaving the context kills the group, whatever it does.
+class EncoderProcess:
+    """An encoder process in a group of its own. Leaving the context kills the whole group.
 
     command: the program; source: the open image, its standard input; environment: all of it;
     lifeline: the descriptor to hand down.
@@ -75,13 +90,13 @@ class EncodeProcess:
         self._selector.register(self._process.stdout, selectors.EVENT_READ, self._output)
         self._selector.register(self._process.stderr, selectors.EVENT_READ, self._stderr_tail)
 
-    def __enter__(self) -> EncodeProcess:
+    def __enter__(self) -> EncoderProcess:
         return self
 
     def __exit__(
         self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
     ) -> None:
-        # Until wait() below the group's number cannot be given to others, even if the child is dead.
+        # Until wait() below, the system gives the group's number to no other group, even if this process is dead.
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
@@ -92,13 +107,13 @@ class EncodeProcess:
 
     @property
     def ended(self) -> bool:
-        """Whether the child has closed its pipes, so that nothing more will come."""
+        """Whether the encoder process has closed its pipes, so that nothing more will come."""
         return not self._selector.get_map()
 
     def read(self, timeout_s: float) -> list[Message]:
-        """What the child has said, waiting at most that long (seconds) for it to say something.
+        """The messages that have come in. Waits timeout_s seconds at most for one to come.
 
-        Raises ValueError if it does not speak in frames.
+        Raises ValueError if the encoder process writes something other than frames.
         """
         for key, _ in self._selector.select(timeout_s):
             data = os.read(key.fd, READ_BYTES)
@@ -109,7 +124,7 @@ class EncodeProcess:
         return self._take_messages()
 
     def last_words(self) -> str:
-        """One sentence on how a child ended that has closed its pipes without a verdict."""
+        """One sentence on how the encoder process ended, once it has closed its pipes without an outcome."""
         try:
             status = self._process.wait(timeout=1.0)
         except subprocess.TimeoutExpired:

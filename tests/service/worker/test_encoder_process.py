@@ -14,19 +14,19 @@ from contextlib import contextmanager
 
 import pytest
 
-from service.jobs.interface import EncodeRequest
+from service.jobs.job import EncodeRequest
 from service.process.lifeline import Lifeline
-from service.worker.encode_child import Spec, send, to_json
-from service.worker.encode_process import Encoded, EncodeProcess, Message, Refused, TracePoint
+from service.worker.encoder import Spec, send, to_json
+from service.worker.encoder_process import Encoded, EncoderProcess, Message, Refused, TracePoint
 from tests.harness.data import ROOT
-from tests.harness.service import SMALL
-from tests.harness.service_process import processes, wait_until
+from tests.harness.pictures import SMALL
+from tests.harness.processes import processes, wait_until
 
-PREAMBLE = "import os, sys, time; from service.worker.encode_child import send; out = sys.stdout.buffer\n"
+PREAMBLE = "import os, sys, time; from service.worker.encoder import send; out = sys.stdout.buffer\n"
 
 
 @contextmanager
-def child(script: str, source: bytes = b"") -> Iterator[EncodeProcess]:
+def child(script: str, source: bytes = b"") -> Iterator[EncoderProcess]:
     """A process that runs the script where the encoder would run."""
     lifeline = Lifeline()
     command = [sys.executable, "-c", PREAMBLE + script]
@@ -34,12 +34,12 @@ def child(script: str, source: bytes = b"") -> Iterator[EncodeProcess]:
         file.write(source)
         file.seek(0)
         environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}"}
-        with EncodeProcess(command, file, environment, lifeline.read_end) as process:
+        with EncoderProcess(command, file, environment, lifeline.read_end) as process:
             yield process
     lifeline.close()
 
 
-def messages_of(process: EncodeProcess) -> list[Message]:
+def messages_of(process: EncoderProcess) -> list[Message]:
     messages: list[Message] = []
     while not process.ended:
         messages += process.read(1.0)
@@ -110,7 +110,7 @@ def test_the_encoder_ends_with_its_parent() -> None:
     """Rule 4: the pipe ends, the encoder ends, even while it waits for its image."""
     lifeline = Lifeline()
     spec = Spec("0" * 32, 1, EncodeRequest("bpp", 1.0, "paper", 60.0), lifeline.read_end, 2**33)
-    command = [sys.executable, "-m", "service.worker.encode_child", spec.to_json()]
+    command = [sys.executable, "-m", "service.worker.encoder", spec.to_json()]
     with subprocess.Popen(
         command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=(lifeline.read_end,)
     ) as process:

@@ -1,0 +1,110 @@
+"""What a job is: what was asked for, how far it is, how it ended."""
+
+from __future__ import annotations
+
+import re
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from sgmethod.budget import BudgetKind
+
+JobState = Literal["queued", "running", "done", "failed"]
+JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
+FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
+Priority = Literal["interactive", "bulk"]
+PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
+JsonObject = Mapping[str, Any]
+
+_JOB_ID = re.compile(r"[0-9a-f]{32}")
+
+
+def new_job_id() -> str:
+    """128 random bits: who holds an id may read the job, so ids cannot be guessed."""
+    return secrets.token_hex(16)
+
+
+def is_job_id(text: str) -> bool:
+    """Whether text has the form of an id; nothing else ever reaches the table or the disk."""
+    return _JOB_ID.fullmatch(text) is not None
+
+
+@dataclass(frozen=True)
+class EncodeRequest:
+    """What the client asked for; the names are sgmethod's."""
+
+    budget_kind: BudgetKind
+    budget_value: float
+    profile: str
+    time_limit_s: float
+
+
+@dataclass(frozen=True)
+class SourceImage:
+    """What the image's header says; width and height in pixels, size in bytes."""
+
+    format: str
+    width: int
+    height: int
+    size_bytes: int
+
+
+@dataclass(frozen=True)
+class NewJob:
+    """A job to accept.
+
+    fingerprint: digest of the whole request, compared when an idempotency key comes again; owner: whose
+    API key came with the request, None where there are no keys.
+    """
+
+    id: str
+    request: EncodeRequest
+    image: SourceImage
+    fingerprint: str
+    idempotency_key: str | None = None
+    owner: str | None = None
+    priority: Priority = "interactive"
+
+
+@dataclass(frozen=True)
+class JobError:
+    """Why a job failed. code: "refused" by the codec, "crashed" or "timed_out"; detail: one sentence."""
+
+    code: str
+    detail: str
+
+
+@dataclass(frozen=True)
+class EncodeResult:
+    """A finished encode: where its bitstream lies, the bytes' SHA-256 (hex) and the codec's figures."""
+
+    bitstream_key: str
+    sha256: str
+    stats: JsonObject
+
+
+@dataclass(frozen=True)
+class Job:
+    """A row of the table. Times are seconds since 1970 (UTC).
+
+    number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
+    turns, None unless queued; crashes: attempts that ended without a word, which is what the limit of
+    attempts counts.
+    """
+
+    number: int
+    id: str
+    owner: str | None
+    priority: Priority
+    state: JobState
+    position: int | None
+    request: EncodeRequest
+    image: SourceImage
+    attempt: int
+    crashes: int
+    created_at: float
+    started_at: float | None
+    finished_at: float | None
+    result: EncodeResult | None
+    error: JobError | None

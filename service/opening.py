@@ -1,0 +1,37 @@
+"""Opens the job table and the storage that the settings name; the only place that knows which they are."""
+
+from __future__ import annotations
+
+from service.jobs.sqlite import SqliteJobTable
+from service.jobs.table import JobRules, JobTable
+from service.settings import Settings
+from service.storage.disk import DiskStorage
+from service.storage.files import Storage
+
+
+class MissingPackagesError(Exception):
+    """What the settings name needs more packages than are installed; one sentence with the command."""
+
+
+def open_job_table(settings: Settings) -> JobTable:
+    """The job table, made if there is none yet. Raises JobTableError, MissingPackagesError, OSError."""
+    rules = JobRules(settings.lease_s, settings.max_attempts, settings.max_running_per_key)
+    if settings.uses_postgres:
+        try:
+            from service.jobs.postgres import PostgresJobTable
+        except ImportError as error:
+            raise MissingPackagesError("PostgreSQL needs more packages: pip install '.[postgres]'") from error
+        return PostgresJobTable(settings.database_url, rules)
+    settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return SqliteJobTable(settings.database_path, rules)
+
+
+def open_storage(settings: Settings) -> Storage:
+    """The storage of sources and bitstreams, made if there is none yet. Raises OSError, MissingPackagesError."""
+    if not settings.storage_url:
+        return DiskStorage(settings.data_dir)
+    try:
+        from service.storage.bucket import BucketStorage
+    except ImportError as error:
+        raise MissingPackagesError("an object store needs more packages: pip install '.[s3]'") from error
+    return BucketStorage(settings.storage_url)

@@ -1,0 +1,60 @@
+"""What a storage of files must do, wherever it is, and the keys of its files.
+
+Keys are made here, of a job's id and an attempt. Nothing that a client names ever becomes a path.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import BinaryIO, Protocol
+
+UNFINISHED = "unfinished"
+_KEY = re.compile(rf"(sources|{UNFINISHED})/[0-9a-f]{{32}}|bitstreams/[0-9a-f]{{32}}\.[0-9]{{1,9}}\.sg")
+FOLDERS = ("sources", "bitstreams")
+PROBE_FOLDER = UNFINISHED  # where a file may be put to see whether it can be
+
+
+def source_key(job_id: str) -> str:
+    """Where a job's source image lies."""
+    return f"sources/{job_id}"
+
+
+def bitstream_key(job_id: str, attempt: int) -> str:
+    """Where an attempt puts its bitstream; two attempts at one job never share a file."""
+    return f"bitstreams/{job_id}.{attempt}.sg"
+
+
+def check_key(key: str) -> str:
+    """The key itself. Raises ValueError if it is none of ours."""
+    if _KEY.fullmatch(key) is None:
+        raise ValueError(f"not a storage key: {key!r}")
+    return key
+
+
+class Storage(Protocol):
+    """Files under keys. Trouble raises OSError."""
+
+    def put(self, key: str, data: bytes) -> None:
+        """Store data; when this returns it survives a power cut. Raises OSError."""
+        ...
+
+    def get(self, key: str) -> bytes:
+        """The stored bytes. Raises FileNotFoundError."""
+        ...
+
+    def open(self, key: str) -> BinaryIO:
+        """The stored bytes as an open file. Raises FileNotFoundError."""
+        ...
+
+    def delete(self, key: str) -> None:
+        """Remove the file; one that is not there is no error."""
+        ...
+
+    def check(self) -> None:
+        """Whether the storage can be reached at all. Raises OSError if not."""
+        ...
+
+    def old(self, age_s: float) -> Iterator[str]:
+        """The keys of what was stored longer ago than that (seconds), and of what was never stored whole."""
+        ...

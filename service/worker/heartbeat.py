@@ -1,0 +1,56 @@
+"""The heartbeat of a claim. It renews the lease, and brings the trace to the job table."""
+
+from __future__ import annotations
+
+import logging
+import time
+
+from service.jobs.job import JsonObject
+from service.jobs.table import Claim, JobTable, JobTableError
+
+log = logging.getLogger(__name__)
+
+HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
+PAUSE_AFTER_TROUBLE_S = 1.0  # with the job table or the storage
+
+
+class ClaimLostError(Exception):
+    """The job was cancelled, or is another worker's by now."""
+
+
+class Heartbeat:
+    """The heartbeat of one claim, with the trace points that came in since the last beat."""
+
+    def __init__(self, table: JobTable, claim: Claim) -> None:
+        self._table = table
+        self._claim = claim
+        self._points: list[JsonObject] = []
+        self._sent = 0
+        self._heard = time.monotonic()
+        self._next = self._heard + HEARTBEAT_S
+
+    def add(self, point: JsonObject) -> None:
+        """Note a trace point for the next beat."""
+        self._points.append(point)
+
+    def beat(self, *, now: bool = False) -> None:
+        """Renew the lease, if it is time to or at once. Raises ClaimLostError.
+
+        While the job table is out of reach the encode goes on. Perhaps no other worker has claimed the job
+        meanwhile; if one has, the job table says so later.
+        """
+        if time.monotonic() < self._next and not now:
+            return
+        try:
+            alive = self._table.heartbeat(self._claim, self._points, self._sent)
+        except JobTableError as error:
+            silence = time.monotonic() - self._heard
+            log.warning("job %s: no heartbeat for %.1f s: %s", self._claim.job_id, silence, error)
+            self._next = time.monotonic() + PAUSE_AFTER_TROUBLE_S
+            return
+        if not alive:
+            raise ClaimLostError
+        self._heard = time.monotonic()
+        self._next = self._heard + HEARTBEAT_S
+        self._sent += len(self._points)
+        self._points.clear()

@@ -1,0 +1,130 @@
+"""The worker: it claims a job, has it encoded by an encoder process, ends the attempt, and claims the next."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import sys
+import time
+
+from service.jobs.table import Claim, JobTable, JobTableError
+from service.process.lifeline import Lifeline
+from service.process.stopping import StopSignal
+from service.settings import Settings
+from service.storage.files import Storage, source_key
+from service.worker.encoder import Spec
+from service.worker.encoder_process import Crashed, EncoderProcess, Outcome, TimedOut, TracePoint
+from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
+from service.worker.publishing import Publisher, StoppedError
+from service.worker.sweeping import Swept, sweep
+
+log = logging.getLogger(__name__)
+
+FOLLOW_S = 0.2  # how soon a request to stop is seen
+SWEEP_EVERY_S = 3600.0
+THREAD_VARIABLES = ("SG_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+class Worker:
+    """Runs jobs until stopping is requested."""
+
+    def __init__(self, settings: Settings, table: JobTable, storage: Storage, stop: StopSignal) -> None:
+        self._settings = settings
+        self._table = table
+        self._storage = storage
+        self._stop = stop
+        self._publisher = Publisher(table, storage, stop)
+        self._name = f"{socket.gethostname()}:{os.getpid()}"
+        self._lifeline = Lifeline()
+        self._next_sweep = 0.0
+        # Libraries read these when they are loaded, so they must be set before the encoder process begins.
+        threads = str(settings.encode_threads)
+        self._environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, threads)}
+
+    def run(self) -> None:
+        """Claim and work until stopping is requested."""
+        log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
+        self._table.deliver(self._run_next, self._stop)
+        self._lifeline.close()
+
+    def _run_next(self) -> bool:
+        """As run_one; trouble with the job table or the storage is logged and waited out."""
+        try:
+            self._sweep_now_and_then()
+            return self.run_one()
+        except (JobTableError, OSError) as error:
+            log.error("worker %s: %s", self._name, error)
+            self._stop.wait(PAUSE_AFTER_TROUBLE_S)
+            return False
+
+    def _sweep_now_and_then(self) -> None:
+        if time.monotonic() < self._next_sweep:
+            return
+        self._next_sweep = time.monotonic() + SWEEP_EVERY_S
+        swept = sweep(self._table, self._storage, retention_s=self._settings.retention_s)
+        if swept != Swept(0, 0):
+            log.info("removed %d finished jobs and %d files that no job needs", swept.jobs, swept.files)
+
+    def run_one(self) -> bool:
+        """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""
+        for job in self._table.reconcile():
+            log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
+            self._storage.delete(source_key(job.id))
+        claim = self._table.claim(self._name)
+        if claim is None:
+            return False
+        log.info("job %s: attempt %d", claim.job_id, claim.attempt)
+        heartbeat = Heartbeat(self._table, claim)
+        try:
+            self._publisher.conclude(claim, self._encode(claim, heartbeat), heartbeat)
+        except ClaimLostError:
+            log.warning("job %s: attempt %d is no longer ours", claim.job_id, claim.attempt)
+        except StoppedError:
+            log.info("job %s: handed back", claim.job_id)
+            self._table.release(claim)
+        except OSError:  # such as a storage out of reach: this must not count against the job
+            self._table.release(claim)
+            raise
+        self._publisher.tidy(claim)
+        return True
+
+    def _encode(self, claim: Claim, heartbeat: Heartbeat) -> Outcome:
+        """Encode in an encoder process, which has ended when this returns.
+
+        Raises ClaimLostError, StoppedError, OSError.
+        """
+        spec = Spec(
+            claim.job_id,
+            claim.attempt,
+            claim.request,
+            self._lifeline.read_end,
+            self._settings.job_memory_bytes,
+        )
+        command = [sys.executable, "-m", "service.worker.encoder", spec.to_json()]
+        try:
+            source = self._storage.open(source_key(claim.job_id))
+        except FileNotFoundError:
+            return Crashed("the source image is gone")
+        with source, EncoderProcess(command, source, self._environment, spec.lifeline) as process:
+            try:
+                return self._follow(process, heartbeat)
+            except ValueError as error:
+                return Crashed(f"the encoder spoke nonsense: {error}")
+
+    def _follow(self, process: EncoderProcess, heartbeat: Heartbeat) -> Outcome:
+        """Relay progress to the job table until there is an outcome, the process dies, or it must be ended."""
+        started = time.monotonic()
+        while not self._stop.requested:
+            for message in process.read(FOLLOW_S):
+                if isinstance(message, TracePoint):
+                    heartbeat.add(message.point)
+                    continue
+                heartbeat.beat(now=True)
+                return message
+            if process.ended:
+                return Crashed(process.last_words())
+            if time.monotonic() - started > self._settings.job_timeout_s:
+                return TimedOut(self._settings.job_timeout_s)
+            heartbeat.beat()
+        raise StoppedError

@@ -1,0 +1,89 @@
+"""How an attempt ends: its bitstream is published, or the reason of its failure goes to the job table."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Callable
+
+from service.jobs.job import FINAL_STATES, EncodeResult, JobError
+from service.jobs.table import Claim, JobTable, JobTableError
+from service.process.stopping import StopSignal
+from service.storage.files import Storage, bitstream_key, source_key
+from service.worker.encoder_process import Crashed, Encoded, Outcome, Refused, TimedOut
+from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
+
+log = logging.getLogger(__name__)
+
+
+class StoppedError(Exception):
+    """This worker is to stop."""
+
+
+class Publisher:
+    """Ends attempts. It waits while the job table or the storage is out of reach, until stopping is requested."""
+
+    def __init__(self, table: JobTable, storage: Storage, stop: StopSignal) -> None:
+        self._table = table
+        self._storage = storage
+        self._stop = stop
+
+    def conclude(self, claim: Claim, outcome: Outcome, heartbeat: Heartbeat) -> None:
+        """Publish the bitstream, or tell the job table why there is none.
+
+        Raises ClaimLostError, StoppedError, JobTableError.
+        """
+        match outcome:
+            case Encoded():
+                self._publish(claim, outcome, heartbeat)
+                return
+            case Refused(detail):
+                error, retry = JobError("refused", detail), False
+            case Crashed(detail):
+                error, retry = JobError("crashed", detail), True
+            case TimedOut(limit_s):
+                error, retry = JobError("timed_out", f"the encode took longer than {limit_s:g} s"), False
+        log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, error.code, error.detail)
+        if not self._insist(claim, lambda: self._table.fail(claim, error, retry=retry)):
+            raise ClaimLostError
+
+    def _publish(self, claim: Claim, encoded: Encoded, heartbeat: Heartbeat) -> None:
+        """Store the bitstream, then make it the job's in one update."""
+        key = bitstream_key(claim.job_id, claim.attempt)
+        self._store(key, encoded.bitstream, heartbeat)
+        result = EncodeResult(key, hashlib.sha256(encoded.bitstream).hexdigest(), encoded.stats)
+        if not self._insist(claim, lambda: self._table.finish(claim, result)):
+            self._storage.delete(key)
+            raise ClaimLostError
+        log.info("job %s: done, %d bytes", claim.job_id, len(encoded.bitstream))
+
+    def _store(self, key: str, data: bytes, heartbeat: Heartbeat) -> None:
+        """Store the bitstream, which took long to compute, however long the disk stays full.
+
+        Raises ClaimLostError, StoppedError.
+        """
+        while True:
+            try:
+                self._storage.put(key, data)
+                return
+            except OSError as error:
+                log.warning("%s cannot be stored yet: %s", key, error)
+            if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+                raise StoppedError
+            heartbeat.beat()
+
+    def _insist(self, claim: Claim, last_word: Callable[[], bool]) -> bool:
+        """Try again until the table has the end of the attempt. Raises JobTableError if this worker is to stop."""
+        while True:
+            try:
+                return last_word()
+            except JobTableError as error:
+                log.warning("job %s: its end cannot be written down yet: %s", claim.job_id, error)
+                if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+                    raise
+
+    def tidy(self, claim: Claim) -> None:
+        """Remove the source image of a job that will not run again."""
+        job = self._table.get(claim.job_id)
+        if job is None or job.state in FINAL_STATES:
+            self._storage.delete(source_key(claim.job_id))

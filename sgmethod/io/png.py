@@ -1,0 +1,55 @@
+"""Pixels as PNG files. Every row has the filter Up; the caller may bring a deflate of its own.
+
+768x512 decoded from 15 kB (kodim23; kodim04), one core of an EPYC:
+
+    zlib, level 5         36 ms   388 kB;   35 ms   438 kB
+    zlib, level 6         76 ms   377 kB;   67 ms   428 kB
+    isal, level 1          3 ms   427 kB;    4 ms   480 kB
+    Pillow, level 4       45 ms   391 kB;   52 ms   433 kB   a filter for each row
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.io.image import PNG_MAGIC
+
+FILTER_UP = 2  # PNG specification, 9.2: each byte less the one above it
+RGB_8 = (8, 2, 0, 0, 0)  # 11.2.2: bits of a sample, colour type, compression, filter method, no interlace
+MAX_CHUNK_BYTES = 1 << 24
+ZLIB_LEVEL = 5
+
+Compress = Callable[[memoryview], bytes]
+
+
+def _zlib(data: memoryview) -> bytes:
+    return zlib.compress(data, ZLIB_LEVEL)
+
+
+def encode_png(pixels: NDArray[np.uint8], compress: Compress = _zlib) -> bytes:
+    """The bytes of an 8-bit RGB PNG file of pixels, uint8 [H, W, 3]; ValueError on another shape or type.
+
+    compress: makes the zlib stream (RFC 1950) of the filtered rows, uint8 [H, 1 + 3 W].
+    """
+    if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
+        raise ValueError(f"pixels must be uint8 [H, W, 3], got {pixels.dtype} {list(pixels.shape)}")
+    height, width, channels = pixels.shape
+    flat = pixels.reshape(height, width * channels)
+    rows = np.empty((height, 1 + width * channels), np.uint8)
+    rows[:, 0] = FILTER_UP
+    rows[0, 1:] = flat[0]
+    np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
+    data = compress(rows.data)
+    parts = [data[start : start + MAX_CHUNK_BYTES] for start in range(0, len(data), MAX_CHUNK_BYTES)]
+    header = struct.pack(">IIBBBBB", width, height, *RGB_8)
+    chunks = [_chunk(b"IHDR", header), *(_chunk(b"IDAT", part) for part in parts), _chunk(b"IEND", b"")]
+    return b"".join((PNG_MAGIC, *chunks))
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(data, zlib.crc32(kind)))

@@ -1,0 +1,23 @@
+"""Pictures that tests make up: one that encodes at once, and one that takes long."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from PIL import Image
+
+
+def png(width: int, height: int, seed: int = 0) -> bytes:
+    """A picture with some structure: a gradient, a disc and a little noise."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    disc = (np.hypot(x - width / 2, y - height / 2) < min(width, height) / 4) * 90.0
+    noise = np.random.default_rng(seed).normal(0, 8, (height, width, 3))
+    pixels = np.stack([x / width * 160, y / height * 160, disc], axis=2) + noise + 40
+    file = io.BytesIO()
+    Image.fromarray(pixels.clip(0, 255).astype(np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+SMALL = png(64, 48)
+SLOW = png(768, 768)

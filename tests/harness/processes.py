@@ -1,0 +1,61 @@
+"""Processes of this machine: which there are, and waiting for what they do."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar
+
+T = TypeVar("T")
+Kind = Literal["web", "worker", "encoder"]
+
+PATIENCE_S = 120.0  # far more than anything takes, on a busy machine too
+POLL_S = 0.05  # seldom enough to take little of a core
+COMMANDS: dict[Kind, str] = {
+    "web": "-m service web",
+    "worker": "-m service worker",
+    "encoder": "-m service.worker.encoder",
+}
+
+
+def wait_until(what: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
+    """The first true value of what(); raises AssertionError if there is none in time."""
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline:
+        value = what()
+        if value:
+            return value
+        time.sleep(POLL_S)
+    raise AssertionError("nothing happened in time")
+
+
+@dataclass(frozen=True)
+class Process:
+    """A process that is alive: who started it, and its command line."""
+
+    parent: int
+    command: str
+
+
+def processes() -> dict[int, Process]:
+    """All processes by number."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            with contextlib.suppress(OSError):
+                state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
+                if state != "Z":
+                    command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                    found[int(entry.name)] = Process(int(parent), command)
+    return found
+
+
+def encoder_of(job_id: str) -> int | None:
+    """The process that encodes a job, if there is one, whoever started it."""
+    for number, process in processes().items():
+        if COMMANDS["encoder"] in process.command and job_id in process.command:
+            return number
+    return None
