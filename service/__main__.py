@@ -39,6 +39,9 @@ def main() -> int:
             name = f"SG_{fault['loc'][0]}: ".upper() if fault["loc"] else ""
             print(f"{name}{fault['msg'].removeprefix('Value error, ')}", file=sys.stderr)
         return BAD_SETTING
+    except SgError as error:  # the kernels are missing, which count the cores
+        print(f"cannot start: {error}", file=sys.stderr)
+        return TROUBLE
     for name in unknown_settings(os.environ):
         print(f"{name} is no setting of this service, and does nothing", file=sys.stderr)
     try:

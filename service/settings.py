@@ -6,7 +6,6 @@ holds the same table; a test compares the two.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
@@ -16,22 +15,17 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
 from sgmethod.io.image import ImageLimits
+from sgmethod.native import native
 
 MIN_SECRET_LENGTH = 32
 LONGEST_S = 86_400.0  # what the system and both databases can surely count
 MOST = 10**9
 OTHER_NAMES = frozenset({"SG_API_KEY"})  # the client's
-CGROUP_CPU_LIMIT = Path("/sys/fs/cgroup/cpu.max")
 
 
 def available_cores() -> int:
-    """Cores this process may use: its affinity, cut by the container's processor quota if there is one."""
-    cores = len(os.sched_getaffinity(0))
-    try:
-        quota, period = CGROUP_CPU_LIMIT.read_text().split()
-    except (OSError, ValueError):
-        return cores
-    return cores if quota == "max" else max(1, min(cores, int(quota) // int(period)))
+    """Cores this process may use: its affinity, cut by the processor quotas of its control groups."""
+    return native.available_cores()
 
 
 def default_workers() -> int:

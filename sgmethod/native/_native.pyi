@@ -25,7 +25,12 @@ TILE_HEIGHT: int
 def best_isa() -> int:
     """0 baseline x86-64, 1 AVX2, 2 AVX-512: the best this processor has."""
 
-def thread_count() -> int: ...
+def available_cores() -> int:
+    """Cores this process may use: its affinity, cut by the processor quotas of its control groups; at least 1."""
+
+def thread_count() -> int:
+    """Threads that kernels use, the calling one included. Fewer run where the system refuses to create them."""
+
 def set_thread_count(count: int) -> None: ...
 
 class Rasterization:

@@ -6,6 +6,7 @@
 
 #include "bindings/arrays.h"
 #include "core/constants.h"
+#include "core/cores.h"
 #include "core/isa.h"
 #include "core/thread_pool.h"
 
@@ -31,6 +32,7 @@ NB_MODULE(_native, m) {
   m.attr("COLOR_SCALE") = sg::kColorScale;
   m.attr("R_STEP") = sg::kRStep;
   m.def("best_isa", &sg::best_isa);
+  m.def("available_cores", &sg::available_cores);
   m.def("thread_count", &sg::thread_count);
   m.def("set_thread_count", &sg::set_thread_count, nb::arg("count"));
   bind_raster(m);

@@ -1,17 +1,22 @@
 #include "core/thread_pool.h"
 
-#include <sched.h>
-#include <unistd.h>
+#include <pthread.h>
 #include <xmmintrin.h>
 
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
+#include <cstdint>
 #include <cstdlib>
-#include <memory>
+#include <exception>
 #include <mutex>
+#include <new>
+#include <system_error>
 #include <thread>
+#include <utility>
 #include <vector>
+
+#include "core/cores.h"
 
 namespace sg {
 namespace {
@@ -21,12 +26,24 @@ namespace {
 constexpr int kSpins = 10000;
 constexpr int kMaxThreads = 256;
 
+// Whether this thread is within a task. The model of storage that needs no memory at the first use: there the system
+// ends the process if it has none.
+__attribute__((tls_model("initial-exec"))) thread_local bool inside_task = false;
+
 // Results far below one grey level need no subnormal numbers, and some processors are slow with them.
 // Flush-to-zero is the same in every instruction set used here, so pixels stay identical.
-class FlushSubnormals {
+class TaskMode {
  public:
-  FlushSubnormals() : saved_(_mm_getcsr()) { _mm_setcsr(saved_ | 0x8040); }
-  ~FlushSubnormals() { _mm_setcsr(saved_); }
+  TaskMode() : saved_(_mm_getcsr()) {
+    _mm_setcsr(saved_ | 0x8040);
+    inside_task = true;
+  }
+  ~TaskMode() {
+    inside_task = false;
+    _mm_setcsr(saved_);
+  }
+  TaskMode(const TaskMode&) = delete;
+  TaskMode& operator=(const TaskMode&) = delete;
 
  private:
   unsigned saved_;
@@ -34,18 +51,23 @@ class FlushSubnormals {
 
 int initial_thread_count() {
   if (const char* text = std::getenv("SG_THREADS")) {
-    const int count = std::atoi(text);
-    if (count > 0) return std::min(count, kMaxThreads);
+    const long count = std::strtol(text, nullptr, 10);
+    if (count > 0) return static_cast<int>(std::min<long>(count, kMaxThreads));
   }
-  cpu_set_t cores;
-  if (sched_getaffinity(0, sizeof cores, &cores) == 0) return std::min(CPU_COUNT(&cores), kMaxThreads);
-  return 1;
+  return std::min(available_cores(), kMaxThreads);
 }
 
 class Pool {
  public:
-  explicit Pool(int threads) : pid_(getpid()), shares_(threads) {
-    for (int i = 1; i < threads; ++i) workers_.emplace_back([this, i] { work(i); });
+  // With as many of the threads as the system grants.
+  explicit Pool(int wanted) : shares_(wanted) {
+    workers_.reserve(wanted - 1);
+    try {
+      for (int i = 1; i < wanted; ++i) workers_.emplace_back([this, i] { work(i); });
+    } catch (const std::system_error&) {
+    } catch (const std::bad_alloc&) {
+    }
+    size_ = static_cast<int>(workers_.size()) + 1;
   }
 
   ~Pool() {
@@ -57,16 +79,15 @@ class Pool {
     for (auto& worker : workers_) worker.join();
   }
 
-  int size() const { return static_cast<int>(shares_.size()); }
-  bool forked() const { return pid_ != getpid(); }
+  int wanted() const { return static_cast<int>(shares_.size()); }
 
   void run(int count, const std::function<void(int)>& task) {
     {
       std::lock_guard<std::mutex> lock(mutex_);
       task_ = &task;
-      for (int i = 0; i < size(); ++i) {
-        shares_[i].next.store(static_cast<int>(int64_t{count} * i / size()), std::memory_order_relaxed);
-        shares_[i].end = static_cast<int>(int64_t{count} * (i + 1) / size());
+      for (int i = 0; i < size_; ++i) {
+        shares_[i].next.store(static_cast<int>(int64_t{count} * i / size_), std::memory_order_relaxed);
+        shares_[i].end = static_cast<int>(int64_t{count} * (i + 1) / size_);
       }
       open_ = true;
       generation_.fetch_add(1, std::memory_order_release);
@@ -81,6 +102,7 @@ class Pool {
       if (++spin < kSpins) _mm_pause();
       else std::this_thread::yield();
     }
+    if (error_) std::rethrow_exception(std::exchange(error_, nullptr));
   }
 
  private:
@@ -91,15 +113,29 @@ class Pool {
     int end = 0;
   };
 
-  void drain(int thread) {
-    FlushSubnormals flush;
-    for (int k = 0; k < size(); ++k) {
-      Share& share = shares_[(thread + k) % size()];
-      for (int i; (i = share.next.fetch_add(1, std::memory_order_relaxed)) < share.end;) (*task_)(i);
+  void drain(int thread) noexcept {
+    const TaskMode mode;
+    try {
+      for (int k = 0; k < size_; ++k) {
+        Share& share = shares_[(thread + k) % size_];
+        for (int i; (i = share.next.fetch_add(1, std::memory_order_relaxed)) < share.end;) (*task_)(i);
+      }
+    } catch (...) {
+      fail(std::current_exception());
     }
   }
 
+  // Keeps the first exception, and leaves out the tasks that have not begun.
+  void fail(std::exception_ptr error) {
+    std::lock_guard<std::mutex> lock(mutex_);
+    if (!error_) error_ = std::move(error);
+    for (int i = 0; i < size_; ++i) shares_[i].next.store(shares_[i].end, std::memory_order_relaxed);
+  }
+
   void work(int thread) {
+    // Makes the loader set up what exceptions need in this thread. At the first one there may be no memory for it, which
+    // would end the process.
+    static_cast<void>(std::current_exception());
     unsigned seen = 0;
     while (true) {
       for (int spin = 0; spin < kSpins && generation_.load(std::memory_order_acquire) == seen; ++spin) _mm_pause();
@@ -120,42 +156,53 @@ class Pool {
     }
   }
 
-  const pid_t pid_;
-  std::vector<Share> shares_;
+  std::vector<Share> shares_;  // one for each thread wanted
   std::vector<std::thread> workers_;
+  int size_;  // threads there are, the calling one included
   std::mutex mutex_;
   std::condition_variable wake_;
   std::atomic<unsigned> generation_{0};
   std::atomic<int> active_{0};  // workers inside the current task
   bool open_ = false;  // a task is being handed out
   bool stop_ = false;
+  std::exception_ptr error_;  // of the current task
   const std::function<void(int)>* task_ = nullptr;
 };
 
 std::mutex entry;
-int wanted = 0;
-Pool* pool = nullptr;  // lives as long as the process: joining at exit could wait on threads already gone
+std::atomic<int> wanted{0};  // 0 until somebody asks
+Pool* pool = nullptr;        // lives as long as the process: joining at exit could wait on threads already gone
+
+// A child has only the thread that forked. Another may have held the lock, and the pool's threads are gone: the child
+// gets a new lock, and its first call a new pool.
+void start_afresh() {
+  new (&entry) std::mutex;
+  pool = nullptr;
+}
+
+// At load: there is no moment at which a kernel could run and a fork go unnoticed.
+[[maybe_unused]] const int watched = pthread_atfork(nullptr, nullptr, start_afresh);
 
 }  // namespace
 
 int thread_count() {
-  std::lock_guard<std::mutex> lock(entry);
-  if (wanted == 0) wanted = initial_thread_count();
-  return wanted;
+  int none = 0;
+  if (wanted.load() == 0) wanted.compare_exchange_strong(none, initial_thread_count());
+  return wanted.load();
 }
 
-void set_thread_count(int count) {
-  std::lock_guard<std::mutex> lock(entry);
-  wanted = std::clamp(count, 1, kMaxThreads);
-}
+void set_thread_count(int count) { wanted.store(std::clamp(count, 1, kMaxThreads)); }
 
 void parallel_for(int count, const std::function<void(int)>& task) {
-  std::lock_guard<std::mutex> lock(entry);
-  if (wanted == 0) wanted = initial_thread_count();
-  if (pool && pool->forked()) pool = nullptr;  // its threads did not survive the fork
-  if (!pool || pool->size() != wanted) {
-    delete pool;
-    pool = new Pool(wanted);
+  if (inside_task) {
+    for (int i = 0; i < count; ++i) task(i);
+    return;
+  }
+  const std::lock_guard<std::mutex> lock(entry);
+  const int threads = thread_count();
+  if (!pool || pool->wanted() != threads) {
+    delete std::exchange(pool, nullptr);
+    pool = new Pool(threads);
   }
   pool->run(count, task);
 }

@@ -7,12 +7,14 @@
 
 namespace sg {
 
-// Number of threads that parallel_for uses, the calling one included. Starts as SG_THREADS from the
-// environment, else as the number of cores this process may run on.
+// Number of threads that parallel_for uses at most, the calling one included; there are fewer where the system refuses
+// more. Starts as SG_THREADS from the environment, else as the number of cores this process may use.
 int thread_count();
 void set_thread_count(int count);
 
-// Runs task(0) ... task(count - 1) and returns when all are done. Calls from several threads take turns.
+// Runs task(0) ... task(count - 1) and returns when all are done. Calls from several threads take turns; a call from
+// within a task runs where it is. If a task throws, tasks that have not begun are left out, and the first exception
+// reaches the caller. After a fork the child starts with a pool of its own.
 void parallel_for(int count, const std::function<void(int)>& task);
 
 // Calls body(first, last, chunk) for [0, count) in tasks of `size`.

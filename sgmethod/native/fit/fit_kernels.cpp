@@ -1,7 +1,6 @@
 // What only fitting needs. Nothing here decides pixels of a file, so a multiplication and an addition may become one
 // instruction where there is one (see CMakeLists.txt).
 #include <algorithm>
-#include <vector>
 
 #include "raster/columns.h"
 #include "raster/kernels.h"
@@ -103,14 +102,9 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch&
 
 template <int W>
 SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const float* colors, const TileTarget& target,
-                                    float* pair_gradients) {
-  thread_local std::vector<float> first;  // of all pairs at once: needed twice
-  size_t count = 0;
-  for (const Pair* pair = raster.tile_begin(tile); pair != raster.tile_end(tile); ++pair)
-    count += static_cast<size_t>(segments(raster, *pair));
-  first.resize(count * 2 * kTileWidth);
-  first_values<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), first.data());
-  const Batch all{raster.tile_begin(tile), raster.tile_end(tile), first.data()};
+                                    float* first, float* pair_gradients) {
+  first_values<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), first);
+  const Batch all{raster.tile_begin(tile), raster.tile_end(tile), first};
   alignas(64) float values[kTileFloats] = {};
   forward_body<W>(raster, all, colors, values);
   const double error = difference_body<W>(values, target);
@@ -173,8 +167,8 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
 
 #define SG_FIT_KERNELS(name, width, attribute)                                                                      \
   attribute double squared_error_##name(const Rasterization& r, int tile, const float* colors, const TileTarget& target, \
-                                        float* pair_gradients) {                                                     \
-    return squared_error_body<width>(r, tile, colors, target, pair_gradients);                                       \
+                                        float* first, float* pair_gradients) {                                       \
+    return squared_error_body<width>(r, tile, colors, target, first, pair_gradients);                                \
   }                                                                                                                  \
   attribute void backward_##name(const Rasterization& r, int tile, const float* colors, const float* gradient,       \
                                  float* pair_gradients) {                                                            \
@@ -198,6 +192,12 @@ SG_FIT_KERNELS(avx2, 8, [[gnu::target("avx2,fma")]])
 SG_FIT_KERNELS(avx512, 16, [[gnu::target("avx512f,avx512dq,avx512vl,fma,prefer-vector-width=512")]])
 
 }  // namespace
+
+int64_t first_value_count(const Rasterization& raster, int tile) {
+  int64_t count = 0;
+  for (const Pair* pair = raster.tile_begin(tile); pair != raster.tile_end(tile); ++pair) count += segments(raster, *pair);
+  return count * 2 * kTileWidth;
+}
 
 const FitKernels& fit_kernels(int isa) {
   static const FitKernels* const table[] = {&k_baseline, &k_avx2, &k_avx512};

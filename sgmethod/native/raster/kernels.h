@@ -38,8 +38,10 @@ struct TileKernels {
 };
 
 struct FitKernels {
-  // The tile's squared error; pair_gradients [pairs of the tile][kPairGradients] of scale / 2 times it.
-  double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* pair_gradients);
+  // The tile's squared error; pair_gradients [pairs of the tile][kPairGradients] of scale / 2 times it. `first`: room for
+  // first_value_count() floats.
+  double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* first,
+                          float* pair_gradients);
   // The same from the tile's image gradient, laid out as accumulators are.
   void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
   // picture += color [3] times the weights of one Gaussian.
@@ -47,6 +49,9 @@ struct FitKernels {
   // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight.
   void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture, float* products);
 };
+
+// The first values of all column segments of a tile, which squared_error needs twice.
+int64_t first_value_count(const Rasterization&, int tile);
 
 // Of an instruction set (core/isa.h).
 const TileKernels& kernels(int isa);

@@ -201,7 +201,9 @@ double Rasterization::squared_error(const float* colors, const float* target, co
   parallel_for(strips_ * blocks_, [&](int tile) {
     const auto [x0, y0, columns, rows] = area(tile);
     const TileTarget wanted{target + static_cast<int64_t>(y0) * width_ + x0, plane, width_, ahead, columns, rows, scale};
-    errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, wanted, pair_gradients.get() + tile_start_[tile] * kPairGradients);
+    const std::unique_ptr<float[]> first(new float[first_value_count(*this, tile)]);  // all written by the kernel
+    errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, wanted, first.get(),
+                                                   pair_gradients.get() + tile_start_[tile] * kPairGradients);
   });
   sum_pairs(pair_gradients.get(), out);
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);

@@ -78,16 +78,27 @@ def test_threads_can_be_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     assert Settings().encode_threads == 7
 
 
-@pytest.mark.parametrize(("text", "cores"), [("max 100000", 8), ("250000 100000", 2), ("50000 100000", 1), ("?", 8)])
-def test_a_containers_processor_quota_counts(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, text: str, cores: int
-) -> None:
-    quota = tmp_path / "cpu.max"
-    quota.write_text(text)
-    monkeypatch.setattr(settings_module, "CGROUP_CPU_LIMIT", quota)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: set(range(8)))
-    assert available_cores() == cores
+@pytest.mark.parametrize("cores", [1, 2, 8])
+def test_workers_follow_the_cores(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
+    """Which the kernels count; their own tests try quotas (tests/native/core/cores.cpp)."""
+    monkeypatch.setattr(settings_module, "available_cores", lambda: cores)
     assert Settings().workers == max(1, cores // 4)
+
+
+@pytest.mark.parametrize("command", ["serve", "web", "worker", "check", "sweep"])
+def test_missing_kernels_are_one_clear_line(command: str) -> None:
+    missing = "import sys; sys.modules['sgmethod.native._native'] = None"
+    script = f"{missing}; from service.__main__ import main; sys.exit(main())"
+    ran = subprocess.run(
+        [sys.executable, "-c", script, command],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert (ran.returncode, ran.stdout) == (1, "")
+    assert re.fullmatch(r"cannot start: the compiled part .* pip install --force-reinstall \.\n", ran.stderr)
 
 
 @pytest.mark.parametrize(

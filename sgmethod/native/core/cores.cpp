@@ -1,0 +1,77 @@
+#include "core/cores.h"
+
+#include <sched.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <climits>
+#include <fstream>
+#include <vector>
+
+namespace sg {
+namespace {
+
+constexpr int kMostCpus = 1 << 20;  // far beyond any machine: a mask that large is refused for another reason
+
+int whole_cores(long long quota, long long period) {
+  if (quota <= 0 || period <= 0) return INT_MAX;
+  return static_cast<int>(std::clamp<long long>(quota / period, 1, INT_MAX));
+}
+
+// Version 2: "250000 100000", or "max 100000" where nothing is limited.
+int quota_v2(const std::string& group) {
+  std::ifstream file(group + "/cpu.max");
+  long long quota, period;
+  return file >> quota >> period ? whole_cores(quota, period) : INT_MAX;
+}
+
+// Version 1: two files, with -1 where nothing is limited.
+int quota_v1(const std::string& group) {
+  std::ifstream quota_file(group + "/cpu.cfs_quota_us"), period_file(group + "/cpu.cfs_period_us");
+  long long quota, period;
+  return quota_file >> quota && period_file >> period ? whole_cores(quota, period) : INT_MAX;
+}
+
+// The smallest quota from `group` up to the mount itself. A container may see its group's path as the host has it
+// while the mount shows only the group: folders that do not exist limit nothing.
+template <typename Quota>
+int smallest(const std::string& mount, std::string group, const Quota& quota) {
+  int cores = quota(mount);
+  for (; !group.empty(); group.resize(group.rfind('/'))) cores = std::min(cores, quota(mount + group));
+  return cores;
+}
+
+bool lists_cpu(const std::string& controllers) { return ("," + controllers + ",").find(",cpu,") != std::string::npos; }
+
+}  // namespace
+
+// The kernel refuses a mask that is smaller than its own, so the mask grows until it fits.
+int affinity_cores() {
+  for (int cpus = CPU_SETSIZE; cpus <= kMostCpus; cpus *= 2) {
+    std::vector<unsigned long> mask(CPU_ALLOC_SIZE(cpus) / sizeof(unsigned long));
+    auto* set = reinterpret_cast<cpu_set_t*>(mask.data());
+    if (sched_getaffinity(0, CPU_ALLOC_SIZE(cpus), set) == 0) return CPU_COUNT_S(CPU_ALLOC_SIZE(cpus), set);
+    if (errno != EINVAL) break;
+  }
+  return 1;
+}
+
+int quota_cores(const std::string& root) {
+  std::string v2, v1;  // the paths of the process's groups
+  std::ifstream groups(root + "/proc/self/cgroup");
+  for (std::string line; std::getline(groups, line);) {  // "number:controllers:path", and "0::path" of version 2
+    const size_t first = line.find(':'), second = line.find(":/", first + 1);
+    if (second == std::string::npos) continue;
+    const std::string controllers = line.substr(first + 1, second - first - 1), group = line.substr(second + 1);
+    if (controllers.empty()) v2 = group;
+    if (lists_cpu(controllers)) v1 = group;
+  }
+  // Where systems and containers mount the groups; "unified" is version 2 beside version 1.
+  const std::string mount = root + "/sys/fs/cgroup";
+  return std::min({smallest(mount, v2, quota_v2), smallest(mount + "/unified", v2, quota_v2),
+                   smallest(mount + "/cpu", v1, quota_v1), smallest(mount + "/cpu,cpuacct", v1, quota_v1)});
+}
+
+int available_cores() { return std::max(1, std::min(affinity_cores(), quota_cores(""))); }
+
+}  // namespace sg

@@ -1,0 +1,155 @@
+// The kernels on values that no encoder makes, on every instruction set: nothing may be read or written out of place.
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <random>
+#include <stdexcept>
+#include <vector>
+
+#include "check.h"
+#include "core/constants.h"
+#include "core/isa.h"
+#include "fit/loss.h"
+#include "fit/optimiser.h"
+#include "raster/rasterization.h"
+#include "rd/codec.h"
+#include "rd/rate.h"
+#include "rd/refine.h"
+
+namespace {
+
+constexpr int kWidth = 83, kHeight = 70, kPixels = kWidth * kHeight;
+
+std::mt19937& random_numbers() {
+  static std::mt19937 generator(1);
+  return generator;
+}
+
+float between(float low, float high) { return std::uniform_real_distribution<float>(low, high)(random_numbers()); }
+
+// Gaussians around a picture; with `wild`, one value in ten is far from any picture's.
+sg::GaussianArrays scattered(int n, bool wild) {
+  constexpr float kNever[] = {0.0f, -1.0f, 1e-30f, 1e30f, -1e30f, std::numeric_limits<float>::infinity(),
+                              std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::denorm_min()};
+  const auto value = [&](float v) {
+    const auto pick = random_numbers()();
+    return wild && pick % 10 == 0 ? kNever[pick / 10 % 8] : v;
+  };
+  sg::GaussianArrays g;
+  for (int i = 0; i < n; ++i) {
+    g.means.push_back(value(between(-0.2f, 1.2f) * kWidth));
+    g.means.push_back(value(between(-0.2f, 1.2f) * kHeight));
+    g.factors.push_back(value(std::exp(between(-1, 4))));
+    g.factors.push_back(value(between(-20, 20)));
+    g.factors.push_back(value(std::exp(between(-1, 4))));
+    for (int k = 0; k < 3; ++k) g.colors.push_back(value(between(-1, 1)));
+  }
+  return g;
+}
+
+}  // namespace
+
+TEST(kernels_of_every_instruction_set_draw_the_same) {
+  for (const bool wild : {false, true}) {
+    const sg::GaussianArrays g = scattered(300, wild);
+    std::vector<std::vector<uint8_t>> pictures;
+    for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
+      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, kWidth, kHeight, sg::kCutoffV3, isa, sg::kMaxPairs);
+      pictures.emplace_back(3 * kPixels);
+      const float background[3] = {0.1f, 0.5f, 0.9f};
+      raster.render_bytes(g.colors.data(), background, pictures.back().data());
+      CHECK(pictures.back() == pictures.front());
+    }
+  }
+}
+
+TEST(kernels_of_the_fit_stay_within_their_arrays) {
+  for (const bool wild : {false, true}) {
+    sg::GaussianArrays g = scattered(300, wild), by = g;
+    std::vector<float> image(3 * kPixels), grad(3 * kPixels), target(3 * kPixels, 0.5f), bias(600, 0.5f);
+    std::vector<float> first(2400), second(2400);
+    for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
+      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, kWidth, kHeight, sg::kCutoffV1, isa, sg::kMaxPairs);
+      const sg::Gradients out{by.means.data(), by.factors.data(), by.colors.data()};
+      raster.render(g.colors.data(), image.data());
+      sg::ReconstructionLoss loss(target.data(), kWidth, kHeight, 0.5f);
+      loss(image.data(), grad.data());
+      raster.backward(g.colors.data(), grad.data(), out);
+      raster.squared_error(g.colors.data(), target.data(), out);
+    }
+    sg::rd_rate_gradient(0.1f, 1.0f, 300, g.factors.data(), g.colors.data(), by.factors.data(), by.colors.data());
+    const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f);
+    sg::frame_adam(settings, 1.0f, 300, {g.means.data(), g.factors.data(), g.colors.data()},
+                   {by.means.data(), by.factors.data(), by.colors.data()}, first.data(), second.data(), bias.data());
+    sg::keep_near(2.0f, kWidth, kHeight, 300, g.means.data(), g.factors.data());
+  }
+}
+
+TEST(loss_of_pictures_without_a_whole_neighbourhood) {
+  for (const int side : {1, 2, 3}) {
+    const std::vector<float> target(3 * side * side, 0.5f), image(3 * side * side, 0.25f);
+    std::vector<float> grad(image.size());
+    CHECK(sg::ReconstructionLoss(target.data(), side, side, 0.5f)(image.data(), grad.data()).mse == 0.0625);
+  }
+}
+
+TEST(kernels_refuse_what_cannot_be) {
+  const float mean[2] = {}, factor[3] = {1, 0, 1};
+  const auto raster = [&](int width, int height, float cutoff, int isa) {
+    return [=, &mean, &factor] { sg::Rasterization(mean, factor, 1, width, height, cutoff, isa, sg::kMaxPairs); };
+  };
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  CHECK(check::throws<std::invalid_argument>(raster(0, 1, 3.0f, -1)));
+  CHECK(check::throws<std::invalid_argument>(raster(1, INT32_MAX, 3.0f, -1)));
+  CHECK(check::throws<std::invalid_argument>(raster(1, 1, nan, -1)));
+  CHECK(check::throws<std::invalid_argument>(raster(1, 1, 5.6f, -1)));
+  CHECK(check::throws<std::invalid_argument>(raster(1, 1, 3.0f, sg::best_isa() + 1)));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 1, std::nan(""), false, false); }));
+}
+
+TEST(codec_gives_back_what_rounding_leaves) {
+  for (const bool wild : {false, true}) {
+    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
+    const sg::GaussianArrays g = scattered(300, wild);
+    sg::GaussianArrays rounded = g;
+    sg::rd_quantise(p, g.means.data(), g.factors.data(), g.colors.data(), 300, rounded.means.data(), rounded.factors.data(),
+                    rounded.colors.data());
+    const std::vector<uint8_t> bytes = sg::rd_encode(p, g.means.data(), g.factors.data(), g.colors.data(), 300);
+    size_t left = 0;
+    for (size_t i = 0; i < 300; ++i)
+      left += rounded.colors[3 * i] != 0 || rounded.colors[3 * i + 1] != 0 || rounded.colors[3 * i + 2] != 0;
+    CHECK(sg::rd_decode(p, bytes.data(), bytes.size(), false).means.size() == 2 * left);
+    for (size_t cut = 0; cut < bytes.size(); ++cut) {
+      const std::vector<uint8_t> part(bytes.begin(), bytes.begin() + static_cast<ptrdiff_t>(cut));
+      CHECK(sg::rd_decode(p, part.data(), cut, true).means.size() <= 2 * left);
+    }
+  }
+}
+
+TEST(codec_refuses_nonsense) {
+  const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
+  for (int k = 0; k < 20000; ++k) {
+    std::vector<uint8_t> bytes(random_numbers()() % 60);
+    for (uint8_t& byte : bytes) byte = static_cast<uint8_t>(random_numbers()());
+    for (const bool prefix : {false, true}) {
+      try {
+        const sg::GaussianArrays g = sg::rd_decode(p, bytes.data(), bytes.size(), prefix);
+        CHECK(g.means.size() <= 2 * (8 * bytes.size() + 64));
+      } catch (const std::runtime_error&) {
+      }
+    }
+  }
+}
+
+TEST(refining_keeps_the_limit_of_bytes) {
+  for (const bool wild : {false, true}) {
+    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
+    const sg::GaussianArrays g = scattered(100, wild);
+    const std::vector<float> target(3 * kPixels, 0.5f);
+    const std::vector<uint8_t> bytes = sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), 100, target.data(),
+                                                     {sg::kCutoffV3, 0.01, 1, 60.0, 100});
+    CHECK(bytes.size() <= 100);
+  }
+}

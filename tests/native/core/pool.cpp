@@ -1,0 +1,151 @@
+// The thread pool: every task once, exceptions, nested calls, subnormal numbers, forks, several callers.
+#include "core/thread_pool.h"
+
+#include <sys/wait.h>
+#include <unistd.h>
+#include <xmmintrin.h>
+
+#include <atomic>
+#include <new>
+#include <stdexcept>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "check.h"
+
+namespace {
+
+constexpr int kThreads[] = {1, 2, 5, 40};
+
+unsigned mode() { return _mm_getcsr() & 0x8040; }
+
+// Runs tasks of which each counts its calls; returns whether every one ran once.
+bool all_run_once(int count) {
+  std::vector<std::atomic<int>> calls(count);
+  sg::parallel_for(count, [&](int i) { ++calls[i]; });
+  for (const auto& c : calls)
+    if (c != 1) return false;
+  return true;
+}
+
+}  // namespace
+
+TEST(pool_runs_every_task_once) {
+  for (const int threads : kThreads) {
+    sg::set_thread_count(threads);
+    for (const int count : {0, 1, 2, 7, 1000}) CHECK(all_run_once(count));
+  }
+}
+
+TEST(pool_hands_an_exception_to_the_caller) {
+  for (const int threads : kThreads) {
+    sg::set_thread_count(threads);
+    for (const int bad : {0, 1, 50, 99}) {
+      std::vector<std::atomic<int>> calls(100);
+      std::string message;
+      try {
+        sg::parallel_for(100, [&](int i) {
+          ++calls[i];
+          if (i == bad) throw std::runtime_error("task " + std::to_string(i));
+        });
+      } catch (const std::runtime_error& error) {
+        message = error.what();
+      }
+      CHECK(message == "task " + std::to_string(bad));
+      for (const auto& c : calls) CHECK(c <= 1);
+      CHECK(all_run_once(100));
+    }
+  }
+}
+
+TEST(pool_hands_on_one_of_many_exceptions) {
+  for (const int threads : kThreads) {
+    sg::set_thread_count(threads);
+    CHECK(check::throws<std::bad_alloc>([] { sg::parallel_for(1000, [](int) { throw std::bad_alloc(); }); }));
+    CHECK(all_run_once(100));
+  }
+}
+
+TEST(pool_runs_a_call_within_a_task_where_it_is) {
+  for (const int threads : kThreads) {
+    sg::set_thread_count(threads);
+    std::atomic<int> calls{0};
+    sg::parallel_for(20, [&](int) {
+      const auto self = std::this_thread::get_id();
+      sg::parallel_for(30, [&](int) {
+        CHECK(std::this_thread::get_id() == self);
+        sg::parallel_for(2, [&](int) { ++calls; });
+      });
+    });
+    CHECK(calls == 20 * 30 * 2);
+    CHECK(check::throws<std::range_error>([] {
+      sg::parallel_for(20, [](int) { sg::parallel_for(30, [](int) { throw std::range_error("within"); }); });
+    }));
+    std::atomic<int> caught{0};
+    sg::parallel_for(20, [&](int) {
+      caught += check::throws<std::range_error>([] { sg::parallel_for(3, [](int) { throw std::range_error("kept"); }); });
+    });
+    CHECK(caught == 20);
+    CHECK(all_run_once(100));
+  }
+}
+
+TEST(pool_flushes_subnormal_numbers_within_tasks_alone) {
+  for (const int threads : kThreads) {
+    sg::set_thread_count(threads);
+    CHECK(mode() == 0);
+    sg::parallel_for(100, [](int) {
+      CHECK(mode() == 0x8040);
+      sg::parallel_for(2, [](int) { CHECK(mode() == 0x8040); });
+      CHECK(mode() == 0x8040);
+      CHECK(check::throws<int>([] { sg::parallel_for(2, [](int i) { throw i; }); }));
+      CHECK(mode() == 0x8040);
+    });
+    CHECK(mode() == 0);
+    CHECK(check::throws<int>([] { sg::parallel_for(100, [](int i) { throw i; }); }));
+    CHECK(mode() == 0);
+  }
+}
+
+TEST(pool_serves_several_callers) {
+  sg::set_thread_count(4);
+  std::vector<std::thread> callers;
+  for (int c = 0; c < 6; ++c)
+    callers.emplace_back([c] {
+      for (int k = 0; k < 50; ++k) {
+        if (c == 0) sg::set_thread_count(1 + k % 5);
+        if (c == 1) CHECK(check::throws<int>([] { sg::parallel_for(30, [](int i) { throw i; }); }));
+        else CHECK(all_run_once(30));
+      }
+    });
+  for (auto& caller : callers) caller.join();
+}
+
+TEST(pool_serves_a_child_forked_while_a_kernel_runs) {
+  sg::set_thread_count(3);
+  std::atomic<bool> running{false}, stop{false};
+  std::thread other([&] {
+    sg::parallel_for(3, [&](int) {
+      running = true;
+      while (!stop) std::this_thread::yield();
+    });
+  });
+  while (!running) std::this_thread::yield();
+  const pid_t child = fork();
+  if (child == 0) {
+    alarm(60);
+    const bool right = all_run_once(100) && check::throws<int>([] { sg::parallel_for(9, [](int i) { throw i; }); });
+    const pid_t grandchild = fork();
+    if (grandchild == 0) _exit(all_run_once(100) ? 0 : 1);
+    int status = -1;
+    waitpid(grandchild, &status, 0);
+    _exit(right && status == 0 ? 0 : 1);
+  }
+  int status = -1;
+  waitpid(child, &status, 0);
+  CHECK(status == 0);
+  stop = true;
+  other.join();
+  CHECK(all_run_once(100));
+}
