@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from sgmethod.bitstream.stream import Info
 from sgmethod.budget import Budget
 from sgmethod.decode import decode, info
 from sgmethod.errors import BitstreamError, BudgetError, ImageError, NativeModuleError, SgError, ViewError
@@ -38,12 +39,15 @@ from sgmethod.view import View
 if TYPE_CHECKING:
     from sgmethod.codec import Encoded, Stats, encode
 
+    __version__: str
+
 __all__ = [
     "BitstreamError",
     "Budget",
     "BudgetError",
     "Encoded",
     "ImageError",
+    "Info",
     "NativeModuleError",
     "SgError",
     "Stats",
@@ -64,6 +68,11 @@ def set_threads(count: int) -> None:
 
 
 def __getattr__(name: str) -> Any:
+    """What takes its time to import, once it is asked for."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("sgmethod")
     if name in ("encode", "Encoded", "Stats"):
         from sgmethod import codec
 

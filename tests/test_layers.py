@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from graphlib import TopologicalSorter
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 
@@ -22,8 +23,8 @@ MOST_FILES = 12  # in a room
 CODE = ("sgmethod", "service", "tests", "benchmarks", "docs")
 
 EXPORTED = {
-    *("BitstreamError", "Budget", "BudgetError", "Encoded", "ImageError", "NativeModuleError", "SgError", "Stats"),
-    *("TracePoint", "View", "ViewError", "decode", "encode", "info", "set_threads"),
+    *("BitstreamError", "Budget", "BudgetError", "Encoded", "ImageError", "Info", "NativeModuleError", "SgError"),
+    *("Stats", "TracePoint", "View", "ViewError", "decode", "encode", "info", "set_threads"),
 }
 
 
@@ -146,6 +147,7 @@ def test_the_exported_names() -> None:
         if not name.startswith("_") and getattr(value, "__module__", "").startswith("sgmethod")
     }
     assert {name for name in own if not isinstance(getattr(sgmethod, name), ModuleType)} <= EXPORTED
+    assert sgmethod.__version__ == version("sgmethod")
     with pytest.raises(AttributeError, match="no attribute 'transmogrify'"):
         _ = sgmethod.transmogrify
 
