@@ -1,6 +1,6 @@
-"""encode(): the pipeline in the order in which it runs.
+"""Encoding: a request, the pipeline of its profile (rd/encode.py, paper/encode.py), and the file measured.
 
-image -> structure -> Gaussians -> fit -> quantise -> bitstream, and back once to measure the very bytes.
+decode.py is the way back. An encode goes it once, so that its figures are those of the very bytes.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from types import TracebackType
 
 import numpy as np
 import torch
@@ -75,20 +74,28 @@ def encode(
     Raises ImageError for an array that is no such image, BudgetError for a budget no file can meet, MemoryError.
     """
     _check_image(pixels)
-    if profile not in PROFILES:
-        raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
-    if time_limit_s is not None and not (math.isfinite(time_limit_s) and time_limit_s > 0):
-        raise BudgetError(f"the time limit must be a positive number of seconds, got {time_limit_s}")
-    request = Request(
-        np.ascontiguousarray(pixels, np.float32), budget, profile, seed, Recorder(Clock(time_limit_s), on_progress)
-    )
+    _check_profile(profile)
+    _check_time_limit(time_limit_s)
+    recorder = Recorder(Clock(time_limit_s), on_progress)
+    request = Request(np.ascontiguousarray(pixels, np.float32), budget, profile, seed, recorder)
     settings = PROFILES[profile]
-    with _SingleTorchThread(), _memory_errors():
+    with _single_torch_thread(), _memory_errors():
         if isinstance(settings, RdSettings):
             data, steps = rd.encode(request, settings)
         else:
             data, steps = paper.encode(request, settings)
     return _measured(request, data, steps)
+
+
+@contextmanager
+def _single_torch_thread() -> Iterator[None]:
+    """Keep torch's own threads out of the way: two pools on the same cores cost several times the time."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @contextmanager
@@ -134,12 +141,11 @@ def _check_image(pixels: NDArray[np.float32]) -> None:
         raise ImageError("the image's values must lie in [0, 1]")
 
 
-class _SingleTorchThread:
-    """Torch's own thread pool is kept out of the way: two pools on the same cores cost several times the time."""
+def _check_profile(profile: str) -> None:
+    if profile not in PROFILES:
+        raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
 
-    def __enter__(self) -> None:
-        self.threads = torch.get_num_threads()
-        torch.set_num_threads(1)
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        torch.set_num_threads(self.threads)
+def _check_time_limit(seconds: float | None) -> None:
+    if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
+        raise BudgetError(f"the time limit must be a positive number of seconds, got {seconds}")

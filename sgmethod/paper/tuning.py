@@ -4,9 +4,9 @@ Positions by LSQ, factors by ABQ, colours by residual vector quantisation, all l
 
     L_tune = MSE + lambda_g L_g + lambda_b L_b + lambda_r L_r.
 
-Under a byte budget the sum of all bitwidths is given: instead of paying lambda_b for each bit, the soft
-bitwidths are shifted by one common amount to fit, which is the same trade-off with the price found by the
-budget. They start from the sensitivity of the picture to each Gaussian's shape.
+A byte budget gives the sum of all bitwidths. Then no lambda_b is paid for each bit. The soft bitwidths are shifted by
+one common amount until the file fits: the same trade-off, with a price that the budget finds. Soft bitwidths start
+from the sensitivity of the picture to each Gaussian's shape.
 """
 
 from __future__ import annotations

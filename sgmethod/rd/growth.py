@@ -1,10 +1,13 @@
 """Where another Gaussian would pay: matching pursuit on the residual at a few scales (profile rd).
 
-For a round Gaussian w of scale s at a place, the best colour is <w, e> / <w, w> with e the residual, and it takes
-<w, e>^2 / <w, w> off the squared error. A Gaussian that ends at sigma = 3, as those of version 3 do, is as wide as a
-whole one of b = 0.849 s, has an integral of 0.801 2 pi s^2 and an energy of 0.412 2 pi s^2. With g the residual
-blurred by a normalised Gaussian of scale b that is a gain of 4.33 pi b^2 |g|^2. A place qualifies where the gain is a
-local maximum over its own size and exceeds what the Gaussian's bits are worth.
+Let e be the residual and w a round Gaussian of scale s at some place. Its best colour is <w, e> / <w, w>. That takes
+its gain, <w, e>^2 / <w, w>, off the squared error.
+
+The Gaussians of version 3 end at sigma = 3. Such a Gaussian is as wide as a whole one of scale b = 0.849 s. Its
+integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the residual blurred by a normalised Gaussian
+of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
+
+A place qualifies where its gain is the largest within the Gaussian's own size, and is more than its bits are worth.
 """
 
 from __future__ import annotations

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float32]
+from sgmethod.scene import FloatArray
+
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
