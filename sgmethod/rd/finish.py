@@ -93,7 +93,7 @@ class Finish:
     def _payload(self, log_quantum: float) -> int:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
-    def _at_psnr(self, target_db: float) -> StreamV3:
+    def _at_psnr(self, psnr_db: float) -> StreamV3:
         """The smallest found that reaches the PSNR; the nearest to it if none does."""
         slack = self.settings.psnr_slack_db
         tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
@@ -101,7 +101,7 @@ class Finish:
         for _ in range(self.settings.psnr_tries):
             began = self.clock.seconds()
             stream = self._quantise_and_refine(self.coder.with_quantum(2**at))
-            tried[at], streams[at] = self._psnr(stream) - target_db, stream
+            tried[at], streams[at] = self._psnr(stream) - psnr_db, stream
             took = self.clock.seconds() - began
             if 0 <= tried[at] <= slack or took > self._left_s():
                 break
@@ -114,9 +114,9 @@ class Finish:
         at = min(reached, key=lambda q: len(streams[q].payload))
         if tried[at] <= slack or took > self._left_s():
             return streams[at]
-        return self._fewer(streams[at], target_db)
+        return self._fewer(streams[at], psnr_db)
 
-    def _fewer(self, stream: StreamV3, target_db: float) -> StreamV3:
+    def _fewer(self, stream: StreamV3, psnr_db: float) -> StreamV3:
         """The fewest bytes at the stream's quantum that still reach the PSNR, by bisection.
 
         In a picture of some tens of Gaussians each of them is worth tenths of a decibel, whatever the quantum. So the
@@ -128,7 +128,7 @@ class Finish:
                 break
             middle = (too_small + len(stream.payload)) // 2
             smaller = self._quantise_and_refine(coder, middle)
-            if self._psnr(smaller) >= target_db:
+            if self._psnr(smaller) >= psnr_db:
                 stream = smaller
             else:
                 too_small = middle
