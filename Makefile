@@ -1,5 +1,7 @@
 # make serve   set up .venv, then start the service on http://127.0.0.1:8000 with its data in ./data
 # make test    set up .venv, then check lint, format and types, and run every test
+# make coverage    the same, with the branches of code that the tests take measured and held above a floor
+# make versions    check on further interpreters what needs no torch: make VERSIONS="3.12 3.13" versions
 #
 # The set-up is done again only when pyproject.toml or a source of the compiled part changes. Edits to Python
 # files take effect at once.
@@ -16,12 +18,16 @@ COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name C
 # The quick tests of single modules first, those of whole processes after them.
 TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py))) tests/service
 
-.PHONY: serve test
+# The second decoders are plain Python, which takes twice as long when measured, and measure none of our code alone.
+UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/test_fuzz_*.py)
+VERSIONS ?= 3.12 3.13 3.14
+
+.PHONY: serve check test coverage versions
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
 
-test: $(STAMP)
+check: $(STAMP)
 	@command -v initdb >/dev/null || ls /usr/lib/postgresql/*/bin/initdb >/dev/null 2>&1 || \
 	  echo "PostgreSQL is missing, so its tests will be skipped: sudo apt install postgresql" >&2
 	@command -v chromedriver >/dev/null && command -v chromium >/dev/null || \
@@ -29,7 +35,19 @@ test: $(STAMP)
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
+
+test: check
 	$(BIN)/python -m pytest $(TESTS)
+
+coverage: check
+	$(BIN)/python -m coverage erase
+	$(BIN)/python -m coverage run -m pytest $(TESTS) $(addprefix --ignore=,$(UNMEASURED))
+	$(BIN)/python -m pytest $(UNMEASURED)
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage report
+
+versions:
+	.ci/versions $(VERSIONS)
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 $(STAMP): pyproject.toml $(COMPILED)

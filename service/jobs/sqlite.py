@@ -44,7 +44,11 @@ class SqliteJobTable(SqlJobTable):
         self._idle: queue.LifoQueue[sqlite3.Connection] = queue.LifoQueue()
         path.touch(mode=0o600)
         self._file = self._identity()
-        self._set_up()
+        try:
+            self._set_up()
+        except JobTableError:
+            self.close()
+            raise
 
     def _set_up(self) -> None:
         """Make the tables if there are none, or bring them up to date."""
@@ -75,7 +79,7 @@ class SqliteJobTable(SqlJobTable):
 
     def _connect(self) -> sqlite3.Connection:
         # A connection serves one thread at a time, though not always the same one.
-        db = sqlite3.connect(self._path, BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
+        db = sqlite3.connect(self._path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
         db.row_factory = sqlite3.Row
         try:
             db.execute("PRAGMA journal_mode = WAL")
