@@ -1,5 +1,9 @@
 # make serve   set up .venv, then start the service on http://127.0.0.1:8000 with its data in ./data
 # make test    set up .venv, then check lint, format and types, and run every test
+# make sanitize [MUTATIONS=n] [SEED=n]
+#              the native code under sanitizers: its own tests, golden files, n damaged files
+# make fuzz [MINUTES=n]
+#              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
 #
 # The set-up is done again only when pyproject.toml or a source of the compiled part changes. Edits to Python
 # files take effect at once.
@@ -16,7 +20,12 @@ COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name C
 # The quick tests of single modules first, those of whole processes after them.
 TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py))) tests/service
 
-.PHONY: serve test
+# The fuzzer of Python code.
+ATHERIS := atheris>=3
+MUTATIONS ?= 10000
+MINUTES ?= 5
+
+.PHONY: serve test sanitize fuzz
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -30,6 +39,13 @@ test: $(STAMP)
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
 	$(BIN)/python -m pytest $(TESTS)
+
+sanitize: $(STAMP)
+	$(BIN)/python -m tests.native.sanitize --mutations $(MUTATIONS) $(if $(SEED),--seed $(SEED))
+
+fuzz: $(STAMP)
+	$(BIN)/python -m pip show --quiet atheris || $(BIN)/python -m pip install '$(ATHERIS)'
+	$(BIN)/python -m tests.native.fuzz --minutes $(MINUTES)
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 $(STAMP): pyproject.toml $(COMPILED)
