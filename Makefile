@@ -1,7 +1,12 @@
 # make serve   set up .venv, then start the service on http://127.0.0.1:8000 with its data in ./data
 # make test    set up .venv, then check lint, format and types, and run every test
-# make coverage    the same, with the branches of code that the tests take measured and held above a floor
-# make versions    check on further interpreters what needs no torch: make VERSIONS="3.12 3.13" versions
+#              make COVERAGE=yes test measures the branches of code that they take, and holds them above a floor
+# make versions [VERSIONS="3.12 3.13"]
+#              check on further interpreters what needs no torch
+# make sanitize [MUTATIONS=n] [SEED=n]
+#              the native code under sanitizers: its own tests, golden files, n damaged files
+# make fuzz [MINUTES=n]
+#              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
 #
 # The set-up is done again only when pyproject.toml or a source of the compiled part changes. Edits to Python
 # files take effect at once.
@@ -20,9 +25,14 @@ TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/tes
 
 # The second decoders are plain Python, which takes twice as long when measured, and measure none of our code alone.
 UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/test_fuzz_*.py)
+COVERAGE ?=
 VERSIONS ?= 3.12 3.13 3.14
+# The fuzzer of Python code.
+ATHERIS := atheris>=3
+MUTATIONS ?= 10000
+MINUTES ?= 5
 
-.PHONY: serve check test coverage versions
+.PHONY: serve check test versions sanitize fuzz
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -37,17 +47,25 @@ check: $(STAMP)
 	$(BIN)/python -m mypy
 
 test: check
+ifeq ($(COVERAGE),)
 	$(BIN)/python -m pytest $(TESTS)
-
-coverage: check
+else
 	$(BIN)/python -m coverage erase
 	$(BIN)/python -m coverage run -m pytest $(TESTS) $(addprefix --ignore=,$(UNMEASURED))
 	$(BIN)/python -m pytest $(UNMEASURED)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
+endif
 
 versions:
 	.ci/versions $(VERSIONS)
+
+sanitize: $(STAMP)
+	$(BIN)/python -m tests.native.sanitize --mutations $(MUTATIONS) $(if $(SEED),--seed $(SEED))
+
+fuzz: $(STAMP)
+	$(BIN)/python -m pip show --quiet atheris || $(BIN)/python -m pip install '$(ATHERIS)'
+	$(BIN)/python -m tests.native.fuzz --minutes $(MINUTES)
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 $(STAMP): pyproject.toml $(COMPILED)

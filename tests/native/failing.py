@@ -22,7 +22,7 @@ from sgmethod.io.image import read_image
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS
-from tests.native.golden import GOLDEN, is_golden
+from tests.native.harness.golden import GOLDEN, is_golden
 
 WIDTH, HEIGHT = 200, 150
 Action = Callable[[], bytes]

@@ -64,7 +64,7 @@ FEWER_THREADS = """
 import ctypes
 from sgmethod import decode
 from sgmethod.native import native
-from tests.native.golden import GOLDEN, is_golden
+from tests.native.harness.golden import GOLDEN, is_golden
 grant = ctypes.CDLL(None).grant_threads
 for granted in (0, 1, 3, 100):
     native.set_thread_count(1)
@@ -89,7 +89,7 @@ import numpy as np
 from sgmethod import decode
 from sgmethod.native import native
 from tests.native.failing import HEIGHT, WIDTH, gradients
-from tests.native.golden import GOLDEN, is_golden
+from tests.native.harness.golden import GOLDEN, is_golden
 
 native.set_thread_count(3)
 stop = threading.Event()

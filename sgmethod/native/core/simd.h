@@ -7,6 +7,13 @@
 #define SG_INLINE inline __attribute__((always_inline))
 #define SG_INLINE_LAMBDA __attribute__((always_inline))
 
+// GCC takes vectors of half the width of AVX-512 unless it is told to prefer the whole. Clang has no such option.
+#ifdef __clang__
+#define SG_AVX512 "avx512f,avx512dq,avx512vl"
+#else
+#define SG_AVX512 "avx512f,avx512dq,avx512vl,prefer-vector-width=512"
+#endif
+
 namespace sg {
 
 template <int W>
@@ -26,6 +33,19 @@ struct Lanes<16> {
   typedef float F __attribute__((vector_size(64)));
   typedef int32_t I __attribute__((vector_size(64)));
 };
+
+// Lanes of a and b, numbered as one, at the given places. Clang has this function for constant places alone.
+template <typename V, typename Places>
+SG_INLINE V shuffle(V a, V b, Places places) {
+#ifdef __clang__
+  constexpr int kLanes = sizeof a / sizeof a[0];
+  V picked{};
+  for (int i = 0; i < kLanes; ++i) picked[i] = places[i] < kLanes ? a[places[i]] : b[places[i] - kLanes];
+  return picked;
+#else
+  return __builtin_shuffle(a, b, places);
+#endif
+}
 
 template <int W>
 struct Simd {
@@ -67,7 +87,7 @@ struct Simd {
       even[lane] = lane / 4 * 4 + lane % 2 * 2 + (lane % 4 < 2 ? 0 : W);
       odd[lane] = even[lane] + 1;
     }
-    return __builtin_shuffle(a, b, even) + __builtin_shuffle(a, b, odd);
+    return shuffle(a, b, even) + shuffle(a, b, odd);
   }
 
   // exp(x) for -87 <= x <= 87, relative error below 3e-7 (measured against double).

@@ -189,7 +189,7 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
 
 SG_FIT_KERNELS(baseline, 4, )
 SG_FIT_KERNELS(avx2, 8, [[gnu::target("avx2,fma")]])
-SG_FIT_KERNELS(avx512, 16, [[gnu::target("avx512f,avx512dq,avx512vl,fma,prefer-vector-width=512")]])
+SG_FIT_KERNELS(avx512, 16, [[gnu::target(SG_AVX512 ",fma")]])
 
 }  // namespace
 

@@ -32,7 +32,7 @@ SG_INLINE Column<W> column(const Footprint& f, typename Simd<W>::F dx, typename 
 
 template <int W>
 SG_INLINE typename Simd<W>::F lane_centres(float x) {
-  typename Simd<W>::F v;
+  typename Simd<W>::F v{};
   for (int i = 0; i < W; ++i) v[i] = x + static_cast<float>(i) + 0.5f;
   return v;
 }

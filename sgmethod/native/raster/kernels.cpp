@@ -25,11 +25,11 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
   for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
     const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth), b = levels(accumulators + 2 * kTileWidth);
     const Bytes out[3] = {
-        __builtin_shuffle(__builtin_shuffle(r, g, Bytes{0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5}), b,
+        shuffle(shuffle(r, g, Bytes{0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5}), b,
                           Bytes{0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15}),
-        __builtin_shuffle(__builtin_shuffle(r, g, Bytes{21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26}), b,
+        shuffle(shuffle(r, g, Bytes{21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26}), b,
                           Bytes{0, 21, 2, 3, 22, 5, 6, 23, 8, 9, 24, 11, 12, 25, 14, 15}),
-        __builtin_shuffle(__builtin_shuffle(r, g, Bytes{0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30, 0, 15, 31, 0}), b,
+        shuffle(shuffle(r, g, Bytes{0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30, 0, 15, 31, 0}), b,
                           Bytes{26, 1, 2, 27, 4, 5, 28, 7, 8, 29, 10, 11, 30, 13, 14, 31})};
     if (columns == kTileWidth) std::memcpy(pixels, out, sizeof out);
     else std::memcpy(pixels, out, 3 * static_cast<size_t>(columns));
@@ -49,7 +49,7 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
 
 SG_KERNELS(baseline, 4, )
 SG_KERNELS(avx2, 8, [[gnu::target("avx2")]])
-SG_KERNELS(avx512, 16, [[gnu::target("avx512f,avx512dq,avx512vl,prefer-vector-width=512")]])
+SG_KERNELS(avx512, 16, [[gnu::target(SG_AVX512)]])
 
 }  // namespace
 
