@@ -19,14 +19,14 @@ constexpr uint32_t kProbabilityOne = 1u << kProbabilityBits;
 constexpr uint32_t kStateLow = 1u << 16;  // a state is at least this, and below 2^32
 constexpr size_t kStateBytes = 4, kWordBytes = 2;
 
-// The probabilities of 16 symbols: the mean of a fast and a slow estimate, each a cumulative distribution in 1/65536.
-// The first observations move it faster.
+// The probabilities of 16 symbols: the mean of a fast and a slow estimate. Each estimate is a cumulative distribution in
+// 1/65536. The first observations move both faster.
 class alignas(16) Model {
  public:
   // start: the cumulative probabilities below symbols 1 to 15, in 1/256.
   explicit Model(const uint8_t* start) {
     for (int i = 1; i < kSymbols; ++i) fast_[i] = slow_[i] = static_cast<uint16_t>(start[i - 1] << 8);
-    edges_[kSymbols] = kProbabilityOne;  // the only edge that never moves, but for the first
+    edges_[kSymbols] = kProbabilityOne;  // never moves, like the first
     set_edges();
   }
 
@@ -123,13 +123,14 @@ class RansEncoder {
   std::vector<Step> steps_;
 };
 
-// Reads zeros past the end of the data, of which it needs kSlack bytes: whoever decodes checks `read()` often enough.
+// Does not look for the end of the data, which kSlack zeros must follow. Whoever decodes compares read() with the size
+// before these are used up.
 class RansDecoder {
  public:
   static constexpr bool kDecodes = true;
-  static constexpr size_t kSlack = 128;  // 64 calls of symbol() or raw()
+  static constexpr size_t kSlack = 128;  // enough for 64 calls of symbol() or raw()
 
-  // data: kSlack bytes longer than what is to be read.
+  // data: what is to be read, and kSlack zeros.
   explicit RansDecoder(const uint8_t* data) : begin_(data), next_(data + kStateBytes) {
     for (size_t i = 0; i < kStateBytes; ++i) state_ = state_ << 8 | data[i];
   }
