@@ -117,7 +117,8 @@ SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const
 
 // Calls visit(weights, pointer to the picture's values) for each row and vector of lanes that one Gaussian touches.
 template <int W, typename Visit>
-SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture, const Visit& visit) {
+SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
+                           const Visit& visit) {
   using V = Simd<W>;
   for (const Span* span = spans; span != spans + count; ++span) {
     const int x0 = span->strip * kTileWidth;
@@ -142,7 +143,8 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
 }
 
 template <int W>
-SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int count, const float* color, const Strips& picture) {
+SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int count, const float* color,
+                        const Strips& picture) {
   using V = Simd<W>;
   const float c0 = color[0], c1 = color[1], c2 = color[2];
   for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {
@@ -153,7 +155,8 @@ SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int 
 }
 
 template <int W>
-SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture, float* products) {
+SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
+                            float* products) {
   using V = Simd<W>;
   typename V::F p0{}, p1{}, p2{}, square{};
   for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {

@@ -9,7 +9,9 @@ constexpr double kMaxDecay = 80.0;  // exp(-80): a neighbouring row is far outsi
 // The rows of a column segment. Where a lane has sigma <= kMaxCutoff somewhere in the segment, it has
 // |z2| < sqrt(2 kMaxCutoff) + rows / l3 in the first row. There sigma must stay below kFar = 80 (columns.h), so
 // rows / l3 may be 9.
-int segment_rows(float l3) { return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment); }
+int segment_rows(float l3) {
+  return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment);
+}
 
 // exp(-inv_l3^2). In a segment it is multiplied up to 120 times, and its error with it: so it is computed in double
 // precision.

@@ -119,7 +119,8 @@ void Rasterization::sort_pairs() {
 
 template <typename Visit>
 int Rasterization::spans(int gaussian, const Visit& visit) const {
-  return sg::spans(footprints_[gaussian], factors_.data() + 3 * static_cast<int64_t>(gaussian), reach_, width_, height_, visit);
+  const float* factor = factors_.data() + 3 * static_cast<int64_t>(gaussian);
+  return sg::spans(footprints_[gaussian], factor, reach_, width_, height_, visit);
 }
 
 int64_t Rasterization::pairs_up_to(int64_t limit) const {
@@ -185,8 +186,8 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
     const auto [x0, y0, columns, rows] = area(tile);
     for (int row = 0; row < rows; ++row)
       for (int k = 0; k < 3; ++k)
-        std::memcpy(gradient + (row * 3 + k) * kTileWidth, image_grad + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0,
-                    columns * sizeof(float));
+        std::memcpy(gradient + (row * 3 + k) * kTileWidth,
+                    image_grad + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0, columns * sizeof(float));
     fit_kernels(isa_).backward(*this, tile, colors, gradient, pair_gradients.get() + tile_start_[tile] * kPairGradients);
   });
   sum_pairs(pair_gradients.get(), out);

@@ -47,7 +47,8 @@ uint64_t most_in(const RdParameters& p, size_t bytes) {
 
 // Calls visit(i, integers) for each Gaussian, in parallel; without integers where nothing is left of it.
 template <typename Visit>
-void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n, const Visit& visit) {
+void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
+                        const Visit& visit) {
   parallel_each(n, kQuantiseChunk, [&](int64_t i) {
     Symbols s{};
     visit(i, quantise(p, means + 2 * i, factors + 3 * i, colors + 3 * i, s) ? &s : nullptr);
@@ -136,7 +137,8 @@ RdParameters::RdParameters(int width, int height, double quantum, bool grey, boo
   if (width > kMaxSide || height > kMaxSide) throw std::invalid_argument("a side is more than 65535 pixels");
 }
 
-std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n) {
+std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors,
+                               int n) {
   std::vector<Symbols> all(n);
   for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
     if (s) all[i] = *s;
@@ -145,8 +147,8 @@ std::vector<Symbols> quantised(const RdParameters& p, const float* means, const 
   return all;
 }
 
-void rd_quantise(const RdParameters& p, const float* means, const float* factors, const float* colors, int n, float* out_means,
-                 float* out_factors, float* out_colors) {
+void rd_quantise(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
+                 float* out_means, float* out_factors, float* out_colors) {
   for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
     if (s) {
       dequantise(p, *s, Geometry(*s, Steps(*s)), out_means + 2 * i, out_factors + 3 * i, out_colors + 3 * i);
@@ -187,7 +189,8 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
   return bytes;
 }
 
-std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const float* factors, const float* colors, int n) {
+std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const float* factors, const float* colors,
+                               int n) {
   std::vector<Symbols> all = quantised(p, means, factors, colors, n);
   Models models;
   return encode_symbols(p, all, models);

@@ -43,7 +43,8 @@ class alignas(16) Model {
   void update(int symbol) {
     const int shift = 31 - __builtin_clz(seen_ + kStartSeen);
     if (seen_ < kMostSeen) ++seen_;
-    const __m128i fast = _mm_cvtsi32_si128(std::min(shift, kFastShift)), slow = _mm_cvtsi32_si128(std::min(shift, kSlowShift));
+    const __m128i fast = _mm_cvtsi32_si128(std::min(shift, kFastShift));
+    const __m128i slow = _mm_cvtsi32_si128(std::min(shift, kSlowShift));
     const __m128i s = _mm_set1_epi16(static_cast<int16_t>(symbol));
     const __m128i low = _mm_setr_epi16(0, 1, 2, 3, 4, 5, 6, 7), high = _mm_setr_epi16(8, 9, 10, 11, 12, 13, 14, 15);
     const __m128i up_low = _mm_cmpgt_epi16(low, s), up_high = _mm_cmpgt_epi16(high, s);
@@ -67,7 +68,8 @@ class alignas(16) Model {
     for (int i = 0; i < kSymbols; i += 8) {
       const __m128i mean = _mm_avg_epu16(at(fast_ + i), at(slow_ + i));
       const __m128i room = _mm_sub_epi16(_mm_srli_epi16(mean, 1), _mm_srli_epi16(mean, 10));
-      const __m128i least = _mm_add_epi16(_mm_setr_epi16(0, 4, 8, 12, 16, 20, 24, 28), _mm_set1_epi16(static_cast<int16_t>(4 * i)));
+      const __m128i first = _mm_set1_epi16(static_cast<int16_t>(4 * i));
+      const __m128i least = _mm_add_epi16(_mm_setr_epi16(0, 4, 8, 12, 16, 20, 24, 28), first);
       _mm_store_si128(reinterpret_cast<__m128i*>(edges_ + i), _mm_add_epi16(room, least));
     }
   }
@@ -102,7 +104,8 @@ class RansEncoder {
     };
     uint32_t state = kStateLow;
     for (auto step = steps_.rbegin(); step != steps_.rend(); ++step) {
-      const uint64_t room = step->share ? static_cast<uint64_t>(step->share) << (32 - kProbabilityBits) : uint64_t{1} << (32 - step->bits);
+      const uint64_t room = step->share ? static_cast<uint64_t>(step->share) << (32 - kProbabilityBits)
+                                        : uint64_t{1} << (32 - step->bits);
       if (state >= room) {
         put(state & 0xFFFF);
         state >>= 16;

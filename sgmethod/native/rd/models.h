@@ -80,7 +80,8 @@ struct Models {
     s.u = coder.raw(s.u, steps.u_bits());
     const uint32_t size_v = code_number(coder, v[steps.bucket()], magnitude(s.v));
     const uint32_t size_r = p.upright ? 0 : code_number(coder, r[steps.bucket()], magnitude(s.r));
-    if (std::max(size_v, size_r) > kMaxShape || size_v * steps.v() > kMaxAspect) throw std::runtime_error("a shape is out of range");
+    if (std::max(size_v, size_r) > kMaxShape || size_v * steps.v() > kMaxAspect)
+      throw std::runtime_error("a shape is out of range");
     const int shaped = (size_v != 0) << 1 | (size_r != 0);
     const int of_shape = shaped ? coder.symbol(shape_signs[shaped], (s.v < 0) << 1 | (s.r < 0)) : 0;
     s.v = with_sign(size_v, of_shape & 2);

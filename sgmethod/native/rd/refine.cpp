@@ -41,7 +41,8 @@ class Refinement {
     for (int k = 0; k < 3; ++k)
       for (int row = 0; row < p.height; ++row)
         for (int x = 0; x < p.width; ++x)
-          state_.left.row(x / kTileWidth, row)[k * kTileWidth + x % kTileWidth] = target[(static_cast<int64_t>(k) * p.height + row) * p.width + x];
+          state_.left.row(x / kTileWidth, row)[k * kTileWidth + x % kTileWidth] =
+              target[(static_cast<int64_t>(k) * p.height + row) * p.width + x];
     Visitor visitor(state_, whole());
     for (const Symbols& s : all_) visitor.add(state_.decoded(s), -1.0f);
   }
@@ -89,8 +90,8 @@ class Refinement {
       const int column0 = phase % 2, row0 = phase / 2, across = (columns - column0 + 1) / 2;
       parallel_for(across * ((rows - row0 + 1) / 2), [&](int k) {
         const int column = column0 + k % across * 2, row = row0 + k / across * 2;
-        const Part part{(2 * column - 1) * kHalf / kTileWidth, (2 * column + 3) * kHalf / kTileWidth, (2 * row - 1) * kHalf,
-                        (2 * row + 3) * kHalf};
+        const Part part{(2 * column - 1) * kHalf / kTileWidth, (2 * column + 3) * kHalf / kTileWidth,
+                        (2 * row - 1) * kHalf, (2 * row + 3) * kHalf};
         changed += visit_all(part, cells[static_cast<size_t>(row) * columns + column]);
       });
     }

@@ -108,7 +108,9 @@ bool in_grid(const RdParameters& p, int bits, uint32_t cell) {
 
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s) {
   const double l1 = factor[0], l3 = factor[2];
-  const auto finite = [](const float* values, int n) { return std::all_of(values, values + n, [](float v) { return std::isfinite(v); }); };
+  const auto finite = [](const float* values, int n) {
+    return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
+  };
   if (!finite(mean, 2) || !finite(factor, 3) || !finite(color, 3) || !(l1 > 0 && l3 > 0)) return false;
   const double u = 0.5 * std::log(l1 * l3);
   s.size_class = std::clamp(static_cast<int>(std::lround(u / kClassWidth)), kMinClass, kMaxClass);

@@ -103,7 +103,8 @@ class Visitor {
         } else {
           moved.py += sign;
         }
-        if (std::abs(moved.v) > kMaxShape || std::abs(moved.r) > kMaxShape || std::abs(moved.v) * steps.v() > kMaxAspect) continue;
+        if (std::abs(moved.v) > kMaxShape || std::abs(moved.r) > kMaxShape) continue;
+        if (std::abs(moved.v) * steps.v() > kMaxAspect) continue;
         if (moved.px >> g.x_bits || moved.py >> g.y_bits) continue;
         c = state_.decoded(moved);
         // Another shape divides the cell into other parts, so the mean is rounded again.
