@@ -8,7 +8,7 @@ from tests.native.harness.build import build, tool
 
 
 def test_the_core_builds_and_passes_its_tests_without_python() -> None:
-    folder = build("core", "-DSG_PYTHON=OFF", "-DSG_TESTS=ON", "-DCMAKE_CXX_FLAGS=-Werror")
+    folder = build("core", "-DSG_PYTHON=OFF", "-DSG_TESTS=ON")
     command = [tool("ctest"), "--test-dir", str(folder), "--output-on-failure", "--timeout", "120"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]

@@ -17,7 +17,7 @@
 namespace sg {
 
 template <int W>
-struct Lanes;  // named one by one: GCC does not see through a vector_size that depends on a parameter
+struct Lanes;  // each width by itself: GCC takes no vector_size that depends on a parameter
 template <>
 struct Lanes<4> {
   typedef float F __attribute__((vector_size(16)));
@@ -68,11 +68,11 @@ struct Simd {
     return total;
   }
 
-  // The sums of eight vectors.
+  // out [8]: the sum of the lanes of each vector.
   static SG_INLINE void sums(const F (&v)[8], float* out) {
     for (int half = 0; half < 2; ++half) {
       const F* four = v + 4 * half;
-      alignas(64) float parts[W];  // the four sums, of every fourth lane
+      alignas(64) float parts[W];  // each group of four lanes: the four vectors' sums over that group
       store(parts, pairs(pairs(four[0], four[1]), pairs(four[2], four[3])));
       for (int k = 0; k < 4; ++k) out[4 * half + k] = parts[k];
       for (int lane = 4; lane < W; lane += 4)
@@ -80,7 +80,7 @@ struct Simd {
     }
   }
 
-  // In each quarter of 4 lanes: sums of neighbours, two of a and then two of b.
+  // In each group of four lanes: the sums of neighbouring lanes, two of a and then two of b.
   static SG_INLINE F pairs(F a, F b) {
     I even, odd;
     for (int lane = 0; lane < W; ++lane) {

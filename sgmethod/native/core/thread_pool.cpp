@@ -106,8 +106,8 @@ class Pool {
   }
 
  private:
-  // A share of the tasks that follow each other, the same from call to call, because neighbours and phases of one render
-  // share memory; then what others have left.
+  // The tasks that a thread begins with. They follow each other, because neighbours share memory, and they are the same
+  // from call to call, because the phases of one render share memory. Then the thread takes what others have left.
   struct alignas(64) Share {
     std::atomic<int> next{0};
     int end = 0;

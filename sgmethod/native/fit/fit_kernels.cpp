@@ -8,7 +8,7 @@
 namespace sg {
 namespace {
 
-// The gradient of the squared error in place of the picture; returns the squared error.
+// Puts the gradient of the squared error in the place of the tile's picture, and returns the squared error.
 template <int W>
 SG_INLINE double difference_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
@@ -35,10 +35,13 @@ SG_INLINE double difference_body(float* values, const TileTarget& target) {
   return V::sum(sum);
 }
 
-// With g = (dL/dweight) e inside the ellipse, dL/dsigma = -g, and all gradients of the geometry follow from
-// the moments of g: sum of g z1, g z2, g z1^2, g z1 z2, g z2^2. z1 is constant in a lane. z2 = last - d / l3 at d rows
-// before the last one of a segment, and the sums of g d and of g d (d - 1) / 2 are running sums of running sums: they take
-// no multiplication. Within a segment z2 changes by 9 at most, so that little is lost when last - d / l3 is put back.
+// Inside the ellipse the weight's derivative by sigma is -e. With g = (dL/dweight) e there, dL/dsigma = -g, and all
+// gradients of the geometry follow from five moments: the sums of g z1, g z2, g z1^2, g z1 z2 and g z2^2.
+//
+// z1 is constant down a lane, so the loop over rows needs the sums of g, g z2 and g z2^2 alone. It takes them without a
+// multiplication by z2. In a segment, d rows before its last row, z2 = last - d / l3. The sums of g d and of
+// g d (d - 1) / 2 are running sums of running sums, and z2 is put back after the loop. Little precision is lost, because
+// z2 changes by 9 at most within a segment.
 template <int W>
 SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch& batch, const float* colors,
                              const float* tile_gradient, float* pair_gradients) {
@@ -112,9 +115,10 @@ SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const
   return error;
 }
 
-// Calls visit(weights, values of the picture) for each row and vector of lanes of one Gaussian.
+// Calls visit(weights, pointer to the picture's values) for each row and vector of lanes that one Gaussian touches.
 template <int W, typename Visit>
-SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture, const Visit& visit) {
+SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
+                           const Visit& visit) {
   using V = Simd<W>;
   for (const Span* span = spans; span != spans + count; ++span) {
     const int x0 = span->strip * kTileWidth;
@@ -139,7 +143,8 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
 }
 
 template <int W>
-SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int count, const float* color, const Strips& picture) {
+SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int count, const float* color,
+                        const Strips& picture) {
   using V = Simd<W>;
   const float c0 = color[0], c1 = color[1], c2 = color[2];
   for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {
@@ -150,7 +155,8 @@ SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int 
 }
 
 template <int W>
-SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture, float* products) {
+SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
+                            float* products) {
   using V = Simd<W>;
   typename V::F p0{}, p1{}, p2{}, square{};
   for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {

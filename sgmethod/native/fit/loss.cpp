@@ -78,8 +78,8 @@ SG_CLONES double weigh(const float* wx, const float* wy, float* u, float* v, int
 }
 
 // grad = mse_scale D + g_scale (Sobel_x^T(u) + Sobel_y^T(v)) along one row.
-SG_CLONES void gradient_row(const float* d, const float* u, const float* v, int64_t stride, float* grad, int count, float mse_scale,
-                            float g_scale) {
+SG_CLONES void gradient_row(const float* d, const float* u, const float* v, int64_t stride, float* grad, int count,
+                            float mse_scale, float g_scale) {
   const float *ua = u - stride, *ub = u + stride, *va = v - stride, *vb = v + stride;
   for (int c = 0; c < count; ++c) {
     const float x = (ua[c - 1] - ua[c + 1]) + 2.0f * (u[c - 1] - u[c + 1]) + (ub[c - 1] - ub[c + 1]);
@@ -138,7 +138,8 @@ Loss ReconstructionLoss::operator()(const float* image, float* grad) {
     const float g_scale = 0.125f * lambda_g_ * mse_scale;
     for_rows([&](int, int channel, int row, int64_t offset) {
       const int64_t p = at(channel, row);
-      gradient_row(difference_.data() + p, u_.data() + p, v_.data() + p, stride_, grad + offset, width_, mse_scale, g_scale);
+      gradient_row(difference_.data() + p, u_.data() + p, v_.data() + p, stride_, grad + offset, width_, mse_scale,
+                   g_scale);
     });
   }
   Loss loss{};

@@ -23,6 +23,7 @@ void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGa
   parallel_each(n, kBlock, [&](int i) {
     float *mean = p.means + 2 * i, *l = p.factors + 3 * i, *color = p.colors + 3 * i;
     const float *gm = grad.means + 2 * i, *gl = grad.factors + 3 * i, *gc = grad.colors + 3 * i;
+    // By d, S and the colour.
     const float g[kAdamValues] = {l[0] * gm[0] + l[1] * gm[1], l[2] * gm[1], l[0] * gl[0] + l[1] * gl[1], l[2] * gl[1],
                                   l[2] * gl[2], gc[0], gc[1], gc[2]};
     bias[2 * i] *= s.beta1;

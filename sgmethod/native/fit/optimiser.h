@@ -4,7 +4,7 @@
 
 namespace sg {
 
-constexpr int kAdamValues = 8;  // d (2), S (3), colour (3)
+constexpr int kAdamValues = 8;  // d (2), S (3), colour (3): a step moves the mean by L d and the factor by L S
 
 struct AdamSettings {
   AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2, float min_scale);
@@ -21,8 +21,9 @@ struct ConstGaussians {
   const float *means, *factors, *colors;
 };
 
-// One step against the gradients, with all rates times `rate`. first, second [n, 8] are Adam's averages, bias [n, 2] what is left in them of the zeros that
-// they started from: beta1 and beta2 to the power of the Gaussian's steps so far.
+// One step against the gradients, with all rates times `rate`. first, second [n, 8] are Adam's averages. bias [n, 2]
+// holds beta1 and beta2 to the power of the Gaussian's steps so far: the share that the averages still have of the zeros
+// they started from.
 void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGaussians& p, const ConstGaussians& grad,
                 float* first, float* second, float* bias);
 

@@ -1,8 +1,9 @@
-// Down one column the weight of a Gaussian is exp(-sigma) with sigma quadratic in the row, so
+// The weight of a Gaussian is exp(-sigma), and down one column sigma is quadratic in the row. So
 //     e[r + 1] = e[r] ratio[r],   ratio[r + 1] = ratio[r] exp(-1 / l3^2):
-// two multiplications in place of an exponential. Rounding errors grow with the square of the length and an
-// underflow would be for ever, so the recurrence starts anew every `segment` rows, chosen (footprint.cpp)
-// such that a lane that matters anywhere in a segment has sigma < kFar at its first row.
+// two multiplications take the place of an exponential. The recurrence cannot run for long. Its rounding error grows
+// with the square of the number of rows, and a value that has underflowed stays zero. So it starts anew after every
+// column segment of `segment` rows. footprint.cpp chooses that number: a lane whose weight is visible anywhere in a
+// segment has sigma < kFar in the segment's first row.
 #pragma once
 
 #include "raster/rasterization.h"
@@ -11,7 +12,7 @@
 namespace sg {
 namespace {
 
-constexpr float kFar = 80.0f;  // beyond this, a lane stays zero through its segment; exp(-80) is still normal
+constexpr float kFar = 80.0f;  // a lane beyond this is zero in the whole segment; exp(-80) is still a normal number
 
 // exp(-sigma) in one row, and its ratio to the next.
 template <int W>
@@ -37,13 +38,15 @@ SG_INLINE typename Simd<W>::F lane_centres(float x) {
   return v;
 }
 
-// Where the column segment that begins at row ends, with the first row after it. No loop that calls a function for each:
-// the compiler would keep the sums of the gradients in memory, at a fifth more time.
+// The first row after the column segment that begins at `row`. Each kernel writes its loop over segments out. With a
+// shared loop that calls the kernel's body, the compiler kept the sums of the gradients in memory, which took a fifth
+// more time.
 SG_INLINE int segment_end(const Footprint& f, int row, int last_row) {
   return row + f.segment <= last_row ? row + f.segment : last_row + 1;
 }
 
-// Some of a tile's pairs, and the first values of their column segments, [segments][2][kTileWidth] in their order.
+// Some of a tile's pairs. first: the values in the first row of each of their column segments, 2 kTileWidth floats for
+// each segment, in the order in which first_values() writes and next_column() reads them.
 struct Batch {
   const Pair *begin, *end;
   const float* first;
@@ -57,7 +60,8 @@ SG_INLINE int segments(const Rasterization& raster, const Pair& pair) {
 SG_INLINE int tile_x(const Rasterization& raster, int tile) { return (tile % raster.strips()) * kTileWidth; }
 SG_INLINE int tile_y(const Rasterization& raster, int tile) { return (tile / raster.strips()) * kTileHeight; }
 
-// The exponentials of these pairs, apart from the loops over rows, which would wait for each.
+// Computes the values in the first rows of column segments. It is a loop of its own, because the loops over rows would
+// have to wait for each of its exponentials.
 template <int W>
 SG_INLINE void first_values(const Rasterization& raster, int tile, const Pair* begin, const Pair* end, float* first) {
   using V = Simd<W>;
@@ -82,10 +86,10 @@ SG_INLINE Column<W> next_column(const float*& first) {
   return {Simd<W>::load(first - 2 * W), Simd<W>::load(first - W)};
 }
 
-// Calls draw(batch) for all pairs of a tile, as many at a time as need little memory.
+// Calls draw(batch) for all pairs of a tile, in batches that fit a small array.
 template <int W, typename Draw>
 SG_INLINE void for_batches(const Rasterization& raster, int tile, const Draw& draw) {
-  constexpr int kMost = 2 * kTileHeight;  // segments; one pair has kTileHeight at most
+  constexpr int kMost = 2 * kTileHeight;  // segments of a batch; one pair has kTileHeight at most
   alignas(64) float first[kMost * 2 * kTileWidth];
   for (const Pair* begin = raster.tile_begin(tile); begin != raster.tile_end(tile);) {
     const Pair* end = begin;

@@ -6,11 +6,15 @@ namespace {
 constexpr int kMaxSegment = 16;   // rows; the recurrence's relative error stays below 16^2 / 2 * 6e-8
 constexpr double kMaxDecay = 80.0;  // exp(-80): a neighbouring row is far outside the ellipse by then
 
-// A lane with sigma <= kMaxCutoff somewhere in a segment of `rows` has |z2| < sqrt(2 kMaxCutoff) + rows / l3 at its
-// first row; sigma < 80 there asks for rows / l3 <= 9.
-int segment_rows(float l3) { return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment); }
+// The rows of a column segment. Where a lane has sigma <= kMaxCutoff somewhere in the segment, it has
+// |z2| < sqrt(2 kMaxCutoff) + rows / l3 in the first row. There sigma must stay below kFar = 80 (columns.h), so
+// rows / l3 may be 9.
+int segment_rows(float l3) {
+  return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment);
+}
 
-// exp(-inv_l3^2). It is multiplied up to 120 times, so single precision within would show.
+// exp(-inv_l3^2). In a segment it is multiplied up to 120 times, and its error with it: so it is computed in double
+// precision.
 float decay(float inv_l3) { return exp_minus(std::min(static_cast<double>(inv_l3) * inv_l3, kMaxDecay)); }
 
 bool drawable(const float* mean, const float* factor) {

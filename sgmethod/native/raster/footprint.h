@@ -24,7 +24,8 @@ struct Footprint {
   int segment = 0;       // rows after which the recurrence starts anew
 };
 
-// A value that is not a number, which geometry beyond single precision can come to, gives low.
+// The whole part of v, at least low and at most high. A value that is not a number gives low: geometry that single
+// precision cannot hold comes to such values.
 inline int clamp_to_int(float v, int low, int high) {
   if (!(v > static_cast<float>(low))) return low;
   return v < static_cast<float>(high) ? static_cast<int>(v) : high;

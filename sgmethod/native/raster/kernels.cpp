@@ -7,7 +7,7 @@
 namespace sg {
 namespace {
 
-// Red, green and blue of 16 columns, interleaved: first red and green to their places, then blue between them.
+// One colour's levels of 16 columns.
 typedef uint8_t Bytes __attribute__((vector_size(16)));
 
 SG_INLINE __m128i levels_of_4(const float* in) {
@@ -24,6 +24,7 @@ SG_INLINE Bytes levels(const float* in) {
 SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
     const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth), b = levels(accumulators + 2 * kTileWidth);
+    // Red and green go to their places first, then blue between them.
     const Bytes out[3] = {
         shuffle(shuffle(r, g, Bytes{0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5}), b,
                           Bytes{0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15}),

@@ -25,7 +25,7 @@ struct Strips {
 struct TileTarget {
   const float* first;
   int64_t plane, stride;  // floats from one plane, and from one row, to the next
-  int64_t ahead;          // floats to what is to be asked for now and used later
+  int64_t ahead;          // floats from a value to the one that is fetched from memory meanwhile, for later
   int columns, rows;      // within the picture
   float scale;            // of the gradient
 };
@@ -38,11 +38,11 @@ struct TileKernels {
 };
 
 struct FitKernels {
-  // The tile's squared error; pair_gradients [pairs of the tile][kPairGradients] of scale / 2 times it. `first`: room for
-  // first_value_count() floats.
+  // Returns the tile's squared error. pair_gradients [pairs of the tile][kPairGradients]: the gradients of that error
+  // times scale / 2. first: room for first_value_count() floats.
   double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* first,
                           float* pair_gradients);
-  // The same from the tile's image gradient, laid out as accumulators are.
+  // pair_gradients from the gradient by the tile's picture, which is laid out as accumulators are.
   void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
   // picture += color [3] times the weights of one Gaussian.
   void (*add)(const Footprint&, float floor, const Span* spans, int count, const float* color, const Strips& picture);
@@ -50,7 +50,7 @@ struct FitKernels {
   void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture, float* products);
 };
 
-// The first values of all column segments of a tile, which squared_error needs twice.
+// Floats of the first rows of all column segments of a tile. squared_error needs them twice, and so at once.
 int64_t first_value_count(const Rasterization&, int tile);
 
 // Of an instruction set (core/isa.h).

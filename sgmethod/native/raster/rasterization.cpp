@@ -18,9 +18,10 @@ namespace {
 constexpr int kChunk = 256;               // Gaussians of a task, at least
 constexpr int kMaxBins = 64;
 constexpr int kMaxGridSide = 1 << 20;     // pixels; the number of tiles stays within an int
-constexpr int64_t kMaxReserve = 1 << 20;  // pairs of a bin; boxes may promise far more than there are
+constexpr int64_t kMaxReserve = 1 << 20;  // pairs for which a bin takes memory at once; boxes may promise far too many
 
-// Gaussians in a bin. Each bin counts its pairs in all tiles, which is not to take more time than finding them.
+// Gaussians in a bin. Each bin has a counter for every tile, so bins are few enough that going through their counters
+// takes no longer than finding the pairs.
 int bin_size(int n, int tiles) {
   const int64_t bins = std::clamp<int64_t>(int64_t{8} * n / tiles, 1, kMaxBins);
   return std::max(kChunk, static_cast<int>((n + bins - 1) / bins));
@@ -47,7 +48,7 @@ float checked_cutoff(float cutoff) {
   return cutoff;
 }
 
-// At least the number of tiles that the box around an ellipse touches; not a number where it overflows.
+// At least the number of tiles that the box around an ellipse touches; NaN where it overflows.
 float box_tiles(const float* l, float reach) {
   const float width = 2.0f * reach * l[0], height = 2.0f * reach * std::sqrt(l[1] * l[1] + l[2] * l[2]);
   return (width / kTileWidth + 2.1f) * (height / kTileHeight + 2.1f);
@@ -118,7 +119,8 @@ void Rasterization::sort_pairs() {
 
 template <typename Visit>
 int Rasterization::spans(int gaussian, const Visit& visit) const {
-  return sg::spans(footprints_[gaussian], factors_.data() + 3 * static_cast<int64_t>(gaussian), reach_, width_, height_, visit);
+  const float* factor = factors_.data() + 3 * static_cast<int64_t>(gaussian);
+  return sg::spans(footprints_[gaussian], factor, reach_, width_, height_, visit);
 }
 
 int64_t Rasterization::pairs_up_to(int64_t limit) const {
@@ -184,8 +186,8 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
     const auto [x0, y0, columns, rows] = area(tile);
     for (int row = 0; row < rows; ++row)
       for (int k = 0; k < 3; ++k)
-        std::memcpy(gradient + (row * 3 + k) * kTileWidth, image_grad + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0,
-                    columns * sizeof(float));
+        std::memcpy(gradient + (row * 3 + k) * kTileWidth,
+                    image_grad + k * plane + static_cast<int64_t>(y0 + row) * width_ + x0, columns * sizeof(float));
     fit_kernels(isa_).backward(*this, tile, colors, gradient, pair_gradients.get() + tile_start_[tile] * kPairGradients);
   });
   sum_pairs(pair_gradients.get(), out);
@@ -196,7 +198,8 @@ double Rasterization::squared_error(const float* colors, const float* target, co
   const float scale = 2.0f / static_cast<float>(3 * plane);
   const std::unique_ptr<float[]> pair_gradients(new float[tile_start_.back() * kPairGradients]);  // all written below
   std::vector<double> errors(static_cast<size_t>(strips_) * blocks_);
-  // Rows of a large picture lie too far apart to be foreseen: those of the next tile are asked for.
+  // The processor does not foresee the rows of a large picture, because they lie too far apart. So each kernel asks for
+  // those of the next tile.
   constexpr int ahead = 2 * kTileWidth - 1;
   parallel_for(strips_ * blocks_, [&](int tile) {
     const auto [x0, y0, columns, rows] = area(tile);

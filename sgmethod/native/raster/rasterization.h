@@ -2,7 +2,7 @@
 // rows. Built once per geometry; rendering with any colours, and the gradients, start from it.
 //
 // A tile is one strip of kTileWidth columns and kTileHeight rows. A lane of a vector owns a column, so a
-// Gaussian's value down a column is a recurrence of two multiplications (see kernels.h).
+// Gaussian's value down a column is a recurrence of two multiplications (see columns.h).
 #pragma once
 
 #include <cstdint>
@@ -62,21 +62,21 @@ class Rasterization {
     int x, y, columns, rows;  // the tile's first pixel, and how much of the tile lies within the picture
   };
   Area area(int tile) const;
-  // Some Gaussians that follow each other, and their pairs in the order in which spans() finds them.
+  // Some consecutive Gaussians, and their pairs in the order in which spans() finds them.
   struct Bin {
-    int64_t at_most;              // pairs
-    std::vector<int32_t> ends;    // of each Gaussian, the number of pairs up to and with its own
-    std::vector<int32_t> places;  // of each pair in pairs_; until these are known, its tile
-    std::vector<Pair> pairs;      // these two only until then
-    std::vector<int32_t> next;    // [tiles] number of pairs in each tile, later the place of the next
+    int64_t at_most;              // pairs that there can be
+    std::vector<int32_t> ends;    // for each Gaussian, the number of pairs up to its last
+    std::vector<int32_t> places;  // where each pair lies in pairs_; before that is known, its tile
+    std::vector<Pair> pairs;      // until they lie in pairs_
+    std::vector<int32_t> next;    // [tiles] until then: the number of pairs in each tile, later the place of the next
   };
   template <typename Visit>
   int spans(int gaussian, const Visit& visit) const;
   void bin(int gaussian, Bin& bin) const;
   void sort_pairs();
   void sum_pairs(const float* pair_gradients, const Gradients& out) const;
-  // What all Gaussians come to, counted until it exceeds the limit: each its pairs, or the strips looked at for
-  // them where those are more. Takes no memory.
+  // The number of pairs, counted without memory and no further than the limit. A Gaussian counts as its strips where
+  // these are more than its pairs: looking at them takes time too.
   int64_t pairs_up_to(int64_t limit) const;
 
   int n_, width_, height_, strips_, blocks_, isa_;

@@ -1,8 +1,9 @@
 // The stream of profile rd (docs/format.md, version 3).
 //
-// Order: classes of size from the largest down; within a class Gaussians by the Morton code of their cell, which is
-// about as wide as they are. A cell's position is coded as the distance along that curve, which spends nothing on the
-// order of a set; then come colour, u within its class, v, r, and the position within the cell.
+// Classes of size come from the largest down. Each class divides the picture into cells about as wide as its Gaussians.
+// Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance along
+// that curve from the one before: no bits are spent on the order, which a set does not have. After the cell come the
+// colour, u within its class, v, r, and the position within the cell.
 #include "rd/codec.h"
 
 #include <algorithm>
@@ -17,8 +18,8 @@ namespace {
 constexpr int kClassBits = 6;
 constexpr int kQuantiseChunk = 256;  // Gaussians of one task
 
-// Low bits of a distance along the curve that are sent as they are: with `count` Gaussians scattered over the class's
-// cells the mean distance is cells / count, and a quarter of it is where modelling stops to pay.
+// The number of low bits of a distance that are sent without a model. `count` Gaussians in the cells of a class are
+// cells / count apart on average. A model pays only for the bits from a quarter of that upwards.
 int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
   const int bits = cell_bits(size_class);
   const uint64_t cells = static_cast<uint64_t>(cells_along(p.width, bits)) * cells_along(p.height, bits);
@@ -27,7 +28,7 @@ int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
   return result;
 }
 
-// The Morton code of the next Gaussian of a class; 32 bits at most, or an error.
+// The Morton code of the next Gaussian of a class. Throws std::runtime_error if it has more than 32 bits.
 template <typename Coder>
 uint32_t code_cell(Coder& coder, Model& model, int raw_bits, uint32_t previous, uint32_t cell = 0) {
   const uint32_t distance = cell - previous;
@@ -37,8 +38,8 @@ uint32_t code_cell(Coder& coder, Model& model, int raw_bits, uint32_t previous, 
   return static_cast<uint32_t>(next);
 }
 
-// A decoder's memory and time follow the bytes it is given: so many Gaussians may stand in a payload. Fitted ones take
-// 20 bits and more.
+// The most Gaussians that a payload may hold. A decoder's memory and time thus follow the bytes it is given. Fitted
+// Gaussians are far from the limit: they take 20 bits and more.
 uint64_t most_in(const RdParameters& p, size_t bytes) {
   const uint64_t pixels = static_cast<uint64_t>(p.width) * static_cast<uint64_t>(p.height);
   return std::min({pixels, kMaxGaussians, uint64_t{8} * bytes + 64});
@@ -46,7 +47,8 @@ uint64_t most_in(const RdParameters& p, size_t bytes) {
 
 // Calls visit(i, integers) for each Gaussian, in parallel; without integers where nothing is left of it.
 template <typename Visit>
-void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n, const Visit& visit) {
+void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
+                        const Visit& visit) {
   parallel_each(n, kQuantiseChunk, [&](int64_t i) {
     Symbols s{};
     visit(i, quantise(p, means + 2 * i, factors + 3 * i, colors + 3 * i, s) ? &s : nullptr);
@@ -97,7 +99,7 @@ class Decoding {
           continue;
         }
       } catch (const std::runtime_error&) {
-        if (!prefix_ || !overrun()) throw;  // nonsense past the end of a prefix is no damage
+        if (!prefix_ || !overrun()) throw;  // what stands past the end of a prefix means nothing
       }
       resize(i);
       return false;
@@ -135,7 +137,8 @@ RdParameters::RdParameters(int width, int height, double quantum, bool grey, boo
   if (width > kMaxSide || height > kMaxSide) throw std::invalid_argument("a side is more than 65535 pixels");
 }
 
-std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n) {
+std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors,
+                               int n) {
   std::vector<Symbols> all(n);
   for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
     if (s) all[i] = *s;
@@ -144,8 +147,8 @@ std::vector<Symbols> quantised(const RdParameters& p, const float* means, const 
   return all;
 }
 
-void rd_quantise(const RdParameters& p, const float* means, const float* factors, const float* colors, int n, float* out_means,
-                 float* out_factors, float* out_colors) {
+void rd_quantise(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
+                 float* out_means, float* out_factors, float* out_colors) {
   for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
     if (s) {
       dequantise(p, *s, Geometry(*s, Steps(*s)), out_means + 2 * i, out_factors + 3 * i, out_colors + 3 * i);
@@ -180,11 +183,14 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
     }
   }
   std::vector<uint8_t> bytes = coder.finish();
-  while (all.size() > most_in(p, bytes.size())) bytes.push_back(0);  // thousands of equal ones; zeros change nothing
+  // Thousands of equal Gaussians take less than a bit each, and may be more than the payload may hold. Zeros behind the
+  // last of them mean nothing.
+  while (all.size() > most_in(p, bytes.size())) bytes.push_back(0);
   return bytes;
 }
 
-std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const float* factors, const float* colors, int n) {
+std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const float* factors, const float* colors,
+                               int n) {
   std::vector<Symbols> all = quantised(p, means, factors, colors, n);
   Models models;
   return encode_symbols(p, all, models);

@@ -29,8 +29,8 @@ void rd_quantise(const RdParameters& parameters, const float* means, const float
 
 // The payload's bytes. Gaussians whose colour rounds to nothing, and those with values that are not finite or scales that
 // are not positive, are left out. Throws std::invalid_argument for more Gaussians than pixels or than 2^24.
-std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* means, const float* factors, const float* colors,
-                               int n);
+std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* means, const float* factors,
+                               const float* colors, int n);
 
 // Throws std::runtime_error on data that no encoder writes. With prefix = true, data may be cut anywhere: the
 // Gaussians up to there are returned, at most 8 for each byte and 64. Throws std::overflow_error for more than

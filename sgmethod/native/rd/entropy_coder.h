@@ -19,14 +19,14 @@ constexpr uint32_t kProbabilityOne = 1u << kProbabilityBits;
 constexpr uint32_t kStateLow = 1u << 16;  // a state is at least this, and below 2^32
 constexpr size_t kStateBytes = 4, kWordBytes = 2;
 
-// The probabilities of 16 symbols: the mean of a fast and a slow estimate, each a cumulative distribution in 1/65536.
-// The first observations move it faster.
+// The probabilities of 16 symbols: the mean of a fast and a slow estimate. Each estimate is a cumulative distribution in
+// 1/65536. The first observations move both faster.
 class alignas(16) Model {
  public:
   // start: the cumulative probabilities below symbols 1 to 15, in 1/256.
   explicit Model(const uint8_t* start) {
     for (int i = 1; i < kSymbols; ++i) fast_[i] = slow_[i] = static_cast<uint16_t>(start[i - 1] << 8);
-    edges_[kSymbols] = kProbabilityOne;  // the only edge that never moves, but for the first
+    edges_[kSymbols] = kProbabilityOne;  // never moves, like the first
     set_edges();
   }
 
@@ -43,7 +43,8 @@ class alignas(16) Model {
   void update(int symbol) {
     const int shift = 31 - __builtin_clz(seen_ + kStartSeen);
     if (seen_ < kMostSeen) ++seen_;
-    const __m128i fast = _mm_cvtsi32_si128(std::min(shift, kFastShift)), slow = _mm_cvtsi32_si128(std::min(shift, kSlowShift));
+    const __m128i fast = _mm_cvtsi32_si128(std::min(shift, kFastShift));
+    const __m128i slow = _mm_cvtsi32_si128(std::min(shift, kSlowShift));
     const __m128i s = _mm_set1_epi16(static_cast<int16_t>(symbol));
     const __m128i low = _mm_setr_epi16(0, 1, 2, 3, 4, 5, 6, 7), high = _mm_setr_epi16(8, 9, 10, 11, 12, 13, 14, 15);
     const __m128i up_low = _mm_cmpgt_epi16(low, s), up_high = _mm_cmpgt_epi16(high, s);
@@ -67,7 +68,8 @@ class alignas(16) Model {
     for (int i = 0; i < kSymbols; i += 8) {
       const __m128i mean = _mm_avg_epu16(at(fast_ + i), at(slow_ + i));
       const __m128i room = _mm_sub_epi16(_mm_srli_epi16(mean, 1), _mm_srli_epi16(mean, 10));
-      const __m128i least = _mm_add_epi16(_mm_setr_epi16(0, 4, 8, 12, 16, 20, 24, 28), _mm_set1_epi16(static_cast<int16_t>(4 * i)));
+      const __m128i first = _mm_set1_epi16(static_cast<int16_t>(4 * i));
+      const __m128i least = _mm_add_epi16(_mm_setr_epi16(0, 4, 8, 12, 16, 20, 24, 28), first);
       _mm_store_si128(reinterpret_cast<__m128i*>(edges_ + i), _mm_add_epi16(room, least));
     }
   }
@@ -102,7 +104,8 @@ class RansEncoder {
     };
     uint32_t state = kStateLow;
     for (auto step = steps_.rbegin(); step != steps_.rend(); ++step) {
-      const uint64_t room = step->share ? static_cast<uint64_t>(step->share) << (32 - kProbabilityBits) : uint64_t{1} << (32 - step->bits);
+      const uint64_t room = step->share ? static_cast<uint64_t>(step->share) << (32 - kProbabilityBits)
+                                        : uint64_t{1} << (32 - step->bits);
       if (state >= room) {
         put(state & 0xFFFF);
         state >>= 16;
@@ -123,13 +126,14 @@ class RansEncoder {
   std::vector<Step> steps_;
 };
 
-// Reads zeros past the end of the data, of which it needs kSlack bytes: whoever decodes checks `read()` often enough.
+// Does not look for the end of the data, which kSlack zeros must follow. Whoever decodes compares read() with the size
+// before these are used up.
 class RansDecoder {
  public:
   static constexpr bool kDecodes = true;
-  static constexpr size_t kSlack = 128;  // 64 calls of symbol() or raw()
+  static constexpr size_t kSlack = 128;  // enough for 64 calls of symbol() or raw()
 
-  // data: kSlack bytes longer than what is to be read.
+  // data: what is to be read, and kSlack zeros.
   explicit RansDecoder(const uint8_t* data) : begin_(data), next_(data + kStateBytes) {
     for (size_t i = 0; i < kStateBytes; ++i) state_ = state_ << 8 | data[i];
   }

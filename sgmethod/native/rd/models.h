@@ -14,8 +14,8 @@
 
 namespace sg {
 
-// A number below 2^32: 0 to 3 are symbols of their own, and each half of an octave up to 191 is one; then come the bits
-// below. The last symbol is an escape.
+// A number below 2^32. Each of 0 to 3 has a symbol. So has each half of an octave up to 191, and the number's lower bits
+// follow without a model. The last symbol is an escape: the length of a larger number and its bits follow.
 constexpr uint32_t kEscape = 15, kFirstEscaped = 192;
 
 template <typename Coder>
@@ -55,8 +55,8 @@ std::array<Model, N> models_from(const uint8_t (&start)[N][kSymbols - 1]) {
   return models_from(start, std::make_index_sequence<N>());
 }
 
-// Few contexts: a small picture has a few hundred symbols for each to learn from. Contexts by size class, by the
-// neighbour along the curve or of r by v were measured and told next to nothing (docs/design.md).
+// There are few contexts, because a small picture has only a few hundred symbols for each to learn from. Contexts by size
+// class, by the neighbour along the curve, and of r by v were measured and gained next to nothing (docs/design.md).
 struct Models {
   Model count{kStartCount}, distance{kStartDistance}, luma{kStartLuma};
   std::array<Model, 4> a = models_from(kStartA), b = models_from(kStartB);
@@ -80,7 +80,8 @@ struct Models {
     s.u = coder.raw(s.u, steps.u_bits());
     const uint32_t size_v = code_number(coder, v[steps.bucket()], magnitude(s.v));
     const uint32_t size_r = p.upright ? 0 : code_number(coder, r[steps.bucket()], magnitude(s.r));
-    if (std::max(size_v, size_r) > kMaxShape || size_v * steps.v() > kMaxAspect) throw std::runtime_error("a shape is out of range");
+    if (std::max(size_v, size_r) > kMaxShape || size_v * steps.v() > kMaxAspect)
+      throw std::runtime_error("a shape is out of range");
     const int shaped = (size_v != 0) << 1 | (size_r != 0);
     const int of_shape = shaped ? coder.symbol(shape_signs[shaped], (s.v < 0) << 1 | (s.r < 0)) : 0;
     s.v = with_sign(size_v, of_shape & 2);

@@ -44,7 +44,8 @@ void rd_rate_gradient(float quantum, float weight, int n, const float* factors, 
     const float d_m = d_v * std::abs(v) + d_r * std::abs(r) + 3 * scale / (1 + m);
     float d_log_size = 0;  // axis and m grow with sqrt(l1 l3)
     for (int a = 0; a < 3; ++a) {
-      const float d_axis = std::copysign(scale / (1 + std::abs(axis[a])), axis[a]) * (axis[a] != 0) + d_m * axis[a] * inverse_m;
+      const float d_size = std::copysign(scale / (1 + std::abs(axis[a])), axis[a]) * (axis[a] != 0);
+      const float d_axis = d_size + d_m * axis[a] * inverse_m;
       d_log_size += d_axis * axis[a];
       for (int k = 0; k < 3; ++k) gc[k] += d_axis * inverse_step * kBasis[a][k];
     }

@@ -1,6 +1,15 @@
-// Gaussians far from each other do not see each other, so cells of the picture are refined side by side, a quarter of them at a
-// time: each those of its Gaussians that reach no further than half a cell beyond it. The others come last, one by one. The
-// result does not depend on the number of threads.
+// A sweep visits every Gaussian once. Gaussians that share no pixels do not affect each other, so most of them are visited
+// in parallel.
+//
+// The picture is divided into square cells, and a Gaussian belongs to the cell that holds its centre. A task visits the
+// Gaussians of one cell in their order. It may use the pixels of the cell and of a border around it, half a cell wide.
+// These areas overlap for neighbouring cells. So a sweep has four phases, one for each combination of even or odd column
+// and row: the cells of one phase lie two apart, and their areas only touch.
+//
+// A Gaussian may need pixels beyond the area of its cell, for itself or for one of its candidates. Then its task leaves it
+// as it was, and the Gaussian waits. After the four phases those that wait are visited one by one, over the whole picture.
+//
+// The order of visits that share pixels is thus fixed, and the result does not depend on the number of threads.
 #include "rd/refine.h"
 
 #include <algorithm>
@@ -16,10 +25,10 @@
 namespace sg {
 namespace {
 
-constexpr double kConverged = 0.02;   // part of the Gaussians that a last sweep changes
-constexpr int kSweepsAfterDrops = 2;  // those that stay take over what the others did
+constexpr double kConverged = 0.02;   // a sweep that changes a smaller part of the Gaussians is the last
+constexpr int kSweepsAfterDrops = 2;  // in which the Gaussians that stay take over from those that were left out
 constexpr int kPatience = 64;         // Gaussians between two looks at the clock
-constexpr int kCell = 128;            // side in pixels; half of one is a multiple of kTileWidth
+constexpr int kCell = 128;            // pixels along a side; half of it is a multiple of kTileWidth
 using Clock = std::chrono::steady_clock;
 
 class Refinement {
@@ -32,7 +41,8 @@ class Refinement {
     for (int k = 0; k < 3; ++k)
       for (int row = 0; row < p.height; ++row)
         for (int x = 0; x < p.width; ++x)
-          state_.left.row(x / kTileWidth, row)[k * kTileWidth + x % kTileWidth] = target[(static_cast<int64_t>(k) * p.height + row) * p.width + x];
+          state_.left.row(x / kTileWidth, row)[k * kTileWidth + x % kTileWidth] =
+              target[(static_cast<int64_t>(k) * p.height + row) * p.width + x];
     Visitor visitor(state_, whole());
     for (const Symbols& s : all_) visitor.add(state_.decoded(s), -1.0f);
   }
@@ -47,7 +57,7 @@ class Refinement {
   }
 
  private:
-  // So many sweeps, at most, over all Gaussians.
+  // At most so many sweeps.
   void sweep(int sweeps, std::vector<uint8_t>& payload) {
     for (int k = 0; k < sweeps && Clock::now() < until_; ++k) {
       const size_t changed = visit_everywhere();
@@ -56,7 +66,7 @@ class Refinement {
     }
   }
 
-  // Visits all Gaussians, and returns how many have changed.
+  // Visits all Gaussians once, and returns how many have changed.
   size_t visit_everywhere() {
     std::vector<size_t> waiting(all_.size());
     std::iota(waiting.begin(), waiting.end(), size_t{0});
@@ -64,7 +74,7 @@ class Refinement {
     return changed + visit_all(whole(), waiting);
   }
 
-  // Visits those that fit a cell and half a cell around it, and leaves the others in `waiting`.
+  // The four phases. Visits the Gaussians in `waiting`, and leaves there those that have to wait.
   size_t visit_cells(std::vector<size_t>& waiting) {
     const int columns = (state_.p.width + kCell - 1) / kCell, rows = (state_.p.height + kCell - 1) / kCell;
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
@@ -80,8 +90,8 @@ class Refinement {
       const int column0 = phase % 2, row0 = phase / 2, across = (columns - column0 + 1) / 2;
       parallel_for(across * ((rows - row0 + 1) / 2), [&](int k) {
         const int column = column0 + k % across * 2, row = row0 + k / across * 2;
-        const Part part{(2 * column - 1) * kHalf / kTileWidth, (2 * column + 3) * kHalf / kTileWidth, (2 * row - 1) * kHalf,
-                        (2 * row + 3) * kHalf};
+        const Part part{(2 * column - 1) * kHalf / kTileWidth, (2 * column + 3) * kHalf / kTileWidth,
+                        (2 * row - 1) * kHalf, (2 * row + 3) * kHalf};
         changed += visit_all(part, cells[static_cast<size_t>(row) * columns + column]);
       });
     }
@@ -91,7 +101,8 @@ class Refinement {
     return changed;
   }
 
-  // Visits what stays within a part, and leaves the others in `waiting`; returns how many have changed.
+  // Visits the Gaussians in `waiting` that stay within a part of the picture, and leaves the others there. Returns how
+  // many have changed.
   size_t visit_all(const Part& part, std::vector<size_t>& waiting) {
     Visitor visitor(state_, part);
     size_t changed = 0, left = 0;
@@ -112,7 +123,7 @@ class Refinement {
     return encode_symbols(state_.p, all_, state_.models);
   }
 
-  // Returns whether anything had to go.
+  // Leaves out Gaussians until the payload has no more than max_bytes. Returns whether any had to go.
   bool drop_until_it_fits(std::vector<uint8_t>& payload) {
     bool dropped = false;
     for (; payload.size() > state_.settings.max_bytes && !all_.empty(); dropped = true) {
@@ -122,8 +133,8 @@ class Refinement {
     return dropped;
   }
 
-  // Leaves out Gaussians, those first that gain least error for each bit, for a part of what is too much: their bits are
-  // estimates, and each leaves more for its neighbours to do.
+  // Leaves out Gaussians, beginning with those that lower the error least for each of their bits. Stops at a part of the
+  // excess: the bits are estimates, and the neighbours of one that has gone are worth more than before.
   void drop_least(size_t bytes) {
     std::vector<std::pair<double, size_t>> order(all_.size());
     std::vector<double> sizes(all_.size());
@@ -133,7 +144,7 @@ class Refinement {
         const Candidate c = state_.decoded(all_[i]);
         float products[4];
         visitor.project(c, products);
-        double loss = 0;  // what is left grows by the Gaussian itself
+        double loss = 0;  // without the Gaussian, what is left of the target grows by it
         for (int k = 0; k < 3; ++k) loss += c.color[k] * (static_cast<double>(c.color[k]) * products[3] + 2.0 * products[k]);
         sizes[i] = state_.bits(c.symbols);
         order[i] = {loss / sizes[i], static_cast<size_t>(i)};

@@ -11,8 +11,8 @@ namespace {
 constexpr double kClassWidth = 0.34657359027997264;  // log(2) / 2: one class in u
 constexpr double kLeastScale = static_cast<float>(kMinScale);
 constexpr int kMaxRefineBits = 12;
-// Centres further out than this are moved there, as are those that a 16-bit coordinate does not reach (the smallest
-// classes at the end of sides above 65,531 pixels).
+// Cells beyond each edge of the picture. A centre further out is moved into the outermost of them. So is one that a
+// 16-bit coordinate does not reach: this happens to the smallest classes at the far end of sides above 65,531 pixels.
 constexpr int kBorderCells = 2;
 
 typedef double Pair __attribute__((vector_size(16)));
@@ -108,7 +108,9 @@ bool in_grid(const RdParameters& p, int bits, uint32_t cell) {
 
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s) {
   const double l1 = factor[0], l3 = factor[2];
-  const auto finite = [](const float* values, int n) { return std::all_of(values, values + n, [](float v) { return std::isfinite(v); }); };
+  const auto finite = [](const float* values, int n) {
+    return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
+  };
   if (!finite(mean, 2) || !finite(factor, 3) || !finite(color, 3) || !(l1 > 0 && l3 > 0)) return false;
   const double u = 0.5 * std::log(l1 * l3);
   s.size_class = std::clamp(static_cast<int>(std::lround(u / kClassWidth)), kMinClass, kMaxClass);
@@ -123,8 +125,8 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   const double levels = static_cast<double>(1u << steps.u_bits());
   s.u = static_cast<uint32_t>(std::clamp(std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels), 0.0, levels - 1));
   s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::min(std::floor(kMaxAspect / steps.v()), 1.0 * kMaxShape));
-  // What is rounded is the slope l2 / l1, as a multiple of the l3 / l1 that are decoded: kept r = l2 / l3, an error of v
-  // would turn a slanted needle, and count 1 + r^2 times.
+  // r is chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded. If r = l2 / l3 were rounded instead,
+  // the rounding error of v would turn a slanted needle, and count 1 + r^2 times.
   s.r = 0;
   const Geometry flat(s, steps);
   s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), kMaxShape);

@@ -38,7 +38,7 @@ struct Symbols {
   bool empty() const { return y == 0 && a == 0 && b == 0; }  // nothing is left of it
 };
 
-// Steps that follow from the colour: halvings of the class width, and powers of two for v and r.
+// The steps that follow from the colour: the class's width halved u_bits() times for u, powers of two for v and r.
 struct Steps {
   explicit Steps(const Symbols& s);
   double square;  // m^2

@@ -1,9 +1,10 @@
-// Rounding Gaussians one by one leaves what their errors have in common, because they overlap. Here each in turn sees the
-// picture that is left for it, and takes the best of: its integers one up or one down, each with the colour that is
-// best then; none at all.
+// One visit of a Gaussian. Rounding each Gaussian by itself ignores that they overlap, and that their rounding errors add
+// up. A visit looks at what the other Gaussians leave of the target, and takes the cheapest of these candidates: the
+// Gaussian as it is; one of its integers one up or one down; each of them with the colour that is then best; and no
+// Gaussian at all. The cost is squared error plus price times bits.
 //
-// With e the picture left, w the weights of a candidate and c its colour, the error is |e|^2 - 2 c <w, e> + |c|^2 <w, w>:
-// four sums over its pixels tell it for every colour.
+// Let e be what the others leave, w the weights of a candidate and c its colour. The squared error is
+// |e|^2 - 2 c <w, e> + |c|^2 <w, w>. So four sums over the candidate's pixels give the error for every colour.
 #pragma once
 
 #include <cmath>
@@ -18,9 +19,9 @@
 namespace sg {
 namespace {
 
-constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about: what leaving it out saves beside its own bits
+constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about, which the models of its integers do not count
 
-// A coder that only counts, by models that stay as they are.
+// A coder that only counts bits. The models stay as they are.
 struct BitCounter {
   static constexpr bool kDecodes = false;
   double bits = 0;
@@ -37,7 +38,7 @@ struct BitCounter {
 struct Candidate {
   Symbols symbols;
   float mean[2], factor[3], color[3];
-  double cost;  // squared error and price, against none at all
+  double cost;  // less that of no Gaussian at all
 };
 
 // What all Gaussians share.
@@ -45,7 +46,7 @@ struct State {
   const RdParameters& p;
   const RefineSettings& settings;
   float floor, reach;
-  Strips left;  // of the target, without all Gaussians
+  Strips left;  // what all Gaussians leave of the target
   Models models;
 
   Candidate decoded(const Symbols& s) const {
@@ -62,14 +63,14 @@ struct State {
   }
 };
 
-// A part of the picture, in strips and rows.
+// A part of the picture: strips from strip0 to before strip1, rows from row0 to before row1.
 struct Part {
-  int strip0, strip1, row0, row1;  // the ends are not in it
+  int strip0, strip1, row0, row1;
 };
 
 enum class Outcome { kSame, kChanged, kOutside };
 
-// Refines Gaussians one by one, as long as they and their candidates stay within a part of the picture.
+// Visits Gaussians one by one. Those that need pixels outside a part of the picture are left as they were.
 class Visitor {
  public:
   Visitor(State& state, const Part& part) : state_(state), part_(part) {}
@@ -85,7 +86,7 @@ class Visitor {
     const Steps steps(s);
     const Geometry g(s, steps);
     for (int sign = -1; sign <= 1 && !outside_; sign += 2) {
-      // u through the floats, because it may lead to another class
+      // One step of u may lead to another class of size, so the Gaussian grows and is rounded again.
       const float grow = std::exp(static_cast<float>(sign * 0.34657359 * Steps::power(-steps.u_bits())));
       const float grown[3] = {now.factor[0] * grow, now.factor[1] * grow, now.factor[2] * grow};
       Candidate c;
@@ -102,15 +103,16 @@ class Visitor {
         } else {
           moved.py += sign;
         }
-        if (std::abs(moved.v) > kMaxShape || std::abs(moved.r) > kMaxShape || std::abs(moved.v) * steps.v() > kMaxAspect) continue;
+        if (std::abs(moved.v) > kMaxShape || std::abs(moved.r) > kMaxShape) continue;
+        if (std::abs(moved.v) * steps.v() > kMaxAspect) continue;
         if (moved.px >> g.x_bits || moved.py >> g.y_bits) continue;
         c = state_.decoded(moved);
-        // With another shape the place keeps its value, whatever the parts of the cell are now.
+        // Another shape divides the cell into other parts, so the mean is rounded again.
         if (which < 2 && !quantised(now.mean, c.factor, c.color, c)) continue;
         consider(c, best);
       }
     }
-    if (outside_) {  // leaves things as they were
+    if (outside_) {  // so all must be as it was
       add(now, -1.0f);
       return Outcome::kOutside;
     }
@@ -147,8 +149,7 @@ class Visitor {
     return error + state_.settings.price * state_.bits(c.symbols);
   }
 
-  // c with the colour that is best for its geometry; where the steps, and so the geometry, change with it, they are
-  // weighed again.
+  // Compares c with the best so far, and then c with the colour that is best for its geometry.
   void consider(Candidate c, Candidate& best) {
     float products[4];
     project(c, products);
@@ -158,7 +159,7 @@ class Visitor {
     const float color[3] = {products[0] / products[3], products[1] / products[3], products[2] / products[3]};
     Symbols rounded{};
     if (!quantise(state_.p, c.mean, c.factor, color, rounded)) return;
-    for (int toward = 0; toward < 4; ++toward) {  // as rounded; then one part a step nearer to zero
+    for (int toward = 0; toward < 4; ++toward) {  // the rounded colour; then one of its three parts a step nearer to zero
       Symbols s = rounded;
       if (toward > 0) {
         int& part = toward == 1 ? s.y : toward == 2 ? s.a : s.b;
@@ -170,7 +171,8 @@ class Visitor {
     }
   }
 
-  // The colour of s with the geometry of c.
+  // Compares c in the colour of s with the best so far. Another colour may change the steps, and with them the geometry:
+  // then its pixels are summed anew.
   void weigh(const Symbols& s, const Candidate& c, const float* products, Candidate& best) {
     if (s.y == c.symbols.y && s.a == c.symbols.a && s.b == c.symbols.b) return;
     Symbols same = c.symbols;
@@ -194,7 +196,7 @@ class Visitor {
     if (found.cost < best.cost) best = found;
   }
 
-  // None if some of them would lie outside.
+  // The spans of a Gaussian; none, and outside_ is set, where one of them lies outside the part.
   const std::vector<Span>& spans_of(const Footprint& f, const float* factor) {
     spans_.clear();
     bool within = true;

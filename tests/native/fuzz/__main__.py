@@ -66,14 +66,15 @@ def run(target: str, built: Path, *arguments: str | Path, output: TextIO | None 
 
 
 def corpora(target: str) -> list[Path]:
-    """Folders of inputs, the one for new finds first; files as encoders write them are part of it."""
-    found, known, written = FOUND / target, CORPUS / target, FOUND / f"golden-{target}"
-    for folder in (found, written):
-        folder.mkdir(parents=True, exist_ok=True)
+    """Folders of inputs: new finds first, then what to begin with. For whole files these are the golden ones."""
+    found, known = FOUND / target, CORPUS / target
+    found.mkdir(parents=True, exist_ok=True)
     if target != "entropy":
+        known = FOUND / f"golden-{target}"
+        known.mkdir(exist_ok=True)
         for name, data in golden(int(target[1:])).items():
-            (written / name).write_bytes(data)
-    return [folder for folder in (found, known, written) if folder.is_dir()]
+            (known / name).write_bytes(data)
+    return [found, known]
 
 
 def fuzz(target: str, built: Path, minutes: float) -> bool:
