@@ -114,7 +114,7 @@ class Settings(BaseSettings):
     max_event_streams: int = Field(default=100, ge=1, description="streams of events at once before new ones get 503")
 
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="bytes of one image file")
-    # The upper bounds are those of sgmethod.image: the encoder reads nothing larger.
+    # The upper bounds are those of sgmethod.io.image: the encoder reads nothing larger.
     max_pixels: int = Field(
         default=50_000_000, ge=1, le=100_000_000, description="pixels (width x height) of one image"
     )
