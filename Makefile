@@ -23,7 +23,7 @@ COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name C
 # The quick tests of single modules first, those of whole processes after them.
 TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py))) tests/service
 
-# The second decoders are plain Python, which takes twice as long when measured, and measure none of our code alone.
+# The second decoders are plain Python, which takes twice as long when it is measured, and are no part of the packages.
 UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/test_fuzz_*.py)
 COVERAGE ?=
 VERSIONS ?= 3.12 3.13 3.14

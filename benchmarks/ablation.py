@@ -2,8 +2,8 @@
 
     python -m benchmarks.ablation --images FOLDER [--bpp 0.25] [--steps N] [--most 6]
 
-Files are real and decoded again; all are of the same size within a percent, so the difference in PSNR is the part's
-worth.
+Files are real and decoded again. All have the same size within a percent, so the difference in PSNR is what the part
+is worth.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Float quality at a fixed number of Gaussians: what a set of them can show, before any is coded; for comparison with
-representations of that size. Profile rd's fit, with a price of bits while Gaussians come and go, which decides well
-which are to stay, and without in the end. More steps than the profile's all go to that end.
+"""Quality of a fixed number of Gaussians in floating point, before any is coded.
+
+The figures compare with those of other representations of that size. The fit is profile rd's. While Gaussians come and
+go, bits have their price: it decides well which Gaussians stay. At the end bits are free. Steps beyond the profile's
+are all spent there.
 
     python -m benchmarks.representation --images FOLDER [--gaussians 5000,10000] [--steps 3000]
 """

@@ -2,8 +2,8 @@
 
     python -m benchmarks.scaling --image FILE [--bpp 0.25] [--cuts 8,4,2,1] [--most 16]
 
---cuts: parts along each side. --most: parts encoded of each size, evenly spread. Prints a table; seconds are of the
-whole encode, once each.
+--cuts: parts along each side. --most: parts encoded of each size, evenly spread. Each part is encoded once; the table's
+seconds are those of whole encodes.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ def parts(pixels: FloatArray, cuts: int, most: int) -> list[FloatArray]:
 
 
 def main() -> None:
+    """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--image", type=Path, required=True)
     parser.add_argument("--bpp", type=float, default=0.25)

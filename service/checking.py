@@ -1,4 +1,4 @@
-"""What an operator wants to know before the service starts: whether all that it leans on is there."""
+"""Checks of an installation before the service starts: settings, job table, storage, free disk, kernels."""
 
 from __future__ import annotations
 

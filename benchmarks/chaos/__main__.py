@@ -233,6 +233,11 @@ def ledger(service: ChaosService, submitter: Submitter, chaos: Chaos) -> tuple[d
     return lines, balanced
 
 
+def table(head: str, counts: dict[str, int]) -> str:
+    """Markdown: a row for each count."""
+    return f"{head}\n|---|---|\n" + "".join(f"| {name} | {count} |\n" for name, count in counts.items())
+
+
 def main() -> int:
     """Exit status: 0 if the ledger balances."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -263,12 +268,10 @@ def main() -> int:
         if postgres is not None:
             postgres.close()
     kind = "SQLite" if arguments.database_url == "sqlite" else "PostgreSQL"
-    print(f"# Chaos on {kind}: the ledger {'balances' if balanced else 'DOES NOT BALANCE'}\n")
-    print("| jobs | |\n|---|---|")
-    print("".join(f"| {name} | {count} |\n" for name, count in lines.items()))
-    print("| what happened meanwhile | times |\n|---|---|")
     happened = {**dict(sorted(chaos.happened.items())), "submission asked again": submitter.asked_again}
-    print("".join(f"| {name} | {count} |\n" for name, count in happened.items()))
+    print(f"# Chaos on {kind}: the ledger {'balances' if balanced else 'DOES NOT BALANCE'}\n")
+    print(table("| jobs | |", lines))
+    print(table("| what happened meanwhile | times |", happened))
     command = f"python -m benchmarks.chaos --jobs {arguments.jobs} --seed {arguments.seed}"
     shown = "" if kind == "SQLite" else " --database-url postgresql"
     print(f"`{command}{shown}`, {time.monotonic() - began:.0f} s. {in_words(origin())}.")

@@ -4,11 +4,12 @@
     python -m benchmarks.load --encodes 100 [--time-limit 4] [--out FILE.md]
     python -m benchmarks.load --soak MINUTES [--time-limit 4] [--out FILE.md]
 
-The first starts `python -m service serve`, encodes a picture of 768x512 at 0.25 bpp, and has benchmarks.load.generator
-ask for it as PNG 50 times a second, and 20 times a second for /livez, while another encode runs: once with no picture
-kept in memory, so that each request decodes, and once with the default. The others encode pictures one after the
-other, so many of 12 megapixels or of several sizes for so long, and watch the memory of web process, worker and
-encoder.
+The first command starts `python -m service serve` and encodes a picture of 768x512 at 0.25 bpp. While another encode
+runs, benchmarks.load.generator asks for the picture as PNG 50 times a second, and for /livez 20 times a second. It does
+so twice: with no picture kept in memory, so that each request decodes, and with the default.
+
+The other two encode pictures one after the other and watch the memory of web process, worker and encoder process.
+--encodes takes that many pictures of 12 megapixels, --soak pictures of several sizes for that long.
 """
 
 from __future__ import annotations

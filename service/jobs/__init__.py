@@ -1,5 +1,5 @@
-"""The table of jobs, in SQLite or in PostgreSQL.
+"""The job table, in SQLite or in PostgreSQL.
 
 A job comes in once its image is stored.
-Workers claim it, and write down how it went; interface.py says what every table must do.
+Workers claim it and report how it went; table.py says what every job table must do.
 """

@@ -1,4 +1,4 @@
-"""Procrastinate as the engine that wakes workers on other machines: PostgreSQL's queue beside the job table.
+"""The engine that wakes workers on other machines: Procrastinate, in PostgreSQL beside the job table.
 
 A job of the engine is a token without a name. It says that some row of the job table can be claimed; which
 one, the table decides when a worker holds the token, because only the table knows of priorities, turns and
@@ -46,8 +46,8 @@ class Engine:
     def __init__(self, conninfo: str, lease_s: float) -> None:
         self._conninfo = conninfo
         self._lease_s = lease_s
-        logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # tracebacks of what is one line below
-        self._deferrer = App(connector=SyncPsycopgConnector())  # works on connections that it is lent alone
+        logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # it logs tracebacks of what is one line here
+        self._deferrer = App(connector=SyncPsycopgConnector())  # works only on connections that it is lent
 
     def defer(self, connection: psycopg.Connection[psycopg.rows.DictRow]) -> None:
         """Add a token within the connection's transaction."""
@@ -66,7 +66,7 @@ class Engine:
 
     async def _serve(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
         """Work until stopping is requested, which cancels this, or until the database is lost."""
-        # Without these it would wait for up to minutes after an outage, and when it is to stop during one.
+        # Without these limits it would wait for minutes after an outage, and before it stops during one.
         connector = PsycopgConnector(
             conninfo=self._conninfo, min_size=1, max_size=2, timeout=PATIENCE_S, reconnect_timeout=PATIENCE_S
         )
@@ -115,7 +115,8 @@ def in_words(error: BaseException) -> str:
 def _cancel_on(stop: StopSignal) -> None:
     """Cancel the current task once stopping is requested, and again until it ends.
 
-    At the first call the engine waits for its running task, and then for the database to say goodbye to.
+    The first cancellation lets the engine wait for its running task, and then for the database, to sign off there. The
+    next one ends that wait.
     """
     loop, task = asyncio.get_running_loop(), asyncio.current_task()
     assert task is not None

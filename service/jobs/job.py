@@ -89,8 +89,8 @@ class Job:
     """A row of the table. Times are seconds since 1970 (UTC).
 
     number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
-    turns, None unless queued; crashes: attempts that ended without a word, which is what the limit of
-    attempts counts.
+    turns, None unless queued; crashes: attempts that crashed or lost their worker, which is what the
+    limit of attempts counts.
     """
 
     number: int

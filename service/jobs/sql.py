@@ -1,7 +1,6 @@
-"""The job table, whichever database it is in.
+"""The job table in SQL, whichever database it is in.
 
-What differs (connections, transactions, how waiting workers hear of a job) is in sqlite_jobs.py and
-postgres_jobs.py.
+What differs is in sqlite.py and postgres.py: connections, transactions, and how waiting workers hear of a job.
 """
 
 from __future__ import annotations
@@ -213,7 +212,7 @@ class SqlJobTable(ABC):
             db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
             try:
                 return Claim(row["id"], row["attempt"], EncodeRequest(**json.loads(row["request"])))
-            except TypeError:  # to leave out what is not understood would encode something else
+            except TypeError:  # without a field that is not understood, this would encode something else
                 self._crash(db, row["id"], row["attempt"], NOT_UNDERSTOOD)
                 return None
 

@@ -71,8 +71,10 @@ class Census:
 
 
 class JobTable(Protocol):
-    """A durable queue of jobs. Every method may raise JobTableError; all are safe to call from any
-    thread. What a method has returned has reached the disk."""
+    """All jobs. Every method may raise JobTableError, and may be called from any thread.
+
+    What a method has done is on the disk when it returns.
+    """
 
     def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
         """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
@@ -113,8 +115,8 @@ class JobTable(Protocol):
     def reconcile(self) -> list[Job]:
         """Put running jobs whose worker is lost back into the queue; those that crashed too often fail.
 
-        A worker is lost when it has not renewed its lease in time, and this table object has watched it not do so
-        for a while: call this every now and then. Returns the jobs that failed.
+        A worker is lost when it has not renewed its lease in time, and this object has watched it fail to for a while
+        longer. So call this again and again. Returns the jobs that failed.
         """
         ...
 
@@ -145,18 +147,19 @@ class JobTable(Protocol):
         ...
 
     def release(self, claim: Claim) -> bool:
-        """Hand the job back unharmed, at its old place in the queue. False: it was no longer ours."""
+        """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""
         ...
 
     def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
-        """Call run_next, in one thread at a time, whenever there may be a job to claim; return when stop says so.
+        """Call run_next, in one thread at a time, whenever there may be a job to claim; return when stopping is
+        requested.
 
         run_next tells whether it ran a job, and never raises.
         """
         ...
 
     def needed_keys(self) -> set[str]:
-        """Storage keys that some job still needs."""
+        """Storage keys of the files that some job still needs."""
         ...
 
     def finished(self, older_than_s: float) -> list[Job]:

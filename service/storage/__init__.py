@@ -1,5 +1,5 @@
 """Source images and bitstreams under keys, in a folder or in a bucket.
 
-Bytes come in under a key of ours.
-The same bytes leave, or nothing at all: a file is whole or absent.
+Bytes come in under a key that is made of a job's id.
+The same bytes leave, or nothing: a file is whole or absent.
 """

@@ -40,7 +40,7 @@ class BucketStorage:
 
     def __init__(self, url: str) -> None:
         endpoint = os.environ.get(ENDPOINT, "")
-        if endpoint and not endpoint.startswith(("http://", "https://")):  # at which obstore panics later
+        if endpoint and not endpoint.startswith(("http://", "https://")):  # obstore would panic later
             raise OSError(errno.EINVAL, f"{ENDPOINT} must begin with http:// or https://, got {endpoint!r}")
         with _as_os_errors():
             self._store = from_url(
@@ -52,7 +52,7 @@ class BucketStorage:
 
     def put(self, key: str, data: bytes) -> None:
         with _as_os_errors():
-            # In one request: what is broken off leaves no parts behind.
+            # One request for the whole object: an upload that breaks off leaves no parts behind.
             obstore.put(self._store, check_key(key), data, use_multipart=False)
 
     def get(self, key: str) -> bytes:

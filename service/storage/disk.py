@@ -1,4 +1,7 @@
-"""Source images and bitstreams in a local folder."""
+"""Source images and bitstreams in a local folder.
+
+A file appears under its key only when all of its bytes are on the disk: write_atomically holds that.
+"""
 
 from __future__ import annotations
 

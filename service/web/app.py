@@ -96,7 +96,13 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
         """The page on which a person can try the service."""
         return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": PAGE_POLICY})
 
-    # From the inside out, and outside of FastAPI, whose answer to an unexpected error passes by its own middleware.
+    return _guarded(app, keys, parts)
+
+
+def _guarded(app: FastAPI, keys: KeyRing, parts: Parts) -> ASGIApp:
+    """The application with its middleware around it."""
+    settings = parts.settings
+    # From the inside out. They stand outside FastAPI: its answer to an unexpected error skips its own middleware.
     secret = settings.link_secret.get_secret_value()
     gate = Gate(app, keys, RateLimit(settings.key_request_rate), secret)
     guarded = BodyGuard(gate, _body_limits(settings))

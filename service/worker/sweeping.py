@@ -1,4 +1,4 @@
-"""What is no longer needed goes: files without a job, and finished jobs when their time is over."""
+"""Removes what is no longer needed: files without a job, and finished jobs when their time is over."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from service.jobs.job import Job
 from service.jobs.table import JobTable
 from service.storage.files import Storage
 
-# A file without a job is either left over from a crash or of a job being accepted or finished just now,
-# which takes seconds.
+# A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
+# latter takes seconds.
 ORPHAN_AGE_S = 3600.0
 
 

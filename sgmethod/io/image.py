@@ -41,7 +41,7 @@ from PIL.PngImagePlugin import PngImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 from PIL.WebPImagePlugin import WebPImageFile
 
-from sgmethod.errors import ImageError
+from sgmethod.errors import ImageError, SgError
 from sgmethod.native import native
 
 Float32Array = npt.NDArray[np.float32]
@@ -142,7 +142,7 @@ def _only_image_errors() -> Iterator[None]:
         warnings.simplefilter("ignore")
         try:
             yield
-        except ImageError:
+        except SgError:  # one of ours already; or the kernels are missing, which have the largest side
             raise
         except Image.DecompressionBombError as error:  # Pillow's own limit, for callers who allow more
             raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error

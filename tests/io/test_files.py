@@ -1,4 +1,4 @@
-"""Every rule of sgmethod/files.py."""
+"""Every rule of sgmethod/io/files.py and the checks of sgmethod/io/png.py."""
 
 from __future__ import annotations
 

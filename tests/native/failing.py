@@ -17,7 +17,8 @@ from itertools import count
 import numpy as np
 
 from sgmethod import Budget, codec, decode, profiles
-from sgmethod.bitstream import v3
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.io.image import read_image
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
@@ -52,7 +53,8 @@ def decodes(name: str) -> Action:
 @cache
 def large_file() -> bytes:
     """With Gaussians enough for tasks that take memory."""
-    return v3.serialise(v3.RdStream.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False))
+    stream = StreamV3.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
+    return container.serialise(stream)
 
 
 def decode_large() -> bytes:
@@ -82,7 +84,7 @@ def gradients() -> bytes:
 def refine() -> bytes:
     parameters = native.RdParameters(WIDTH, HEIGHT, 0.1)
     target = np.full((3, HEIGHT, WIDTH), 0.5, np.float32)
-    return native.rd_refine(parameters, *scattered(100), target, v3.CUTOFF, 0.01, 1, 60.0, 600)
+    return native.rd_refine(parameters, *scattered(100), target, native.CUTOFF_V3, 0.01, 1, 60.0, 600)
 
 
 def encode() -> bytes:

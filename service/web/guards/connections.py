@@ -52,8 +52,8 @@ class _Connection(HttpToolsProtocol):
         if len(self.connections) > self.LIMITS.most:
             self._refuse(ProblemError(503, "there are too many connections"))
             return
-        # The system ends a connection whose peer acknowledges nothing or keeps its window shut for so long: what the
-        # system has taken over of an answer is out of sight here.
+        # What the system has taken over of an answer is out of sight here. So the system itself ends a connection whose
+        # peer acknowledges nothing, or keeps its window shut, for so long.
         raw = transport.get_extra_info("socket")
         if raw is not None and raw.family != socket.AF_UNIX:
             milliseconds = int(1000 * self.LIMITS.send_timeout_s)

@@ -72,7 +72,7 @@ class RequestMetrics:
 
         async def note(message: Message) -> None:
             if message["type"] == "http.response.start":
-                # Labels come from sets of ours; what a client makes up must not fill the memory.
+                # Labels come from fixed sets: what a client makes up must not fill the memory.
                 route = getattr(scope.get("route"), "path", "none")
                 method = scope["method"] if scope["method"] in METHODS else "other"
                 self._metrics.requests.labels(method, route, message["status"]).inc()

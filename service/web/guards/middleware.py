@@ -1,8 +1,8 @@
 """What stands before the application: limits on the bodies of requests and answers, and headers on every answer.
 
-No server limits how large or how slow a body may be, and a framework reads the whole of it before it
-looks at anything else; so both limits hold here, while the bytes come in. Nor does one limit how much waits in memory
-for clients that are slow to take it.
+The server does not limit how large or how slow a body is, and the framework reads the whole of it before it looks at
+anything else. So both limits hold here, while the bytes come in. Neither of them limits how much of the answers waits
+in memory for slow clients; that limit is here too.
 """
 
 from __future__ import annotations
@@ -32,8 +32,10 @@ RESPONSE_HEADERS = {
 
 @dataclass(frozen=True)
 class BodyLimits:
-    """Of one request body: bytes, seconds between two chunks, seconds for all, bytes a second on average
-    (with one chunk's seconds on top); and how many bodies may come in at once.
+    """max_bytes, timeout_s: of one request body; chunk_timeout_s: seconds between two of its chunks.
+
+    min_rate: bytes a second that a body must bring on average, with chunk_timeout_s on top; most: bodies that may come
+    in at once.
     """
 
     max_bytes: int

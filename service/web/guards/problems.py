@@ -37,7 +37,7 @@ RETRY_SOON_S = "5"
 
 
 class ProblemError(Exception):
-    """An answer other than the wished one: HTTP status, one sentence, extra members and headers."""
+    """An answer that refuses: HTTP status, one sentence, extra members and headers."""
 
     def __init__(self, status: int, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any) -> None:
         super().__init__(detail)

@@ -1,4 +1,4 @@
-"""Jobs as clients see them: the JSON of every answer, and with it the OpenAPI document."""
+"""The JSON of every answer: jobs as clients see them, and as the OpenAPI document describes them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bitstreams to picture files: which view of which picture, drawn beside the event loop, a few of them kept."""
+"""From bitstreams to picture files: the view that was asked for, drawn in a thread, and kept for the next to ask."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Accepting jobs, and telling how they fare."""
+"""Jobs: accepted, looked at, listed, linked to, removed."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def _check_queue(parts: Parts, key: str | None, owner: str | None) -> None:
 
 
 def _accept(parts: Parts, submitted: Submission, image: bytes, key: str | None, owner: str | None) -> Job:
-    """The image to the disk, then the job to the table; only then may the client be told."""
+    """Store the image, then put the job into the job table; only then may the client be told."""
     new = new_job(submitted, image, key, owner, parts.settings)
     try:
         parts.storage.put(source_key(new.id), image)

@@ -1,4 +1,4 @@
-"""From the body of POST /encode to a job that may be accepted: everything is checked before."""
+"""From the body of POST /encode to a new job. Everything is checked before the job may be accepted."""
 
 from __future__ import annotations
 
