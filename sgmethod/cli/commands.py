@@ -13,8 +13,8 @@ from sgmethod.cli import files
 from sgmethod.cli.arguments import DEFAULT_BUDGET
 from sgmethod.cli.terminal import progress_line, silent_stderr
 from sgmethod.decode import decode, info
-from sgmethod.io.files import encode_png
 from sgmethod.io.image import read_image
+from sgmethod.io.png import encode_png
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
 

@@ -4,7 +4,8 @@ Image files of five formats come in, and leave as arrays.
 Decoded pixels leave as PNG, and every file that is written is whole or absent.
 """
 
-from sgmethod.io.files import encode_png, write_atomically
+from sgmethod.io.files import write_atomically
 from sgmethod.io.image import read_image
+from sgmethod.io.png import encode_png
 
 __all__ = ["encode_png", "read_image", "write_atomically"]

@@ -1,14 +1,10 @@
-"""Results to files that are whole or absent; pixels as PNG."""
+"""Files that are whole or absent."""
 
 from __future__ import annotations
 
 import os
 import secrets
 from pathlib import Path
-
-from sgmethod.io.png import encode_png
-
-__all__ = ["encode_png", "sync_folder", "write_atomically"]
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:

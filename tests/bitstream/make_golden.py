@@ -21,7 +21,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.bitstream.v3 import StreamV3
-from sgmethod.io.files import encode_png, write_atomically
+from sgmethod.io import encode_png, write_atomically
 from sgmethod.io.image import read_image
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS, golden_path

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgmethod.io.files import encode_png, write_atomically
+from sgmethod.io import encode_png, write_atomically
 
 
 def test_encode_png_refuses_other_arrays() -> None:

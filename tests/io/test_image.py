@@ -16,8 +16,8 @@ from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io import image
-from sgmethod.io.files import encode_png
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image
+from sgmethod.io.png import encode_png
 from tests.harness.data import PHOTOGRAPHS
 
 PHOTO = Image.open(PHOTOGRAPHS / "kodim05-crop.png").convert("RGB").crop((20, 30, 68, 62))  # 48 x 32
