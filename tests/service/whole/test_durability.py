@@ -198,7 +198,7 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
 
 
 def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
-    """The encoding process alone dies: its worker starts the job again at once."""
+    """The encoder process alone dies: its worker starts the job again at once."""
     service = solo
     job_id = service.accepted()
     os.kill(running(job_id), signal.SIGKILL)

@@ -1,4 +1,4 @@
-"""The road between a worker and its encoding process, with processes that misbehave."""
+"""The road between a worker and its encoder process, with processes that misbehave."""
 
 from __future__ import annotations
 
