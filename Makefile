@@ -32,7 +32,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check test versions sanitize fuzz
+.PHONY: serve check test measured unmeasured versions sanitize fuzz
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -51,11 +51,16 @@ ifeq ($(COVERAGE),)
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(BIN)/python -m coverage run -m pytest $(TESTS) $(addprefix --ignore=,$(UNMEASURED))
-	$(BIN)/python -m pytest $(UNMEASURED)
+	$(MAKE) --jobs 2 measured unmeasured
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif
+
+measured:
+	$(BIN)/python -m coverage run -m pytest $(TESTS) $(addprefix --ignore=,$(UNMEASURED))
+
+unmeasured:
+	$(BIN)/python -m pytest --quiet $(UNMEASURED)
 
 versions:
 	.ci/versions $(VERSIONS)
