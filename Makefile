@@ -56,10 +56,10 @@ else
 	$(BIN)/python -m coverage report
 endif
 
-measured:
+measured: $(STAMP)
 	$(BIN)/python -m coverage run -m pytest $(TESTS) $(addprefix --ignore=,$(UNMEASURED))
 
-unmeasured:
+unmeasured: $(STAMP)
 	$(BIN)/python -m pytest --quiet $(UNMEASURED)
 
 versions:

@@ -15,7 +15,11 @@ class MissingPackagesError(Exception):
 
 def open_job_table(settings: Settings) -> JobTable:
     """The job table, made if there is none yet. Raises JobTableError, MissingPackagesError, OSError."""
-    rules = JobRules(settings.lease_s, settings.max_attempts, settings.max_running_per_key)
+    rules = JobRules(
+        lease_s=settings.lease_s,
+        max_attempts=settings.max_attempts,
+        max_running_per_owner=settings.max_running_per_key,
+    )
     if settings.uses_postgres:
         try:
             from service.jobs.postgres import PostgresJobTable

@@ -62,8 +62,8 @@ __all__ = [
 
 
 def set_threads(count: int) -> None:
-    """Threads that rendering and fitting use in this process, at least 1; SG_THREADS sets it at the start,
-    else it is the number of cores this process may run on."""
+    """Threads that rendering and fitting use in this process, 1 to 256. SG_THREADS sets it at the start; else it is the
+    number of cores that this process may run on and its control group's quota allows."""
     _native.set_thread_count(count)
 
 

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod.budget import Budget
-from sgmethod.decode import decode, info
+from sgmethod.decode import MAX_PIXELS, decode, info
 from sgmethod.errors import BudgetError, ImageError
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
@@ -135,6 +135,8 @@ def _check_image(pixels: NDArray[np.float32]) -> None:
         raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
     if max(pixels.shape) > native.MAX_SIDE:
         raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {native.MAX_SIDE}")
+    if pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
+        raise ImageError(f"{pixels.shape[1]} x {pixels.shape[0]} pixels are more than the limit of {MAX_PIXELS}")
     if not np.issubdtype(pixels.dtype, np.floating):
         raise ImageError(f"an image must hold floating-point values in [0, 1], got {pixels.dtype}")
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:

@@ -239,6 +239,7 @@ def test_arrays_of_other_types_hold_the_same_picture() -> None:
         np.zeros((0, 5, 3)),
         np.zeros((4, 0, 3)),
         np.zeros((1, 65_536, 3)),
+        np.broadcast_to(np.float32(0), (10_001, 10_000, 3)),  # which decode() would refuse
         np.full((4, 5, 3), -1e-3),
         np.full((4, 5, 3), 1.001),
         np.full((4, 5, 3), np.nan),

@@ -22,6 +22,8 @@ OUTSIDE = {"__init__", "__main__"}  # a package's face and its command: they imp
 MOST_FILES = 12  # in a room
 CODE = ("sgmethod", "service", "tests", "benchmarks", "docs")
 
+ENCODER = r"sgmethod\.(codec|rd|paper|fitting|start)\b|from sgmethod import .*\b(codec|encode)\b|(import|from) torch"
+
 EXPORTED = {
     *("BitstreamError", "Budget", "BudgetError", "Encoded", "ImageError", "Info", "NativeModuleError", "SgError"),
     *("Stats", "TracePoint", "View", "ViewError", "decode", "encode", "info", "set_threads"),
@@ -123,7 +125,7 @@ def test_each_room_says_what_it_is_for(name: str) -> None:
 
 def test_the_service_leaves_the_encoder_to_its_own_process() -> None:
     for name, path in modules("service").items():
-        imported = re.search(r"sgmethod\.(codec|rd|paper|fitting)\b|import torch", path.read_text())
+        imported = re.search(ENCODER, path.read_text())
         assert imported is None or name == "service.worker.encoder"
 
 

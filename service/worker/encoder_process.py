@@ -19,7 +19,7 @@ from service.worker.encoder import BITSTREAM, FRAME_HEADER, REFUSED, STATS, TRAC
 READ_BYTES = 1 << 16
 STDERR_TAIL_BYTES = 4096
 MAX_LAST_WORDS = 300  # characters of an error that a client gets to read
-MAX_FRAME_BYTES = 1 << 28  # the largest picture as raw pixels is smaller than that
+MAX_FRAME_BYTES = 1 << 29  # a file of the largest image that is read takes 300 MB at most
 
 
 @dataclass(frozen=True)

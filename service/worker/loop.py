@@ -45,8 +45,10 @@ class Worker:
     def run(self) -> None:
         """Claim and work until stopping is requested."""
         log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
-        self._table.deliver(self._run_next, self._stop)
-        self._lifeline.close()
+        try:
+            self._table.deliver(self._run_next, self._stop)
+        finally:
+            self._lifeline.close()
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""

@@ -12,7 +12,8 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
 
     The bytes go to a new file and to the disk, and only then take the target's name. The new file lies beside the
     target, or in the folder `unfinished` of the same file system, where a power cut may leave it to be swept up. A
-    link is followed; a device or pipe is written directly. Raises OSError, having removed the new file.
+    link is followed; a device or pipe is written directly. Raises OSError, having removed the new file; only if the
+    disk fails to take the new name at the very end, the target holds the data all the same.
     """
     target = Path(os.path.realpath(path))  # Path.resolve raises RuntimeError on a loop of links
     if target.exists() and not target.is_file():

@@ -21,7 +21,7 @@ class _Quantise(torch.autograd.Function):
 
     u = (v - Z) / s. Out of range q is 0 or Q whatever v and B are: dv^/dv_max = q/Q, dv^/dv_min = 1 - q/Q,
     dv^/dv = dv^/db = 0. The paper prints v - q for v - v^ in the last term in range, and -s q where it is 0 out
-    of range; both contradict finite differences (tests/test_quantise.py).
+    of range; both contradict finite differences (tests/paper/test_quantise.py).
     """
 
     @staticmethod

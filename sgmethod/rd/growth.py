@@ -30,21 +30,21 @@ def candidates(residual: FloatArray, most: int, least_gain: float) -> tuple[Floa
     above least_gain, best first."""
     height, width = residual.shape[:2]
     # The gain of a wider one counts what lies outside, and hides every other place.
-    scales = [s for s in BLURS_PX if 4 * s <= max(height, width)] or [BLURS_PX[0]]
+    blurs = [b for b in BLURS_PX if 4 * b <= max(height, width)] or [BLURS_PX[0]]
     gain = np.zeros((height, width), np.float32)
-    chosen = np.zeros((height, width), np.uint8)  # index of the scale with that gain
-    for index, s in enumerate(scales):
-        image = _blur(residual, s)
-        found = cv2.transform(cv2.multiply(image, image, dst=image), np.full((1, 3), GAIN * s * s, np.float32))
+    chosen = np.zeros((height, width), np.uint8)  # index of the blur with that gain
+    for index, b in enumerate(blurs):
+        image = _blur(residual, b)
+        found = cv2.transform(cv2.multiply(image, image, dst=image), np.full((1, 3), GAIN * b * b, np.float32))
         # Indices rise, so that the larger one is that of the larger gain.
         np.maximum(chosen, (found > gain).view(np.uint8) * np.uint8(index), out=chosen)
         np.maximum(gain, found, out=gain)
         del image, found  # before the next ones: of a large picture, one at a time
-    rows, columns = np.nonzero(_peaks(gain, chosen, scales) & (gain > least_gain))
+    rows, columns = np.nonzero(_peaks(gain, chosen, blurs) & (gain > least_gain))
     order = np.argsort(-gain[rows, columns], kind="stable")[: max(most, 0)]
     rows, columns = rows[order], columns[order]
     means = np.stack([columns, rows], 1).astype(np.float32) + 0.5
-    scale = np.array(scales, np.float32)[chosen[rows, columns]] * np.float32(SCALE_OF_BLUR)
+    scale = np.array(blurs, np.float32)[chosen[rows, columns]] * np.float32(SCALE_OF_BLUR)
     return means, np.stack([scale, 0 * scale, scale], 1)
 
 
@@ -60,12 +60,12 @@ def _blur(image: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _peaks(gain: FloatArray, chosen: NDArray[np.uint8], scales: list[float]) -> NDArray[np.bool_]:
-    """Where [H, W] the gain is the largest within the chosen scale's own size."""
+def _peaks(gain: FloatArray, chosen: NDArray[np.uint8], blurs: list[float]) -> NDArray[np.bool_]:
+    """Where [H, W] the gain is the largest within the chosen blur's own size."""
     peaks = np.zeros(gain.shape, np.bool_)
     largest, reach = gain, 0  # within so many pixels
-    for index, s in enumerate(scales):
-        wider = max(1, int(s))
+    for index, b in enumerate(blurs):
+        wider = max(1, int(b))
         if wider > reach:  # windows of windows: a wide one at once takes its width in time
             side = 2 * (wider - reach) + 1
             largest = np.asarray(cv2.dilate(largest, np.ones((side, side), np.uint8)), np.float32)

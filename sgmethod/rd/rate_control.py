@@ -84,13 +84,9 @@ class RateControl:
         return self.pixels
 
     def new_gaussians(self, now: int) -> int:
-        """How many Gaussians may be added to so many at once.
-
-        Where no size is given the price of bits alone decides how many there will be; each time they may double.
-        """
+        """How many Gaussians may be added to so many at once."""
         s = self.settings
-        share = s.growth if self.max_bytes is not None else 1.0
-        return max(int(share * now), self.expected_gaussians() // len(s.growth_at), 4)
+        return max(int(s.growth * now), self.expected_gaussians() // len(s.growth_at), 4)
 
     def steered(self, quantum: float, at: float, file_bytes: int, psnr: Callable[[], float]) -> float:
         """The quantum from this time on, given the quantum now and what it comes to: the file's size, and its PSNR in

@@ -97,7 +97,7 @@ def test_views_in_the_text() -> None:
 
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_bytes_and_pixels(name: str) -> None:
-    """Exact: tests/make_golden.py wrote the hashes when the streams were made."""
+    """Exact: tests/bitstream/make_golden.py wrote the hashes when the streams were made."""
     assert hashlib.sha256(GOLDEN[name]).hexdigest() == HASHES[name]["bytes"]
     assert hashlib.sha256(decode(GOLDEN[name]).tobytes()).hexdigest() == HASHES[name]["pixels"]
 

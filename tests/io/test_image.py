@@ -1,4 +1,4 @@
-"""Every rule of sgmethod/image.py, on files made here."""
+"""Every rule of sgmethod/io/image.py, on files made here."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 // What a step of the fit does to each Gaussian alone, apart from rendering: Adam in the Gaussian's own frame
-// (sgmethod/fitting/fit.py).
+// (sgmethod/fitting/adam.py).
 #pragma once
 
 namespace sg {

@@ -55,6 +55,7 @@ int64_t first_value_count(const Rasterization&, int tile);
 
 // Of an instruction set (core/isa.h).
 const TileKernels& kernels(int isa);
+// Defined in fit/, which may use fused arithmetic. They are declared here because a Rasterization hands them its tiles.
 const FitKernels& fit_kernels(int isa);
 
 }  // namespace sg
