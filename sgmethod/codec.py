@@ -19,8 +19,8 @@ from sgmethod.decode import MAX_PIXELS, decode, info
 from sgmethod.errors import BudgetError, ImageError
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
+from sgmethod.io.image import ImageLimits
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.native import native
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings
 from sgmethod.rd import encode as rd
@@ -133,10 +133,8 @@ def _measured(request: Request, data: bytes, steps: int) -> Encoded:
 def _check_image(pixels: NDArray[np.float32]) -> None:
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
-    if max(pixels.shape) > native.MAX_SIDE:
-        raise ImageError(f"a side of {max(pixels.shape)} pixels is more than {native.MAX_SIDE}")
-    if pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
-        raise ImageError(f"{pixels.shape[1]} x {pixels.shape[0]} pixels are more than the limit of {MAX_PIXELS}")
+    height, width = pixels.shape[:2]
+    ImageLimits(max_pixels=MAX_PIXELS).check(width, height)  # no more than decode() gives back
     if not np.issubdtype(pixels.dtype, np.floating):
         raise ImageError(f"an image must hold floating-point values in [0, 1], got {pixels.dtype}")
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:

@@ -13,11 +13,9 @@ from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.errors import BitstreamError
 
-# A new version of the format is a module beside this one, and a line here.
-VERSIONS: dict[int, type[Stream]] = {
-    1: StreamV1,
-    3: StreamV3,
-}
+# A new version of the format is a module beside this one, and a name here.
+STREAMS: tuple[type[Stream], ...] = (StreamV1, StreamV3)
+VERSIONS = {stream.VERSION: stream for stream in STREAMS}
 CHECKSUM = struct.Struct(">I")
 
 

@@ -76,10 +76,10 @@ class Stream(Protocol):
         """What follows the checksum."""
         ...
 
-    def scene(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Scene:
+    def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn; with prefix < 1 as far as that part of the file tells.
 
-        Raises BitstreamError, also for more Gaussians than the limit, and ViewError where there is no prefix.
+        Raises BitstreamError, and ViewError where there is no prefix.
         """
         ...
 

@@ -159,16 +159,15 @@ class StreamV1:
         colors = first[indices[:, 0]] + second[indices[:, 1]]
         return Gaussians(np.concatenate(means), np.concatenate(factors), colors)
 
-    def scene(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Scene:
+    def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn. Raises ViewError for a prefix below 1."""
-        del limits  # parse() has seen to them
         if prefix < 1:
             raise ViewError(f"profile {self.profile} has no order that a prefix could follow")
         return Scene(self.dequantised(), self.width, self.height, BACKGROUND, native.CUTOFF_V1)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
         """The description of the file."""
-        del limits
+        del limits  # parse() has seen to them
         return InfoV1(
             bytes=file_bytes,
             bpp=8 * file_bytes / (self.width * self.height),

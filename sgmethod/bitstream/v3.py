@@ -118,9 +118,9 @@ class StreamV3:
         except OverflowError as error:
             raise BitstreamError(f"the file has more Gaussians than the limit of {limits.max_gaussians}") from error
 
-    def scene(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Scene:
+    def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn, as far as that part of the payload tells. Raises BitstreamError."""
-        return Scene(self.gaussians(prefix, limits), self.width, self.height, self.background, native.CUTOFF_V3)
+        return Scene(self.gaussians(prefix), self.width, self.height, self.background, native.CUTOFF_V3)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV3:
         """The description of the file. Raises BitstreamError, also for more Gaussians than the limit."""

@@ -28,15 +28,15 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
     """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
     control = RateControl.of(request, settings)
     with torch.no_grad():
-        fit = place(request, control, settings)
+        fit = place(request, control)
         steps = fit_and_grow(fit, request)
         stream = quantise_and_refine(fit, request)
         return write(stream), steps
 
 
-def place(request: Request, control: RateControl, settings: RdSettings) -> RdFit:
+def place(request: Request, control: RateControl) -> RdFit:
     """Few Gaussians, ready to be fitted."""
-    return RdFit(request.pixels, control, settings, request.seed, request.recorder)
+    return RdFit(request.pixels, control, request.seed, request.recorder)
 
 
 def fit_and_grow(fit: RdFit, request: Request) -> int:

@@ -20,7 +20,7 @@ from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.native import native
-from sgmethod.profiles import PAPER, RdSettings
+from sgmethod.profiles import PAPER
 from sgmethod.rd import growth, quantiser
 from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
@@ -37,11 +37,10 @@ GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 class RdFit:
     """The state of one fit: the Gaussians, the optimiser's averages of them, and the coder with the quantum."""
 
-    def __init__(
-        self, pixels: FloatArray, control: RateControl, settings: RdSettings, seed: int, recorder: Recorder
-    ) -> None:
+    def __init__(self, pixels: FloatArray, control: RateControl, seed: int, recorder: Recorder) -> None:
         """pixels [H, W, 3] in [0, 1]; recorder says when an error will be shown, and so must be exact."""
-        self.control, self.settings, self.recorder = control, settings, recorder
+        self.control, self.recorder = control, recorder
+        self.settings = settings = control.settings
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = background_of(pixels)
         grey = len(set(background)) == 1 and _is_grey(pixels[::GREY_PROBE, ::GREY_PROBE]) and _is_grey(pixels)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
 import zlib
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from sgmethod.bitstream.v1 import GROUP, HEADER, Field, StreamV1
 from sgmethod.decode import MAX_PIXELS
 from sgmethod.native import native
 from tests.bitstream import plain_decoder
-from tests.harness.data import ROOT, golden
+from tests.harness.data import ROOT, golden, with_checksum
 
 TEXT = (ROOT / "docs" / "format.md").read_text()
 GOLDEN = golden(1)
@@ -97,7 +96,7 @@ def test_both_refuse_the_same_files(name: str, at: int, value: bytes, growth: in
     """Bytes of header and tables changed, the end moved, the checksum made to fit."""
     data = GOLDEN[name][:at] + value + GOLDEN[name][at + len(value) :]
     data = data[: len(data) + growth] if growth < 0 else data + bytes(growth)
-    data = data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
+    data = with_checksum(data)
     try:
         container.parse(data)
     except BitstreamError:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 import time
-import zlib
 from collections import Counter
 from collections.abc import Callable
 
@@ -19,7 +18,7 @@ from hypothesis import strategies as st
 from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.v1 import Group, StreamV1
-from tests.harness.data import golden
+from tests.harness.data import golden, with_checksum
 
 MUTATIONS = 10_000
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
@@ -103,10 +102,6 @@ def group_field(data: bytes, place: float, number: int) -> bytes:
 Mutator = Callable[[bytes, float, int], bytes]
 DAMAGE: list[Mutator] = [overwrite, cut, remove, insert, duplicate, header_field, group_field]
 CONTENTS: list[Mutator] = [flip, picture_size, table_value, table_value]
-
-
-def with_checksum(data: bytes) -> bytes:
-    return data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
 
 
 def crowded() -> bytes:

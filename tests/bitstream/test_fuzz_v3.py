@@ -18,8 +18,8 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.scene import Gaussians
 from sgmethod.view import View
-from tests.bitstream.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove, with_checksum
-from tests.harness.data import golden
+from tests.bitstream.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove
+from tests.harness.data import golden, with_checksum
 
 MUTATIONS = 4000  # in each of two tests
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels

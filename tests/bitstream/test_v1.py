@@ -17,7 +17,7 @@ from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.errors import BitstreamError
-from tests.harness.data import golden
+from tests.harness.data import golden, with_checksum
 
 GOLDEN = golden(1)
 
@@ -57,14 +57,9 @@ def assert_equal(a: StreamV1, b: StreamV1) -> None:
         assert np.array_equal(one.colors, other.colors)
 
 
-def repaired(data: bytes) -> bytes:
-    """data with the checksum that belongs to it."""
-    return data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
-
-
 def changed(data: bytes, at: int, value: bytes) -> bytes:
     """data with other bytes at an offset, and the checksum to fit."""
-    return repaired(data[:at] + value + data[at + len(value) :])
+    return with_checksum(data[:at] + value + data[at + len(value) :])
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
@@ -177,7 +172,7 @@ def test_a_cut_at_any_byte_is_noticed(name: str) -> None:
             parse(data[:length])
         if length >= 8:
             with pytest.raises(BitstreamError):
-                parse(repaired(data[:length]))
+                parse(with_checksum(data[:length]))
 
 
 def f32(value: float) -> bytes:
@@ -200,7 +195,7 @@ REFUSED = {
     "17 groups": (changed(WHOLE, 14, b"\x11"), "groups is 17"),
     "no groups, but their bytes": (changed(WHOLE, 14, b"\0"), "after its end"),
     "more groups than bytes": (changed(WHOLE[:155], 14, b"\x10"), "within its header"),
-    "half a table": (repaired(WHOLE[:100]), "within its tables"),
+    "half a table": (with_checksum(WHOLE[:100]), "within its tables"),
     "an infinite position": (changed(WHOLE, 15, f32(float("inf"))), "not finite"),
     "a factor that is no number": (changed(WHOLE, 31, f32(float("nan"))), "not finite"),
     "an infinite colour": (changed(WHOLE, 55, b"\xfc\x00"), "not finite"),
@@ -209,8 +204,8 @@ REFUSED = {
     "an empty group": (changed(WHOLE, 152, bytes(3)), "gaussians is 0"),
     "more Gaussians than bytes": (changed(WHOLE, 152, b"\0\1\0"), "bytes of records"),
     "more Gaussians than pixels": (changed(WHOLE, 152, b"\xff\xff\xff"), "more Gaussians"),
-    "a byte too many": (repaired(WHOLE + b"\0"), "bytes of records"),
-    "a byte too few": (repaired(WHOLE[:-1]), "bytes of records"),
+    "a byte too many": (with_checksum(WHOLE + b"\0"), "bytes of records"),
+    "a byte too few": (with_checksum(WHOLE[:-1]), "bytes of records"),
     "padding": (changed(WHOLE, len(WHOLE) - 1, bytes([WHOLE[-1] | 1])), "padding"),
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]  # of the repository
@@ -18,3 +19,8 @@ def golden_path(name: str) -> Path:
     """Where a golden file lies, or the picture of one: "v3-color.sg", "v1-paper.png"."""
     version, _, rest = name.partition("-")
     return DATA / version / rest
+
+
+def with_checksum(data: bytes) -> bytes:
+    """The data of an .sg file with the checksum that belongs to them; the eight bytes of its prefix come first."""
+    return data[:4] + zlib.crc32(data[8:]).to_bytes(4, "big") + data[8:]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v3 import MAX_QUANTUM, MIN_QUANTUM, StreamV3, quantum_code, quantum_of
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
+from tests.harness.data import with_checksum
 
 CLASS_WIDTH = math.log(2) / 2
 BASIS = np.array([[3**-0.5] * 3, [2**-0.5, 0, -(2**-0.5)], [6**-0.5, -2 * 6**-0.5, 6**-0.5]])
@@ -304,10 +303,6 @@ def test_quantum_is_monotone() -> None:
     assert all(quantum_code(q) == code for code in (0, *range(256, 3840)) for q in [quantum_of(code)])
 
 
-def repaired(data: bytes) -> bytes:
-    return data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
-
-
 def test_stream_round_trip() -> None:
     for grey, shear in itertools.product((False, True), (0, 1)):
         values = scattered(40, (70, 50))
@@ -335,7 +330,7 @@ def test_refused_headers(at: int, value: bytes, why: str) -> None:
     data = container.serialise(StreamV3.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
     data = data[:at] + value + data[at + len(value) :]
     with pytest.raises(BitstreamError, match=why):
-        container.parse(data if at == 4 else repaired(data)).gaussians()
+        container.parse(data if at == 4 else with_checksum(data)).gaussians()
 
 
 def test_a_limit_of_gaussians() -> None:
@@ -355,4 +350,4 @@ def test_limits_of_parse() -> None:
         container.parse(data, Limits(max_pixels=3499))
     for length in range(v3.HEADER_BYTES):
         with pytest.raises(BitstreamError):
-            container.parse(repaired(data[:length]) if length > 8 else data[:length])
+            container.parse(with_checksum(data[:length]) if length > 8 else data[:length])

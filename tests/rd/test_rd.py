@@ -286,7 +286,7 @@ def test_growth_on_odd_sizes(size: tuple[int, int]) -> None:
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     def fit_with(seconds: float) -> RdFit:
         control = RateControl(RD, 128 * 160, 0.1, max_bytes=2000)
-        fit = RdFit(noise(128, 160), control, RD, 0, Recorder(Clock(), None))
+        fit = RdFit(noise(128, 160), control, 0, Recorder(Clock(), None))
         with torch.no_grad():
             fit.hurry(seconds)
         return fit

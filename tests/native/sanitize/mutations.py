@@ -10,22 +10,17 @@ import ctypes
 import os
 import random
 import sys
-import zlib
 from collections import Counter
 from pathlib import Path
 
 from sgmethod import BitstreamError, View, ViewError, decode
 from sgmethod.native import native
+from tests.harness.data import with_checksum
 from tests.native.harness.golden import GOLDEN, is_golden
 
 MAX_PIXELS = 1 << 16  # a header can claim 4 gigapixels
-PREFIX_BYTES = 8  # magic, version, CRC-32 of all that follows
 NUMBERS = (0, 1, 2, 15, 16, 17, 127, 128, 254, 255)
 INPUT = Path("input.sg")
-
-
-def with_checksum(data: bytes) -> bytes:
-    return data[:4] + zlib.crc32(data[PREFIX_BYTES:]).to_bytes(4, "big") + data[PREFIX_BYTES:]
 
 
 def mutated(data: bytes, rng: random.Random) -> bytes:
