@@ -40,7 +40,10 @@ def draw(scene: Scene) -> NDArray[np.uint8]:
     max_pairs = 16 * len(gaussians) + 256 * tiles
     arrays = gaussians.means, gaussians.factors
     try:
-        raster = native.Rasterization(*arrays, width, height, scene.cutoff, max_pairs=max_pairs)
+        x, y = scene.origin
+        raster = native.Rasterization(
+            *arrays, width, height, scene.cutoff, max_pairs=max_pairs, pyramid=scene.pyramid, x=x, y=y
+        )
     except OverflowError as error:
         raise BitstreamError("the file's Gaussians overlap beyond what a picture needs") from error
     pixels = np.empty((height, width, 3), np.uint8)

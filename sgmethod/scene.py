@@ -31,7 +31,9 @@ class Gaussians:
 class Scene:
     """Everything that drawing a picture needs. Every version of the file format gives one.
 
-    width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends.
+    width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends;
+    pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 4); origin: the first pixel
+    (x, y) that is drawn, in the coordinates of the means.
     """
 
     gaussians: Gaussians
@@ -39,3 +41,5 @@ class Scene:
     height: int
     background: tuple[int, int, int]
     cutoff: float
+    pyramid: bool = False
+    origin: tuple[int, int] = (0, 0)

@@ -18,6 +18,7 @@ from sgmethod.scene import Gaussians, Scene
 
 PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
+FAR = 1 << 16  # output pixels; coordinates stay below, for single precision. A multiple of every level's tiles.
 
 
 @dataclass(frozen=True)
@@ -59,9 +60,11 @@ class View:
         width, height = self.size(scene.width, scene.height)
         # The two may differ by rounding, so that the output's edges are the region's edges.
         scale = width / w, height / h
+        # In a pyramid a part keeps its place, so that it is what it would be in the whole picture.
+        origin = (int(x * scale[0]) % FAR, int(y * scale[1]) % FAR) if scene.pyramid else (0, 0)
         widening = PIXEL_VARIANCE / _variance(scene.cutoff)
-        gaussians = _resized(scene.gaussians, (x, y), scale, widening)
-        return replace(scene, gaussians=gaussians, width=width, height=height)
+        gaussians = _resized(scene.gaussians, (x, y), origin, scale, widening)
+        return replace(scene, gaussians=gaussians, width=width, height=height, origin=origin)
 
 
 def _variance(cutoff: float) -> float:
@@ -70,11 +73,14 @@ def _variance(cutoff: float) -> float:
     return (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
 
 
-def _resized(gaussians: Gaussians, origin: tuple[int, int], scale: tuple[float, float], widening: float) -> Gaussians:
+def _resized(
+    gaussians: Gaussians, part: tuple[int, int], origin: tuple[int, int], scale: tuple[float, float], widening: float
+) -> Gaussians:
+    """In output pixels; the corner of the part comes to the origin."""
     l1, _, l3 = gaussians.factors.T
     drawn = (l1 > 0) & (l3 > 0)  # the others add nothing, and must not after they are widened
     sx, sy = scale
-    means = (gaussians.means[drawn].astype(np.float64) - origin) * scale
+    means = (gaussians.means[drawn].astype(np.float64) - part) * scale + origin
     l1, l2, l3 = (gaussians.factors[drawn].astype(np.float64) * (sx, sy, sy)).T
     wide_x, wide_y = (max(1 - s * s, 0.0) * widening for s in scale)
     n1 = np.sqrt(l1 * l1 + wide_x)

@@ -11,10 +11,11 @@ import zlib
 from sgmethod.bitstream.stream import MAGIC, NO_LIMITS, PREFIX_BYTES, Info, Limits, Stream
 from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.errors import BitstreamError
 
 # A new version of the format is a module beside this one, and a name here.
-STREAMS: tuple[type[Stream], ...] = (StreamV1, StreamV3)
+STREAMS: tuple[type[Stream], ...] = (StreamV1, StreamV3, StreamV4)
 VERSIONS = {stream.VERSION: stream for stream in STREAMS}
 CHECKSUM = struct.Struct(">I")
 

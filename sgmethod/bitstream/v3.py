@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,16 +73,16 @@ class StreamV3:
     @classmethod
     def of(
         cls, gaussians: Gaussians, size: tuple[int, int], quantum: float, background: tuple[int, int, int], grey: bool
-    ) -> StreamV3:
+    ) -> Self:
         """Quantise and code Gaussians over a picture of size (width, height)."""
         quantum = quantum_of(quantum_code(quantum))
         upright = not gaussians.factors[:, 1].any()
-        parameters = native.RdParameters(*size, quantum, grey, upright)
+        parameters = native.RdParameters(*size, quantum, grey, upright, cls.VERSION)
         payload = native.rd_encode(parameters, gaussians.means, gaussians.factors, gaussians.colors)
         return cls(*size, quantum, background, grey, upright, payload)
 
     @classmethod
-    def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> StreamV3:
+    def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> Self:
         """From what follows the checksum. The payload is not looked at. Raises BitstreamError."""
         flags, width, height, code, *background = HEADER.unpack(body[: HEADER.size])
         if width == 0 or height == 0:
@@ -109,7 +109,9 @@ class StreamV3:
         Raises BitstreamError, also for more Gaussians than the limit.
         """
         most = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians}
-        parameters = native.RdParameters(self.width, self.height, self.quantum, self.grey, self.upright)
+        parameters = native.RdParameters(
+            self.width, self.height, self.quantum, self.grey, self.upright, self.VERSION
+        )
         cut = math.ceil(prefix * len(self.payload))
         try:
             return Gaussians(*native.rd_decode(parameters, self.payload[:cut], prefix < 1, **most))

@@ -28,6 +28,10 @@ class Parameters:
         """n Gaussians whose values are not set, for kernels to fill."""
         return cls(torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3))
 
+    def tensors(self) -> tuple[Tensor, Tensor, Tensor]:
+        """(means, factors, colors)."""
+        return self.means, self.factors, self.colors
+
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """For kernels: (means, factors, colors), which share the tensors' memory where that is contiguous."""
         return self.means.contiguous().numpy(), self.factors.contiguous().numpy(), self.colors.contiguous().numpy()

@@ -20,14 +20,16 @@ class Picture:
     stay in pixels of the whole picture, and spacing says how many of those a pixel of this one is wide.
     """
 
-    def __init__(self, image: FloatArray, lambda_g: float, cutoff: float, spacing: int = 1) -> None:
+    def __init__(
+        self, image: FloatArray, lambda_g: float, cutoff: float, pyramid: bool = False, spacing: int = 1
+    ) -> None:
         """image [H, W, 3] in [0, 1]; lambda_g weighs the geometry-consistent regularisation; cutoff: sigma at
-        which the weight of a Gaussian ends, by the version of the format."""
+        which the weight of a Gaussian ends, and pyramid: whether it is drawn in one, by the version of the format."""
         self.target = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
         self.height, self.width = image.shape[:2]
         self.spacing = spacing
         self.lambda_g = lambda_g
-        self.cutoff = cutoff
+        self.cutoff, self.pyramid = cutoff, pyramid
         self._loss = native.ReconstructionLoss(self.target.numpy(), lambda_g)
         self._image = torch.empty_like(self.target)
         self._grad = torch.empty_like(self.target)
@@ -36,7 +38,7 @@ class Picture:
         """The same picture at half the size."""
         planes = torch.nn.functional.pad(self.target[None], (0, self.width % 2, 0, self.height % 2), mode="replicate")
         small = torch.nn.functional.avg_pool2d(planes, 2)[0].permute(1, 2, 0).numpy()
-        picture = Picture(small, self.lambda_g, self.cutoff, 2 * self.spacing)
+        picture = Picture(small, self.lambda_g, self.cutoff, self.pyramid, 2 * self.spacing)
         # Scratch is shared: pictures are evaluated one at a time.
         picture._image, picture._grad = (
             whole.view(-1)[: picture.target.numel()].view_as(picture.target) for whole in (self._image, self._grad)
@@ -48,7 +50,7 @@ class Picture:
         if self.spacing != 1:
             means, factors = means / self.spacing, factors / self.spacing
         arrays = means.contiguous().numpy(), factors.contiguous().numpy()
-        return native.Rasterization(*arrays, self.width, self.height, self.cutoff)
+        return native.Rasterization(*arrays, self.width, self.height, self.cutoff, pyramid=self.pyramid)
 
     def gradients(self, p: Parameters) -> tuple[float, Parameters]:
         """Mean squared error, and the gradients of MSE + lambda_g L_g by each parameter."""

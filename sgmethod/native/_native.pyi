@@ -45,7 +45,13 @@ class Rasterization:
         cutoff: float = 5.5,
         isa: int = -1,
         max_pairs: int = 2**31 - 1,
-    ) -> None: ...
+        pyramid: bool = False,
+        x: int = 0,
+        y: int = 0,
+    ) -> None:
+        """pyramid: wide Gaussians are drawn on coarser levels (sgmethod/native/raster/levels.h). x, y: the first pixel
+        that is drawn, so that a part is the same as in the whole."""
+
     def render(self, colors: FloatArray, image: FloatArray) -> None:
         """Fill image [3, height, width]."""
 
@@ -93,8 +99,11 @@ def frame_adam(
 ) -> None:
     """One step of sgmethod.fitting.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
 
-def keep_near(reach: float, width: float, height: float, means: FloatArray, factors: FloatArray) -> None:
-    """Move each mean that is further than reach sqrt(l1 l3) outside the picture back to there."""
+def keep_in_range(
+    reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray
+) -> None:
+    """Keep Gaussians where every file can say them: scale, slant and amplitude, and means within reach sqrt(l1 l3) of
+    the picture."""
 
 def rd_rate_gradient(
     quantum: float,
@@ -109,7 +118,12 @@ def rd_rate_gradient(
 class RdParameters:
     """What the stream of profile rd needs to know before its first Gaussian."""
 
-    def __init__(self, width: int, height: int, quantum: float, grey: bool = False, upright: bool = False) -> None: ...
+    def __init__(
+        self, width: int, height: int, quantum: float, grey: bool = False, upright: bool = False, version: int = 4
+    ) -> None: ...
+
+def rd_clipped_values() -> int:
+    """Values outside of the range of their integer that quantising moved to its end, since the process began."""
 
 def rd_quantise(
     parameters: RdParameters,

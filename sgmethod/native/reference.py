@@ -6,6 +6,8 @@
 which is the paper's accumulated blending (section III-A) with the cut-off of docs/format.md: the ellipse
 sigma <= cutoff carries a Gaussian, and the subtracted constant lets it end in zero instead of a step.
 Pixel (row, column) has its centre at (column + 0.5, row + 0.5).
+
+render_pyramid() is that of version 4, where wide Gaussians are drawn on coarser levels.
 """
 
 from __future__ import annotations
@@ -23,9 +25,13 @@ def render(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]
     covariance = L L^T; colors [N, 3]; size (width, height) in pixels; cutoff as the version of the format has it.
     """
     width, height = size
-    x = torch.arange(width, dtype=means.dtype) + 0.5
-    y = torch.arange(height, dtype=means.dtype) + 0.5
-    image = torch.zeros(3, height, width, dtype=means.dtype)
+    return _sum(means, factors, colors, (range(width), range(height)), cutoff)
+
+
+def _sum(means: Tensor, factors: Tensor, colors: Tensor, samples: tuple[range, range], cutoff: float) -> Tensor:
+    """The plain sum at samples whose columns and rows are given; sample i has its centre at i + 0.5."""
+    x, y = (torch.tensor(list(places), dtype=means.dtype) + 0.5 for places in samples)
+    image = torch.zeros(3, len(y), len(x), dtype=means.dtype)
     for mean, (l1, l2, l3), color in zip(means, factors, colors, strict=True):
         z1 = (x[None, :] - mean[0]) / l1
         z2 = (y[:, None] - mean[1] - l2 * z1) / l3
@@ -33,3 +39,51 @@ def render(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]
         weight = (torch.exp(-sigma) - math.exp(-cutoff)).clamp_min(0)
         image = image + color[:, None, None] * weight
     return image
+
+
+MAX_LEVEL = 12
+NARROWEST = 1.4  # samples
+
+
+def render_pyramid(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], cutoff: float) -> Tensor:
+    """As render(), with each Gaussian drawn on its level of the pyramid."""
+    levels = torch.tensor([level_of(*(float(v) for v in factor)) for factor in factors], dtype=torch.int64)
+    image: Tensor | None = None
+    for level in range(max(levels.tolist(), default=0), -1, -1):
+        border = 1 if level else 0
+        columns, rows = (range(-border, -(-side // 2**level) + border) for side in size)
+        if image is not None:
+            image = _enlarged(_enlarged(image, columns).mT, rows).mT
+        here = levels == level
+        drawn = _sum(*_levelled(means[here], factors[here], colors[here], level), (columns, rows), cutoff)
+        image = drawn if image is None else image + drawn
+    assert image is not None
+    return image
+
+
+def level_of(l1: float, l2: float, l3: float) -> int:
+    """The highest level on which the minor axis is still NARROWEST samples long."""
+    a, c = l1 * l1, l2 * l2 + l3 * l3
+    minor = 2 * a * l3 * l3 / (a + c + math.sqrt((a - c) ** 2 + 4 * a * l2 * l2))
+    level = 0
+    while level < MAX_LEVEL and minor / NARROWEST**2 >= 4.0 ** (level + 1):
+        level += 1
+    return level
+
+
+def _levelled(means: Tensor, factors: Tensor, colors: Tensor, level: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Gaussians in samples of a level, narrower by what enlarging adds."""
+    variance = (1 - 4.0**-level) / 4
+    l1, l2, l3 = (factors / 2**level).unbind(1)
+    a, b, c = l1**2 - variance, l1 * l2, l2**2 + l3**2 - variance
+    n1 = a.sqrt()
+    n2, n3 = b / n1, (a * c - b * b).sqrt() / n1
+    return means / 2**level, torch.stack([n1, n2, n3], 1), colors * (l1 * l3 / (n1 * n3))[:, None]
+
+
+def _enlarged(image: Tensor, places: range) -> Tensor:
+    """Samples [..., places], from coarse ones that begin at -1. An even place lies between the coarse one before its
+    own and its own, an odd one between its own and the next."""
+    near = torch.tensor([place // 2 for place in places])
+    far = torch.tensor([place // 2 + (1 if place % 2 else -1) for place in places])
+    return 0.75 * image[..., near + 1] + 0.25 * image[..., far + 1]

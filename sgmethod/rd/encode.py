@@ -4,8 +4,8 @@
 2. fit        all Gaussians together, under the price of their bits                 (fit.py)
 3. grow       more Gaussians, between the steps of the fit, where they pay          (growth.py)
 4. quantise   with the quantum that meets the budget best                           (finish.py, quantiser.py)
-5. refine     the integers of each Gaussian, on the picture that the others leave   (native/rd/refine.cpp)
-6. write      the bytes of a version 3 file                                         (bitstream/)
+5. refine     the integers of each Gaussian, on the picture that the others leave   (native/refine/refine.cpp)
+6. write      the bytes of a version 4 file                                         (bitstream/)
 
 Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what 4 has to meet.
 """
@@ -15,7 +15,7 @@ from __future__ import annotations
 import torch
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.fitting.schedule import Schedule
 from sgmethod.profiles import RdSettings
@@ -51,11 +51,11 @@ def fit_and_grow(fit: RdFit, request: Request) -> int:
     return steps
 
 
-def quantise_and_refine(fit: RdFit, request: Request) -> StreamV3:
+def quantise_and_refine(fit: RdFit, request: Request) -> StreamV4:
     """The coded picture that meets the budget best."""
     return Finish(fit, request).stream()
 
 
-def write(stream: StreamV3) -> bytes:
+def write(stream: StreamV4) -> bytes:
     """The file's bytes."""
     return container.serialise(stream)

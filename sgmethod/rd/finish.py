@@ -1,7 +1,7 @@
 """From fitted Gaussians to the coded picture that meets the budget best.
 
 The search for the quantum tries several. Each try quantises all Gaussians with one quantum, and then refines the
-integers of each on the picture that the others leave (sgmethod/native/rd/refine.cpp).
+integers of each on the picture that the others leave (sgmethod/native/refine/refine.cpp).
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, StreamV3
+from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.decode import decode
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
@@ -31,7 +32,7 @@ class Finish:
         self.source = request.source()
         self.clock, self.until = request.recorder.clock, request.until_s()
 
-    def stream(self) -> StreamV3:
+    def stream(self) -> StreamV4:
         """The coded picture that meets the budget best."""
         if self.control.psnr is not None:
             best = self._at_psnr(self.control.psnr)
@@ -47,15 +48,15 @@ class Finish:
     def _left_s(self) -> float:
         return math.inf if self.until is None else max(self.until - self.clock.seconds(), 0.0)
 
-    def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT) -> StreamV3:
+    def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT) -> StreamV4:
         price = self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
         sweeps = self.settings.refine_sweeps
         return coder.refined(self.p, self.picture.target, price, sweeps, self._left_s(), max_payload)
 
-    def _psnr(self, stream: StreamV3) -> float:
+    def _psnr(self, stream: StreamV4) -> float:
         return min(psnr(decode(container.serialise(stream)), self.source), EXACT_DB)
 
-    def _within(self, limit: int) -> StreamV3:
+    def _within(self, limit: int) -> StreamV4:
         """The best with a payload of at most `limit` bytes.
 
         The first try is the finest quantum at which all Gaussians fit. If refining leaves bytes unused, finer ones
@@ -93,7 +94,7 @@ class Finish:
     def _payload(self, log_quantum: float) -> int:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
-    def _at_psnr(self, psnr_db: float) -> StreamV3:
+    def _at_psnr(self, psnr_db: float) -> StreamV4:
         """The smallest found that reaches the PSNR; the nearest to it if none does."""
         slack = self.settings.psnr_slack_db
         tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
@@ -116,7 +117,7 @@ class Finish:
             return streams[at]
         return self._fewer(streams[at], psnr_db)
 
-    def _fewer(self, stream: StreamV3, psnr_db: float) -> StreamV3:
+    def _fewer(self, stream: StreamV4, psnr_db: float) -> StreamV4:
         """The fewest bytes at the stream's quantum that still reach the PSNR, by bisection.
 
         In a picture of some tens of Gaussians each of them is worth tenths of a decibel, whatever the quantum. So the

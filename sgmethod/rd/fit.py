@@ -46,7 +46,7 @@ class RdFit:
         grey = len(set(background)) == 1 and _is_grey(pixels[::GREY_PROBE, ::GREY_PROBE]) and _is_grey(pixels)
         self.coder = Coder((self.width, self.height), control.quantum, background, grey)
         above = (pixels - np.array(background, np.float32) / 255).astype(np.float32)
-        self.picture = Picture(above, 0.0, native.CUTOFF_V3)
+        self.picture = Picture(above, 0.0, native.CUTOFF_V3, pyramid=True)
         self.values = self.picture.target.numel()
         self.pyramid = Pyramid(self.picture, settings)
         self.mse = 1.0
@@ -96,7 +96,7 @@ class RdFit:
             self.mse = self.recorder.measured(lambda: self.picture.residual(self.p).square().mean().item())
         quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.values)
         self.adam.step(self.p, grad, rate)
-        self._stay_in_grid()
+        self._stay_in_range()
         return self.mse, (len(self.p.means), 8 * self.size)
 
     def settle(self) -> None:
@@ -108,9 +108,10 @@ class RdFit:
         """Squared error, summed over the picture, that a bit has to be worth."""
         return self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum)
 
-    def _stay_in_grid(self) -> None:
-        """Keep centres where the file can put them: within two cells of the picture, each about as wide as they are."""
-        native.keep_near(GRID_REACH, self.width, self.height, self.p.means.numpy(), self.p.factors.numpy())
+    def _stay_in_range(self) -> None:
+        """Keep Gaussians where the file can put them: centres within two cells of the picture, each about as wide as
+        they are."""
+        native.keep_in_range(GRID_REACH, self.width, self.height, *(t.numpy() for t in self.p.tensors()))
 
     def _reconsider(self, at: float) -> None:
         """Drop Gaussians, steer the quantum and, while growing, add Gaussians."""

@@ -15,7 +15,8 @@ import math
 
 from torch import Tensor
 
-from sgmethod.bitstream.v3 import StreamV3, quantum_code, quantum_of
+from sgmethod.bitstream.v3 import quantum_code, quantum_of
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 
@@ -59,13 +60,13 @@ class Coder:
         native.rd_quantise(self._parameters, *p.arrays(), *out.arrays())
         return out
 
-    def stream(self, p: Parameters) -> StreamV3:
+    def stream(self, p: Parameters) -> StreamV4:
         """The coded picture."""
-        return StreamV3.of(p.numpy(), self.size, self.quantum, self.background, self.grey)
+        return StreamV4.of(p.numpy(), self.size, self.quantum, self.background, self.grey)
 
     def refined(
         self, p: Parameters, target: Tensor, price: float, sweeps: int, seconds: float, max_payload: int
-    ) -> StreamV3:
+    ) -> StreamV4:
         """The coded picture, with integers changed one Gaussian at a time where that lowers squared error plus price
         times bits; then without those that gain least for their bits, until the payload has at most max_payload bytes.
 
@@ -76,4 +77,4 @@ class Coder:
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
         arrays = *p.arrays(), target.numpy()
         payload = native.rd_refine(parameters, *arrays, native.CUTOFF_V3, price, sweeps, seconds, max_payload)
-        return StreamV3(*self.size, self.quantum, self.background, self.grey, upright, payload)
+        return StreamV4(*self.size, self.quantum, self.background, self.grey, upright, payload)

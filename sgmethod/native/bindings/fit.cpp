@@ -36,10 +36,10 @@ void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, 
                  {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), bias.data());
 }
 
-void keep_near(float reach, float width, float height, RowsOut<2> means, Rows<3> factors) {
-  const int n = gaussians(means, factors);
+void keep_in_range(float reach, float width, float height, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors) {
+  const int n = gaussians(means, factors, colors);
   nb::gil_scoped_release release;
-  sg::keep_near(reach, width, height, n, means.data(), factors.data());
+  sg::keep_in_range(reach, width, height, n, {means.data(), factors.data(), colors.data()});
 }
 
 }  // namespace
@@ -54,5 +54,6 @@ void bind_fit(nb::module_& m) {
   m.def("frame_adam", &frame_adam, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(),
         "bias"_a.noconvert());
-  m.def("keep_near", &keep_near, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a);
+  m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
+        "colors"_a.noconvert());
 }

@@ -13,11 +13,12 @@ namespace {
 using Color = std::tuple<float, float, float>;
 
 sg::Rasterization* rasterization(Rows<2> means, Rows<3> factors, int width, int height, float cutoff, int isa,
-                                 int64_t max_pairs) {
+                                 int64_t max_pairs, bool pyramid, int x, int y) {
   require(means.shape(0) == factors.shape(0), "means and factors differ in number");
   const int n = gaussians(means);
   nb::gil_scoped_release release;
-  return new sg::Rasterization(means.data(), factors.data(), n, width, height, cutoff, isa, max_pairs);
+  return new sg::Rasterization(means.data(), factors.data(), n, {x, y, width, height, cutoff, pyramid}, isa,
+                               max_pairs);
 }
 
 void require_colors(const sg::Rasterization& r, const Rows<3>& colors) {
@@ -67,7 +68,7 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
 void bind_raster(nb::module_& m) {
   nb::class_<sg::Rasterization>(m, "Rasterization")
       .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
-           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs)
+           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0)
       .def("render", &render, "colors"_a, "image"_a.noconvert())
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
       .def("squared_error", &squared_error, "colors"_a, "target"_a, "means"_a.noconvert(), "factors"_a.noconvert(),

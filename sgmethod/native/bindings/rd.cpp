@@ -7,7 +7,8 @@
 #include "bindings/arrays.h"
 #include "rd/codec.h"
 #include "rd/rate.h"
-#include "rd/refine.h"
+#include "refine/refine.h"
+#include "rd/symbols.h"
 
 using namespace nb::literals;
 
@@ -69,8 +70,9 @@ auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max
 
 void bind_rd(nb::module_& m) {
   nb::class_<sg::RdParameters>(m, "RdParameters")
-      .def(nb::init<int, int, double, bool, bool>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
-           "upright"_a = false);
+      .def(nb::init<int, int, double, bool, bool, int>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
+           "upright"_a = false, "version"_a = 4);
+  m.def("rd_clipped_values", &sg::clipped_values);
   m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a, "by_factors"_a.noconvert(),
         "by_colors"_a.noconvert());
   m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),

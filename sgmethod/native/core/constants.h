@@ -14,6 +14,12 @@ constexpr float kMaxCutoff = kCutoffV1;  // the kernels' exponentials are sized 
 
 constexpr double kMinScale = 0.3;  // pixels; l1 and l3 are at least this. Kernels use it in single precision.
 
+// What a fit keeps to. Files can say more, single precision cannot: a Gaussian of the largest slant is 4,096 times as long
+// as it is wide.
+constexpr double kMaxScale = 8192.0;     // pixels; l1 and l3 are at most this
+constexpr double kMaxSlant = 2048.0;     // of |l2| / l3
+constexpr double kMaxAmplitude = 32.0;   // of each colour, 1 being full white
+
 // A tile is the part of a picture that one task draws: a strip of columns, cut into blocks of rows.
 constexpr int kTileWidth = 16;
 constexpr int kTileHeight = 64;

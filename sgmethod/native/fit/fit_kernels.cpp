@@ -32,6 +32,7 @@ SG_INLINE double difference_body(float* values, const TileTarget& target) {
         std::fill(values + target.columns, values + kTileWidth, 0.0f);
       }
     }
+  std::fill(values, values + (kTileHeight - target.rows) * 3 * kTileWidth, 0.0f);
   return V::sum(sum);
 }
 
@@ -47,13 +48,13 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch&
                              const float* tile_gradient, float* pair_gradients) {
   using V = Simd<W>;
   using F = typename V::F;
-  const int x0 = tile_x(raster, tile), y0 = tile_y(raster, tile);
+  const int x0 = raster.tile_x(tile), y0 = raster.tile_y(tile);
   const float floor = raster.floor();
   const float* first = batch.first;
   for (const Pair* pair = batch.begin; pair != batch.end; ++pair) {
     const Footprint& f = raster.footprint(pair->gaussian);
     const float* color = colors + 3 * static_cast<int64_t>(pair->gaussian);
-    const float c0 = color[0], c1 = color[1], c2 = color[2];
+    const float c0 = color[0] * f.gain, c1 = color[1] * f.gain, c2 = color[2] * f.gain;
     F d0{}, d1{}, d2{}, m1{}, m2{}, m11{}, m12{}, m22{};
     for (int lane = 0; lane < kTileWidth; lane += W) {
       const F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
@@ -105,14 +106,62 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch&
 
 template <int W>
 SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const float* colors, const TileTarget& target,
-                                    float* first, float* pair_gradients) {
+                                    float* first, float* values, float* pair_gradients) {
   first_values<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), first);
   const Batch all{raster.tile_begin(tile), raster.tile_end(tile), first};
-  alignas(64) float values[kTileFloats] = {};
   forward_body<W>(raster, all, colors, values);
   const double error = difference_body<W>(values, target);
   backward_body<W>(raster, tile, all, colors, values, pair_gradients);
   return error;
+}
+
+// Enlarging transposed, of a tile [kTileHeight][3][kTileWidth]: along y, and then along x. Along an axis, sample w of the
+// result is (t[2w - 3] + 3 t[2w - 2] + 3 t[2w - 1] + t[2w]) / 4 of the tile's samples t.
+template <int W>
+SG_INLINE void reduce_body(const float* gradient, float* reduced) {
+  using V = Simd<W>;
+  using F = typename V::F;
+  constexpr int kVectors = kTileWidth / W, kTaps = 4;
+  constexpr float kWeights[kTaps] = {0.25f, 0.75f, 0.75f, 0.25f};  // of t[2w - tap]
+  // All samples that W results along x need lie in two neighbouring vectors, or are none.
+  typename V::I places[kVectors][kTaps];
+  F weights[kVectors][kTaps];
+  for (int i = 0; i < kVectors; ++i)
+    for (int tap = 0; tap < kTaps; ++tap)
+      for (int lane = 0; lane < W; ++lane) {
+        const int t = 2 * (i * W + lane) - tap;
+        const bool there = t >= 0 && t < kTileWidth;
+        places[i][tap][lane] = there ? t : 0;
+        weights[i][tap][lane] = there ? kWeights[tap] : 0.0f;
+      }
+  const auto row_of = [&](int t, int at) SG_INLINE_LAMBDA {
+    return t >= 0 && t < kTileHeight ? V::load(gradient + t * (3 * kTileWidth) + at) : F{};
+  };
+  for (int w = 0; w < kReducedRows; ++w, reduced += 3 * kTileWidth)
+    for (int k = 0; k < 3; ++k) {
+      F half[kVectors];
+      for (int i = 0; i < kVectors; ++i) {
+        const int at = k * kTileWidth + i * W;
+        half[i] = (row_of(2 * w - 3, at) + row_of(2 * w, at)) * 0.25f + (row_of(2 * w - 2, at) + row_of(2 * w - 1, at)) * 0.75f;
+      }
+      for (int i = 0; i < kVectors; ++i) {
+        F sum{};
+        for (int tap = 0; tap < kTaps; ++tap) sum += shuffle(half[0], half[kVectors - 1], places[i][tap]) * weights[i][tap];
+        V::store(reduced + k * kTileWidth + i * W, sum);
+      }
+    }
+}
+
+// Adds rows of three colours, kTileWidth long.
+template <int W>
+SG_INLINE void add_rows_body(const float* from, int rows, float* to, int64_t stride) {
+  using V = Simd<W>;
+  for (int row = 0; row < rows; ++row, to += 3 * stride)
+    for (int k = 0; k < 3; ++k, from += kTileWidth)
+      for (int lane = 0; lane < kTileWidth; lane += W) {
+        float* out = to + k * stride + lane;
+        V::store(out, V::load(out) + V::load(from + lane));
+      }
 }
 
 // Calls visit(weights, pointer to the picture's values) for each row and vector of lanes that one Gaussian touches.
@@ -140,6 +189,27 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
       }
     }
   }
+}
+
+template <int W>
+SG_INLINE void weights_body(const Footprint& f, float floor, const Span* spans, int count, int first_row, int64_t stride,
+                            float* patch) {
+  using V = Simd<W>;
+  for (const Span* span = spans; span != spans + count; ++span)
+    for (int lane = 0; lane < kTileWidth; lane += W) {
+      const typename V::F dx = lane_centres<W>(static_cast<float>(span->strip * kTileWidth + lane)) - f.x;
+      const typename V::F z1 = dx * f.inv_l1;
+      float* out = patch + (span->first_row - first_row) * stride + (span->strip - spans->strip) * kTileWidth + lane;
+      for (int row = span->first_row; row <= span->last_row;) {
+        const int end = segment_end(f, row, span->last_row);
+        Column<W> c = column<W>(f, dx, z1 * z1 * 0.5f, static_cast<float>(row) + 0.5f - f.y);
+        for (; row < end; ++row, out += stride) {
+          V::store(out, V::max0(c.e - floor));
+          c.e *= c.ratio;
+          c.ratio *= f.decay;
+        }
+      }
+    }
 }
 
 template <int W>
@@ -173,8 +243,11 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
 
 #define SG_FIT_KERNELS(name, width, attribute)                                                                      \
   attribute double squared_error_##name(const Rasterization& r, int tile, const float* colors, const TileTarget& target, \
-                                        float* first, float* pair_gradients) {                                       \
-    return squared_error_body<width>(r, tile, colors, target, first, pair_gradients);                                \
+                                        float* first, float* values, float* pair_gradients) {                        \
+    return squared_error_body<width>(r, tile, colors, target, first, values, pair_gradients);                        \
+  }                                                                                                                  \
+  attribute double difference_##name(float* values, const TileTarget& target) {                                      \
+    return difference_body<width>(values, target);                                                                   \
   }                                                                                                                  \
   attribute void backward_##name(const Rasterization& r, int tile, const float* colors, const float* gradient,       \
                                  float* pair_gradients) {                                                            \
@@ -182,6 +255,16 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
       backward_body<width>(r, tile, batch, colors, gradient, pair_gradients);                                        \
       pair_gradients += (batch.end - batch.begin) * kPairGradients;                                                  \
     });                                                                                                              \
+  }                                                                                                                  \
+  attribute void reduce_##name(const float* gradient, float* reduced) {                                              \
+    reduce_body<(width < 8 ? 8 : width)>(gradient, reduced);                                                         \
+  }                                                                                                                  \
+  attribute void add_rows_##name(const float* from, int rows, float* to, int64_t stride) {                           \
+    add_rows_body<width>(from, rows, to, stride);                                                                    \
+  }                                                                                                                  \
+  attribute void weights_##name(const Footprint& f, float floor, const Span* spans, int count, int first_row,        \
+                                int64_t stride, float* patch) {                                                      \
+    weights_body<width>(f, floor, spans, count, first_row, stride, patch);                                           \
   }                                                                                                                  \
   attribute void add_##name(const Footprint& f, float floor, const Span* spans, int count, const float* color,       \
                             const Strips& picture) {                                                                 \
@@ -191,7 +274,8 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
                                 const Strips& picture, float* products) {                                            \
     project_body<width>(f, floor, spans, count, picture, products);                                                  \
   }                                                                                                                  \
-  constexpr FitKernels k_##name = {squared_error_##name, backward_##name, add_##name, project_##name};
+  constexpr FitKernels k_##name = {squared_error_##name, difference_##name, backward_##name, reduce_##name,    \
+                                   add_rows_##name,      weights_##name,    add_##name,      project_##name};
 
 SG_FIT_KERNELS(baseline, 4, )
 SG_FIT_KERNELS(avx2, 8, [[gnu::target("avx2,fma")]])

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/constants.h"
 #include "core/thread_pool.h"
 
 namespace sg {
@@ -46,11 +47,18 @@ void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGa
   });
 }
 
-void keep_near(float reach, float width, float height, int n, float* means, const float* factors) {
+void keep_in_range(float reach, float width, float height, int n, const MutableGaussians& p) {
+  constexpr auto kLargest = static_cast<float>(kMaxScale), kSlant = static_cast<float>(kMaxSlant);
+  constexpr auto kAmplitude = static_cast<float>(kMaxAmplitude);
   parallel_each(n, kBlock, [&](int i) {
-    const float margin = reach * std::sqrt(factors[3 * i] * factors[3 * i + 2]);
-    means[2 * i] = std::min(std::max(means[2 * i], -margin), width + margin);
-    means[2 * i + 1] = std::min(std::max(means[2 * i + 1], -margin), height + margin);
+    float *mean = p.means + 2 * i, *l = p.factors + 3 * i, *color = p.colors + 3 * i;
+    l[0] = std::min(l[0], kLargest);
+    l[2] = std::min(l[2], kLargest);
+    l[1] = std::clamp(l[1], -kSlant * l[2], kSlant * l[2]);
+    for (int k = 0; k < 3; ++k) color[k] = std::clamp(color[k], -kAmplitude, kAmplitude);
+    const float margin = reach * std::sqrt(l[0] * l[2]);
+    mean[0] = std::clamp(mean[0], -margin, width + margin);
+    mean[1] = std::clamp(mean[1], -margin, height + margin);
   });
 }
 

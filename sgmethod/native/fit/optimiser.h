@@ -27,7 +27,8 @@ struct ConstGaussians {
 void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGaussians& p, const ConstGaussians& grad,
                 float* first, float* second, float* bias);
 
-// Moves each mean that is further than reach sqrt(l1 l3) outside the picture back to there.
-void keep_near(float reach, float width, float height, int n, float* means, const float* factors);
+// Keeps Gaussians where every file can say them: within the largest scale, slant and amplitude (constants.h), and means
+// within reach sqrt(l1 l3) of the picture.
+void keep_in_range(float reach, float width, float height, int n, const MutableGaussians& p);
 
 }  // namespace sg

@@ -57,15 +57,12 @@ SG_INLINE int segments(const Rasterization& raster, const Pair& pair) {
   return (pair.last_row - pair.first_row + segment) / segment;
 }
 
-SG_INLINE int tile_x(const Rasterization& raster, int tile) { return (tile % raster.strips()) * kTileWidth; }
-SG_INLINE int tile_y(const Rasterization& raster, int tile) { return (tile / raster.strips()) * kTileHeight; }
-
 // Computes the values in the first rows of column segments. It is a loop of its own, because the loops over rows would
 // have to wait for each of its exponentials.
 template <int W>
 SG_INLINE void first_values(const Rasterization& raster, int tile, const Pair* begin, const Pair* end, float* first) {
   using V = Simd<W>;
-  const int x0 = tile_x(raster, tile), y0 = tile_y(raster, tile);
+  const int x0 = raster.tile_x(tile), y0 = raster.tile_y(tile);
   for (const Pair* pair = begin; pair != end; ++pair) {
     const Footprint& f = raster.footprint(pair->gaussian);
     for (int lane = 0; lane < kTileWidth; lane += W) {
@@ -112,7 +109,7 @@ SG_INLINE void forward_body(const Rasterization& raster, const Batch& batch, con
   for (const Pair* pair = batch.begin; pair != batch.end; ++pair) {
     const Footprint& f = raster.footprint(pair->gaussian);
     const float* color = colors + 3 * static_cast<int64_t>(pair->gaussian);
-    const float c0 = color[0], c1 = color[1], c2 = color[2];
+    const float c0 = color[0] * f.gain, c1 = color[1] * f.gain, c2 = color[2] * f.gain;
     for (int lane = 0; lane < kTileWidth; lane += W) {
       for (int row = pair->first_row; row <= pair->last_row;) {
         const int end = segment_end(f, row, pair->last_row);

@@ -1,4 +1,4 @@
-// One Gaussian over a pixel grid: what the kernels need of it, and which rows it covers in which strip of columns.
+// One Gaussian over a grid of samples: what the kernels need of it, and which rows it covers in which strip of columns.
 #pragma once
 
 #include <algorithm>
@@ -11,6 +11,16 @@ namespace sg {
 // exp(-x) rounded from double: the C library's may differ from machine to machine, which pixels must not.
 float exp_minus(double x);
 
+// A part of a picture's samples, or of those of a coarser level (levels.h). It begins where a tile begins, so that a
+// tile's values do not depend on the part that is drawn.
+struct Grid {
+  int x = 0, y = 0;  // of the first sample; multiples of kTileWidth and kTileHeight
+  int width = 0, height = 0;
+  int strips() const { return (width + kTileWidth - 1) / kTileWidth; }
+  int blocks() const { return (height + kTileHeight - 1) / kTileHeight; }
+  int tiles() const { return strips() * blocks(); }
+};
+
 // One Gaussian prepared for the kernels. z1 = dx / l1, z2 = (dy - shear dx) / l3, sigma = (z1^2 + z2^2) / 2.
 struct Footprint {
   Footprint() = default;
@@ -21,6 +31,7 @@ struct Footprint {
   float inv_l1, inv_l3;  // 1 / l1, 1 / l3
   float shear;           // l2 / l1
   float decay;           // exp(-1 / l3^2): what the ratio of two neighbouring rows loses per row
+  float gain = 1.0f;     // of its colour
   int segment = 0;       // rows after which the recurrence starts anew
 };
 
@@ -31,34 +42,36 @@ inline int clamp_to_int(float v, int low, int high) {
   return v < static_cast<float>(high) ? static_cast<int>(v) : high;
 }
 
-// The rows that the ellipse within `reach` of its own axes covers in each strip of a picture. The edge above dx is
+// The rows that the ellipse within `reach` of its own axes covers in each strip of a grid. The edge above dx is
 // shear dx + l3 sqrt(reach^2 - (dx / l1)^2), concave, with its summit at dx = reach l1 l2 / sqrt(l2^2 + l3^2).
-// Calls visit(strip, first row, last row) for each strip in which there are any; returns the strips looked at.
+// Calls visit(strip, first row, last row), counted within the grid, for each strip in which there are any; returns the
+// strips looked at.
 template <typename Visit>
-int spans(const Footprint& f, const float* l, float reach, int width, int height, const Visit& visit) {
-  constexpr float kMargin = 0.01f;  // pixels by which a footprint is widened: far more than its rounding error
+int spans(const Footprint& f, const float* l, float reach, const Grid& grid, const Visit& visit) {
+  constexpr float kMargin = 0.01f;  // samples by which a footprint is widened: far more than its rounding error
   if (f.segment == 0) return 0;
-  const int strips = (width + kTileWidth - 1) / kTileWidth;
   const float half_width = reach * l[0];
   const float half_height = std::sqrt(l[1] * l[1] + l[2] * l[2]);
   const float summit = half_width * l[1] / half_height;
   const float beyond = reach * 1.001f * half_height + 1.0f;  // far more than any rounding error
-  if (f.y + beyond < 0.0f || f.y - beyond > static_cast<float>(height)) return 0;
+  const int bottom_row = grid.y + grid.height;
+  if (f.y + beyond < static_cast<float>(grid.y) || f.y - beyond > static_cast<float>(bottom_row)) return 0;
   const auto edge = [&](float dx) {
     const float z = dx * f.inv_l1;
     return l[2] * std::sqrt(std::max(reach * reach - z * z, 0.0f));
   };
-  const int s0 = clamp_to_int(std::floor((f.x - half_width - kMargin - 0.5f) / kTileWidth), 0, strips);
-  const int s1 = clamp_to_int(std::floor((f.x + half_width + kMargin) / kTileWidth), -1, strips - 1);
+  const int first = grid.x / kTileWidth, end = first + grid.strips();
+  const int s0 = clamp_to_int(std::floor((f.x - half_width - kMargin - 0.5f) / kTileWidth), first, end);
+  const int s1 = clamp_to_int(std::floor((f.x + half_width + kMargin) / kTileWidth), first - 1, end - 1);
   for (int strip = s0; strip <= s1; ++strip) {
     const float left = std::clamp(static_cast<float>(strip * kTileWidth) - f.x, -half_width, half_width);
     const float right = std::clamp(static_cast<float>((strip + 1) * kTileWidth) - f.x, -half_width, half_width);
     const float top_dx = std::clamp(-summit, left, right), bottom_dx = std::clamp(summit, left, right);
     const float top = f.y + f.shear * top_dx - edge(top_dx) - kMargin;
     const float bottom = f.y + f.shear * bottom_dx + edge(bottom_dx) + kMargin;
-    const int row0 = clamp_to_int(std::ceil(top - 0.5f), 0, height);
-    const int row1 = clamp_to_int(std::floor(bottom - 0.5f), -1, height - 1);
-    if (row0 <= row1) visit(strip, row0, row1);
+    const int row0 = clamp_to_int(std::ceil(top - 0.5f), grid.y, bottom_row);
+    const int row1 = clamp_to_int(std::floor(bottom - 0.5f), grid.y - 1, bottom_row - 1);
+    if (row0 <= row1) visit(strip - first, row0 - grid.y, row1 - grid.y);
   }
   return std::max(s1 - s0 + 1, 0);
 }

@@ -21,6 +21,7 @@ SG_INLINE Bytes levels(const float* in) {
   return reinterpret_cast<Bytes>(_mm_packus_epi16(low, high));
 }
 
+template <int W>
 SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
     const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth), b = levels(accumulators + 2 * kTileWidth);
@@ -37,16 +38,82 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
   }
 }
 
+// Where byte shuffles are quick: the three levels of a pixel in one integer, whose fourth byte is then left out.
+SG_INLINE void rows_of_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
+  using V = Simd<8>;
+  typedef uint8_t Bytes32 __attribute__((vector_size(32)));
+  constexpr Bytes32 kKept = {0,  1,  2,  4,  5,  6,  8,  9,  10, 12, 13, 14, 3,  3,  3,  3,
+                             16, 17, 18, 20, 21, 22, 24, 25, 26, 28, 29, 30, 19, 19, 19, 19};
+  for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
+    uint8_t out[3 * kTileWidth + 4];  // each store of 16 bytes leaves 12 that count
+    for (int lane = 0; lane < kTileWidth; lane += 8) {
+      const auto level = [&](int k) SG_INLINE_LAMBDA {
+        const V::F clamped = V::min(V::max0(V::load(accumulators + k * kTileWidth + lane)), V::all(1.0f));
+        return __builtin_convertvector(clamped * 255.0f + 0.5f, V::I);
+      };
+      const V::I whole = level(0) | level(1) << 8 | level(2) << 16;
+      const Bytes32 kept = shuffle(reinterpret_cast<Bytes32>(whole), reinterpret_cast<Bytes32>(whole), kKept);
+      std::memcpy(out + 3 * lane, &kept, 16);
+      std::memcpy(out + 3 * lane + 12, reinterpret_cast<const uint8_t*>(&kept) + 16, 16);
+    }
+    if (columns == kTileWidth) std::memcpy(pixels, out, 3 * kTileWidth);
+    else std::memcpy(pixels, out, 3 * static_cast<size_t>(columns));
+  }
+}
+template <>
+SG_INLINE void bytes_body<8>(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
+  rows_of_bytes(accumulators, columns, rows, pixels, stride);
+}
+template <>
+SG_INLINE void bytes_body<16>(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
+  rows_of_bytes(accumulators, columns, rows, pixels, stride);
+}
+
+// Along an axis, sample 2u of the result is (3 c[u + 1] + c[u]) / 4 and sample 2u + 1 is (3 c[u + 1] + c[u + 2]) / 4, with
+// c the coarse samples: first along x, then along y.
+template <int W>
+SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const float* background, float* accumulators) {
+  using V = Simd<W>;
+  using F = typename V::F;
+  typename V::I near_places, far_places;
+  for (int i = 0; i < W; ++i) near_places[i] = 1 + i / 2, far_places[i] = i % 2 == 0 ? i / 2 : i / 2 + 2;
+  constexpr int kVectors = 3 * kTileWidth / W;
+  const auto along_x = [&](int row, F* out) SG_INLINE_LAMBDA {
+    for (int i = 0; i < kVectors; ++i) {
+      const int k = i * W / kTileWidth, lane = i * W % kTileWidth;
+      const F in = V::load(coarse + (3 * row + k) * stride + lane / 2);
+      out[i] = shuffle(in, in, near_places) * 0.75f + shuffle(in, in, far_places) * 0.25f;
+    }
+  };
+  F above[kVectors], near[kVectors], below[kVectors];
+  along_x(0, above);
+  along_x(1, near);
+  for (int row = 0; row < rows; row += 2, accumulators += 6 * kTileWidth) {
+    along_x(row / 2 + 2, below);
+    for (int i = 0; i < kVectors; ++i) {
+      const float under = background[i * W / kTileWidth];
+      V::store(accumulators + i * W, (near[i] * 0.75f + above[i] * 0.25f) + under);
+      V::store(accumulators + 3 * kTileWidth + i * W, (near[i] * 0.75f + below[i] * 0.25f) + under);
+      above[i] = near[i];
+      near[i] = below[i];
+    }
+  }
+}
+
 #define SG_KERNELS(name, width, attribute)                                                                        \
   attribute void forward_##name(const Rasterization& r, int tile, const float* colors, float* accumulators) {     \
     for_batches<width>(r, tile, [&](const Batch& batch) SG_INLINE_LAMBDA {                                        \
       forward_body<width>(r, batch, colors, accumulators);                                                        \
     });                                                                                                           \
   }                                                                                                               \
-  attribute void bytes_##name(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) { \
-    bytes_body(accumulators, columns, rows, pixels, stride);                                                      \
+  attribute void enlarge_##name(const float* coarse, int64_t stride, int rows, const float* background,           \
+                                float* accumulators) {                                                            \
+    enlarge_body<width>(coarse, stride, rows, background, accumulators);                                          \
   }                                                                                                               \
-  constexpr TileKernels k_##name = {forward_##name, bytes_##name};
+  attribute void bytes_##name(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) { \
+    bytes_body<width>(accumulators, columns, rows, pixels, stride);                                                      \
+  }                                                                                                               \
+  constexpr TileKernels k_##name = {forward_##name, enlarge_##name, bytes_##name};
 
 SG_KERNELS(baseline, 4, )
 SG_KERNELS(avx2, 8, [[gnu::target("avx2")]])

@@ -5,6 +5,8 @@
 
 namespace sg {
 
+constexpr int kReducedRows = kTileHeight / 2 + 2;  // of a tile, on the next level
+constexpr int kReducedFloats = 3 * kTileWidth * kReducedRows;  // rows of kTileWidth, of which kTileWidth / 2 + 2 are set
 constexpr int kPairGradients = 8;  // mean x, y; l1, l2, l3; colour r, g, b
 
 // A run of rows in one strip of columns.
@@ -33,17 +35,29 @@ struct TileTarget {
 struct TileKernels {
   // accumulators [kTileHeight][3][kTileWidth] += sum over the tile's Gaussians of colour times weight.
   void (*forward)(const Rasterization&, int tile, const float* colors, float* accumulators);
+  // accumulators = background [3] plus a part of the next level, enlarged. coarse: the first of its samples, rows of three
+  // colours `stride` floats long. rows: of the tile, as far as they are needed.
+  void (*enlarge)(const float* coarse, int64_t stride, int rows, const float* background, float* accumulators);
   // Pixels [rows][columns][3] of 8 bits, rows `stride` bytes apart, from accumulators clamped to [0, 1].
   void (*bytes)(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride);
 };
 
 struct FitKernels {
   // Returns the tile's squared error. pair_gradients [pairs of the tile][kPairGradients]: the gradients of that error
-  // times scale / 2. first: room for first_value_count() floats.
+  // times scale / 2. first: room for first_value_count() floats. values: laid out as accumulators are; what lies below the
+  // tile's Gaussians comes in, the gradient by the tile's picture leaves.
   double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* first,
-                          float* pair_gradients);
+                          float* values, float* pair_gradients);
+  // values = (values less the target) times its scale, and 0 beyond the picture. Returns the squared error.
+  double (*difference)(float* values, const TileTarget&);
   // pair_gradients from the gradient by the tile's picture, which is laid out as accumulators are.
   void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
+  // reduced [kReducedRows][3][kTileWidth]: what a gradient by the tile's picture comes to on the next level.
+  void (*reduce)(const float* gradient, float* reduced);
+  // to += from [rows][3][kTileWidth]; rows of three colours `stride` floats long.
+  void (*add_rows)(const float* from, int rows, float* to, int64_t stride);
+  // patch [rows][stride] = the weights of one Gaussian, from the span's first strip on; values between spans stay.
+  void (*weights)(const Footprint&, float floor, const Span* spans, int count, int first_row, int64_t stride, float* patch);
   // picture += color [3] times the weights of one Gaussian.
   void (*add)(const Footprint&, float floor, const Span* spans, int count, const float* color, const Strips& picture);
   // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight.

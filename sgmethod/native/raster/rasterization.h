@@ -1,8 +1,9 @@
-// The geometry of a set of Gaussians laid over a pixel grid: which of them touch which tile, and in which
-// rows. Built once per geometry; rendering with any colours, and the gradients, start from it.
+// The geometry of a set of Gaussians laid over a picture: which of them touch which tile, and in which rows. Built once
+// per geometry; rendering with any colours, and the gradients, start from it.
 //
-// A tile is one strip of kTileWidth columns and kTileHeight rows. A lane of a vector owns a column, so a
-// Gaussian's value down a column is a recurrence of two multiplications (see columns.h).
+// A tile is one strip of kTileWidth columns and kTileHeight rows. A lane of a vector owns a column, so a Gaussian's value
+// down a column is a recurrence of two multiplications (see columns.h). In a pyramid the coarse levels (levels.h) have
+// tiles of their own, which are counted after those of the picture.
 #pragma once
 
 #include <cstdint>
@@ -27,14 +28,24 @@ struct Gradients {
   float* colors;   // [n, 3]
 };
 
+// What is drawn of a picture, and by which rules.
+struct Canvas {
+  int x = 0, y = 0;    // of the first pixel
+  int width, height;   // pixels
+  float cutoff;        // sigma at which a Gaussian ends
+  bool pyramid;        // whether wide Gaussians are drawn on coarser levels
+};
+
+class Planes;
+struct Strips;
+
 class Rasterization {
  public:
   // means [n, 2] in pixels, factors [n, 3] = (l1, l2, l3) in pixels. Gaussians that are not finite or have
   // l1 or l3 <= 0 contribute nothing. Throws std::overflow_error if more than max_pairs (Gaussian, tile) pairs
   // would be needed: memory and time follow that number. isa: one of core/isa.h, or below 0 for the best. Throws
   // std::invalid_argument for a size, cutoff or instruction set that cannot be.
-  Rasterization(const float* means, const float* factors, int n, int width, int height, float cutoff, int isa,
-                int64_t max_pairs);
+  Rasterization(const float* means, const float* factors, int n, const Canvas& canvas, int isa, int64_t max_pairs);
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;
@@ -46,22 +57,30 @@ class Rasterization {
   // that no picture goes through memory.
   double squared_error(const float* colors, const float* target, const Gradients& out) const;
 
+  // left = target [3, height, width] less the picture; reduced: what that comes to on the coarse levels of grids().
+  void leave(const float* colors, const float* target, const Strips& left, Planes& reduced) const;
+
   int gaussians() const { return n_; }
-  int width() const { return width_; }
-  int height() const { return height_; }
+  int width() const { return canvas_.width; }
+  int height() const { return canvas_.height; }
+  const std::vector<Grid>& grids() const { return grids_; }  // of level 0 to that of the widest Gaussian
 
   float floor() const { return floor_; }  // exp(-cutoff)
   const Footprint& footprint(int gaussian) const { return footprints_[gaussian]; }
-  int strips() const { return strips_; }
   const Pair* tile_begin(int tile) const { return pairs_.get() + tile_start_[tile]; }
   const Pair* tile_end(int tile) const { return pairs_.get() + tile_start_[tile + 1]; }
-  int64_t tile_offset(int tile) const { return tile_start_[tile]; }
+  // A tile's first sample.
+  int tile_x(int tile) const { return corner(tile).x; }
+  int tile_y(int tile) const { return corner(tile).y; }
 
  private:
-  struct Area {
-    int x, y, columns, rows;  // the tile's first pixel, and how much of the tile lies within the picture
+  struct Corner {
+    int x, y;
   };
-  Area area(int tile) const;
+  // A tile's place in the picture, as far as the picture goes. Rows and columns before `skip` are not asked for.
+  struct Area {
+    int x, y, columns, rows, skip_columns, skip_rows;
+  };
   // Some consecutive Gaussians, and their pairs in the order in which spans() finds them.
   struct Bin {
     int64_t at_most;              // pairs that there can be
@@ -70,20 +89,41 @@ class Rasterization {
     std::vector<Pair> pairs;      // until they lie in pairs_
     std::vector<int32_t> next;    // [tiles] until then: the number of pairs in each tile, later the place of the next
   };
+  int top() const { return static_cast<int>(grids_.size()) - 1; }
+  int tiles(int level) const { return first_tile_[level + 1] - first_tile_[level]; }
+  int tiles() const { return first_tile_.back(); }
+  int level_of_tile(int tile) const;
+  Corner corner(int tile) const;
+  Area area(int tile) const;
+  void place(const float* means, const float* factors);
+  void find_pairs(int64_t max_pairs);
   template <typename Visit>
   int spans(int gaussian, const Visit& visit) const;
   void bin(int gaussian, Bin& bin) const;
   void sort_pairs();
-  void sum_pairs(const float* pair_gradients, const Gradients& out) const;
-  // The number of pairs, counted without memory and no further than the limit. A Gaussian counts as its strips where
-  // these are more than its pairs: looking at them takes time too.
   int64_t pairs_up_to(int64_t limit) const;
 
-  int n_, width_, height_, strips_, blocks_, isa_;
-  int chunk_;  // Gaussians in a bin
+  int rows_of(int tile) const;
+  void draw_coarse(const float* colors, Planes& planes) const;
+  void begin_tile(Planes& planes, int tile, const float* background, float* accumulators) const;
+  template <typename Fill>
+  void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
+  void load(Planes& planes, int tile, float* values) const;
+  template <typename Fill>
+  void reduce_all(const Fill& fill, Planes& planes) const;
+  template <typename Load>
+  void reduce(int level, Planes& planes, const Load& load_tile) const;
+  void sum_pairs(const float* colors, const float* pair_gradients, const Gradients& out) const;
+
+  const Canvas canvas_;
+  int n_, isa_;
+  int chunk_ = 0;  // Gaussians in a bin
   float reach_, floor_;
   std::vector<Footprint> footprints_;
-  std::vector<float> factors_;
+  std::vector<float> original_, factors_;  // factors in pixels; and in samples of the Gaussian's level
+  std::vector<uint8_t> levels_;
+  std::vector<Grid> grids_;       // of level 0, 1, ...
+  std::vector<int> first_tile_;   // [levels + 1]
   std::vector<Bin> bins_;
   std::unique_ptr<Pair[]> pairs_;    // sorted by tile, then by Gaussian
   std::vector<int64_t> tile_start_;  // [tiles + 1]

@@ -131,8 +131,9 @@ class Decoding {
 
 }  // namespace
 
-RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright)
-    : width(width), height(height), quantum(quantum), grey(grey), upright(upright) {
+RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, int version)
+    : width(width), height(height), quantum(quantum), grey(grey), upright(upright), version(version) {
+  if (version != 3 && version != 4) throw std::invalid_argument("no such version of profile rd");
   if (!(width > 0 && height > 0 && quantum > 0)) throw std::invalid_argument("parameters must be positive");
   if (width > kMaxSide || height > kMaxSide) throw std::invalid_argument("a side is more than 65535 pixels");
 }
@@ -151,7 +152,7 @@ void rd_quantise(const RdParameters& p, const float* means, const float* factors
                  float* out_means, float* out_factors, float* out_colors) {
   for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
     if (s) {
-      dequantise(p, *s, Geometry(*s, Steps(*s)), out_means + 2 * i, out_factors + 3 * i, out_colors + 3 * i);
+      dequantise(p, *s, Geometry(*s, Steps(p, *s)), out_means + 2 * i, out_factors + 3 * i, out_colors + 3 * i);
     } else {
       std::copy_n(means + 2 * i, 2, out_means + 2 * i);
       std::copy_n(factors + 3 * i, 3, out_factors + 3 * i);

@@ -9,11 +9,12 @@ namespace sg {
 
 struct RdParameters {
   // Throws std::invalid_argument for what no file can have.
-  RdParameters(int width, int height, double quantum, bool grey, bool upright);
+  RdParameters(int width, int height, double quantum, bool grey, bool upright, int version);
   int width, height;
   double quantum;   // about the root of the error energy of one step of any parameter; image in [0, 1]
   bool grey;        // no chroma in the stream
   bool upright;     // no shear in the stream
+  int version;      // of the format: 3 or 4
 };
 
 constexpr uint64_t kMaxGaussians = 1 << 24;

@@ -71,17 +71,16 @@ struct Models {
     const uint32_t size_b = p.grey ? 0 : code_number(coder, b[level(size_a)], magnitude(s.b));
     const int colored = (y != 0) << 2 | (size_a != 0) << 1 | (size_b != 0);
     if (colored == 0) throw std::runtime_error("a Gaussian has no colour");
-    if (std::max({y, size_a, size_b}) > kMaxColor) throw std::runtime_error("a colour is out of range");
+    if (std::max({y, size_a, size_b}) > static_cast<uint32_t>(limits_of(p).color)) throw std::runtime_error("a colour is out of range");
     const int of_color = coder.symbol(color_signs[colored], (s.y < 0) << 2 | (s.a < 0) << 1 | (s.b < 0));
     s.y = with_sign(y, of_color & 4);
     s.a = with_sign(size_a, of_color & 2);
     s.b = with_sign(size_b, of_color & 1);
-    const Steps steps(s);
+    const Steps steps(p, s);
     s.u = coder.raw(s.u, steps.u_bits());
     const uint32_t size_v = code_number(coder, v[steps.bucket()], magnitude(s.v));
     const uint32_t size_r = p.upright ? 0 : code_number(coder, r[steps.bucket()], magnitude(s.r));
-    if (std::max(size_v, size_r) > kMaxShape || size_v * steps.v() > kMaxAspect)
-      throw std::runtime_error("a shape is out of range");
+    if (!steps.allow(size_v, size_r)) throw std::runtime_error("a shape is out of range");
     const int shaped = (size_v != 0) << 1 | (size_r != 0);
     const int of_shape = shaped ? coder.symbol(shape_signs[shaped], (s.v < 0) << 1 | (s.r < 0)) : 0;
     s.v = with_sign(size_v, of_shape & 2);

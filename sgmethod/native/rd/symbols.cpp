@@ -1,5 +1,6 @@
 #include "rd/symbols.h"
 
+#include <atomic>
 #include <cmath>
 #include <cstring>
 
@@ -10,7 +11,6 @@ namespace {
 
 constexpr double kClassWidth = 0.34657359027997264;  // log(2) / 2: one class in u
 constexpr double kLeastScale = static_cast<float>(kMinScale);
-constexpr int kMaxRefineBits = 12;
 // Cells beyond each edge of the picture. A centre further out is moved into the outermost of them. So is one that a
 // 16-bit coordinate does not reach: this happens to the smallest classes at the far end of sides above 65,531 pixels.
 constexpr int kBorderCells = 2;
@@ -57,16 +57,27 @@ uint32_t gather_bits(uint32_t v) {
 }
 
 // Bits by which a cell is divided so that a part is at most one step: the first power of two above sqrt(square).
-int refine_bits(double square) {
+int refine_bits(double square, int most) {
   uint64_t bits;
   std::memcpy(&bits, &square, sizeof bits);  // positive and normal
   const int exponent = static_cast<int>(bits >> 52) - 1023;
-  return std::clamp((exponent >> 1) + 1, 0, kMaxRefineBits);
+  return std::clamp((exponent >> 1) + 1, 0, most);
+}
+
+std::atomic<int64_t> clipped{0};
+
+double within(double value, double low, double high) {
+  if (value < low || value > high) clipped.fetch_add(1, std::memory_order_relaxed);
+  return std::clamp(value, low, high);
 }
 
 uint32_t cell_coordinate(double position, int bits, int side) {
   const double cell = std::floor(position / (1 << bits)) + kBorderCells;
-  return static_cast<uint32_t>(std::clamp(cell, 0.0, cells_along(side, bits) - 1.0));
+  return static_cast<uint32_t>(within(cell, 0.0, cells_along(side, bits) - 1.0));
+}
+
+double color_step(const RdParameters& p, int size_class) {
+  return std::max(p.quantum / (class_size(size_class) * kColorScale), limits_of(p).color_step);
 }
 
 }  // namespace
@@ -78,10 +89,19 @@ double Steps::power(int exponent) {
   return value;
 }
 
-Steps::Steps(const Symbols& s) {
+bool in_range(const float* l, const float* color) {
+  const auto small = [](float v, double most) { return std::abs(v) <= 1.5 * most; };
+  return small(l[1], kMaxSlant * l[2]) && small(l[0], kMaxScale) && small(l[2], kMaxScale) && small(color[0], kMaxAmplitude) &&
+         small(color[1], kMaxAmplitude) && small(color[2], kMaxAmplitude);
+}
+
+int64_t clipped_values() { return clipped.load(std::memory_order_relaxed); }
+
+Steps::Steps(const RdParameters& p, const Symbols& s) : limits(limits_of(p)) {
   const int64_t whole = int64_t{s.y} * s.y + int64_t{s.a} * s.a + int64_t{s.b} * s.b;
   square = static_cast<double>(whole);
-  exponent = (64 - __builtin_clzll(static_cast<uint64_t>(whole))) >> 1;  // 2^(2 e - 1) <= m^2 < 2^(2 e + 1)
+  const int nearest = (64 - __builtin_clzll(static_cast<uint64_t>(whole))) >> 1;  // 2^(2 e - 1) <= m^2 < 2^(2 e + 1)
+  exponent = std::min(nearest, limits.exponent);
 }
 
 Geometry::Geometry(const Symbols& s, const Steps& steps) {
@@ -94,8 +114,8 @@ Geometry::Geometry(const Symbols& s, const Steps& steps) {
   l2 = r * l3;
   // (side / (sqrt(2) / m scale))^2
   const double square = steps.square * Steps::power(2 * cell_bits(s.size_class) - 1);
-  x_bits = refine_bits(square * (1.0 + r * r) / (l1 * l1));
-  y_bits = refine_bits(square / (l3 * l3));
+  x_bits = refine_bits(square * (1.0 + r * r) / (l1 * l1), steps.limits.part_bits);
+  y_bits = refine_bits(square / (l3 * l3), steps.limits.part_bits);
 }
 
 uint32_t cells_along(int side, int bits) {
@@ -112,24 +132,26 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
     return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
   };
   if (!finite(mean, 2) || !finite(factor, 3) || !finite(color, 3) || !(l1 > 0 && l3 > 0)) return false;
+  const Limits& limits = limits_of(p);
   const double u = 0.5 * std::log(l1 * l3);
-  s.size_class = std::clamp(static_cast<int>(std::lround(u / kClassWidth)), kMinClass, kMaxClass);
-  const double color_step = p.quantum / (class_size(s.size_class) * kColorScale);
+  s.size_class = static_cast<int>(within(std::round(u / kClassWidth), kMinClass, kMaxClass));
+  const double step = color_step(p, s.size_class);
   const Luma l = to_luma(color);
-  const auto round_to = [](double v, double limit) { return static_cast<int>(std::clamp(std::round(v), -limit, limit)); };
-  s.y = round_to(l.y / color_step, kMaxColor);
-  s.a = p.grey ? 0 : round_to(l.a / color_step, kMaxColor);
-  s.b = p.grey ? 0 : round_to(l.b / color_step, kMaxColor);
+  const auto round_to = [](double v, double limit) { return static_cast<int>(within(std::round(v), -limit, limit)); };
+  s.y = round_to(l.y / step, limits.color);
+  s.a = p.grey ? 0 : round_to(l.a / step, limits.color);
+  s.b = p.grey ? 0 : round_to(l.b / step, limits.color);
   if (s.empty()) return false;
-  const Steps steps(s);
+  const Steps steps(p, s);
   const double levels = static_cast<double>(1u << steps.u_bits());
   s.u = static_cast<uint32_t>(std::clamp(std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels), 0.0, levels - 1));
-  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::min(std::floor(kMaxAspect / steps.v()), 1.0 * kMaxShape));
+  const auto most = [&](double value, double of_step) { return std::min(std::floor(value / of_step), limits.shape_steps); };
+  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), most(limits.v, steps.v()));
   // r is chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded. If r = l2 / l3 were rounded instead,
   // the rounding error of v would turn a slanted needle, and count 1 + r^2 times.
   s.r = 0;
   const Geometry flat(s, steps);
-  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), kMaxShape);
+  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), most(limits.r, steps.r()));
   const Geometry g(s, steps);
   const int cell = cell_bits(s.size_class);
   const auto place = [&](double position, int side, int refine, uint32_t& part) {
@@ -158,8 +180,8 @@ void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, floa
   factor[0] = static_cast<float>(g.l1);
   factor[1] = static_cast<float>(g.l2);
   factor[2] = static_cast<float>(g.l3);
-  const double color_step = p.quantum / (class_size(s.size_class) * kColorScale);
-  to_rgb({s.y * color_step, s.a * color_step, s.b * color_step}, color);
+  const double step = color_step(p, s.size_class);
+  to_rgb({s.y * step, s.a * step, s.b * step}, color);
 }
 
 }  // namespace sg

@@ -23,8 +23,21 @@
 namespace sg {
 
 constexpr int kMinClass = -4, kMaxClass = 28;  // size 2^(class / 2) pixels
-constexpr int kMaxColor = 1 << 20, kMaxShape = 1 << 16;
-constexpr double kMaxAspect = 20.0;  // of v: exp(20) is beyond any picture
+
+// What the integers of a version may be. In version 3 the range of v and r ends at a number of steps: the finer the steps,
+// the smaller the largest shear, so that a slanted needle in a fine file is drawn as something else. From version 4 on it
+// ends at values that do not depend on the steps, and steps are no finer than single precision can use.
+struct Limits {
+  int color;              // of each part of a colour, in steps
+  double v, r;            // of |v| and |r|
+  double shape_steps;     // of |v| and |r|, in steps
+  int exponent;           // of the length of the colour vector, as far as it decides steps
+  int u_bits, part_bits;  // by which a class, and a cell, are divided
+  double color_step;      // at least
+};
+constexpr Limits kLimitsV3 = {1 << 20, 20.0, 1e300, 65536.0, 64, 8, 12, 0.0};
+constexpr Limits kLimitsV4 = {1 << 22, 8.0, 4096.0, 1e300, 18, 12, 16, 1.0 / 65536};
+inline const Limits& limits_of(const RdParameters& p) { return p.version == 3 ? kLimitsV3 : kLimitsV4; }
 
 // The integers of one Gaussian.
 struct Symbols {
@@ -40,14 +53,19 @@ struct Symbols {
 
 // The steps that follow from the colour: the class's width halved u_bits() times for u, powers of two for v and r.
 struct Steps {
-  explicit Steps(const Symbols& s);
+  Steps(const RdParameters& p, const Symbols& s);
+  const Limits& limits;
   double square;  // m^2
   int exponent;   // of the power of two nearest to m
-  int u_bits() const { return std::clamp(exponent - 1, 0, 8); }  // 0.3466 / 2^bits against 0.707 / m
+  int u_bits() const { return std::clamp(exponent - 1, 0, limits.u_bits); }  // 0.3466 / 2^bits against 0.707 / m
   double v() const { return power(-exponent); }
   double r() const { return kRStep * v(); }
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
-  static double power(int exponent);                    // of two
+  // Whether a shape of so many steps of v and of r is one that the version has.
+  bool allow(double v_steps, double r_steps) const {
+    return std::max(v_steps, r_steps) <= limits.shape_steps && v_steps * v() <= limits.v && r_steps * r() <= limits.r;
+  }
+  static double power(int exponent);  // of two
 };
 
 struct Geometry {
@@ -62,8 +80,15 @@ inline int cell_bits(int size_class) { return std::max(0, (size_class + 1) / 2);
 uint32_t cells_along(int side, int bits);
 bool in_grid(const RdParameters& p, int bits, uint32_t cell);
 
-// Rounds one Gaussian to integers. False if nothing of it is left.
+// What fits keep to, so that no version's range is ever left: within kMaxSlant, kMaxAmplitude and kMaxScale (constants.h),
+// with room for the steps that refining takes.
+bool in_range(const float* factor, const float* color);
+
+// Rounds one Gaussian to integers. False if nothing of it is left. What lies outside of the range of its integer is moved
+// to its end, and counted.
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s);
+// Values that were moved so, since the process began.
+int64_t clipped_values();
 void erase_empty(std::vector<Symbols>& all);
 // What is left of n Gaussians.
 std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n);

@@ -14,7 +14,7 @@
 #include "raster/rasterization.h"
 #include "rd/codec.h"
 #include "rd/rate.h"
-#include "rd/refine.h"
+#include "refine/refine.h"
 
 namespace {
 
@@ -54,7 +54,7 @@ TEST(kernels_of_every_instruction_set_draw_the_same) {
     const sg::GaussianArrays g = scattered(300, wild);
     std::vector<std::vector<uint8_t>> pictures;
     for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
-      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, kWidth, kHeight, sg::kCutoffV3, isa, sg::kMaxPairs);
+      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, {0, 0, kWidth, kHeight, sg::kCutoffV3, wild}, isa, sg::kMaxPairs);
       pictures.emplace_back(3 * kPixels);
       const float background[3] = {0.1f, 0.5f, 0.9f};
       raster.render_bytes(g.colors.data(), background, pictures.back().data());
@@ -69,7 +69,7 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
     std::vector<float> image(3 * kPixels), grad(3 * kPixels), target(3 * kPixels, 0.5f), bias(600, 0.5f);
     std::vector<float> first(2400), second(2400);
     for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
-      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, kWidth, kHeight, sg::kCutoffV1, isa, sg::kMaxPairs);
+      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, {0, 0, kWidth, kHeight, sg::kCutoffV1, wild}, isa, sg::kMaxPairs);
       const sg::Gradients out{by.means.data(), by.factors.data(), by.colors.data()};
       raster.render(g.colors.data(), image.data());
       sg::ReconstructionLoss loss(target.data(), kWidth, kHeight, 0.5f);
@@ -81,7 +81,7 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
     const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f);
     sg::frame_adam(settings, 1.0f, 300, {g.means.data(), g.factors.data(), g.colors.data()},
                    {by.means.data(), by.factors.data(), by.colors.data()}, first.data(), second.data(), bias.data());
-    sg::keep_near(2.0f, kWidth, kHeight, 300, g.means.data(), g.factors.data());
+    sg::keep_in_range(2.0f, kWidth, kHeight, 300, {g.means.data(), g.factors.data(), g.colors.data()});
   }
 }
 
@@ -96,7 +96,7 @@ TEST(loss_of_pictures_without_a_whole_neighbourhood) {
 TEST(kernels_refuse_what_cannot_be) {
   const float mean[2] = {}, factor[3] = {1, 0, 1};
   const auto raster = [&](int width, int height, float cutoff, int isa) {
-    return [=, &mean, &factor] { sg::Rasterization(mean, factor, 1, width, height, cutoff, isa, sg::kMaxPairs); };
+    return [=, &mean, &factor] { sg::Rasterization(mean, factor, 1, {0, 0, width, height, cutoff, false}, isa, sg::kMaxPairs); };
   };
   const float nan = std::numeric_limits<float>::quiet_NaN();
   CHECK(check::throws<std::invalid_argument>(raster(0, 1, 3.0f, -1)));
@@ -104,9 +104,9 @@ TEST(kernels_refuse_what_cannot_be) {
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, nan, -1)));
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, 5.6f, -1)));
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, 3.0f, sg::best_isa() + 1)));
-  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false); }));
-  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false); }));
-  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 1, std::nan(""), false, false); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false, 4); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false, 4); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 1, std::nan(""), false, false, 4); }));
 }
 
 TEST(codec_gives_back_what_rounding_leaves) {

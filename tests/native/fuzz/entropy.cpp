@@ -19,7 +19,7 @@ constexpr uint64_t kMostGaussians = 1 << 14;
 
 std::vector<uint8_t> picture(const sg::RdParameters& p, const sg::GaussianArrays& g, int isa, int64_t max_pairs) {
   const int n = static_cast<int>(g.means.size() / 2);
-  const sg::Rasterization raster(g.means.data(), g.factors.data(), n, p.width, p.height, sg::kCutoffV3, isa, max_pairs);
+  const sg::Rasterization raster(g.means.data(), g.factors.data(), n, {0, 0, p.width, p.height, sg::kCutoffV3, false}, isa, max_pairs);
   std::vector<uint8_t> pixels(3 * static_cast<size_t>(p.width) * p.height);
   const float background[3] = {0.0f, 0.5f, 1.0f};
   raster.render_bytes(g.colors.data(), background, pixels.data());

@@ -4,7 +4,8 @@
 // Gaussian at all. The cost is squared error plus price times bits.
 //
 // Let e be what the others leave, w the weights of a candidate and c its colour. The squared error is
-// |e|^2 - 2 c <w, e> + |c|^2 <w, w>. So four sums over the candidate's pixels give the error for every colour.
+// |e|^2 - 2 c <w, e> + |c|^2 <w, w>. So four sums over the candidate's pixels give the error for every colour. For a
+// Gaussian of a coarse level the sums are over its level (gram.h). A visit leaves it on its level.
 #pragma once
 
 #include <cmath>
@@ -13,8 +14,10 @@
 
 #include "core/isa.h"
 #include "raster/kernels.h"
+#include "raster/levels.h"
 #include "rd/models.h"
-#include "rd/refine.h"
+#include "refine/gram.h"
+#include "refine/refine.h"
 
 namespace sg {
 namespace {
@@ -38,6 +41,7 @@ struct BitCounter {
 struct Candidate {
   Symbols symbols;
   float mean[2], factor[3], color[3];
+  int level;
   double cost;  // less that of no Gaussian at all
 };
 
@@ -47,11 +51,14 @@ struct State {
   const RefineSettings& settings;
   float floor, reach;
   Strips left;  // what all Gaussians leave of the target
+  Planes* reduced;  // and what that comes to on coarse levels
+  const Gram* gram;
   Models models;
 
   Candidate decoded(const Symbols& s) const {
-    Candidate c{s, {}, {}, {}, 0};
-    dequantise(p, s, Geometry(s, Steps(s)), c.mean, c.factor, c.color);
+    Candidate c{s, {}, {}, {}, 0, 0};
+    dequantise(p, s, Geometry(s, Steps(p, s)), c.mean, c.factor, c.color);
+    c.level = level_of(c.factor);
     return c;
   }
 
@@ -77,13 +84,14 @@ class Visitor {
 
   Outcome visit(Symbols& s) {
     const Candidate now = state_.decoded(s);
+    level_ = now.level;
     outside_ = false;
     add(now, 1.0f);
     if (outside_) return Outcome::kOutside;
     Candidate best{};  // none at all
     best.cost = 0;
     consider(now, best);
-    const Steps steps(s);
+    const Steps steps(state_.p, s);
     const Geometry g(s, steps);
     for (int sign = -1; sign <= 1 && !outside_; sign += 2) {
       // One step of u may lead to another class of size, so the Gaussian grows and is rounded again.
@@ -103,8 +111,7 @@ class Visitor {
         } else {
           moved.py += sign;
         }
-        if (std::abs(moved.v) > kMaxShape || std::abs(moved.r) > kMaxShape) continue;
-        if (std::abs(moved.v) * steps.v() > kMaxAspect) continue;
+        if (!steps.allow(std::abs(moved.v), std::abs(moved.r))) continue;
         if (moved.px >> g.x_bits || moved.py >> g.y_bits) continue;
         c = state_.decoded(moved);
         // Another shape divides the cell into other parts, so the mean is rounded again.
@@ -123,24 +130,51 @@ class Visitor {
   }
 
   void add(const Candidate& c, float sign) {
-    const Footprint f(c.mean, c.factor);
-    const std::vector<Span>& spans = spans_of(f, c.factor);
     const float color[3] = {sign * c.color[0], sign * c.color[1], sign * c.color[2]};
+    if (c.level != 0) {
+      const float gain = draw(c);
+      if (gain == 0.0f) return;
+      const float scaled[3] = {gain * color[0], gain * color[1], gain * color[2]};
+      Gram::add(patch_, c.level, scaled, *state_.reduced);
+      return;
+    }
+    const Footprint f(c.mean, c.factor);
+    const std::vector<Span>& spans = spans_of(f, c.factor, 0);
     fit_kernels(best_isa()).add(f, state_.floor, spans.data(), static_cast<int>(spans.size()), color, state_.left);
   }
 
   void project(const Candidate& c, float* products) {
+    if (c.level != 0) {
+      std::fill_n(products, 4, 0.0f);
+      const float gain = draw(c);
+      if (gain == 0.0f) return;
+      Gram::project(patch_, c.level, *state_.reduced, products);
+      for (int k = 0; k < 3; ++k) products[k] *= gain;
+      products[3] *= gain * gain;
+      return;
+    }
     const Footprint f(c.mean, c.factor);
-    const std::vector<Span>& spans = spans_of(f, c.factor);
+    const std::vector<Span>& spans = spans_of(f, c.factor, 0);
     fit_kernels(best_isa()).project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left, products);
   }
 
  private:
   bool quantised(const float* mean, const float* factor, const float* color, Candidate& c) const {
     Symbols s{};
-    if (!quantise(state_.p, mean, factor, color, s)) return false;
+    if (!in_range(factor, color) || !quantise(state_.p, mean, factor, color, s)) return false;
     c = state_.decoded(s);
     return true;
+  }
+
+  // Sets the patch to a Gaussian of a coarse level. Returns the gain of its colour; 0 if nothing of it is there.
+  float draw(const Candidate& c) {
+    const Levelled g(c.mean, c.factor, c.level);
+    const Footprint f(g.mean, g.factor);
+    const std::vector<Span>& spans = spans_of(f, g.factor, c.level);
+    if (spans.empty()) return 0.0f;
+    patch_.draw(f, state_.floor, spans);
+    state_.gram->apply(c.level, patch_);
+    return g.gain;
   }
 
   double cost(const Candidate& c, const float* products) {
@@ -151,6 +185,7 @@ class Visitor {
 
   // Compares c with the best so far, and then c with the colour that is best for its geometry.
   void consider(Candidate c, Candidate& best) {
+    if (c.level != level_) return;
     float products[4];
     project(c, products);
     if (products[3] <= 0.0f) return;
@@ -158,7 +193,7 @@ class Visitor {
     if (c.cost < best.cost) best = c;
     const float color[3] = {products[0] / products[3], products[1] / products[3], products[2] / products[3]};
     Symbols rounded{};
-    if (!quantise(state_.p, c.mean, c.factor, color, rounded)) return;
+    if (!in_range(c.factor, color) || !quantise(state_.p, c.mean, c.factor, color, rounded)) return;
     for (int toward = 0; toward < 4; ++toward) {  // the rounded colour; then one of its three parts a step nearer to zero
       Symbols s = rounded;
       if (toward > 0) {
@@ -177,7 +212,7 @@ class Visitor {
     if (s.y == c.symbols.y && s.a == c.symbols.a && s.b == c.symbols.b) return;
     Symbols same = c.symbols;
     same.y = s.y, same.a = s.a, same.b = s.b;
-    const Steps before(c.symbols), after(same);
+    const Steps before(state_.p, c.symbols), after(state_.p, same);
     Candidate found;
     if (same.size_class == s.size_class && before.exponent == after.exponent) {
       const Geometry old_geometry(c.symbols, before), geometry(same, after);
@@ -189,7 +224,7 @@ class Visitor {
       }
     }
     const Candidate colored = state_.decoded(same);
-    if (!quantised(c.mean, c.factor, colored.color, found)) return;
+    if (!quantised(c.mean, c.factor, colored.color, found) || found.level != level_) return;
     float again[4];
     project(found, again);
     found.cost = cost(found, again);
@@ -197,10 +232,10 @@ class Visitor {
   }
 
   // The spans of a Gaussian; none, and outside_ is set, where one of them lies outside the part.
-  const std::vector<Span>& spans_of(const Footprint& f, const float* factor) {
+  const std::vector<Span>& spans_of(const Footprint& f, const float* factor, int level) {
     spans_.clear();
     bool within = true;
-    spans(f, factor, state_.reach, state_.p.width, state_.p.height, [&](int strip, int row0, int row1) {
+    spans(f, factor, state_.reach, state_.reduced->grid(level), [&](int strip, int row0, int row1) {
       within = within && strip >= part_.strip0 && strip < part_.strip1 && row0 >= part_.row0 && row1 < part_.row1;
       spans_.push_back({strip, row0, row1});
     });
@@ -214,7 +249,9 @@ class Visitor {
   State& state_;
   const Part part_;
   bool outside_ = false;
+  int level_ = 0;  // of the Gaussian that is visited
   std::vector<Span> spans_;
+  Patch patch_;
 };
 
 }  // namespace

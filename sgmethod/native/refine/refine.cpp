@@ -10,16 +10,17 @@
 // as it was, and the Gaussian waits. After the four phases those that wait are visited one by one, over the whole picture.
 //
 // The order of visits that share pixels is thus fixed, and the result does not depend on the number of threads.
-#include "rd/refine.h"
+#include "refine/refine.h"
 
 #include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <climits>
 #include <cmath>
+#include <memory>
 #include <numeric>
 
-#include "rd/visitor.h"
+#include "refine/visitor.h"
 #include "core/thread_pool.h"
 
 namespace sg {
@@ -34,17 +35,13 @@ using Clock = std::chrono::steady_clock;
 class Refinement {
  public:
   Refinement(const RdParameters& p, std::vector<Symbols> all, const float* target, const RefineSettings& settings)
-      : state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, {}}, all_(std::move(all)) {
+      : target_(target), state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr,
+                                nullptr, {}},
+        all_(std::move(all)) {
     const int64_t strips = (p.width + kTileWidth - 1) / kTileWidth;
     values_.assign(strips * p.height * 3 * kTileWidth, 0.0f);
     state_.left = {values_.data(), p.width, p.height};
-    for (int k = 0; k < 3; ++k)
-      for (int row = 0; row < p.height; ++row)
-        for (int x = 0; x < p.width; ++x)
-          state_.left.row(x / kTileWidth, row)[k * kTileWidth + x % kTileWidth] =
-              target[(static_cast<int64_t>(k) * p.height + row) * p.width + x];
-    Visitor visitor(state_, whole());
-    for (const Symbols& s : all_) visitor.add(state_.decoded(s), -1.0f);
+    look();
   }
 
   std::vector<uint8_t> run() {
@@ -66,12 +63,41 @@ class Refinement {
     }
   }
 
-  // Visits all Gaussians once, and returns how many have changed.
+  // Draws the picture, and sets what it leaves of the target.
+  void look() {
+    GaussianArrays g;
+    for (const Symbols& s : all_) {
+      const Candidate c = state_.decoded(s);
+      g.means.insert(g.means.end(), c.mean, c.mean + 2);
+      g.factors.insert(g.factors.end(), c.factor, c.factor + 3);
+      g.colors.insert(g.colors.end(), c.color, c.color + 3);
+    }
+    const Canvas canvas{0, 0, state_.p.width, state_.p.height, state_.settings.cutoff, true};
+    const Rasterization raster(g.means.data(), g.factors.data(), static_cast<int>(all_.size()), canvas, -1, kMaxPairs);
+    reduced_ = std::make_unique<Planes>(raster.grids());
+    if (!gram_ || gram_levels_ < raster.grids().size()) {
+      gram_ = std::make_unique<Gram>(raster.grids());
+      gram_levels_ = raster.grids().size();
+    }
+    state_.reduced = reduced_.get();
+    state_.gram = gram_.get();
+    raster.leave(g.colors.data(), target_, state_.left, *reduced_);
+  }
+
+  // Visits all Gaussians once, level by level from the top, and returns how many have changed. A level's changes reach
+  // the residuals of the others when these are looked at again.
   size_t visit_everywhere() {
-    std::vector<size_t> waiting(all_.size());
-    std::iota(waiting.begin(), waiting.end(), size_t{0});
-    const size_t changed = visit_cells(waiting);
-    return changed + visit_all(whole(), waiting);
+    look();
+    std::vector<std::vector<size_t>> levels(static_cast<size_t>(reduced_->top()) + 1);
+    for (size_t i = 0; i < all_.size(); ++i) levels[static_cast<size_t>(state_.decoded(all_[i]).level)].push_back(i);
+    size_t changed = 0;
+    for (size_t level = levels.size() - 1; level >= 1; --level) {
+      const size_t here = visit_all(whole(), levels[level]);
+      if (here != 0) look();
+      changed += here;
+    }
+    changed += visit_cells(levels[0]);
+    return changed + visit_all(whole(), levels[0]);
   }
 
   // The four phases. Visits the Gaussians in `waiting`, and leaves there those that have to wait.
@@ -136,6 +162,7 @@ class Refinement {
   // Leaves out Gaussians, beginning with those that lower the error least for each of their bits. Stops at a part of the
   // excess: the bits are estimates, and the neighbours of one that has gone are worth more than before.
   void drop_least(size_t bytes) {
+    look();
     std::vector<std::pair<double, size_t>> order(all_.size());
     std::vector<double> sizes(all_.size());
     parallel_chunks(static_cast<int>(all_.size()), kPatience, [&](int first, int last, int) {
@@ -152,18 +179,20 @@ class Refinement {
     });
     std::sort(order.begin(), order.end());
     double excess = 0.6 * 8.0 * static_cast<double>(bytes - state_.settings.max_bytes);
-    Visitor visitor(state_, whole());
     for (size_t k = 0; k < order.size() && (k == 0 || excess > 0); ++k) {
       Symbols& s = all_[order[k].second];
-      visitor.add(state_.decoded(s), 1.0f);
       excess -= sizes[order[k].second];
       s.y = s.a = s.b = 0;
     }
   }
 
+  const float* target_;
   State state_;
   std::vector<Symbols> all_;
   std::vector<float> values_;  // of state_.left
+  std::unique_ptr<Planes> reduced_;
+  std::unique_ptr<Gram> gram_;
+  size_t gram_levels_ = 0;
   Clock::time_point until_;
 };
 

@@ -1,0 +1,46 @@
+// Values in memory for each sample of the coarse levels (levels.h): pictures, or gradients by them.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+#include "core/scratch.h"
+#include "raster/footprint.h"
+
+namespace sg {
+
+// Rows of three colours, [height][3][stride], one level after the other. Enlarging may read beyond a row's last sample, but
+// not beyond its stride. Values are not set at first.
+class Planes {
+ public:
+  // grids: of level 0, 1, ...; the first takes no memory.
+  explicit Planes(std::vector<Grid> grids) : grids_(std::move(grids)), offsets_(offsets()), values_(offsets_.back()) {}
+
+  int top() const { return static_cast<int>(grids_.size()) - 1; }
+  const Grid& grid(int level) const { return grids_[static_cast<size_t>(level)]; }
+  // Floats from one colour of a row to the next.
+  int64_t stride(int level) const { return (grid(level).strips() + 1) * kTileWidth; }
+  // A sample's red, by its place on the level.
+  float* at(int level, int x, int y) {
+    return values_.get() + offsets_[static_cast<size_t>(level)] +
+           static_cast<int64_t>(y - grid(level).y) * 3 * stride(level) + (x - grid(level).x);
+  }
+  // Rows from `first` to before `end` become zero.
+  void clear(int level, int first, int end) {
+    if (first < end) std::fill_n(at(level, grid(level).x, first), (end - first) * 3 * stride(level), 0.0f);
+  }
+
+ private:
+  std::vector<size_t> offsets() const {
+    std::vector<size_t> ends(2, 0);
+    for (int level = 1; level <= top(); ++level)
+      ends.push_back(ends.back() + static_cast<size_t>(grid(level).height * 3 * stride(level)));
+    return ends;
+  }
+  std::vector<Grid> grids_;
+  std::vector<size_t> offsets_;  // [levels + 1]
+  Scratch values_;
+};
+
+}  // namespace sg

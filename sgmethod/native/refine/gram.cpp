@@ -1,0 +1,154 @@
+#include "refine/gram.h"
+
+#include <algorithm>
+
+#include "core/isa.h"
+#include "raster/levels.h"
+
+// Each function for several instruction sets; the loader picks one, before the thread sanitizer can watch it do so.
+#ifdef __SANITIZE_THREAD__
+#define SG_CLONES
+#else
+#define SG_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#endif
+
+namespace sg {
+namespace {
+
+constexpr int kLanes = 16;  // partial sums, so that their order does not depend on the instruction set
+
+// out = the sum of five rows, or of a row moved by five places, each times weights of its own.
+SG_CLONES void weighted_sum(const float* const (&in)[Patch::kTaps], const float* const (&weights)[Patch::kTaps], float* out,
+                            int count) {
+  for (int i = 0; i < count; ++i)
+    out[i] = weights[0][i] * in[0][i] + weights[1][i] * in[1][i] + weights[2][i] * in[2][i] + weights[3][i] * in[3][i] +
+             weights[4][i] * in[4][i];
+}
+
+SG_CLONES void weighted_sum(const float* const (&in)[Patch::kTaps], const float (&weights)[Patch::kTaps], float* out, int count) {
+  const float w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3], w4 = weights[4];
+  for (int i = 0; i < count; ++i) out[i] = w0 * in[0][i] + w1 * in[1][i] + w2 * in[2][i] + w3 * in[3][i] + w4 * in[4][i];
+}
+
+SG_CLONES void add_products(const float* a, const float* b, int count, float (&partial)[kLanes]) {
+  for (int i = 0; i < count; i += kLanes)
+    for (int k = 0; k < kLanes; ++k) partial[k] += a[i + k] * b[i + k];
+}
+
+SG_CLONES void add_scaled(const float* in, float scale, int count, float* out) {
+  for (int i = 0; i < count; ++i) out[i] += scale * in[i];
+}
+
+float total(const float (&partial)[kLanes]) {
+  float sum = 0;
+  for (float p : partial) sum += p;
+  return sum;
+}
+
+}  // namespace
+
+void Patch::draw(const Footprint& f, float floor, const std::vector<Span>& spans) {
+  int first = spans[0].first_row, last = spans[0].last_row;
+  for (const Span& span : spans) {
+    first = std::min(first, span.first_row);
+    last = std::max(last, span.last_row);
+  }
+  const int strips = spans.back().strip - spans.front().strip + 1;
+  x_ = spans.front().strip * kTileWidth - kMarginColumns;
+  y_ = first - kMarginRows;
+  rows_ = last - first + 1 + 2 * kMarginRows;
+  columns_ = strips * kTileWidth + 2 * kMarginColumns;
+  weights_.assign(static_cast<size_t>(rows_) * columns_, 0.0f);
+  fit_kernels(best_isa())
+      .weights(f, floor, spans.data(), static_cast<int>(spans.size()), first, columns_, weights(kMarginRows) + kMarginColumns);
+}
+
+// Level by level: of fine samples i and j that both lie in the picture, each gives to two coarse ones, near and far.
+std::vector<Gram::Band> Gram::bands(const std::vector<int>& sizes) {
+  std::vector<Band> all;
+  for (size_t level = 0; level < sizes.size(); ++level) {
+    Band band(sizes[level]);
+    if (level == 0) {
+      for (int i = 0; i < sizes[0]; ++i) *band.at(2, i) = 1.0f;
+      all.push_back(std::move(band));
+      continue;
+    }
+    const int fine_level = static_cast<int>(level) - 1;
+    for (int i = 0; i < sizes[level - 1]; ++i)
+      for (int tap = 0; tap < Patch::kTaps; ++tap) {
+        const int j = i + tap - 2;
+        if (j < 0 || j >= sizes[level - 1]) continue;
+        const float value = *all.back().at(tap, i);
+        const auto far = [&](int fine) { return coarse_of(fine, fine_level) + (fine % 2 == 0 ? 0 : 2); };
+        const auto near = [&](int fine) { return coarse_of(fine, fine_level) + 1; };
+        const auto give = [&](int a, int b, float share) { *band.at(b - a + 2, a) += share * value; };
+        give(near(i), near(j), 0.5625f);
+        give(near(i), far(j), 0.1875f);
+        give(far(i), near(j), 0.1875f);
+        give(far(i), far(j), 0.0625f);
+      }
+    all.push_back(std::move(band));
+  }
+  return all;
+}
+
+Gram::Gram(const std::vector<Grid>& grids) {
+  std::vector<int> widths, heights;
+  for (const Grid& grid : grids) {
+    widths.push_back(grid.width);
+    heights.push_back(grid.height);
+  }
+  across_ = bands(widths);
+  down_ = bands(heights);
+}
+
+void Gram::apply(int level, Patch& patch) const {
+  constexpr int kRows = Patch::kMarginRows;
+  const Band &across = across_[static_cast<size_t>(level)], &down = down_[static_cast<size_t>(level)];
+  const int columns = patch.columns_, used = columns - 4;
+  patch.half_.assign(patch.weights_.size(), 0.0f);
+  patch.product_.assign(patch.weights_.size(), 0.0f);
+  const auto half = [&](int row) { return patch.half_.data() + static_cast<size_t>(row) * columns; };
+  for (int row = kRows; row < patch.rows_ - kRows; ++row) {
+    const float* in = patch.weights(row);
+    const float* const moved[] = {in, in + 1, in + 2, in + 3, in + 4};
+    const int x = patch.x_ + 2;
+    const float* const taps[] = {across.at(0, x), across.at(1, x), across.at(2, x), across.at(3, x), across.at(4, x)};
+    weighted_sum(moved, taps, half(row) + 2, used);
+  }
+  for (int row = 0; row < patch.rows_; ++row) {
+    const auto near = [&](int tap) { return half(std::clamp(row + tap - 2, 0, patch.rows_ - 1)); };
+    const auto tap = [&](int k) {
+      const bool within = row + k - 2 >= 0 && row + k - 2 < patch.rows_;
+      return within ? *down.at(k, patch.y_ + row) : 0.0f;
+    };
+    const float* const rows[] = {near(0), near(1), near(2), near(3), near(4)};
+    const float taps[] = {tap(0), tap(1), tap(2), tap(3), tap(4)};
+    weighted_sum(rows, taps, patch.product_.data() + static_cast<size_t>(row) * columns, columns);
+  }
+}
+
+void Gram::project(const Patch& patch, int level, Planes& reduced, float* sums) {
+  constexpr int kRows = Patch::kMarginRows, kColumns = Patch::kMarginColumns;
+  float partial[4][kLanes] = {};
+  const int count = patch.columns_ - 2 * kColumns;
+  for (int row = kRows; row < patch.rows_ - kRows; ++row) {
+    const float* weights = patch.weights(row) + kColumns;
+    const float* values = reduced.at(level, patch.x_ + kColumns, patch.y_ + row);
+    for (int k = 0; k < 3; ++k) add_products(weights, values + k * reduced.stride(level), count, partial[k]);
+    add_products(weights, patch.product(row) + kColumns, count, partial[3]);
+  }
+  for (int k = 0; k < 4; ++k) sums[k] = total(partial[k]);
+}
+
+void Gram::add(const Patch& patch, int level, const float* color, Planes& reduced) {
+  const Grid& grid = reduced.grid(level);
+  const int left = std::max(grid.x, patch.x_), right = std::min(grid.x + grid.width, patch.x_ + patch.columns_);
+  const int top = std::max(grid.y - patch.y_, 0), bottom = std::min(patch.rows_, grid.y + grid.height - patch.y_);
+  for (int row = top; row < bottom; ++row)
+    for (int k = 0; k < 3; ++k)
+      add_scaled(patch.product(row) + left - patch.x_, color[k], right - left,
+                 reduced.at(level, left, patch.y_ + row) + k * reduced.stride(level));
+}
+
+}  // namespace sg

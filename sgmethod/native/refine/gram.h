@@ -1,0 +1,64 @@
+// What the Gaussians of a coarse level are to each other as pictures. A Gaussian with weights w in samples of its level is
+// the picture U w, with U all enlarging down to the pixels. The energy of its picture is w U^T U w, and what it adds to the
+// reduced residual of its own level is U^T U w. Along an axis U^T U is a band of five: two samples further away, two samples'
+// pictures no longer overlap. Pixels outside the picture do not count.
+#pragma once
+
+#include <array>
+#include <vector>
+
+#include "raster/kernels.h"
+#include "raster/planes.h"
+
+namespace sg {
+
+// The weights of one Gaussian in samples of its level, in a rectangle with a margin around them; and their Gram product.
+class Patch {
+ public:
+  static constexpr int kMarginRows = 2, kMarginColumns = 8;
+  static constexpr int kTaps = 5;
+
+  // Sets the weights. spans: at least one.
+  void draw(const Footprint& f, float floor, const std::vector<Span>& spans);
+  bool drawn() const { return rows_ > 0; }
+
+  int x() const { return x_; }  // of the first column, margin included
+  int y() const { return y_; }
+  int rows() const { return rows_; }
+  int columns() const { return columns_; }
+  const float* weights(int row) const { return weights_.data() + static_cast<size_t>(row) * columns_; }
+  float* weights(int row) { return weights_.data() + static_cast<size_t>(row) * columns_; }
+  const float* product(int row) const { return product_.data() + static_cast<size_t>(row) * columns_; }
+
+ private:
+  friend class Gram;
+  int x_ = 0, y_ = 0, rows_ = 0, columns_ = 0;
+  std::vector<float> weights_, half_, product_;
+};
+
+class Gram {
+ public:
+  explicit Gram(const std::vector<Grid>& grids);
+
+  // Sets the patch's product with U^T U of a level.
+  void apply(int level, Patch& patch) const;
+  // Sums over the level: the patch's weights times the red, green and blue of a reduced residual, and times its own product.
+  static void project(const Patch& patch, int level, Planes& reduced, float* sums);
+  // reduced += color [3] times the patch's product.
+  static void add(const Patch& patch, int level, const float* color, Planes& reduced);
+
+ private:
+  static constexpr int kPad = 32;  // places beyond both ends of an axis that a patch may touch
+  // U^T U along an axis: at(tap, place) belongs to the samples `place` and `place` + tap - 2.
+  struct Band {
+    explicit Band(int size) : stride(size + 2 * kPad), values(static_cast<size_t>(Patch::kTaps) * stride) {}
+    float* at(int tap, int place) { return values.data() + static_cast<size_t>(tap) * stride + place + kPad; }
+    const float* at(int tap, int place) const { return values.data() + static_cast<size_t>(tap) * stride + place + kPad; }
+    int stride;
+    std::vector<float> values;
+  };
+  static std::vector<Band> bands(const std::vector<int>& sizes);
+  std::vector<Band> across_, down_;  // by level
+};
+
+}  // namespace sg
