@@ -56,7 +56,7 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch&
     const float* color = colors + 3 * static_cast<int64_t>(pair->gaussian);
     const float c0 = color[0] * f.gain, c1 = color[1] * f.gain, c2 = color[2] * f.gain;
     F d0{}, d1{}, d2{}, m1{}, m2{}, m11{}, m12{}, m22{};
-    for (int lane = 0; lane < kTileWidth; lane += W) {
+    for (int lane = lanes_begin<W>(*pair); lane < lanes_end<W>(*pair); lane += W) {
       const F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
       const F z1 = dx * f.inv_l1;
       F g0{}, g2{}, g22{};

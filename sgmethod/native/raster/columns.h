@@ -45,6 +45,12 @@ SG_INLINE int segment_end(const Footprint& f, int row, int last_row) {
   return row + f.segment <= last_row ? row + f.segment : last_row + 1;
 }
 
+// The lanes of a pair, in whole vectors.
+template <int W>
+SG_INLINE int lanes_begin(const Pair& pair) { return pair.first_lane / W * W; }
+template <int W>
+SG_INLINE int lanes_end(const Pair& pair) { return pair.last_lane / W * W + W; }
+
 // Some of a tile's pairs. first: the values in the first row of each of their column segments, 2 kTileWidth floats for
 // each segment, in the order in which first_values() writes and next_column() reads them.
 struct Batch {
@@ -65,7 +71,7 @@ SG_INLINE void first_values(const Rasterization& raster, int tile, const Pair* b
   const int x0 = raster.tile_x(tile), y0 = raster.tile_y(tile);
   for (const Pair* pair = begin; pair != end; ++pair) {
     const Footprint& f = raster.footprint(pair->gaussian);
-    for (int lane = 0; lane < kTileWidth; lane += W) {
+    for (int lane = lanes_begin<W>(*pair); lane < lanes_end<W>(*pair); lane += W) {
       const typename V::F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
       const typename V::F z1 = dx * f.inv_l1;
       for (int row = pair->first_row; row <= pair->last_row; row += f.segment, first += 2 * W) {
@@ -110,7 +116,7 @@ SG_INLINE void forward_body(const Rasterization& raster, const Batch& batch, con
     const Footprint& f = raster.footprint(pair->gaussian);
     const float* color = colors + 3 * static_cast<int64_t>(pair->gaussian);
     const float c0 = color[0] * f.gain, c1 = color[1] * f.gain, c2 = color[2] * f.gain;
-    for (int lane = 0; lane < kTileWidth; lane += W) {
+    for (int lane = lanes_begin<W>(*pair); lane < lanes_end<W>(*pair); lane += W) {
       for (int row = pair->first_row; row <= pair->last_row;) {
         const int end = segment_end(f, row, pair->last_row);
         Column<W> c = next_column<W>(first);

@@ -1,5 +1,12 @@
 #include "raster/footprint.h"
 
+// For several instruction sets; the loader picks one, before the thread sanitizer can watch it do so.
+#ifdef __SANITIZE_THREAD__
+#define SG_CLONES
+#else
+#define SG_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#endif
+
 namespace sg {
 namespace {
 
@@ -13,24 +20,44 @@ int segment_rows(float l3) {
   return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment);
 }
 
-// exp(-inv_l3^2). In a segment it is multiplied up to 120 times, and its error with it: so it is computed in double
-// precision.
-float decay(float inv_l3) { return exp_minus(std::min(static_cast<double>(inv_l3) * inv_l3, kMaxDecay)); }
-
 bool drawable(const float* mean, const float* factor) {
   return std::isfinite(mean[0]) && std::isfinite(mean[1]) && std::isfinite(factor[1]) && factor[0] > 0.0f &&
          factor[2] > 0.0f && std::isfinite(factor[0]) && std::isfinite(factor[2]) && std::isfinite(1.0f / factor[0]) &&
          std::isfinite(1.0f / (factor[2] * factor[2])) && std::isfinite(factor[1] / factor[0]);
 }
 
+// exp(-x) = exp(-x / 1024)^1024
+SG_CLONES void exps_minus(const double* x, double* value, int count) {
+  for (int i = 0; i < count; ++i) {
+    double v = 1.0;
+    for (int k = 9; k > 0; --k) v = 1.0 - v * (x[i] / 1024.0) / k;
+    for (int k = 0; k < 10; ++k) v *= v;
+    value[i] = v;
+  }
+}
+
 }  // namespace
 
-// exp(-x) = exp(-x / 1024)^1024
 float exp_minus(double x) {
-  double value = 1.0;
-  for (int k = 9; k > 0; --k) value = 1.0 - value * (x / 1024.0) / k;
-  for (int k = 0; k < 10; ++k) value *= value;
+  double value;
+  exps_minus(&x, &value, 1);
   return static_cast<float>(value);
+}
+
+// exp(-inv_l3^2). In a segment it is multiplied up to 120 times, and its error with it: so it is computed in double
+// precision.
+void set_decays(Footprint* footprints, int count) {
+  constexpr int kTogether = 64;
+  double x[kTogether] = {}, value[kTogether];
+  for (int first = 0; first < count; first += kTogether) {
+    const int here = std::min(kTogether, count - first);
+    for (int i = 0; i < here; ++i) {
+      const Footprint& f = footprints[first + i];
+      x[i] = f.segment == 0 ? 0.0 : std::min(static_cast<double>(f.inv_l3) * f.inv_l3, kMaxDecay);
+    }
+    exps_minus(x, value, here);
+    for (int i = 0; i < here; ++i) footprints[first + i].decay = static_cast<float>(value[i]);
+  }
 }
 
 Footprint::Footprint(const float* mean, const float* factor) {
@@ -40,7 +67,6 @@ Footprint::Footprint(const float* mean, const float* factor) {
   inv_l1 = 1.0f / factor[0];
   inv_l3 = 1.0f / factor[2];
   shear = factor[1] / factor[0];
-  decay = sg::decay(inv_l3);
   segment = segment_rows(factor[2]);
 }
 

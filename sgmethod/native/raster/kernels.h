@@ -9,11 +9,6 @@ constexpr int kReducedRows = kTileHeight / 2 + 2;  // of a tile, on the next lev
 constexpr int kReducedFloats = 3 * kTileWidth * kReducedRows;  // rows of kTileWidth, of which kTileWidth / 2 + 2 are set
 constexpr int kPairGradients = 8;  // mean x, y; l1, l2, l3; colour r, g, b
 
-// A run of rows in one strip of columns.
-struct Span {
-  int strip, first_row, last_row;  // inclusive
-};
-
 // A picture of strips: [strips][height][3][kTileWidth].
 struct Strips {
   float* values;

@@ -80,6 +80,7 @@ void Rasterization::place(const float* means, const float* factors) {
       levels_[i] = static_cast<uint8_t>(level);
       highest = std::max(highest, level);
     }
+    set_decays(&footprints_[first], last - first);
     for (int seen = top; seen < highest && !top.compare_exchange_weak(seen, highest);) {}
   });
   grids_ = grids_of(canvas_.x, canvas_.y, canvas_.width, canvas_.height, top);
@@ -153,7 +154,7 @@ int64_t Rasterization::pairs_up_to(int64_t limit) const {
     for (int i = first; i < last && total.load(std::memory_order_relaxed) <= limit; ++i) {
       int64_t pairs = 0;
       const int strips =
-          spans(i, [&](int, int row0, int row1) { pairs += row1 / kTileHeight - row0 / kTileHeight + 1; });
+          spans(i, [&](const Span& s) { pairs += s.last_row / kTileHeight - s.first_row / kTileHeight + 1; });
       total.fetch_add(std::max<int64_t>(pairs, strips), std::memory_order_relaxed);
     }
   });
@@ -162,11 +163,13 @@ int64_t Rasterization::pairs_up_to(int64_t limit) const {
 
 void Rasterization::bin(int gaussian, Bin& bin) const {
   const int level = levels_[gaussian], strips_across = grids_[level].strips();
-  spans(gaussian, [&](int strip, int row0, int row1) {
-    for (int base = row0 / kTileHeight * kTileHeight; base <= row1; base += kTileHeight) {
-      const int tile = first_tile_[level] + base / kTileHeight * strips_across + strip;
-      bin.pairs.push_back({gaussian, static_cast<int16_t>(std::max(row0 - base, 0)),
-                           static_cast<int16_t>(std::min(row1 - base, kTileHeight - 1))});
+  spans(gaussian, [&](const Span& span) {
+    const int first = span.first_row / kTileHeight * kTileHeight;
+    for (int base = first; base <= span.last_row; base += kTileHeight) {
+      const int tile = first_tile_[level] + base / kTileHeight * strips_across + span.strip;
+      bin.pairs.push_back({gaussian, static_cast<uint8_t>(std::max(span.first_row - base, 0)),
+                           static_cast<uint8_t>(std::min(span.last_row - base, kTileHeight - 1)), span.first_lane,
+                           span.last_lane});
       bin.places.push_back(tile);
       ++bin.next[tile];
     }

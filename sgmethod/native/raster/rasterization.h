@@ -19,7 +19,8 @@ constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory ends l
 
 struct Pair {
   int32_t gaussian;
-  int16_t first_row, last_row;  // within the tile, inclusive
+  uint8_t first_row, last_row;    // within the tile, inclusive
+  uint8_t first_lane, last_lane;  // likewise
 };
 
 struct Gradients {

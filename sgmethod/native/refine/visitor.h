@@ -138,7 +138,7 @@ class Visitor {
       Gram::add(patch_, c.level, scaled, *state_.reduced);
       return;
     }
-    const Footprint f(c.mean, c.factor);
+    const Footprint f = footprint(c.mean, c.factor);
     const std::vector<Span>& spans = spans_of(f, c.factor, 0);
     fit_kernels(best_isa()).add(f, state_.floor, spans.data(), static_cast<int>(spans.size()), color, state_.left);
   }
@@ -153,12 +153,18 @@ class Visitor {
       products[3] *= gain * gain;
       return;
     }
-    const Footprint f(c.mean, c.factor);
+    const Footprint f = footprint(c.mean, c.factor);
     const std::vector<Span>& spans = spans_of(f, c.factor, 0);
     fit_kernels(best_isa()).project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left, products);
   }
 
  private:
+  static Footprint footprint(const float* mean, const float* factor) {
+    Footprint f(mean, factor);
+    set_decays(&f, 1);
+    return f;
+  }
+
   bool quantised(const float* mean, const float* factor, const float* color, Candidate& c) const {
     Symbols s{};
     if (!in_range(factor, color) || !quantise(state_.p, mean, factor, color, s)) return false;
@@ -169,7 +175,7 @@ class Visitor {
   // Sets the patch to a Gaussian of a coarse level. Returns the gain of its colour; 0 if nothing of it is there.
   float draw(const Candidate& c) {
     const Levelled g(c.mean, c.factor, c.level);
-    const Footprint f(g.mean, g.factor);
+    const Footprint f = footprint(g.mean, g.factor);
     const std::vector<Span>& spans = spans_of(f, g.factor, c.level);
     if (spans.empty()) return 0.0f;
     patch_.draw(f, state_.floor, spans);
@@ -235,9 +241,10 @@ class Visitor {
   const std::vector<Span>& spans_of(const Footprint& f, const float* factor, int level) {
     spans_.clear();
     bool within = true;
-    spans(f, factor, state_.reach, state_.reduced->grid(level), [&](int strip, int row0, int row1) {
-      within = within && strip >= part_.strip0 && strip < part_.strip1 && row0 >= part_.row0 && row1 < part_.row1;
-      spans_.push_back({strip, row0, row1});
+    spans(f, factor, state_.reach, state_.reduced->grid(level), [&](const Span& s) {
+      within = within && s.strip >= part_.strip0 && s.strip < part_.strip1 && s.first_row >= part_.row0 &&
+               s.last_row < part_.row1;
+      spans_.push_back(s);
     });
     if (!within) {
       outside_ = true;
