@@ -10,6 +10,7 @@ import subprocess
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from sgmethod.io.files import write_atomically
 from sgmethod.native import native
@@ -53,6 +54,15 @@ def commit() -> str:
     if not difference:
         return head
     return f"{head}+{hashlib.sha256(difference.encode()).hexdigest()[:8]}"
+
+
+def kept_rows(path: Path, where: dict[str, object]) -> list[dict[str, Any]]:
+    """The rows of an earlier run of the same commit on the same machine, from the JSON it wrote."""
+    if not path.exists():
+        return []
+    content = json.loads(path.read_text())
+    same = all(content[name] == where[name] for name in ("commit", "machine"))
+    return list(content["rows"]) if same else []
 
 
 def write_json(path: Path, content: object) -> None:

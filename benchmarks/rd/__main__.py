@@ -10,7 +10,6 @@ rates, each at the largest quality whose file is within the rate, or at its smal
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import statistics
 import sys
@@ -21,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import RESULTS, in_words, origin, write_json
+from benchmarks.machine import RESULTS, in_words, kept_rows, origin, write_json
 from benchmarks.pictures import pictures_in
 from benchmarks.rd.codecs import RIVALS, Codec, Pixels, Sg
 from benchmarks.rd.report import Row, report
@@ -59,15 +58,6 @@ def measure(codec: Codec, image: str, pixels: Pixels, max_bpp: float) -> Row:
     )
 
 
-def kept_rows(path: Path, where: dict[str, object]) -> list[Row]:
-    """Rows of an earlier run of the same commit on the same machine."""
-    if not path.exists():
-        return []
-    content = json.loads(path.read_text())
-    same = all(content[name] == where[name] for name in ("commit", "machine"))
-    return [Row(**row) for row in content["rows"]] if same else []
-
-
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.rd", description="Rate and distortion over a folder.")
@@ -85,7 +75,7 @@ def main() -> None:
         parser.error(f"there is no picture in {options.images}")
 
     where = origin()
-    kept = {row.key: row for row in kept_rows(options.out, where)}
+    kept = {row.key: row for row in (Row(**kept) for kept in kept_rows(options.out, where))}
     wanted = [(codec, rate, path) for codec in codecs for rate in rates for path in paths]
     for codec, rate, path in wanted:
         key = codec.name, rate, path.name
