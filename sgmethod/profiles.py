@@ -74,7 +74,11 @@ class RdSettings(OptimiserSettings):
     docs/notebook.md has the measurement behind each number.
     """
 
-    steps: int = 1500
+    steps: int = 1000
+    mean_rate: float = 0.09
+    factor_rate: float = 0.09
+    color_rate: float = 0.045
+    beta2: float = 0.98
     color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     # Growth: Gaussians are added at these times, where each gains more than its bits are worth.

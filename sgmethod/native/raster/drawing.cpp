@@ -113,22 +113,23 @@ void Rasterization::gradients(const float* colors, const Fill& fill, const Gradi
   Scratch pair_gradients(static_cast<size_t>(tile_start_.back()) * kPairGradients);  // all written below
   const auto gradients_of = [&](int tile) { return pair_gradients.get() + tile_start_[tile] * kPairGradients; };
   Planes planes(grids_);
-  reduce_all([&](int tile, float* gradient) { fill(tile, gradient, gradients_of(tile)); }, planes);
-  parallel_for(tiles() - tiles(0), [&](int k) {
-    const int tile = tiles(0) + k;
-    if (tile_begin(tile) == tile_end(tile)) return;
-    alignas(64) float gradient[kTileFloats];
-    load(planes, tile, gradient);
-    fit_kernels(isa_).backward(*this, tile, colors, gradient, gradients_of(tile));
-  });
+  const auto each = [&](int tile, float* gradient) {
+    if (tile < tiles(0)) fill(tile, gradient, gradients_of(tile));
+    else fit_kernels(isa_).backward(*this, tile, colors, gradient, gradients_of(tile));
+  };
+  reduce_all(each, planes);
   sum_pairs(colors, pair_gradients.get(), out);
 }
 
-// Calls fill(tile, values) for each tile of the picture, and reduces what it sets to all coarse levels.
-template <typename Fill>
-void Rasterization::reduce_all(const Fill& fill, Planes& planes) const {
-  for (int level = 0; level < std::max(top(), 1); ++level)
-    reduce(level, planes, [&](int tile, float* values) { level == 0 ? fill(tile, values) : load(planes, tile, values); });
+// Reduces the picture to all coarse levels. Calls each(tile, values) for each tile of every level: it sets what is
+// reduced for those of the picture, and gets it for the others.
+template <typename Each>
+void Rasterization::reduce_all(const Each& each, Planes& planes) const {
+  for (int level = 0; level <= top(); ++level)
+    reduce(level, planes, [&](int tile, float* values) {
+      if (level != 0) load(planes, tile, values);
+      each(tile, values);
+    });
 }
 
 // Reduces one level to the next. A task is a row of tiles, whose results overlap: they are added up while they are in the
@@ -138,9 +139,9 @@ void Rasterization::reduce(int level, Planes& planes, const Load& load_tile) con
   constexpr int kRows = kTileHeight / 2, kColumns = kTileWidth / 2, kOver = kReducedRows - kRows;
   const Grid& grid = grids_[level];
   if (level == top()) {
-    parallel_for(grid.tiles(), [&](int tile) {
+    parallel_for(grid.tiles(), [&](int k) {
       alignas(64) float values[kTileFloats];
-      load_tile(tile, values);
+      load_tile(first_tile_[level] + k, values);
     });
     return;
   }
@@ -203,7 +204,8 @@ void Rasterization::leave(const float* colors, const float* target, const Strips
   const int64_t plane = static_cast<int64_t>(width()) * height();
   Planes coarse(grids_);
   draw_coarse(colors, coarse);
-  const auto fill = [&](int tile, float* values) {
+  const auto each = [&](int tile, float* values) {
+    if (tile >= tiles(0)) return;
     begin_tile(coarse, tile, kBlack, values);
     kernels(isa_).forward(*this, tile, colors, values);
     const Area a = area(tile);
@@ -211,7 +213,7 @@ void Rasterization::leave(const float* colors, const float* target, const Strips
     fit_kernels(isa_).difference(values, wanted);
     std::memcpy(left.row(a.x / kTileWidth, a.y), values, static_cast<size_t>(a.rows) * 3 * kTileWidth * sizeof(float));
   };
-  reduce_all(fill, reduced);
+  reduce_all(each, reduced);
 }
 
 double Rasterization::squared_error(const float* colors, const float* target, const Gradients& out) const {

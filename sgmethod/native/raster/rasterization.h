@@ -110,8 +110,8 @@ class Rasterization {
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
   void load(Planes& planes, int tile, float* values) const;
-  template <typename Fill>
-  void reduce_all(const Fill& fill, Planes& planes) const;
+  template <typename Each>
+  void reduce_all(const Each& each, Planes& planes) const;
   template <typename Load>
   void reduce(int level, Planes& planes, const Load& load_tile) const;
   void sum_pairs(const float* colors, const float* pair_gradients, const Gradients& out) const;

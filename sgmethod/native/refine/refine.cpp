@@ -15,7 +15,6 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
-#include <climits>
 #include <cmath>
 #include <memory>
 #include <numeric>
@@ -28,8 +27,10 @@ namespace {
 
 constexpr double kConverged = 0.02;   // a sweep that changes a smaller part of the Gaussians is the last
 constexpr int kSweepsAfterDrops = 2;  // in which the Gaussians that stay take over from those that were left out
+constexpr int kCoarseSweeps = 2;
 constexpr int kPatience = 64;         // Gaussians between two looks at the clock
 constexpr int kCell = 128;            // pixels along a side; half of it is a multiple of kTileWidth
+constexpr int kFar = 1 << 24;         // beyond all strips and rows
 using Clock = std::chrono::steady_clock;
 
 class Refinement {
@@ -54,10 +55,10 @@ class Refinement {
   }
 
  private:
-  // At most so many sweeps.
+  // At most so many sweeps. Coarse levels have few Gaussians, which settle early.
   void sweep(int sweeps, std::vector<uint8_t>& payload) {
     for (int k = 0; k < sweeps && Clock::now() < until_; ++k) {
-      const size_t changed = visit_everywhere();
+      const size_t changed = visit_everywhere(k < kCoarseSweeps);
       payload = encode();
       if (changed < all_.size() * kConverged) break;
     }
@@ -65,13 +66,16 @@ class Refinement {
 
   // Draws the picture, and sets what it leaves of the target.
   void look() {
-    GaussianArrays g;
-    for (const Symbols& s : all_) {
-      const Candidate c = state_.decoded(s);
-      g.means.insert(g.means.end(), c.mean, c.mean + 2);
-      g.factors.insert(g.factors.end(), c.factor, c.factor + 3);
-      g.colors.insert(g.colors.end(), c.color, c.color + 3);
-    }
+    const size_t n = all_.size();
+    GaussianArrays g{std::vector<float>(2 * n), std::vector<float>(3 * n), std::vector<float>(3 * n)};
+    levels_.resize(n);
+    parallel_each(static_cast<int>(n), kPatience, [&](int64_t i) {
+      const Candidate c = state_.decoded(all_[i]);
+      std::copy_n(c.mean, 2, &g.means[2 * i]);
+      std::copy_n(c.factor, 3, &g.factors[3 * i]);
+      std::copy_n(c.color, 3, &g.colors[3 * i]);
+      levels_[i] = c.level;
+    });
     const Canvas canvas{0, 0, state_.p.width, state_.p.height, state_.settings.cutoff, true};
     const Rasterization raster(g.means.data(), g.factors.data(), static_cast<int>(all_.size()), canvas, -1, kMaxPairs);
     reduced_ = std::make_unique<Planes>(raster.grids());
@@ -86,28 +90,32 @@ class Refinement {
 
   // Visits all Gaussians once, level by level from the top, and returns how many have changed. A level's changes reach
   // the residuals of the others when these are looked at again.
-  size_t visit_everywhere() {
+  size_t visit_everywhere(bool coarse) {
     look();
-    std::vector<std::vector<size_t>> levels(static_cast<size_t>(reduced_->top()) + 1);
-    for (size_t i = 0; i < all_.size(); ++i) levels[static_cast<size_t>(state_.decoded(all_[i]).level)].push_back(i);
+    std::vector<std::vector<size_t>> waiting(static_cast<size_t>(reduced_->top()) + 1);
+    for (size_t i = 0; i < all_.size(); ++i) waiting[static_cast<size_t>(levels_[i])].push_back(i);
     size_t changed = 0;
-    for (size_t level = levels.size() - 1; level >= 1; --level) {
-      const size_t here = visit_all(whole(), levels[level]);
-      if (here != 0) look();
-      changed += here;
+    for (int level = coarse ? reduced_->top() : 0; level >= 0; --level) {
+      std::vector<size_t>& here = waiting[static_cast<size_t>(level)];
+      size_t changed_here = visit_cells(level, here);
+      changed_here += visit_all(whole(), here);
+      if (changed_here != 0 && level != 0) look();
+      changed += changed_here;
     }
-    changed += visit_cells(levels[0]);
-    return changed + visit_all(whole(), levels[0]);
+    return changed;
   }
 
-  // The four phases. Visits the Gaussians in `waiting`, and leaves there those that have to wait.
-  size_t visit_cells(std::vector<size_t>& waiting) {
-    const int columns = (state_.p.width + kCell - 1) / kCell, rows = (state_.p.height + kCell - 1) / kCell;
+  // The four phases on one level. Visits the Gaussians in `waiting`, and leaves there those that have to wait.
+  size_t visit_cells(int level, std::vector<size_t>& waiting) {
+    const Grid& grid = reduced_->grid(level);
+    const int columns = (grid.width + kCell - 1) / kCell, rows = (grid.height + kCell - 1) / kCell;
+    if (columns * rows == 1) return 0;
+    const float samples = std::ldexp(1.0f, -level);
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
     for (const size_t i : waiting) {
       const Candidate c = state_.decoded(all_[i]);
-      const int column = clamp_to_int(c.mean[0] / kCell, 0, columns - 1);
-      const int row = clamp_to_int(c.mean[1] / kCell, 0, rows - 1);
+      const int column = clamp_to_int(c.mean[0] * samples / kCell, 0, columns - 1);
+      const int row = clamp_to_int(c.mean[1] * samples / kCell, 0, rows - 1);
       cells[static_cast<size_t>(row) * columns + column].push_back(i);
     }
     constexpr int kHalf = kCell / 2;
@@ -141,7 +149,7 @@ class Refinement {
     return changed;
   }
 
-  Part whole() const { return {0, INT_MAX, 0, INT_MAX}; }
+  static Part whole() { return {-kFar, kFar, -kFar, kFar}; }
 
   std::vector<uint8_t> encode() {
     erase_empty(all_);
@@ -193,6 +201,7 @@ class Refinement {
   std::unique_ptr<Planes> reduced_;
   std::unique_ptr<Gram> gram_;
   size_t gram_levels_ = 0;
+  std::vector<int> levels_;  // of all_, when last looked at
   Clock::time_point until_;
 };
 

@@ -70,7 +70,7 @@ struct State {
   }
 };
 
-// A part of the picture: strips from strip0 to before strip1, rows from row0 to before row1.
+// A part of the picture, or of a coarse level: strips from strip0 to before strip1, rows from row0 to before row1.
 struct Part {
   int strip0, strip1, row0, row1;
 };
@@ -242,8 +242,11 @@ class Visitor {
     spans_.clear();
     bool within = true;
     spans(f, factor, state_.reach, state_.reduced->grid(level), [&](const Span& s) {
-      within = within && s.strip >= part_.strip0 && s.strip < part_.strip1 && s.first_row >= part_.row0 &&
-               s.last_row < part_.row1;
+      // What a Gaussian of a coarse level adds reaches two samples beyond it.
+      const int beyond = level == 0 ? 0 : Patch::kMarginRows, column = s.strip * kTileWidth;
+      within = within && column + s.first_lane - beyond >= part_.strip0 * kTileWidth &&
+               column + s.last_lane + beyond < part_.strip1 * kTileWidth && s.first_row - beyond >= part_.row0 &&
+               s.last_row + beyond < part_.row1;
       spans_.push_back(s);
     });
     if (!within) {
