@@ -97,6 +97,7 @@ class Refinement {
     size_t changed = 0;
     for (int level = coarse ? reduced_->top() : 0; level >= 0; --level) {
       std::vector<size_t>& here = waiting[static_cast<size_t>(level)];
+      if (here.empty()) continue;
       size_t changed_here = visit_cells(level, here);
       changed_here += visit_all(whole(), here);
       if (changed_here != 0 && level != 0) look();

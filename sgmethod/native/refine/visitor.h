@@ -57,6 +57,7 @@ struct State {
 
   Candidate decoded(const Symbols& s) const {
     Candidate c{s, {}, {}, {}, 0, 0};
+    if (s.empty()) return c;  // scales of 0 draw nothing
     dequantise(p, s, Geometry(s, Steps(p, s)), c.mean, c.factor, c.color);
     c.level = level_of(c.factor);
     return c;
