@@ -13,6 +13,7 @@ from collections.abc import Iterator
 CUTOFF = 5.5
 
 Gaussian = tuple[float, float, float, float, float, tuple[float, ...]]  # x, y, l1, l2, l3, colour
+Region = tuple[int, int, int, int]  # x, y of the corner, width, height
 
 
 class RefusedError(Exception):
@@ -108,3 +109,31 @@ def pixel(gaussians: list[Gaussian], r: int, c: int) -> list[float]:
 
 def to_byte(value: float) -> int:
     return math.floor(255 * min(max(value, 0.0), 1.0) + 0.5)
+
+
+def view_size(region: Region, scale: float) -> tuple[int, int]:
+    """Width and height of a view."""
+    return max(round(region[2] * scale), 1), max(round(region[3] * scale), 1)
+
+
+def resized(
+    gaussians: list[Gaussian], region: Region, scale: float, cutoff: float, origin: tuple[int, int] = (0, 0)
+) -> list[Gaussian]:
+    """Gaussians in a view's pixels, with the region's corner at the origin."""
+    left, top, w, h = region
+    width, height = view_size(region, scale)
+    sx, sy = width / w, height / h
+    floor = math.exp(-cutoff)
+    k = (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
+    vx, vy = max(1 - sx * sx, 0) / (12 * k), max(1 - sy * sy, 0) / (12 * k)
+    shown = []
+    for x, y, l1, l2, l3, color in gaussians:
+        if l1 <= 0 or l3 <= 0:
+            continue
+        a, b, d = sx * l1, sy * l2, sy * l3
+        n1 = math.sqrt(a * a + vx)
+        n3 = math.sqrt(d * d + vy + (b / n1) ** 2 * vx)
+        place = round32((x - left) * sx + origin[0]), round32((y - top) * sy + origin[1])
+        less = tuple(round32(value * (a * d) / (n1 * n3)) for value in color)
+        shown.append((*place, round32(n1), round32(a * (b / n1)), round32(n3), less))
+    return shown

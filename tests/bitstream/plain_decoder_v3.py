@@ -1,6 +1,7 @@
 """A second decoder of version 3, written from docs/format.md alone: plain Python, slow, sharing nothing with sgmethod.
 
-Each part follows one section of that text, in its order.
+Each part follows one section of that text, in its order. What is the same in all versions comes from the decoder of
+version 1.
 """
 
 from __future__ import annotations
@@ -13,29 +14,34 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.bitstream.plain_decoder import RefusedError, Region, refuse_unless, resized, round32, to_byte, view_size
+
 Gaussian = tuple[float, float, float, float, float, tuple[float, float, float]]  # x, y, l1, l2, l3, colour
 
 CUTOFF = 3.0
-MAX_VALUE, MAX_SHAPE, MAX_ASPECT = 2**20, 2**16, 20
 FORMAT = Path(__file__).parents[2] / "docs" / "format.md"
-
-
-class RefusedError(Exception):
-    """The bytes are not a whole, intact file."""
 
 
 class EndError(Exception):
     """A part of the payload has ended."""
 
 
-def refuse_unless(condition: bool, why: str) -> None:
-    if not condition:
-        raise RefusedError(why)
+@dataclass(frozen=True)
+class Numbers:
+    """What another version may have otherwise. Of h, of |r| * r step and of c, version 3 has no limit."""
+
+    version: int = 3
+    most_colour: int = 2**20
+    most_h: float = math.inf
+    most_u_bits: int = 8
+    most_part_bits: int = 12
+    most_shape: float = 65536  # steps
+    most_v: float = 20
+    most_r: float = math.inf
+    least_colour_step: float = 0.0
 
 
-def round32(value: float) -> float:
-    rounded: float = struct.unpack(">f", struct.pack(">f", value))[0]
-    return rounded
+V3 = Numbers()
 
 
 @dataclass
@@ -46,19 +52,20 @@ class Header:
     height: int
     quantum: float
     background: tuple[int, int, int]
+    numbers: Numbers = V3
 
 
-def parse_header(data: bytes) -> Header:
+def parse_header(data: bytes, numbers: Numbers = V3) -> Header:
     refuse_unless(len(data) >= 18, "too short")
     refuse_unless(data[0:3] == b"SGM", "magic")
-    refuse_unless(data[3] == 3, "version")
+    refuse_unless(data[3] == numbers.version, "version")
     refuse_unless(struct.unpack_from(">I", data, 4)[0] == zlib.crc32(data[8:]), "checksum")
     flags, width, height, quantum, red, green, blue = struct.unpack_from(">BHHHBBB", data, 8)
     refuse_unless(flags <= 3, "flags")
     refuse_unless(width > 0 and height > 0, "size")
     refuse_unless(quantum == 0 or 256 <= quantum <= 3839, "quantum")
     value = (1 + (quantum & 255) / 256) * 2.0 ** (4 - (quantum >> 8))
-    return Header(bool(flags & 1), bool(flags & 2), width, height, value, (red, green, blue))
+    return Header(bool(flags & 1), bool(flags & 2), width, height, value, (red, green, blue), numbers)
 
 
 def start_tables() -> dict[str, list[list[int]]]:
@@ -213,26 +220,29 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
 
 def read_gaussian(header: Header, coder: Coder, models: Models, k: int, cell: tuple[int, int]) -> Gaussian:
     # Colour, and the steps that follow from it
+    numbers = header.numbers
     y = coder.number(models.luma)
     a = 0 if header.grey else coder.number(models.a[level(y)])
     b = 0 if header.grey else coder.number(models.b[level(a)])
     refuse_unless(y != 0 or a != 0 or b != 0, "no colour")
-    refuse_unless(max(y, a, b) <= MAX_VALUE, "colour")
+    refuse_unless(max(y, a, b) <= numbers.most_colour, "colour")
     signs = coder.symbol(models.color_signs[4 * (y != 0) + 2 * (a != 0) + (b != 0)])
     y, a, b = (-value if signs & bit else value for value, bit in ((y, 4), (a, 2), (b, 1)))
     square = y * y + a * a + b * b
-    h = square.bit_length() // 2
-    bucket, u_bits = min(h, 7), min(max(h - 1, 0), 8)
+    h = int(min(square.bit_length() // 2, numbers.most_h))
+    bucket, u_bits = min(h, 7), min(max(h - 1, 0), numbers.most_u_bits)
+    v_step, r_step = 2.0**-h, 2 * 2.0**-h
 
     # Shape
     u = coder.raw(u_bits)
     v = coder.number(models.v[bucket])
     r = 0 if header.upright else coder.number(models.r[bucket])
-    refuse_unless(max(v, r) <= MAX_SHAPE and v * 2.0**-h <= MAX_ASPECT, "shape")
+    refuse_unless(max(v, r) <= numbers.most_shape, "shape")
+    refuse_unless(v * v_step <= numbers.most_v and r * r_step <= numbers.most_r, "shape")
     if v or r:
         signs = coder.symbol(models.shape_signs[2 * (v != 0) + (r != 0)])
         v, r = -v if signs & 2 else v, -r if signs & 1 else r
-    shape_v, shape_r = v * 2.0**-h, r * (2 * 2.0**-h)
+    shape_v, shape_r = v * v_step, r * r_step
     within = ((u + 0.5) / 2**u_bits - 0.5) * 0.34657359027997264
     least = round32(0.3)
     l1 = max(size(k) * exponential(within + shape_v), least)
@@ -242,15 +252,15 @@ def read_gaussian(header: Header, coder: Coder, models: Models, k: int, cell: tu
     # Place
     side = 2 ** max(0, (k + 1) // 2)
     fineness = square * (side * side / 2)
-    px = halvings(fineness * (1 + shape_r * shape_r) / (l1 * l1))
-    py = halvings(fineness / (l3 * l3))
+    px = halvings(fineness * (1 + shape_r * shape_r) / (l1 * l1), numbers.most_part_bits)
+    py = halvings(fineness / (l3 * l3), numbers.most_part_bits)
     part_x = coder.raw(px)
     part_y = coder.raw(py)
     place_x = (cell[0] - 2 + (part_x + 0.5) / 2**px) * side
     place_y = (cell[1] - 2 + (part_y + 0.5) / 2**py) * side
 
     # Colour, in numbers
-    c = header.quantum / (size(k) * 1.5)
+    c = max(header.quantum / (size(k) * 1.5), numbers.least_colour_step)
     p = y * c * 0.57735026918962576
     q = a * c * 0.70710678118654752
     s = b * c * 0.40824829046386302
@@ -266,20 +276,20 @@ def exponential(x: float) -> float:
     return e
 
 
-def halvings(q: float) -> int:
-    """The least number of halvings n >= 0, at most 12, with 4^n > q."""
-    return min(max((math.frexp(q)[1] - 1 >> 1) + 1, 0), 12)
+def halvings(q: float, most: int) -> int:
+    """The least number of halvings n >= 0, or at most so many, with 4^n > q."""
+    return min(max((math.frexp(q)[1] - 1 >> 1) + 1, 0), most)
 
 
-def parse(data: bytes) -> tuple[Header, list[Gaussian]]:
+def parse(data: bytes, numbers: Numbers = V3) -> tuple[Header, list[Gaussian]]:
     """The header and the Gaussians."""
-    header = parse_header(data)
+    header = parse_header(data, numbers)
     return header, list(read_gaussians(header, Coder(data[18:]), part=False))
 
 
-def parse_part(data: bytes, part: float) -> tuple[Header, list[Gaussian]]:
+def parse_part(data: bytes, part: float, numbers: Numbers = V3) -> tuple[Header, list[Gaussian]]:
     """The header, and the Gaussians in a part, above 0 and below 1, of the payload."""
-    header = parse_header(data)
+    header = parse_header(data, numbers)
     coder = Coder(data[18:][: math.ceil(part * (len(data) - 18))])
     found = []
     try:
@@ -312,25 +322,13 @@ def draw(gaussians: list[Gaussian], width: int, height: int, background: tuple[i
                     weight = math.exp(-sigma) - math.exp(-CUTOFF)
                     for channel in range(3):
                         values[channel] += color[channel] * weight
-            samples += bytes(math.floor(255 * min(max(value, 0.0), 1.0) + 0.5) for value in values)
+            samples += bytes(to_byte(value) for value in values)
     return bytes(samples)
 
 
-def view(data: bytes, scale: float, region: tuple[int, int, int, int] | None = None) -> tuple[int, int, bytes]:
+def view(data: bytes, scale: float, region: Region | None = None) -> tuple[int, int, bytes]:
     """Width, height and samples of a view."""
     header, gaussians = parse(data)
-    left, top, w, h = region or (0, 0, header.width, header.height)
-    width, height = max(round(w * scale), 1), max(round(h * scale), 1)
-    sx, sy = width / w, height / h
-    floor = math.exp(-CUTOFF)
-    k = (1 - floor * (1 + CUTOFF + CUTOFF**2 / 2)) / (1 - floor * (1 + CUTOFF))
-    vx, vy = max(1 - sx**2, 0) / (12 * k), max(1 - sy**2, 0) / (12 * k)
-    shown = []
-    for x, y, l1, l2, l3, color in gaussians:
-        a, b, d = sx * l1, sy * l2, sy * l3
-        n1 = math.sqrt(a * a + vx)
-        n3 = math.sqrt(d * d + vy + (b / n1) ** 2 * vx)
-        red, green, blue = (round32(value * (a * d) / (n1 * n3)) for value in color)
-        place = round32((x - left) * sx), round32((y - top) * sy)
-        shown.append((*place, round32(n1), round32(a * b / n1), round32(n3), (red, green, blue)))
-    return width, height, draw(shown, width, height, header.background)
+    region = region or (0, 0, header.width, header.height)
+    width, height = view_size(region, scale)
+    return width, height, draw(resized(gaussians, region, scale, CUTOFF), width, height, header.background)

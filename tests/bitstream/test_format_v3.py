@@ -150,7 +150,8 @@ def test_the_plain_decoder_draws_the_same_views(name: str, view: View) -> None:
 def test_the_plain_decoder_shares_nothing() -> None:
     source = Path(plain_decoder_rd.__file__).read_text()
     imports = re.findall(r"^(?:from|import) ([\w.]+)", source, re.MULTILINE)
-    assert set(imports) == {"__future__", "collections.abc", "dataclasses", "math", "pathlib", "re", "struct", "zlib"}
+    standard = {"__future__", "collections.abc", "dataclasses", "math", "pathlib", "re", "struct", "zlib"}
+    assert set(imports) == {*standard, "tests.bitstream.plain_decoder"}
 
 
 @settings(max_examples=700, deadline=None, derandomize=True, database=None)

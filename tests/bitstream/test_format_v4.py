@@ -1,0 +1,280 @@
+"""Version 4 in docs/format.md against the code, a decoder written from it alone against ours, and pinned bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sgmethod import BitstreamError, decode
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import MIN_QUANTUM, StreamV3
+from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.scene import Gaussians
+from sgmethod.view import FAR, View
+from tests.bitstream import plain_decoder_v3, plain_decoder_v4
+from tests.bitstream.plain_decoder_v3 import Header, Model, Numbers, RefusedError
+from tests.bitstream.plain_decoder_v4 import NUMBERS
+from tests.bitstream.test_format_v1 import TEXT, table
+from tests.bitstream.test_format_v3 import PARTS, assert_same_pixels, rows
+from tests.harness.data import ROOT, golden, golden_path, with_checksum
+
+GOLDEN = golden(4)
+HASHES = json.loads(golden_path("v4-hashes.json").read_text())
+NATIVE = ROOT / "sgmethod" / "native"
+
+
+def limits_in_the_code(version: int) -> Numbers:
+    """Those of the kernels (symbols.h): 1e300 and 64 stand for no limit."""
+    source = (NATIVE / "rd" / "symbols.h").read_text()
+    found = re.findall(rf"kLimitsV{version} = \{{(.*)\}};", source)[0]
+    color, v, r, steps, exponent, u_bits, part_bits, color_step = found.split(", ")
+    one, shift = color.split(" << ")
+    over = [float(part) for part in color_step.split(" / ")]
+    return Numbers(
+        version=version,
+        most_colour=int(one) << int(shift),
+        most_h=float(exponent) if exponent != "64" else float("inf"),
+        most_u_bits=int(u_bits),
+        most_part_bits=int(part_bits),
+        most_shape=float(steps.replace("1e300", "inf")),
+        most_v=float(v),
+        most_r=float(r.replace("1e300", "inf")),
+        least_colour_step=over[0] / over[1] if len(over) == 2 else over[0],
+    )
+
+
+def test_the_numbers_are_the_codes() -> None:
+    """Those of the table in the text, which the plain decoder reads, and those of version 3."""
+    assert limits_in_the_code(4) == NUMBERS
+    assert limits_in_the_code(3) == plain_decoder_v3.V3
+    narrowest, top_level = f"= {plain_decoder_v4.NARROWEST:g}", f"= {plain_decoder_v4.TOP_LEVEL}"
+    kernels, reference = ((NATIVE / path).read_text() for path in ("raster/levels.h", "reference.py"))
+    assert f"kNarrowest {narrowest};" in kernels
+    assert f"kMaxLevel {top_level};" in kernels
+    assert "kBorder = 2;" in kernels
+    assert f"\nNARROWEST {narrowest}  #" in reference
+    assert f"\nMAX_LEVEL {top_level}\n" in reference
+
+
+def test_the_version_and_the_views_in_the_text() -> None:
+    assert f"# Version {StreamV4.VERSION} (draft)\n" in TEXT
+    assert [int(n) for n in re.findall(r"\d+", table("Every version")[1]["value"])] == sorted(container.VERSIONS)
+    assert f"OX = floor(X * sx) mod {FAR} " in TEXT
+    assert FAR % 2**plain_decoder_v4.TOP_LEVEL == 0
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_bytes_and_pixels(name: str) -> None:
+    """Exact: tests/bitstream/make_golden.py wrote the hashes when the streams were made."""
+    assert hashlib.sha256(GOLDEN[name]).hexdigest() == HASHES[name]["bytes"]
+    assert hashlib.sha256(decode(GOLDEN[name]).tobytes()).hexdigest() == HASHES[name]["pixels"]
+
+
+def levels(gaussians: Gaussians) -> list[int]:
+    return [plain_decoder_v4.level_of(*factor) for factor in gaussians.factors.astype(np.float64)]
+
+
+def test_golden_streams_show_everything() -> None:
+    assert GOLDEN.keys() == HASHES.keys()
+    streams = {name: container.parse(data) for name, data in GOLDEN.items()}
+    assert {(s.grey, s.upright) for s in streams.values()} == {(False, False), (True, False), (False, True)}
+    assert {(s.width, s.height, len(s.gaussians())) for s in streams.values()} >= {(7, 5, 0), (1, 1, 1)}
+    assert set(levels(streams["v4-every-class"].gaussians())) == set(range(plain_decoder_v4.TOP_LEVEL + 1))
+    assert len(set(levels(streams["v4-levels"].gaussians()))) > 5
+    assert max(levels(streams["v4-color"].gaussians())) > 1
+
+
+def test_a_golden_stream_has_needles_that_version_3_would_turn() -> None:
+    needles = container.parse(GOLDEN["v4-needles"])
+    size, quantum, background = (needles.width, needles.height), needles.quantum, needles.background
+    assert quantum == MIN_QUANTUM
+    turned = StreamV3.of(needles.gaussians(), size, quantum, background, needles.grey)
+    slants = [np.abs(s.gaussians().factors[:, 1] / s.gaussians().factors[:, 2]).max() for s in (needles, turned)]
+    assert slants[0] > 5 * slants[1]  # seen: 400 and 64
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_plain_decoder_finds_the_same_gaussians(name: str) -> None:
+    header, plain = plain_decoder_v4.parse(GOLDEN[name])
+    s = container.parse(GOLDEN[name])
+    assert header == Header(s.grey, s.upright, s.width, s.height, s.quantum, s.background, NUMBERS)
+    assert rows(s.gaussians()) == plain
+    for part in PARTS:
+        assert rows(s.gaussians(part)) == plain_decoder_v4.parse_part(GOLDEN[name], part)[1]
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_plain_decoder_draws_the_same_picture(name: str) -> None:
+    """Seen, here and in the views below: no sample differs."""
+    assert_same_pixels(plain_decoder_v4.decode(GOLDEN[name]), decode(GOLDEN[name]))
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+@pytest.mark.parametrize("scale", [0.4, 1.0, 2.3])
+def test_the_plain_decoder_draws_the_same_views(name: str, scale: float) -> None:
+    """Of all, and of a region that begins at odd places."""
+    s = container.parse(GOLDEN[name])
+    region = s.width // 3, s.height // 2, (s.width + 2) // 3, (s.height + 3) // 4
+    for view in (View(scale), View(scale, region)):
+        plain = plain_decoder_v4.view(GOLDEN[name], view.scale, view.region)
+        assert_same_pixels(plain, decode(GOLDEN[name], view=view))
+
+
+def test_the_plain_decoder_draws_the_same_views_far_out() -> None:
+    """Where places are counted modulo FAR, and just before and across that."""
+    rng = np.random.default_rng(5)
+    n, size = 60, (60_000, 50)
+    factors = np.exp(rng.uniform(0, 4, (n, 1)) + rng.normal(0, 0.4, (n, 3))) * (1, rng.choice([-1, 1]), 1)
+    for x in (FAR // 2 - 10, 50_001):
+        means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
+        gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
+        data = container.serialise(StreamV4.of(gaussians, size, 0.01, (120, 110, 100), grey=False))
+        view = View(2.0, (x, 11, 20, 12))
+        assert_same_pixels(plain_decoder_v4.view(data, view.scale, view.region), decode(data, view=view))
+
+
+def test_the_plain_decoder_shares_nothing() -> None:
+    source = Path(plain_decoder_v4.__file__).read_text()
+    imports = re.findall(r"^(?:from|import) ([\w.]+)", source, re.MULTILINE)
+    others = {f"tests.bitstream{name}" for name in ("", ".plain_decoder", ".plain_decoder_v3")}
+    assert set(imports) == {"__future__", "math", "re", *others}
+
+
+class Scribe:
+    """Stands where the plain decoder has its entropy decoder: says given values, then zeros, and writes them down."""
+
+    payload, state, at, past_end = bytes(64), 65536, 0, False
+
+    def __init__(self, values: list[int]) -> None:
+        self.values = values
+        self.steps: list[tuple[int, int, int]] = []  # where a symbol begins, its share; or raw bits, 0, their number
+
+    def next(self) -> int:
+        return self.values.pop(0) if self.values else 0
+
+    def write_symbol(self, model: Model, symbol: int) -> None:
+        self.steps.append((model.edge(symbol), model.edge(symbol + 1) - model.edge(symbol), 0))
+        model.adapt(symbol)
+
+    def write_raw(self, value: int, count: int) -> None:
+        if count > 16:
+            self.steps.append((value >> 16, 0, count - 16))
+        self.steps.append((value % 2**16, 0, min(count, 16)))
+
+    def symbol(self, model: Model) -> int:
+        symbol = self.next()
+        self.write_symbol(model, symbol)
+        return symbol
+
+    def raw(self, count: int) -> int:
+        value = self.next()
+        self.write_raw(value, count)
+        return value
+
+    def number(self, model: Model) -> int:
+        value = self.next()
+        n = value.bit_length() - 1
+        if value < 4:
+            self.write_symbol(model, value)
+        elif value < 192:
+            self.write_symbol(model, 2 * n + (value >> n - 1) % 2)
+            self.write_raw(value % 2 ** (n - 1), n - 1)
+        else:
+            self.write_symbol(model, 15)
+            self.write_raw(n, 5)
+            self.write_raw(value - 2**n, n)
+        return value
+
+    def written(self) -> bytes:
+        """The payload: the last of the steps is coded first."""
+        state, words = 65536, []
+        for low, share, bits in reversed(self.steps):
+            if state >= (share << 17 if share else 1 << 32 - bits):
+                words.append(state % 65536)
+                state >>= 16
+            state = (state // share << 15) + state % share + low if share else (state << bits) + low
+        return state.to_bytes(4, "big") + b"".join(word.to_bytes(2, "big") for word in reversed(words))
+
+
+def one_gaussian(y: int, v: int, r: int) -> bytes:
+    """A file with one Gaussian of size 1 in the midst of 9 by 9 pixels; the integers may be out of their range."""
+    # First and last class, number in it; distance in steps of 2^4 and the rest; y, a, b, signs, u, v, r.
+    scribe = Scribe([28, 0, 1, 3, 12, y, 0, 0, 0, 0, v, r])
+    header = Header(False, False, 9, 9, 1.0, (0, 0, 0), NUMBERS)
+    try:
+        list(plain_decoder_v3.read_gaussians(header, scribe, part=False))
+    except RefusedError:
+        scribe.steps += [(0, 0, 16)] * 8  # so that the payload does not end there
+    stream = StreamV4(9, 9, header.quantum, header.background, header.grey, header.upright, scribe.written())
+    return container.serialise(stream)
+
+
+# Steps of v and r are no finer than this, however long the colour is.
+PER_STEP = 2 ** int(NUMBERS.most_h)
+MOST_Y, MOST_V, MOST_R = NUMBERS.most_colour, int(NUMBERS.most_v), int(NUMBERS.most_r) // 2
+
+
+@pytest.mark.parametrize(
+    ("within", "beyond"),
+    [
+        ((MOST_Y, 0, 0), (MOST_Y + 1, 0, 0)),
+        ((1, MOST_V, 0), (1, MOST_V + 1, 0)),
+        ((1, 0, MOST_R), (1, 0, MOST_R + 1)),
+        ((PER_STEP, MOST_V * PER_STEP, 0), (PER_STEP, MOST_V * PER_STEP + 1, 0)),
+        ((MOST_Y, MOST_V * PER_STEP, 0), (MOST_Y, MOST_V * PER_STEP + 1, 0)),
+        ((MOST_Y, 7, MOST_R * PER_STEP), (MOST_Y, 7, MOST_R * PER_STEP + 1)),
+    ],
+)
+def test_limits_of_the_integers(within: tuple[int, int, int], beyond: tuple[int, int, int]) -> None:
+    data = one_gaussian(*within)
+    found = rows(container.parse(data).gaussians())
+    assert len(found) == 1
+    assert found == plain_decoder_v4.parse(data)[1]
+    data = one_gaussian(*beyond)
+    with pytest.raises(BitstreamError, match=r"(shape|colour) is out of range"):
+        container.parse(data).gaussians()
+    with pytest.raises(RefusedError, match=r"shape|colour"):
+        plain_decoder_v4.parse(data)
+
+
+def assert_same_outcome(data: bytes, part: float = 1.0) -> None:
+    """The same Gaussians in both decoders, or both refuse."""
+    try:
+        ours = rows(container.parse(data).gaussians(part))
+    except BitstreamError:
+        with pytest.raises(RefusedError):
+            plain_decoder_v4.parse(data) if part == 1 else plain_decoder_v4.parse_part(data, part)
+    else:
+        header, plain = plain_decoder_v4.parse(data) if part == 1 else plain_decoder_v4.parse_part(data, part)
+        assert ours == plain
+        assert header.width * header.height >= len(plain)
+
+
+@pytest.mark.parametrize("name", golden(3))
+def test_files_of_version_3_under_another_number(name: str) -> None:
+    """They mean something else, or nothing."""
+    data = golden(3)[name]
+    assert_same_outcome(data[:3] + b"\4" + data[4:])
+
+
+@settings(max_examples=500, deadline=None, derandomize=True, database=None)
+@given(
+    st.sampled_from(["v4-color", "v4-grey", "v4-upright", "v4-needles", "v4-empty", "v4-pixel"]),
+    st.floats(0, 1),
+    st.binary(min_size=1, max_size=4),
+    st.integers(-3, 12),
+    st.sampled_from([1.0, 0.5]),
+)
+def test_both_take_and_refuse_the_same_files(name: str, place: float, value: bytes, growth: int, part: float) -> None:
+    """Bytes changed, the end moved, the checksum made to fit."""
+    data, at = GOLDEN[name], 8 + int(place * (len(GOLDEN[name]) - 8))
+    data = data[:at] + value + data[at + len(value) :]
+    data = data[: len(data) + growth] if growth < 0 else data + bytes(growth)
+    assert_same_outcome(with_checksum(data), part)
