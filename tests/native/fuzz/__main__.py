@@ -1,7 +1,8 @@
 """Fuzzes the decoder with new random seeds: python -m tests.native.fuzz [--minutes N] [--target NAME].
 
-entropy: the entropy decoder and the drawing, in C++ alone; v1, v3: whole files of a version through the decoder in
-Python. All are built by Clang with the sanitizers of addresses and of undefined behaviour. New finds go to build/fuzz/.
+entropy: the entropy decoder and the drawing, in C++ alone; v1, rd: whole files of version 1, and of versions 3 and 4,
+through the decoder in Python. All are built by Clang with the sanitizers of addresses and of undefined behaviour. New
+finds go to build/fuzz/.
 An input that fails is kept, and the command that repeats it printed: python -m tests.native.fuzz --repeat NAME FILE.
 """
 
@@ -11,6 +12,7 @@ import argparse
 import os
 import random
 import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -19,8 +21,8 @@ from typing import TextIO
 from tests.harness.data import ROOT, golden
 from tests.native.harness.build import BUILDS, PATH, build, imports, layout, nanobind
 
-TARGETS = ("entropy", "v1", "v3")
-CORPUS = Path(__file__).parent / "corpus"
+TARGETS = {"entropy": (3, 4), "v1": (1,), "rd": (3, 4)}  # and their versions of the format
+CORPUS = Path(__file__).parent / "corpus"  # what was found once
 FOUND = BUILDS / "fuzz" / "found"
 CLANG = {"CC": "clang", "CXX": "clang++"}
 # An input may take so long, and so much memory; with sanitizers both are several times what they are without.
@@ -48,7 +50,7 @@ def command_of(target: str, built: Path) -> tuple[list[str], dict[str, str]]:
 
     runtime = Path(atheris.path()) / "asan_with_fuzzer.so"
     return (
-        [sys.executable, "-S", "-m", "tests.native.fuzz.containers", target],
+        [sys.executable, "-S", "-m", "tests.native.fuzz.containers", ",".join(map(str, TARGETS[target]))],
         # What Python keeps to its end looks like leaks.
         {"PYTHONPATH": imports(layout(built)), "LD_PRELOAD": str(runtime), "ASAN_OPTIONS": "detect_leaks=0"},
     )
@@ -66,15 +68,21 @@ def run(target: str, built: Path, *arguments: str | Path, output: TextIO | None 
 
 
 def corpora(target: str) -> list[Path]:
-    """Folders of inputs: new finds first, then what to begin with. For whole files these are the golden ones."""
-    found, known = FOUND / target, CORPUS / target
-    found.mkdir(parents=True, exist_ok=True)
-    if target != "entropy":
-        known = FOUND / f"golden-{target}"
-        known.mkdir(exist_ok=True)
-        for name, data in golden(int(target[1:])).items():
-            (known / name).write_bytes(data)
-    return [found, known]
+    """Folders of inputs: new finds first, then what to begin with, the golden files and what was found once."""
+    found, begin = FOUND / target, FOUND / f"golden-{target}"
+    for folder in (found, begin):
+        folder.mkdir(parents=True, exist_ok=True)
+    for version in TARGETS[target]:
+        for name, data in golden(version).items():
+            (begin / name).write_bytes(bare(data) if target == "entropy" else data)
+    return [found, begin, *CORPUS.glob(target)]
+
+
+def bare(data: bytes) -> bytes:
+    """A file of profile rd as entropy.cpp takes it."""
+    flags, *size, quantum = struct.unpack_from(">BHHH", data, 8)
+    version = 8 if data[3] == 4 else 0
+    return struct.pack(">HHBBB", *size, 14 - (quantum >> 8), quantum & 255, flags | version) + data[18:]
 
 
 def fuzz(target: str, built: Path, minutes: float) -> bool:

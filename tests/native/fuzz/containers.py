@@ -1,6 +1,6 @@
-"""Fuzz target (atheris, which is libFuzzer): whole files of one version of the format, through the decoder in Python.
+"""Fuzz target (atheris, which is libFuzzer): whole files of some versions of the format, through the decoder in Python.
 
-python -m tests.native.fuzz.containers v1|v3 [libFuzzer's arguments]. Magic, version and checksum are put right before
+python -m tests.native.fuzz.containers 1|3,4 [libFuzzer's arguments]. Magic, version and checksum are put right before
 a file is decoded, or hardly any would get past them. Whatever the rest is, there are pixels or one of the package's
 errors.
 """
@@ -17,14 +17,14 @@ with atheris.instrument_imports(include=["sgmethod"], enable_loader_override=Fal
 
 MAX_PIXELS = 1 << 14
 MAX_GAUSSIANS = 1 << 14
-VERSIONS = {"v1": b"SGM\x01", "v3": b"SGM\x03"}
 PREFIX_BYTES = 8  # magic, version, CRC-32 of all that follows
 VIEWS = (View(), View(scale=0.3), View(scale=1.7, prefix=0.6), View(region=(1, 2, 5, 4)))
 
 
-def target(data: bytes, begin: bytes) -> None:
-    """Decodes a file with everything that follows its first eight bytes."""
-    body = data[PREFIX_BYTES:]
+def target(data: bytes, versions: bytes) -> None:
+    """Decodes a file with everything that follows its first eight bytes; of the first version if its own is another."""
+    version, body = data[3:4], data[PREFIX_BYTES:]
+    begin = b"SGM" + (version if version and version in versions else versions[:1])
     file = begin + zlib.crc32(body).to_bytes(4, "big") + body
     try:
         info(file, MAX_GAUSSIANS)
@@ -39,9 +39,9 @@ def target(data: bytes, begin: bytes) -> None:
 
 
 def main() -> None:
-    version = sys.argv.pop(1)
+    versions = bytes(int(version) for version in sys.argv.pop(1).split(","))
     set_threads(1)
-    atheris.Setup(sys.argv, lambda data: target(data, VERSIONS[version]))
+    atheris.Setup(sys.argv, lambda data: target(data, versions))
     atheris.Fuzz()
 
 

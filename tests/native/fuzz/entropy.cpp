@@ -1,5 +1,5 @@
-// Fuzz target (libFuzzer): the entropy decoder of profile rd, and the drawing of what it gives. Whatever the bytes are,
-// they decode or are refused, and every instruction set draws the same.
+// Fuzz target (libFuzzer): the entropy decoder of profile rd, for versions 3 and 4, and the drawing of what it gives.
+// Whatever the bytes are, they decode or are refused, and every instruction set draws the same.
 #include <cstdint>
 #include <cstdlib>
 #include <stdexcept>
@@ -14,26 +14,34 @@
 namespace {
 
 constexpr size_t kHeader = 7;  // width, height, quantum, flags
+enum Flags { kGrey = 1, kUpright = 2, kPrefix = 4, kVersion4 = 8, kFarOut = 16 };
+constexpr int kFarX = 65003, kFarY = 77;  // where a region of version 4 may begin
 constexpr int64_t kMaxPixels = 1 << 15;
 constexpr uint64_t kMostGaussians = 1 << 14;
 
-std::vector<uint8_t> picture(const sg::RdParameters& p, const sg::GaussianArrays& g, int isa, int64_t max_pairs) {
+std::vector<uint8_t> picture(const sg::GaussianArrays& g, const sg::Canvas& canvas, int isa, int64_t max_pairs) {
   const int n = static_cast<int>(g.means.size() / 2);
-  const sg::Rasterization raster(g.means.data(), g.factors.data(), n, {0, 0, p.width, p.height, sg::kCutoffV3, false}, isa, max_pairs);
-  std::vector<uint8_t> pixels(3 * static_cast<size_t>(p.width) * p.height);
+  const sg::Rasterization raster(g.means.data(), g.factors.data(), n, canvas, isa, max_pairs);
+  std::vector<uint8_t> pixels(3 * static_cast<size_t>(canvas.width) * canvas.height);
   const float background[3] = {0.0f, 0.5f, 1.0f};
   raster.render_bytes(g.colors.data(), background, pixels.data());
   return pixels;
 }
 
-void draw(const sg::RdParameters& p, const sg::GaussianArrays& g) {
+void draw(const sg::RdParameters& p, sg::GaussianArrays g, bool far_out) {
   if (int64_t{p.width} * p.height > kMaxPixels) return;
   const int64_t tiles = ((p.width + 15) / 16) * ((p.height + 63) / 64);  // and so many pairs as decoding allows
   const int64_t max_pairs = 16 * static_cast<int64_t>(g.means.size() / 2) + 256 * tiles;
+  sg::Canvas canvas{0, 0, p.width, p.height, sg::kCutoffV3, p.version == 4};
+  if (far_out) {
+    canvas.x = kFarX;
+    canvas.y = kFarY;
+    for (size_t i = 0; i < g.means.size(); ++i) g.means[i] += static_cast<float>(i % 2 ? kFarY : kFarX);
+  }
   try {
-    const std::vector<uint8_t> plain = picture(p, g, sg::kBaseline, max_pairs);
+    const std::vector<uint8_t> plain = picture(g, canvas, sg::kBaseline, max_pairs);
     for (int isa = sg::kAvx2; isa <= sg::best_isa(); ++isa)
-      if (picture(p, g, isa, max_pairs) != plain) std::abort();
+      if (picture(g, canvas, isa, max_pairs) != plain) std::abort();
   } catch (const std::overflow_error&) {
   }
 }
@@ -46,8 +54,9 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   const int flags = data[6];
   const double quantum = (256 + data[5]) / 4096.0 * (1 << data[4] % 16) / 64.0;  // from 2^-10 to 64
   try {
-    const sg::RdParameters p(data[0] << 8 | data[1], data[2] << 8 | data[3], quantum, flags & 1, flags & 2);
-    draw(p, sg::rd_decode(p, data + kHeader, size - kHeader, flags & 4, kMostGaussians));
+    const sg::RdParameters p(data[0] << 8 | data[1], data[2] << 8 | data[3], quantum, flags & kGrey, flags & kUpright,
+                             flags & kVersion4 ? 4 : 3);
+    draw(p, sg::rd_decode(p, data + kHeader, size - kHeader, flags & kPrefix, kMostGaussians), flags & kFarOut);
   } catch (const std::invalid_argument&) {
   } catch (const std::runtime_error&) {
   }

@@ -12,13 +12,15 @@ from PIL import Image
 
 from tests.harness.data import golden, golden_path
 
-GOLDEN = {**golden(1), **golden(3)}
+GOLDEN = {**golden(1), **golden(3), **golden(4)}
 
 
 @cache
 def _hashes() -> dict[str, dict[str, str]]:
-    """Of version 3; version 1 has pictures."""
-    hashes: dict[str, dict[str, str]] = json.loads(golden_path("v3-hashes.json").read_text())
+    """Of versions 3 and 4; version 1 has pictures."""
+    hashes: dict[str, dict[str, str]] = {}
+    for version in ("v3", "v4"):
+        hashes |= json.loads(golden_path(f"{version}-hashes.json").read_text())
     return hashes
 
 

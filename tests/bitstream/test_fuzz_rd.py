@@ -1,6 +1,8 @@
-"""Damaged and hostile files of version 3: BitstreamError, or pixels of the size that the header says; nothing else.
+"""Damaged and hostile files of profile rd, versions 3 and 4: BitstreamError, or pixels of the size that the header
+says; nothing else.
 
-A changed bit changes all that follows in an entropy-coded payload, so one mutation explores more than in version 1.
+A changed bit changes all that follows in an entropy-coded payload, so one mutation explores more than in version 1. The
+two versions share the mutations.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from hypothesis import strategies as st
 from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.scene import Gaussians
 from sgmethod.view import View
 from tests.bitstream.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove
@@ -23,10 +26,11 @@ from tests.harness.data import golden, with_checksum
 
 MUTATIONS = 4000  # in each of two tests
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
+VERSIONS = (b"SGM\3", b"SGM\4")
 MAX_CPU_S = 2.0  # 0.14 s is the worst seen
 
 
-GOLDEN = list(golden(3).values())
+GOLDEN = [*golden(3).values(), *golden(4).values()]
 
 places = st.floats(0, 1, exclude_max=True)
 numbers = st.integers(0, 2**32 - 1)
@@ -48,6 +52,11 @@ def header_field(data: bytes, place: float, number: int) -> bytes:
     return put(data, at, values[number % len(values)])
 
 
+def version(data: bytes, place: float, _: int) -> bytes:
+    """The same payload by the rules of either version."""
+    return put(data, 3, b"\3" if place < 0.5 else b"\4")
+
+
 def payload(data: bytes, place: float, number: int) -> bytes:
     """From some place on: all ones, all zeros, or noise; sometimes much of it."""
     at = 18 + int(place * max(len(data) - 18, 1))
@@ -63,7 +72,7 @@ def start_of_payload(data: bytes, place: float, number: int) -> bytes:
 
 MUTATORS: list[Mutator] = [
     *[flip, overwrite, cut, remove, insert, duplicate],
-    *[picture_size, header_field, payload, payload, start_of_payload],
+    *[picture_size, header_field, version, payload, payload, start_of_payload],
 ]
 
 
@@ -73,19 +82,20 @@ def crowded() -> bytes:
     rng = np.random.default_rng(0)
     means, factors = rng.uniform(0, 200, (n, 2)), np.tile((1.0, 0.0, 1.0), (n, 1))
     gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, np.full((n, 3), 0.5))))
-    return container.serialise(StreamV3.of(gaussians, (200, 200), 1.5, (10, 20, 30), True))
+    return container.serialise(StreamV4.of(gaussians, (200, 200), 1.5, (10, 20, 30), True))
 
 
-def huge() -> bytes:
-    """As many wide Gaussians as the picture's tiles can bear, and more than they can three times as large."""
+def huge(stream: type[StreamV3]) -> bytes:
+    """As many wide Gaussians as the picture's tiles can bear, and, without a pyramid, more than they can three times as
+    large."""
     n = 500
     rng = np.random.default_rng(0)
     means, factors = rng.uniform(0, 150, (n, 2)), np.tile((500.0, 9.0, 700.0), (n, 1))
     gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
-    return container.serialise(StreamV3.of(gaussians, (150, 150), 1.0, (10, 20, 30), False))
+    return container.serialise(stream.of(gaussians, (150, 150), 1.0, (10, 20, 30), False))
 
 
-SEEDS = [*GOLDEN, crowded(), huge()]
+SEEDS = [*GOLDEN, crowded(), huge(StreamV3), huge(StreamV4)]
 
 
 def outcome(data: bytes, view: View) -> str:
@@ -122,7 +132,7 @@ def explore(seeds: list[bytes], views: st.SearchStrategy[View], fits: st.SearchS
     def mutate(data: bytes, steps: list[tuple[Mutator, float, int]], view: View, fits: bool) -> None:
         for mutator, place, number in steps:
             data = mutator(data, place, number)
-        if data[:4] == b"SGM\3":
+        if data[:4] in VERSIONS:
             seen[outcome(with_checksum(data) if fits else data, view)] += 1
 
     mutate()
@@ -149,8 +159,24 @@ def test_mutations_seen_in_part() -> None:
 
 
 @settings(max_examples=1500, deadline=None, derandomize=True, database=None)
-@given(st.binary(max_size=400), numbers, st.sampled_from([0, 1, 2, 3]), st.sampled_from([0, 256, 1024, 3839]))
-def test_any_payload(payload: bytes, number: int, flags: int, quantum: int) -> None:
+@given(
+    st.sampled_from(VERSIONS),
+    st.binary(max_size=400),
+    numbers,
+    st.sampled_from([0, 1, 2, 3]),
+    st.sampled_from([0, 256, 1024, 3839]),
+)
+def test_any_payload(begin: bytes, payload: bytes, number: int, flags: int, quantum: int) -> None:
     size = struct.pack(">HH", 1 + number % 500, 1 + number // 500 % 500)
     body = bytes([flags]) + size + struct.pack(">H", quantum) + b"\1\2\3" + payload
-    outcome(with_checksum(b"SGM\3" + bytes(4) + body), View(prefix=0.5 if number % 3 == 0 else 1.0))
+    outcome(with_checksum(begin + bytes(4) + body), View(prefix=0.5 if number % 3 == 0 else 1.0))
+
+
+def test_needles_overlap_in_a_pyramid_too() -> None:
+    """They are too narrow for a coarser level, however long they are."""
+    n, side = 4000, 170
+    means, factors = np.full((n, 2), side / 2), np.tile((600.0, 600.0, 0.3), (n, 1))
+    gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, np.full((n, 3), 0.01))))
+    data = container.serialise(StreamV4.of(gaussians, (side, side), 0.5, (10, 20, 30), True))
+    assert outcome(data, View()) == "drawn"
+    assert outcome(data, View(3.0)) == "overlap"
