@@ -109,9 +109,7 @@ class StreamV3:
         Raises BitstreamError, also for more Gaussians than the limit.
         """
         most = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians}
-        parameters = native.RdParameters(
-            self.width, self.height, self.quantum, self.grey, self.upright, self.VERSION
-        )
+        parameters = native.RdParameters(self.width, self.height, self.quantum, self.grey, self.upright, self.VERSION)
         cut = math.ceil(prefix * len(self.payload))
         try:
             return Gaussians(*native.rd_decode(parameters, self.payload[:cut], prefix < 1, **most))
