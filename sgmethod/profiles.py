@@ -11,21 +11,23 @@ from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
-class OptimiserSettings:
-    """Adam in each Gaussian's own frame: ours. Rates are relative changes per step."""
+class FitSettings:
+    """What every fit has."""
 
-    mean_rate: float = 0.07
-    factor_rate: float = 0.07
-    color_rate: float = 0.035
     final_rate: float = 0.03  # the cosine schedule ends at this part of the rates
-    beta1: float = 0.9
-    beta2: float = 0.99
     min_scale_px: float = 0.3  # l1, l3 at least this: below it a Gaussian falls between pixel centres
 
 
 @dataclass(frozen=True)
-class PaperSettings(OptimiserSettings):
+class PaperSettings(FitSettings):
     """Hyper-parameters of profiles paper and baseline."""
+
+    # Adam in each Gaussian's own frame: ours. Rates are relative changes per step.
+    mean_rate: float = 0.07
+    factor_rate: float = 0.07
+    color_rate: float = 0.035
+    beta1: float = 0.9
+    beta2: float = 0.99
 
     # Structure-guided initialisation (section III-B)
     structure_guided: bool = True  # False: uniformly random start (GSImage)
@@ -68,17 +70,18 @@ class PaperSettings(OptimiserSettings):
 
 
 @dataclass(frozen=True)
-class RdSettings(OptimiserSettings):
+class RdSettings(FitSettings):
     """Hyper-parameters of profile rd: ours. Times are parts of the schedule, 0 to 1.
 
     docs/notebook.md has the measurement behind each number.
     """
 
-    steps: int = 1000
-    mean_rate: float = 0.09
-    factor_rate: float = 0.09
-    color_rate: float = 0.045
-    beta2: float = 0.98
+    steps: int = 750
+    newton_rate: float = 20.0  # of the steps that Gaussians without neighbours would need
+    momentum: float = 0.9
+    most_frame: float = 0.1  # change in a step: of the mean and factor, in the Gaussian's own frame
+    most_color: float = 0.05  # and of its colours
+    faint: float = 0.03  # length of a colour at which a Gaussian's place has hardly a meaning
     color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     # Growth: Gaussians are added at these times, where each gains more than its bits are worth.
