@@ -76,13 +76,13 @@ class RdSettings(FitSettings):
     docs/notebook.md has the measurement behind each number.
     """
 
-    steps: int = 750
-    newton_rate: float = 20.0  # of the steps that Gaussians without neighbours would need
+    steps: int = 650
+    newton_rate: float = 40.0  # of the steps that Gaussians without neighbours would need
     momentum: float = 0.9
     most_frame: float = 0.1  # change in a step: of the mean and factor, in the Gaussian's own frame
     most_color: float = 0.05  # and of its colours
     faint: float = 0.03  # length of a colour at which a Gaussian's place has hardly a meaning
-    color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
+    color_solve_steps: int = 4  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     # Growth: Gaussians are added at these times, where each gains more than its bits are worth.
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow
@@ -121,7 +121,7 @@ class RdSettings(FitSettings):
     # The end: one quantum for all, then integers are refined.
     fit_share: float = 0.9  # of a time limit; the rest is for the end
     refine_weight: float = 0.35  # price of a bit in refining, in multiples of its theoretical price
-    refine_sweeps: int = 6  # over all Gaussians
+    refine_sweeps: int = 3  # over all Gaussians
     least_used: float = 0.985  # of the bytes allowed; if refining leaves less in use, a finer quantum is tried
     size_tries: int = 4
     quantum_per_size: float = 1.4  # the quantum goes with about this power of the size's inverse

@@ -71,13 +71,14 @@ void frame_newton(const NewtonSettings& s, float rate, double values, int n, con
     const float area = scale * l[0] * l[2];
     const float square = color[0] * color[0] + color[1] * color[1] + color[2] * color[2];
     const float energy = area * (square + s.faint * s.faint);
-    const float curvature[kFrameValues] = {energy / 2,     energy / 2, energy * 0.75f, energy / 4,
-                                           energy * 0.75f, area,       area,           area};
+    const float of_frame = 1 / energy, of_color = 1 / area;
+    const float inverse[kFrameValues] = {of_frame * 2,         of_frame * 2, of_frame * (1 / 0.75f), of_frame * 4,
+                                         of_frame * (1 / 0.75f), of_color,     of_color,               of_color};
     float along = 0, steep = 1e-30f, fast = 1e-30f;
     for (int k = 0; k < kFrameValues; ++k) {
-      along += g[k] * m[k] / curvature[k];
-      steep += g[k] * g[k] / curvature[k];
-      fast += m[k] * m[k] / curvature[k];
+      along += g[k] * m[k] * inverse[k];
+      steep += g[k] * g[k] * inverse[k];
+      fast += m[k] * m[k] * inverse[k];
     }
     const float cosine = along / std::sqrt(steep * fast);
     eased = std::clamp(eased - cosine * (cosine < 0 ? kEasing : kRecovery), 0.0f, kMostEased);
@@ -87,7 +88,7 @@ void frame_newton(const NewtonSettings& s, float rate, double values, int n, con
     for (int k = 0; k < kFrameValues; ++k) {
       const float most = k < 5 ? s.most_frame : s.most_color;
       m[k] = s.beta * m[k] + (1 - s.beta) * g[k];
-      move[k] = std::clamp(-factor * m[k] / curvature[k], -most, most);
+      move[k] = std::clamp(-factor * m[k] * inverse[k], -most, most);
     }
     move_by(move, s.min_scale, mean, l, color);
   });
