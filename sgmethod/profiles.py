@@ -11,23 +11,21 @@ from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
-class FitSettings:
-    """What every fit has."""
+class OptimiserSettings:
+    """Adam in each Gaussian's own frame: ours. Rates are relative changes per step."""
 
+    mean_rate: float = 0.07
+    factor_rate: float = 0.07
+    color_rate: float = 0.035
     final_rate: float = 0.03  # the cosine schedule ends at this part of the rates
+    beta1: float = 0.9
+    beta2: float = 0.99
     min_scale_px: float = 0.3  # l1, l3 at least this: below it a Gaussian falls between pixel centres
 
 
 @dataclass(frozen=True)
-class PaperSettings(FitSettings):
+class PaperSettings(OptimiserSettings):
     """Hyper-parameters of profiles paper and baseline."""
-
-    # Adam in each Gaussian's own frame: ours. Rates are relative changes per step.
-    mean_rate: float = 0.07
-    factor_rate: float = 0.07
-    color_rate: float = 0.035
-    beta1: float = 0.9
-    beta2: float = 0.99
 
     # Structure-guided initialisation (section III-B)
     structure_guided: bool = True  # False: uniformly random start (GSImage)
@@ -70,18 +68,20 @@ class PaperSettings(FitSettings):
 
 
 @dataclass(frozen=True)
-class RdSettings(FitSettings):
+class RdSettings(OptimiserSettings):
     """Hyper-parameters of profile rd: ours. Times are parts of the schedule, 0 to 1.
 
     docs/notebook.md has the measurement behind each number.
     """
 
-    steps: int = 650
-    newton_rate: float = 40.0  # of the steps that Gaussians without neighbours would need
-    momentum: float = 0.9
-    most_frame: float = 0.1  # change in a step: of the mean and factor, in the Gaussian's own frame
-    most_color: float = 0.05  # and of its colours
-    faint: float = 0.03  # length of a colour at which a Gaussian's place has hardly a meaning
+    steps: int = 1000
+    dense_steps: int = 1500  # where many Gaussians a pixel are expected: they take longer to come to rest
+    sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
+    dense: float = 0.035  # and from which `dense_steps` are taken
+    mean_rate: float = 0.09
+    factor_rate: float = 0.09
+    color_rate: float = 0.045
+    beta2: float = 0.98
     color_solve_steps: int = 4  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     # Growth: Gaussians are added at these times, where each gains more than its bits are worth.

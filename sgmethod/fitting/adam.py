@@ -12,13 +12,13 @@ from torch import Tensor
 
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
-from sgmethod.profiles import PaperSettings
+from sgmethod.profiles import OptimiserSettings
 
 
 class FrameAdam:
     """Adam on (d, S, colour), 8 numbers a Gaussian (see the module's text)."""
 
-    def __init__(self, n: int, settings: PaperSettings) -> None:
+    def __init__(self, n: int, settings: OptimiserSettings) -> None:
         s = settings
         rates = (s.mean_rate, s.factor_rate, s.color_rate)
         self._settings = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px)

@@ -97,29 +97,7 @@ def frame_adam(
     second: FloatArray,
     bias: FloatArray,
 ) -> None:
-    """One step of sgmethod.fitting.adam.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
-
-class NewtonSettings:
-    """Of frame_newton (sgmethod/native/fit/optimiser.h)."""
-
-    def __init__(
-        self, rate: float, most_frame: float, most_color: float, faint: float, beta: float, min_scale: float
-    ) -> None: ...
-
-def frame_newton(
-    settings: NewtonSettings,
-    rate: float,
-    values: float,
-    means: FloatArray,
-    factors: FloatArray,
-    colors: FloatArray,
-    by_means: FloatArray,
-    by_factors: FloatArray,
-    by_colors: FloatArray,
-    momentum: FloatArray,
-    state: FloatArray,
-) -> None:
-    """One step of sgmethod.fitting.newton.FrameNewton: moves the Gaussians; updates momentum [N, 8], state [N, 2]."""
+    """One step of sgmethod.fitting.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
 
 def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray

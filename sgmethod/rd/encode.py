@@ -45,7 +45,7 @@ def fit_and_grow(fit: RdFit, request: Request) -> int:
     fit_until = None if until is None else settings.fit_share * until
     if fit_until is not None:
         fit.hurry(fit_until - clock.seconds())
-    schedule = Schedule("joint", settings.steps, settings.final_rate, fit_until, patience=1.0)
+    schedule = Schedule("joint", fit.control.steps(), settings.final_rate, fit_until, patience=1.0)
     steps = schedule.run(request.recorder, fit.step)
     fit.settle()
     return steps

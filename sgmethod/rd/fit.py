@@ -15,7 +15,7 @@ import torch
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import background_of
-from sgmethod.fitting.newton import FrameNewton
+from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture
 from sgmethod.fitting.recorder import Recorder
@@ -53,7 +53,7 @@ class RdFit:
         self.size = 0  # of the file in bytes, when last looked at
         self.due = sorted([*settings.growth_at, *settings.trim_at])
         self.p = self._place(np.random.default_rng(seed))
-        self.steps = FrameNewton(len(self.p.means), settings)
+        self.adam = FrameAdam(len(self.p.means), settings)
 
     def _place(self, rng: np.random.Generator) -> Parameters:
         """A part of the expected Gaussians, where the structure is. They are few, so a small picture shows enough."""
@@ -76,11 +76,10 @@ class RdFit:
             began = self.recorder.clock.seconds()
             self.picture.gradients(self.p)
             times.append(self.recorder.clock.seconds() - began)
-        self.pyramid.choose_finest(seconds, self.settings.steps * min(times))
+        self.pyramid.choose_finest(seconds, self.control.steps() * min(times))
         # What is narrower falls between the pixels.
         narrowest = self.settings.min_scale_px * self.pyramid.finest.spacing
-        settings = replace(self.settings, min_scale_px=narrowest)
-        self.steps = FrameNewton(len(self.p.means), settings)
+        self.adam = FrameAdam(len(self.p.means), replace(self.settings, min_scale_px=narrowest))
 
     def step(self, rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         """One optimiser step, after whatever is due at this part of the schedule."""
@@ -96,7 +95,7 @@ class RdFit:
         elif self.recorder.due():
             self.mse = self.recorder.measured(lambda: self.picture.residual(self.p).square().mean().item())
         quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.values)
-        self.steps.step(self.p, grad, rate, picture.target.numel())
+        self.adam.step(self.p, grad, rate)
         self._stay_in_range()
         return self.mse, (len(self.p.means), 8 * self.size)
 
@@ -135,7 +134,7 @@ class RdFit:
         if psnr is not None and self._rounded_psnr(kept) < psnr - self.settings.missed_db:
             return  # none would come back once the growth is over
         self.p = kept
-        self.steps.select(keep)
+        self.adam.select(keep)
 
     def _steer(self, at: float) -> None:
         """Move the quantum as the rate control says."""
@@ -162,7 +161,7 @@ class RdFit:
             torch.cat([self.p.factors, factors]),
             torch.cat([self.p.colors, colors]),
         )
-        self.steps.extend(len(means))
+        self.adam.extend(len(means))
         self._sort()
 
     def _sort(self) -> None:
@@ -170,7 +169,7 @@ class RdFit:
         means = self.p.means
         order = torch.argsort((means[:, 1] / native.TILE_HEIGHT).floor() * 2 * self.width + means[:, 0], stable=True)
         self.p = self.p.rows(order)
-        self.steps.select(order)
+        self.adam.select(order)
 
     def _rounded_psnr(self, p: Parameters) -> float:
         residual = self.picture.residual(self.coder.rounded(p))

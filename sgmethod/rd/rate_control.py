@@ -75,6 +75,13 @@ class RateControl:
             return max(min(int(8 * self.max_bytes / BIT_GUESS), self.pixels), 1)
         return max(min(int(GAUSSIANS_GUESS * self.pixels / self.quantum), self.pixels // PIXELS_OF_FIRST_GUESS), 1)
 
+    def steps(self) -> int:
+        """Steps of the fit."""
+        s = self.settings
+        density = self.expected_gaussians() / self.pixels
+        share = min(max((density - s.sparse) / (s.dense - s.sparse), 0), 1)
+        return round(s.steps + share * (max(s.dense_steps, s.steps) - s.steps))
+
     def most_gaussians(self, at: float) -> int:
         """How many Gaussians there may be at a time of the schedule."""
         if self.max_gaussians is not None:

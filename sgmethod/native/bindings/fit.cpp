@@ -36,15 +36,6 @@ void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, 
                  {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), bias.data());
 }
 
-void frame_newton(const sg::NewtonSettings& settings, float rate, double values, RowsOut<2> means,
-                  RowsOut<3> factors, RowsOut<3> colors, Rows<2> by_means, Rows<3> by_factors, Rows<3> by_colors,
-                  RowsOut<8> momentum, RowsOut<2> state) {
-  const int n = gaussians(means, factors, colors, by_means, by_factors, by_colors, momentum, state);
-  nb::gil_scoped_release release;
-  sg::frame_newton(settings, rate, values, n, {means.data(), factors.data(), colors.data()},
-                   {by_means.data(), by_factors.data(), by_colors.data()}, momentum.data(), state.data());
-}
-
 void keep_in_range(float reach, float width, float height, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors) {
   const int n = gaussians(means, factors, colors);
   nb::gil_scoped_release release;
@@ -63,11 +54,6 @@ void bind_fit(nb::module_& m) {
   m.def("frame_adam", &frame_adam, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(),
         "bias"_a.noconvert());
-  nb::class_<sg::NewtonSettings>(m, "NewtonSettings")
-      .def(nb::init<float, float, float, float, float, float>(), "rate"_a, "most_frame"_a, "most_color"_a, "faint"_a, "beta"_a, "min_scale"_a);
-  m.def("frame_newton", &frame_newton, "settings"_a, "rate"_a, "values"_a, "means"_a.noconvert(),
-        "factors"_a.noconvert(), "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a,
-        "momentum"_a.noconvert(), "state"_a.noconvert());
   m.def("keep_in_range", &keep_in_range, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert());
 }

@@ -10,27 +10,6 @@ namespace sg {
 namespace {
 
 constexpr int kBlock = 512;  // Gaussians of a task
-constexpr float kPi = 3.14159265f;
-constexpr float kMostEased = 4.0f;
-constexpr float kEasing = 0.1f, kRecovery = 0.05f;  // for a gradient straight against, and along, the momentum
-
-// The gradients by d, S and the colour.
-struct FrameGradient {
-  FrameGradient(const float* l, const float* gm, const float* gl, const float* gc)
-      : values{l[0] * gm[0] + l[1] * gm[1], l[2] * gm[1],  l[0] * gl[0] + l[1] * gl[1], l[2] * gl[1],
-               l[2] * gl[2],                gc[0],         gc[1],                       gc[2]} {}
-  float values[kFrameValues];
-};
-
-void move_by(const float* move, float min_scale, float* mean, float* l, float* color) {
-  mean[0] += l[0] * move[0];
-  mean[1] += l[1] * move[0] + l[2] * move[1];
-  const float grow1 = std::exp(move[2]), grow3 = std::exp(move[4]);
-  l[1] = l[1] * grow1 + l[2] * move[3];
-  l[0] = std::max(l[0] * grow1, min_scale);
-  l[2] = std::max(l[2] * grow3, min_scale);
-  for (int k = 0; k < 3; ++k) color[k] += move[5 + k];
-}
 
 }  // namespace
 
@@ -44,53 +23,27 @@ void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGa
   for (float& r : s.rates) r *= rate;
   parallel_each(n, kBlock, [&](int i) {
     float *mean = p.means + 2 * i, *l = p.factors + 3 * i, *color = p.colors + 3 * i;
-    const FrameGradient by(l, grad.means + 2 * i, grad.factors + 3 * i, grad.colors + 3 * i);
-    const float* g = by.values;
+    const float *gm = grad.means + 2 * i, *gl = grad.factors + 3 * i, *gc = grad.colors + 3 * i;
+    // By d, S and the colour.
+    const float g[kAdamValues] = {l[0] * gm[0] + l[1] * gm[1], l[2] * gm[1], l[0] * gl[0] + l[1] * gl[1], l[2] * gl[1],
+                                  l[2] * gl[2], gc[0], gc[1], gc[2]};
     bias[2 * i] *= s.beta1;
     bias[2 * i + 1] *= s.beta2;
     const float unbias1 = 1 / (1 - bias[2 * i]), unbias2 = 1 / (1 - bias[2 * i + 1]);
-    float move[kFrameValues];
-    for (int k = 0; k < kFrameValues; ++k) {
-      float &m1 = first[kFrameValues * i + k], &m2 = second[kFrameValues * i + k];
+    float move[kAdamValues];
+    for (int k = 0; k < kAdamValues; ++k) {
+      float &m1 = first[kAdamValues * i + k], &m2 = second[kAdamValues * i + k];
       m1 = s.beta1 * m1 + (1 - s.beta1) * g[k];
       m2 = s.beta2 * m2 + (1 - s.beta2) * g[k] * g[k];
       move[k] = -s.rates[k] * m1 * unbias1 / (std::sqrt(m2 * unbias2) + 1e-15f);
     }
-    move_by(move, s.min_scale, mean, l, color);
-  });
-}
-
-void frame_newton(const NewtonSettings& s, float rate, double values, int n, const MutableGaussians& p,
-                  const ConstGaussians& grad, float* momentum, float* state) {
-  const auto scale = static_cast<float>(2 * kPi / values);
-  parallel_each(n, kBlock, [&](int i) {
-    float *mean = p.means + 2 * i, *l = p.factors + 3 * i, *color = p.colors + 3 * i;
-    const FrameGradient by(l, grad.means + 2 * i, grad.factors + 3 * i, grad.colors + 3 * i);
-    const float* g = by.values;
-    float *m = momentum + kFrameValues * i, &zeros = state[2 * i], &eased = state[2 * i + 1];
-    const float area = scale * l[0] * l[2];
-    const float square = color[0] * color[0] + color[1] * color[1] + color[2] * color[2];
-    const float energy = area * (square + s.faint * s.faint);
-    const float of_frame = 1 / energy, of_color = 1 / area;
-    const float inverse[kFrameValues] = {of_frame * 2,         of_frame * 2, of_frame * (1 / 0.75f), of_frame * 4,
-                                         of_frame * (1 / 0.75f), of_color,     of_color,               of_color};
-    float along = 0, steep = 1e-30f, fast = 1e-30f;
-    for (int k = 0; k < kFrameValues; ++k) {
-      along += g[k] * m[k] * inverse[k];
-      steep += g[k] * g[k] * inverse[k];
-      fast += m[k] * m[k] * inverse[k];
-    }
-    const float cosine = along / std::sqrt(steep * fast);
-    eased = std::clamp(eased - cosine * (cosine < 0 ? kEasing : kRecovery), 0.0f, kMostEased);
-    zeros *= s.beta;
-    const float factor = s.rate * rate * std::exp(-eased) / (1 - zeros);
-    float move[kFrameValues];
-    for (int k = 0; k < kFrameValues; ++k) {
-      const float most = k < 5 ? s.most_frame : s.most_color;
-      m[k] = s.beta * m[k] + (1 - s.beta) * g[k];
-      move[k] = std::clamp(-factor * m[k] * inverse[k], -most, most);
-    }
-    move_by(move, s.min_scale, mean, l, color);
+    mean[0] += l[0] * move[0];
+    mean[1] += l[1] * move[0] + l[2] * move[1];
+    const float grow1 = std::exp(move[2]), grow3 = std::exp(move[4]);
+    l[1] = l[1] * grow1 + l[2] * move[3];
+    l[0] = std::max(l[0] * grow1, s.min_scale);
+    l[2] = std::max(l[2] * grow3, s.min_scale);
+    for (int k = 0; k < 3; ++k) color[k] += move[5 + k];
   });
 }
 
