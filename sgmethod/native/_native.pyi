@@ -145,7 +145,8 @@ class RdParameters:
     ) -> None: ...
 
 def rd_clipped_values() -> int:
-    """Values outside of the range of their integer that quantising moved to its end, since the process began."""
+    """Values that lay outside of the range of their integer and were moved to its end, since the process began: of
+    Gaussians that came to be quantised, encoded or refined."""
 
 def rd_quantise(
     parameters: RdParameters,
