@@ -1,4 +1,5 @@
 // The kernels on values that no encoder makes, on every instruction set: nothing may be read or written out of place.
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -9,6 +10,7 @@
 #include "check.h"
 #include "core/constants.h"
 #include "core/isa.h"
+#include "core/thread_pool.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
 #include "raster/rasterization.h"
@@ -199,5 +201,28 @@ TEST(refining_keeps_the_limit_of_bytes) {
     const std::vector<uint8_t> bytes = sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), 100, target.data(),
                                                      {sg::kCutoffV3, 0.01, 1, 60.0, 100});
     CHECK(bytes.size() <= 100);
+  }
+}
+
+// Several cells of a coarse level are visited at once. The Gaussians reach to within some samples of where the areas of two
+// of them touch, from both sides.
+TEST(refining_is_the_same_for_every_number_of_threads) {
+  constexpr int kLong = 1300, kShort = 40, kMany = 24;
+  const sg::RdParameters p(kLong, kShort, 0.05, false, false, 4);
+  sg::GaussianArrays g;
+  for (int i = 0; i < kMany; ++i) {
+    const int touching = 64 + 128 * (1 + i % 4), side = i / 4 % 2 ? 1 : -1;
+    g.means.push_back(2.0f * static_cast<float>(touching + 70 * side));
+    g.means.push_back(between(0, kShort));
+    for (const float v : {50.0f, 0.0f, 4.0f}) g.factors.push_back(v);
+    for (int k = 0; k < 3; ++k) g.colors.push_back(between(-1, 1));
+  }
+  const std::vector<float> target(3 * kLong * kShort, 0.5f);
+  std::vector<std::vector<uint8_t>> found;
+  for (const int threads : {1, 2, 5}) {
+    sg::set_thread_count(threads);
+    found.push_back(sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), kMany, target.data(),
+                                  {sg::kCutoffV3, 0.01, 1, 60.0, 200}));
+    CHECK(found.back() == found.front());
   }
 }
