@@ -1,4 +1,4 @@
-// The stream of profile rd (docs/format.md, version 3).
+// The stream of profile rd (docs/format.md, versions 3 and 4).
 //
 // Classes of size come from the largest down. Each class divides the picture into cells about as wide as its Gaussians.
 // Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance along
