@@ -158,16 +158,17 @@ TEST(kernels_refuse_what_cannot_be) {
 }
 
 TEST(codec_gives_back_what_rounding_leaves) {
+  constexpr int kMany = 200;
   for (const int k : {0, 1, 2, 3}) {
     const bool wild = k % 2;
     const sg::RdParameters p(kWidth, kHeight, 0.05, false, false, 3 + k / 2);
-    const sg::GaussianArrays g = scattered(300, wild);
+    const sg::GaussianArrays g = scattered(kMany, wild);
     sg::GaussianArrays rounded = g;
-    sg::rd_quantise(p, g.means.data(), g.factors.data(), g.colors.data(), 300, rounded.means.data(), rounded.factors.data(),
+    sg::rd_quantise(p, g.means.data(), g.factors.data(), g.colors.data(), kMany, rounded.means.data(), rounded.factors.data(),
                     rounded.colors.data());
-    const std::vector<uint8_t> bytes = sg::rd_encode(p, g.means.data(), g.factors.data(), g.colors.data(), 300);
+    const std::vector<uint8_t> bytes = sg::rd_encode(p, g.means.data(), g.factors.data(), g.colors.data(), kMany);
     size_t left = 0;
-    for (size_t i = 0; i < 300; ++i)
+    for (size_t i = 0; i < kMany; ++i)
       left += rounded.colors[3 * i] != 0 || rounded.colors[3 * i + 1] != 0 || rounded.colors[3 * i + 2] != 0;
     CHECK(sg::rd_decode(p, bytes.data(), bytes.size(), false).means.size() == 2 * left);
     for (size_t cut = 0; cut < bytes.size(); ++cut) {

@@ -210,8 +210,10 @@ TEST(gram_products_are_those_of_enlarged_pictures) {
   for (const auto& [width, height] : kSizes) {
     const sg::GaussianArrays g = scattered(width, height);
     Residual residual(width, height, g);
+    std::vector<Level> levels;
+    for (int level = 0; level <= residual.reduced.top(); ++level) levels.emplace_back(residual.raster.grids(), level);
     for_patches(g, residual.raster.grids(), [&](size_t, int level, const sg::Patch& patch, float) {
-      const Level own(residual.raster.grids(), level);
+      const Level& own = levels[static_cast<size_t>(level)];
       const Matrix weights = on_grid(patch, own.grid, [&](int row) { return patch.weights(row); });
       const Matrix found = on_grid(patch, own.grid, [&](int row) { return patch.product(row); });
       const Matrix expected = own.reduced(own.enlarged(weights)), reduced = red(residual.reduced, level);
