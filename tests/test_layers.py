@@ -95,6 +95,22 @@ def test_modules_do_not_import_in_a_circle() -> None:
     assert set(IMPORTS) <= set(order)
 
 
+def test_native_rooms_include_from_above() -> None:
+    """In the order in which the native package's text names them."""
+    native = ROOT / "sgmethod" / "native"
+    order = re.findall(r"(\w+)/", (ast.get_docstring(ast.parse((native / "__init__.py").read_text())) or ""))
+    sources = [path for path in native.rglob("*.*") if path.suffix in (".h", ".cpp")]
+    assert set(order) == {path.parent.name for path in sources}
+    included = 0
+    for path in sources:
+        for name in re.findall(r'^#include "(\w+)/', path.read_text(), re.MULTILINE):
+            assert order.index(name) <= order.index(path.parent.name), (
+                f"{path.parent.name}/{path.name} includes {name}/"
+            )
+            included += 1
+    assert included > 50
+
+
 def test_the_imports_are_found() -> None:
     assert "sgmethod.errors" in IMPORTS["sgmethod.decode"]
     assert "sgmethod.native._native" in IMPORTS["sgmethod.native"]

@@ -1,8 +1,9 @@
 """The compiled kernels: drawing, gradients, the optimiser's step, the entropy coder, refining.
 
 Arrays of numpy come in, and results leave in arrays that the caller brings.
-The C++ sources lie beside this file: core/ (constants, threads, vectors), raster/ (drawing), fit/ (loss, optimiser) and
-rd/ (profile rd: integers, entropy coder, refining) know nothing of Python; bindings/ translates.
+The C++ sources lie beside this file, in rooms that include from those before them alone: core/ (constants, threads,
+vectors), raster/ (drawing), fit/ (loss, optimisers), rd/ (profile rd: integers, entropy coder) and refine/ (the
+integers of one Gaussian at a time) know nothing of Python; bindings/ translates.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from sgmethod.scene import FloatArray
 
 MAX_SIDE: int  # pixels along a side of a picture
 CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
-CUTOFF_V3: float  # and of version 3
+CUTOFF_V3: float  # and of versions 3 and 4
 MAX_CUTOFF: float  # the largest that the kernels take
 MIN_SCALE: float  # pixels; l1 and l3 are at least this
 COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -123,7 +123,8 @@ class RdParameters:
     ) -> None: ...
 
 def rd_clipped_values() -> int:
-    """Values outside of the range of their integer that quantising moved to its end, since the process began."""
+    """Values that lay outside of the range of their integer and were moved to its end, since the process began: of
+    Gaussians that came to be quantised, encoded or refined."""
 
 def rd_quantise(
     parameters: RdParameters,
@@ -149,7 +150,7 @@ def rd_refine(
     seconds: float,
     max_bytes: int,
 ) -> bytes:
-    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/rd/refine.h)."""
+    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h)."""
 
 def rd_decode(
     parameters: RdParameters, data: bytes, prefix: bool = False, max_gaussians: int = ...

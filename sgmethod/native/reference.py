@@ -47,7 +47,7 @@ NARROWEST = 1.4  # samples
 
 def render_pyramid(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], cutoff: float) -> Tensor:
     """As render(), with each Gaussian drawn on its level of the pyramid."""
-    levels = torch.tensor([level_of(*(float(v) for v in factor)) for factor in factors], dtype=torch.int64)
+    levels = torch.tensor([level_of(*factor) for factor in factors.tolist()], dtype=torch.int64)
     image: Tensor | None = None
     for level in range(max(levels.tolist(), default=0), -1, -1):
         border = 1 if level else 0

@@ -3,7 +3,7 @@
 Let e be the residual and w a round Gaussian of scale s at some place. Its best colour is <w, e> / <w, w>. That takes
 its gain, <w, e>^2 / <w, w>, off the squared error.
 
-The Gaussians of version 3 end at sigma = 3. Such a Gaussian is as wide as a whole one of scale b = 0.849 s. Its
+The Gaussians of profile rd end at sigma = 3. Such a Gaussian is as wide as a whole one of scale b = 0.849 s. Its
 integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the residual blurred by a normalised Gaussian
 of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
 

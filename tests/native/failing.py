@@ -18,7 +18,7 @@ import numpy as np
 
 from sgmethod import Budget, codec, decode, profiles
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.io.image import read_image
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
@@ -52,8 +52,8 @@ def decodes(name: str) -> Action:
 
 @cache
 def large_file() -> bytes:
-    """With Gaussians enough for tasks that take memory."""
-    stream = StreamV3.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
+    """With Gaussians enough for tasks that take memory, on several levels."""
+    stream = StreamV4.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
     return container.serialise(stream)
 
 
@@ -71,7 +71,7 @@ def render() -> bytes:
 def gradients() -> bytes:
     means, factors, colors = scattered(2000)
     target = np.full((3, HEIGHT, WIDTH), 0.5, np.float32)
-    raster = native.Rasterization(means, factors, WIDTH, HEIGHT)
+    raster = native.Rasterization(means, factors, WIDTH, HEIGHT, native.CUTOFF_V3, pyramid=True)
     first = [np.empty_like(array) for array in (means, factors, colors)]
     second = [np.empty_like(array) for array in (means, factors, colors)]
     raster.backward(colors, target, *first)
@@ -84,7 +84,7 @@ def gradients() -> bytes:
 def refine() -> bytes:
     parameters = native.RdParameters(WIDTH, HEIGHT, 0.1)
     target = np.full((3, HEIGHT, WIDTH), 0.5, np.float32)
-    return native.rd_refine(parameters, *scattered(100), target, native.CUTOFF_V3, 0.01, 1, 60.0, 600)
+    return native.rd_refine(parameters, *scattered(20), target, native.CUTOFF_V3, 0.01, 1, 60.0, 100)
 
 
 def encode() -> bytes:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from sgmethod.native import native, reference
-from tests.native.autograd import render
+from tests.native.harness.autograd import render
 
 CUTOFF = native.CUTOFF_V1
 ISAS = range(native.best_isa() + 1)
@@ -327,10 +327,12 @@ geometry = itertools.chain(
 )
 image, out = np.empty((3, 70, 40), np.float32), [np.empty((1, k), np.float32) for k in (2, 3, 3)]
 color = np.ones((1, 3), np.float32)
-for x, y, l1, l2, l3 in geometry:
-    raster = native.Rasterization(np.float32([[x, y]]), np.float32([[l1, l2, l3]]), 40, 70, max_pairs=100)
+for (x, y, l1, l2, l3), pyramid in itertools.product(geometry, (False, True)):
+    mean, factor = np.float32([[x, y]]), np.float32([[l1, l2, l3]])
+    raster = native.Rasterization(mean, factor, 40, 70, max_pairs=100, pyramid=pyramid)
     raster.render(color, image)
-    assert np.isfinite(image).all() and image.min() >= 0 and image.max() <= 1, (x, y, l1, l2, l3)
+    assert np.isfinite(image).all() and image.min() >= 0, (x, y, l1, l2, l3)
+    assert image.max() <= (1.03 if pyramid else 1), (x, y, l1, l2, l3)
     raster.backward(color, image, *out)
 """
 

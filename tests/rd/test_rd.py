@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.io.image import read_image
 from sgmethod.native import native
@@ -53,8 +53,10 @@ def quadrants(side: int) -> FloatArray:
     return np.stack([(x + y) % 2, (x + y) % 2 * x / 3, (x + y) % 2 * y / 3], 2).astype(np.float32)
 
 
-def stream(encoded: Encoded) -> StreamV3:
-    return container.parse(encoded.data)
+def stream(encoded: Encoded) -> StreamV4:
+    found = container.parse(encoded.data)
+    assert isinstance(found, StreamV4)
+    return found
 
 
 def assert_sound(encoded: Encoded, pixels: FloatArray) -> None:
@@ -186,6 +188,26 @@ def test_nearly_grey_is_not_grey() -> None:
     nearly = np.repeat(crop()[:, :, 1:2], 3, 2)
     nearly[10:20, 10:20, 0] = np.clip(nearly[10:20, 10:20, 0] + 0.02, 0, 1)
     assert not stream(encode(np.ascontiguousarray(nearly), Budget("bytes", 500))).grey
+
+
+def line(side: int) -> FloatArray:
+    """One pixel wide, at 45 degrees: needles, the longer the better."""
+    return np.repeat(np.eye(side, dtype=np.float32)[:, :, None], 3, 2)
+
+
+def grating(side: int) -> FloatArray:
+    """Stripes two pixels wide, at 45 degrees."""
+    y, x = np.indices((side, side))
+    return np.repeat(((x + y) // 2 % 2).astype(np.float32)[:, :, None], 3, 2)
+
+
+@pytest.mark.parametrize("picture", [lambda: line(32), lambda: line(96), lambda: grating(40)])
+@pytest.mark.parametrize("budget", [Budget("bpp", 1), Budget("bpp", 4), Budget("bpp", 16), Budget("quality", 100)])
+def test_no_encode_clips(picture: Callable[[], FloatArray], budget: Budget) -> None:
+    """A needle in a fine file would be drawn as something else."""
+    before = native.rd_clipped_values()
+    assert_sound(encode(picture(), budget), picture())
+    assert native.rd_clipped_values() == before
 
 
 ODD: dict[str, Callable[[], FloatArray]] = {

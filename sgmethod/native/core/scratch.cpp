@@ -11,32 +11,37 @@ namespace sg {
 namespace {
 
 constexpr size_t kMostKept = 8;
+constexpr size_t kMostFloats = 1 << 25;  // of all that are kept: 128 MB, or one huge picture would hold its memory for good
 
 struct Kept {
+  Kept() { blocks.reserve(kMostKept + 1); }  // so that handing one back never throws
   std::mutex lock;
-  std::vector<std::vector<float>> blocks;  // none in use
+  std::vector<std::vector<float>> blocks;  // none in use, that which was used longest ago first
 };
 
 // It lives as long as the process: other threads may draw while it ends.
-Kept& kept() {
-  static Kept* const all = new Kept;
-  return *all;
-}
+Kept* const kept = new Kept;
 
-// Another thread may have held the lock when a child was forked.
-[[maybe_unused]] const int watched = pthread_atfork(nullptr, nullptr, [] { new (&kept().lock) std::mutex; });
+// Another thread may have been at it when a child was forked.
+[[maybe_unused]] const int watched = pthread_atfork(nullptr, nullptr, [] { new (kept) Kept; });
+
+size_t floats_of(const std::vector<std::vector<float>>& blocks) {
+  size_t sum = 0;
+  for (const auto& block : blocks) sum += block.size();
+  return sum;
+}
 
 }  // namespace
 
 Scratch::Scratch(size_t floats) {
   {
-    Kept& all = kept();
-    const std::lock_guard<std::mutex> hold(all.lock);
+    auto& blocks = kept->blocks;
+    const std::lock_guard<std::mutex> hold(kept->lock);
     const auto enough = [&](const auto& block) { return block.size() >= floats && block.size() / 2 <= floats; };
-    const auto found = std::find_if(all.blocks.begin(), all.blocks.end(), enough);
-    if (found != all.blocks.end()) {
+    const auto found = std::find_if(blocks.begin(), blocks.end(), enough);
+    if (found != blocks.end()) {
       floats_ = std::move(*found);
-      all.blocks.erase(found);
+      blocks.erase(found);
       return;
     }
   }
@@ -44,11 +49,11 @@ Scratch::Scratch(size_t floats) {
 }
 
 Scratch::~Scratch() {
-  Kept& all = kept();
-  const std::lock_guard<std::mutex> hold(all.lock);
-  if (all.blocks.capacity() == 0) all.blocks.reserve(kMostKept + 1);  // so that nothing below throws
-  all.blocks.push_back(std::move(floats_));
-  if (all.blocks.size() > kMostKept) all.blocks.erase(all.blocks.begin());  // the one that was used longest ago
+  if (floats_.empty()) return;
+  auto& blocks = kept->blocks;
+  const std::lock_guard<std::mutex> hold(kept->lock);
+  blocks.push_back(std::move(floats_));
+  while (blocks.size() > kMostKept || floats_of(blocks) > kMostFloats) blocks.erase(blocks.begin());
 }
 
 }  // namespace sg

@@ -26,9 +26,9 @@ Narrowed narrowed(const float* l, int level) {
 
 int level_of(const float* factor) {
   const double l1 = factor[0], l2 = factor[1], l3 = factor[2];
+  constexpr double kSurelyNarrow = 1.999 * kNarrowest;  // the minor axis is no longer than l1, and no longer than l3
+  if (l1 < kSurelyNarrow || l3 < kSurelyNarrow) return 0;
   const double a = l1 * l1, c = l2 * l2 + l3 * l3;
-  constexpr double kSurelyNarrow = 3.999 * kNarrowest * kNarrowest;  // the minor axis is no longer than either of these
-  if (a < kSurelyNarrow || l1 * l3 < kSurelyNarrow) return 0;
   const double minor = 2.0 * (a * l3) * l3 / (a + c + std::sqrt((a - c) * (a - c) + 4.0 * (a * l2) * l2));
   const double squared = minor / (kNarrowest * kNarrowest);  // (samples over kNarrowest)^2
   int level = 0;

@@ -1,4 +1,4 @@
-// The stream of profile rd (docs/format.md, version 3).
+// The stream of profile rd (docs/format.md, versions 3 and 4).
 //
 // Classes of size come from the largest down. Each class divides the picture into cells about as wide as its Gaussians.
 // Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance along
@@ -7,6 +7,7 @@
 #include "rd/codec.h"
 
 #include <algorithm>
+#include <atomic>
 #include <stdexcept>
 
 #include "rd/models.h"
@@ -17,6 +18,7 @@ namespace {
 
 constexpr int kClassBits = 6;
 constexpr int kQuantiseChunk = 256;  // Gaussians of one task
+std::atomic<int64_t> clipped{0};
 
 // The number of low bits of a distance that are sent without a model. `count` Gaussians in the cells of a class are
 // cells / count apart on average. A model pays only for the bits from a quarter of that upwards.
@@ -51,7 +53,9 @@ void for_each_quantised(const RdParameters& p, const float* means, const float* 
                         const Visit& visit) {
   parallel_each(n, kQuantiseChunk, [&](int64_t i) {
     Symbols s{};
-    visit(i, quantise(p, means + 2 * i, factors + 3 * i, colors + 3 * i, s) ? &s : nullptr);
+    int moved = 0;
+    visit(i, quantise(p, means + 2 * i, factors + 3 * i, colors + 3 * i, s, moved) ? &s : nullptr);
+    if (moved != 0) clipped.fetch_add(moved, std::memory_order_relaxed);
   });
 }
 
@@ -137,6 +141,8 @@ RdParameters::RdParameters(int width, int height, double quantum, bool grey, boo
   if (!(width > 0 && height > 0 && quantum > 0)) throw std::invalid_argument("parameters must be positive");
   if (width > kMaxSide || height > kMaxSide) throw std::invalid_argument("a side is more than 65535 pixels");
 }
+
+int64_t clipped_values() { return clipped.load(std::memory_order_relaxed); }
 
 std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors,
                                int n) {

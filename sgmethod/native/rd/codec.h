@@ -28,6 +28,10 @@ struct GaussianArrays {
 void rd_quantise(const RdParameters& parameters, const float* means, const float* factors, const float* colors, int n,
                  float* out_means, float* out_factors, float* out_colors);
 
+// Values that lay outside of the range of their integer and were moved to its end, since the process began: of Gaussians
+// that came to be quantised, encoded or refined.
+int64_t clipped_values();
+
 // The payload's bytes. Gaussians whose colour rounds to nothing, and those with values that are not finite or scales that
 // are not positive, are left out. Throws std::invalid_argument for more Gaussians than pixels or than 2^24.
 std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* means, const float* factors,

@@ -1,6 +1,5 @@
 #include "rd/symbols.h"
 
-#include <atomic>
 #include <cmath>
 #include <cstring>
 
@@ -64,18 +63,6 @@ int refine_bits(double square, int most) {
   return std::clamp((exponent >> 1) + 1, 0, most);
 }
 
-std::atomic<int64_t> clipped{0};
-
-double within(double value, double low, double high) {
-  if (value < low || value > high) clipped.fetch_add(1, std::memory_order_relaxed);
-  return std::clamp(value, low, high);
-}
-
-uint32_t cell_coordinate(double position, int bits, int side) {
-  const double cell = std::floor(position / (1 << bits)) + kBorderCells;
-  return static_cast<uint32_t>(within(cell, 0.0, cells_along(side, bits) - 1.0));
-}
-
 double color_step(const RdParameters& p, int size_class) {
   return std::max(p.quantum / (class_size(size_class) * kColorScale), limits_of(p).color_step);
 }
@@ -94,8 +81,6 @@ bool in_range(const float* l, const float* color) {
   return small(l[1], kMaxSlant * l[2]) && small(l[0], kMaxScale) && small(l[2], kMaxScale) && small(color[0], kMaxAmplitude) &&
          small(color[1], kMaxAmplitude) && small(color[2], kMaxAmplitude);
 }
-
-int64_t clipped_values() { return clipped.load(std::memory_order_relaxed); }
 
 Steps::Steps(const RdParameters& p, const Symbols& s) : limits(limits_of(p)) {
   const int64_t whole = int64_t{s.y} * s.y + int64_t{s.a} * s.a + int64_t{s.b} * s.b;
@@ -126,18 +111,22 @@ bool in_grid(const RdParameters& p, int bits, uint32_t cell) {
   return gather_bits(cell) < cells_along(p.width, bits) && gather_bits(cell >> 1) < cells_along(p.height, bits);
 }
 
-bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s) {
+bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s, int& clipped) {
   const double l1 = factor[0], l3 = factor[2];
   const auto finite = [](const float* values, int n) {
     return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
   };
   if (!finite(mean, 2) || !finite(factor, 3) || !finite(color, 3) || !(l1 > 0 && l3 > 0)) return false;
+  const auto within = [&](double value, double low, double high) {
+    clipped += value < low || value > high;
+    return std::clamp(value, low, high);
+  };
+  const auto round_to = [&](double v, double limit) { return static_cast<int>(within(std::round(v), -limit, limit)); };
   const Limits& limits = limits_of(p);
   const double u = 0.5 * std::log(l1 * l3);
   s.size_class = static_cast<int>(within(std::round(u / kClassWidth), kMinClass, kMaxClass));
   const double step = color_step(p, s.size_class);
   const Luma l = to_luma(color);
-  const auto round_to = [](double v, double limit) { return static_cast<int>(within(std::round(v), -limit, limit)); };
   s.y = round_to(l.y / step, limits.color);
   s.a = p.grey ? 0 : round_to(l.a / step, limits.color);
   s.b = p.grey ? 0 : round_to(l.b / step, limits.color);
@@ -155,9 +144,10 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   const Geometry g(s, steps);
   const int cell = cell_bits(s.size_class);
   const auto place = [&](double position, int side, int refine, uint32_t& part) {
-    const uint32_t c = cell_coordinate(position, cell, side);
+    const double cells = position / (1 << cell) + kBorderCells;
+    const auto c = static_cast<uint32_t>(within(std::floor(cells), 0.0, cells_along(side, cell) - 1.0));
     const double parts = static_cast<double>(1u << refine);
-    const double inside = (position / (1 << cell) + kBorderCells - c) * parts;
+    const double inside = (cells - c) * parts;
     part = static_cast<uint32_t>(std::clamp(std::floor(inside), 0.0, parts - 1));
     return c;
   };

@@ -85,10 +85,12 @@ bool in_grid(const RdParameters& p, int bits, uint32_t cell);
 bool in_range(const float* factor, const float* color);
 
 // Rounds one Gaussian to integers. False if nothing of it is left. What lies outside of the range of its integer is moved
-// to its end, and counted.
-bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s);
-// Values that were moved so, since the process began.
-int64_t clipped_values();
+// to its end, and added to `clipped`.
+bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s, int& clipped);
+inline bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s) {
+  int clipped = 0;
+  return quantise(p, mean, factor, color, s, clipped);
+}
 void erase_empty(std::vector<Symbols>& all);
 // What is left of n Gaussians.
 std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n);

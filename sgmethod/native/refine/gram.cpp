@@ -49,15 +49,19 @@ float total(const float (&partial)[kLanes]) {
 
 void Patch::draw(const Footprint& f, float floor, const std::vector<Span>& spans) {
   int first = spans[0].first_row, last = spans[0].last_row;
+  x_ = spans.front().strip * kTileWidth - kMarginColumns;
+  columns_ = (spans.back().strip - spans.front().strip + 1) * kTileWidth + 2 * kMarginColumns;
+  begin_ = columns_;
+  end_ = 0;
   for (const Span& span : spans) {
     first = std::min(first, span.first_row);
     last = std::max(last, span.last_row);
+    const int column = span.strip * kTileWidth - x_;
+    begin_ = std::min(begin_, column + span.first_lane - kMarginRows);
+    end_ = std::max(end_, column + span.last_lane + 1 + kMarginRows);
   }
-  const int strips = spans.back().strip - spans.front().strip + 1;
-  x_ = spans.front().strip * kTileWidth - kMarginColumns;
   y_ = first - kMarginRows;
   rows_ = last - first + 1 + 2 * kMarginRows;
-  columns_ = strips * kTileWidth + 2 * kMarginColumns;
   weights_.assign(static_cast<size_t>(rows_) * columns_, 0.0f);
   fit_kernels(best_isa())
       .weights(f, floor, spans.data(), static_cast<int>(spans.size()), first, columns_, weights(kMarginRows) + kMarginColumns);
@@ -143,7 +147,7 @@ void Gram::project(const Patch& patch, int level, Planes& reduced, float* sums) 
 
 void Gram::add(const Patch& patch, int level, const float* color, Planes& reduced) {
   const Grid& grid = reduced.grid(level);
-  const int left = std::max(grid.x, patch.x_), right = std::min(grid.x + grid.width, patch.x_ + patch.columns_);
+  const int left = std::max(grid.x, patch.x_ + patch.begin_), right = std::min(grid.x + grid.width, patch.x_ + patch.end_);
   const int top = std::max(grid.y - patch.y_, 0), bottom = std::min(patch.rows_, grid.y + grid.height - patch.y_);
   for (int row = top; row < bottom; ++row)
     for (int k = 0; k < 3; ++k)

@@ -33,6 +33,7 @@ class Patch {
  private:
   friend class Gram;
   int x_ = 0, y_ = 0, rows_ = 0, columns_ = 0;
+  int begin_ = 0, end_ = 0;  // columns that the product reaches: two beyond the weights. Others may be another task's.
   std::vector<float> weights_, half_, product_;
 };
 

@@ -1,4 +1,5 @@
 // The kernels on values that no encoder makes, on every instruction set: nothing may be read or written out of place.
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -9,6 +10,7 @@
 #include "check.h"
 #include "core/constants.h"
 #include "core/isa.h"
+#include "core/thread_pool.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
 #include "raster/rasterization.h"
@@ -47,18 +49,54 @@ sg::GaussianArrays scattered(int n, bool wild) {
   return g;
 }
 
+// No file has a colour that is not finite.
+std::vector<float> finite(std::vector<float> colors) {
+  for (float& c : colors)
+    if (!std::isfinite(c)) c = 1e30f;
+  return colors;
+}
+
+sg::Rasterization rasterized(const sg::GaussianArrays& g, const sg::Canvas& canvas, int isa) {
+  return {g.means.data(), g.factors.data(), static_cast<int>(g.means.size() / 2), canvas, isa, sg::kMaxPairs};
+}
+
+std::vector<uint8_t> pixels(const sg::Rasterization& raster, const std::vector<float>& colors) {
+  constexpr float kBackground[3] = {0.1f, 0.5f, 0.9f};
+  std::vector<uint8_t> bytes(static_cast<size_t>(3 * raster.width() * raster.height()));
+  raster.render_bytes(colors.data(), kBackground, bytes.data());
+  return bytes;
+}
+
 }  // namespace
 
 TEST(kernels_of_every_instruction_set_draw_the_same) {
+  for (const bool wild : {false, true})
+    for (const bool pyramid : {false, true}) {
+      const sg::GaussianArrays g = scattered(300, wild);
+      std::vector<std::vector<uint8_t>> pictures;
+      for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
+        const sg::Rasterization raster = rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV3, pyramid}, isa);
+        pixels(raster, g.colors);  // whatever that gives
+        pictures.push_back(pixels(raster, finite(g.colors)));
+        CHECK(pictures.back() == pictures.front());
+      }
+    }
+}
+
+TEST(kernels_draw_a_part_as_it_is_in_the_whole) {
   for (const bool wild : {false, true}) {
     const sg::GaussianArrays g = scattered(300, wild);
-    std::vector<std::vector<uint8_t>> pictures;
-    for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
-      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, {0, 0, kWidth, kHeight, sg::kCutoffV3, wild}, isa, sg::kMaxPairs);
-      pictures.emplace_back(3 * kPixels);
-      const float background[3] = {0.1f, 0.5f, 0.9f};
-      raster.render_bytes(g.colors.data(), background, pictures.back().data());
-      CHECK(pictures.back() == pictures.front());
+    const std::vector<float> colors = finite(g.colors);
+    const std::vector<uint8_t> whole = pixels(rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV3, true}, -1), colors);
+    for (int k = 0; k < 60; ++k) {
+      const int x = static_cast<int>(random_numbers()() % kWidth), y = static_cast<int>(random_numbers()() % kHeight);
+      const int width = 1 + static_cast<int>(random_numbers()() % (kWidth - x));
+      const int height = 1 + static_cast<int>(random_numbers()() % (kHeight - y));
+      const sg::Canvas part{x, y, width, height, sg::kCutoffV3, true};
+      std::vector<uint8_t> crop;
+      for (int row = y; row < y + height; ++row)
+        crop.insert(crop.end(), whole.begin() + 3 * (row * kWidth + x), whole.begin() + 3 * (row * kWidth + x + width));
+      CHECK(pixels(rasterized(g, part, k % (sg::best_isa() + 1)), colors) == crop);
     }
   }
 }
@@ -68,15 +106,16 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
     sg::GaussianArrays g = scattered(300, wild), by = g;
     std::vector<float> image(3 * kPixels), grad(3 * kPixels), target(3 * kPixels, 0.5f), bias(600, 0.5f);
     std::vector<float> first(2400), second(2400);
-    for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
-      const sg::Rasterization raster(g.means.data(), g.factors.data(), 300, {0, 0, kWidth, kHeight, sg::kCutoffV1, wild}, isa, sg::kMaxPairs);
-      const sg::Gradients out{by.means.data(), by.factors.data(), by.colors.data()};
-      raster.render(g.colors.data(), image.data());
-      sg::ReconstructionLoss loss(target.data(), kWidth, kHeight, 0.5f);
-      loss(image.data(), grad.data());
-      raster.backward(g.colors.data(), grad.data(), out);
-      raster.squared_error(g.colors.data(), target.data(), out);
-    }
+    sg::ReconstructionLoss loss(target.data(), kWidth, kHeight, 0.5f);
+    for (const bool pyramid : {false, true})
+      for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
+        const sg::Rasterization raster = rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV1, pyramid}, isa);
+        const sg::Gradients out{by.means.data(), by.factors.data(), by.colors.data()};
+        raster.render(g.colors.data(), image.data());
+        loss(image.data(), grad.data());
+        raster.backward(g.colors.data(), grad.data(), out);
+        raster.squared_error(g.colors.data(), target.data(), out);
+      }
     sg::rd_rate_gradient(0.1f, 1.0f, 300, g.factors.data(), g.colors.data(), by.factors.data(), by.colors.data());
     const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f);
     sg::frame_adam(settings, 1.0f, 300, {g.means.data(), g.factors.data(), g.colors.data()},
@@ -95,8 +134,10 @@ TEST(loss_of_pictures_without_a_whole_neighbourhood) {
 
 TEST(kernels_refuse_what_cannot_be) {
   const float mean[2] = {}, factor[3] = {1, 0, 1};
-  const auto raster = [&](int width, int height, float cutoff, int isa) {
-    return [=, &mean, &factor] { sg::Rasterization(mean, factor, 1, {0, 0, width, height, cutoff, false}, isa, sg::kMaxPairs); };
+  const auto raster = [&](int width, int height, float cutoff, int isa, int x = 0) {
+    return [=, &mean, &factor] {
+      sg::Rasterization(mean, factor, 1, {x, 0, width, height, cutoff, true}, isa, sg::kMaxPairs);
+    };
   };
   const float nan = std::numeric_limits<float>::quiet_NaN();
   CHECK(check::throws<std::invalid_argument>(raster(0, 1, 3.0f, -1)));
@@ -104,21 +145,30 @@ TEST(kernels_refuse_what_cannot_be) {
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, nan, -1)));
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, 5.6f, -1)));
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, 3.0f, sg::best_isa() + 1)));
+  CHECK(check::throws<std::invalid_argument>(raster(1, 1, 3.0f, -1, -1)));
+  CHECK(check::throws<std::invalid_argument>(raster(1, 1, 3.0f, -1, INT32_MAX)));
+  CHECK(check::throws<std::invalid_argument>([&] {
+    rasterized({{0, 0}, {1, 0, 1}, {1, 1, 1}}, {1, 0, 1, 1, 3.0f, true}, -1).squared_error(nullptr, nullptr, {});
+  }));
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false, 4); }));
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false, 4); }));
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 1, std::nan(""), false, false, 4); }));
+  for (const int version : {2, 5})
+    CHECK(check::throws<std::invalid_argument>([&] { sg::RdParameters(1, 1, 1.0, false, false, version); }));
 }
 
 TEST(codec_gives_back_what_rounding_leaves) {
-  for (const bool wild : {false, true}) {
-    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
-    const sg::GaussianArrays g = scattered(300, wild);
+  constexpr int kMany = 200;
+  for (const int k : {0, 1, 2, 3}) {
+    const bool wild = k % 2;
+    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false, 3 + k / 2);
+    const sg::GaussianArrays g = scattered(kMany, wild);
     sg::GaussianArrays rounded = g;
-    sg::rd_quantise(p, g.means.data(), g.factors.data(), g.colors.data(), 300, rounded.means.data(), rounded.factors.data(),
+    sg::rd_quantise(p, g.means.data(), g.factors.data(), g.colors.data(), kMany, rounded.means.data(), rounded.factors.data(),
                     rounded.colors.data());
-    const std::vector<uint8_t> bytes = sg::rd_encode(p, g.means.data(), g.factors.data(), g.colors.data(), 300);
+    const std::vector<uint8_t> bytes = sg::rd_encode(p, g.means.data(), g.factors.data(), g.colors.data(), kMany);
     size_t left = 0;
-    for (size_t i = 0; i < 300; ++i)
+    for (size_t i = 0; i < kMany; ++i)
       left += rounded.colors[3 * i] != 0 || rounded.colors[3 * i + 1] != 0 || rounded.colors[3 * i + 2] != 0;
     CHECK(sg::rd_decode(p, bytes.data(), bytes.size(), false).means.size() == 2 * left);
     for (size_t cut = 0; cut < bytes.size(); ++cut) {
@@ -129,8 +179,9 @@ TEST(codec_gives_back_what_rounding_leaves) {
 }
 
 TEST(codec_refuses_nonsense) {
-  const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
+  const sg::RdParameters versions[] = {{kWidth, kHeight, 0.05, false, false, 3}, {kWidth, kHeight, 0.05, false, false, 4}};
   for (int k = 0; k < 20000; ++k) {
+    const sg::RdParameters& p = versions[k % 2];
     std::vector<uint8_t> bytes(random_numbers()() % 60);
     for (uint8_t& byte : bytes) byte = static_cast<uint8_t>(random_numbers()());
     for (const bool prefix : {false, true}) {
@@ -145,11 +196,34 @@ TEST(codec_refuses_nonsense) {
 
 TEST(refining_keeps_the_limit_of_bytes) {
   for (const bool wild : {false, true}) {
-    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
+    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false, 4);
     const sg::GaussianArrays g = scattered(100, wild);
     const std::vector<float> target(3 * kPixels, 0.5f);
     const std::vector<uint8_t> bytes = sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), 100, target.data(),
                                                      {sg::kCutoffV3, 0.01, 1, 60.0, 100});
     CHECK(bytes.size() <= 100);
+  }
+}
+
+// Several cells of a coarse level are visited at once. The Gaussians reach to within some samples of where the areas of two
+// of them touch, from both sides.
+TEST(refining_is_the_same_for_every_number_of_threads) {
+  constexpr int kLong = 1300, kShort = 40, kMany = 24;
+  const sg::RdParameters p(kLong, kShort, 0.05, false, false, 4);
+  sg::GaussianArrays g;
+  for (int i = 0; i < kMany; ++i) {
+    const int touching = 64 + 128 * (1 + i % 4), side = i / 4 % 2 ? 1 : -1;
+    g.means.push_back(2.0f * static_cast<float>(touching + 70 * side));
+    g.means.push_back(between(0, kShort));
+    for (const float v : {50.0f, 0.0f, 4.0f}) g.factors.push_back(v);
+    for (int k = 0; k < 3; ++k) g.colors.push_back(between(-1, 1));
+  }
+  const std::vector<float> target(3 * kLong * kShort, 0.5f);
+  std::vector<std::vector<uint8_t>> found;
+  for (const int threads : {1, 2, 5}) {
+    sg::set_thread_count(threads);
+    found.push_back(sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), kMany, target.data(),
+                                  {sg::kCutoffV3, 0.01, 1, 60.0, 200}));
+    CHECK(found.back() == found.front());
   }
 }

@@ -1,10 +1,13 @@
-// The thread pool: every task once, exceptions, nested calls, subnormal numbers, forks, several callers.
+// The thread pool: every task once, exceptions, nested calls, subnormal numbers, forks, several callers. Memory that calls
+// hand on.
+#include "core/scratch.h"
 #include "core/thread_pool.h"
 
 #include <sys/wait.h>
 #include <unistd.h>
 #include <xmmintrin.h>
 
+#include <algorithm>
 #include <atomic>
 #include <new>
 #include <stdexcept>
@@ -148,4 +151,51 @@ TEST(pool_serves_a_child_forked_while_a_kernel_runs) {
   stop = true;
   other.join();
   CHECK(all_run_once(100));
+}
+
+// Whether two pieces of memory in use at once are each the holder's own.
+bool own_memory(size_t floats, float value) {
+  sg::Scratch first(floats), second(floats / 2);
+  std::fill_n(first.get(), floats, value);
+  std::fill_n(second.get(), floats / 2, -value);
+  return std::count(first.get(), first.get() + floats, value) == static_cast<ptrdiff_t>(floats);
+}
+
+TEST(scratch_is_one_holders_at_a_time) {
+  std::vector<std::thread> holders;
+  for (int h = 1; h <= 6; ++h)
+    holders.emplace_back([h] {
+      for (size_t k = 0; k < 200; ++k) CHECK(own_memory(k * k % 997 * h, static_cast<float>(h)));
+    });
+  for (auto& holder : holders) holder.join();
+  CHECK(own_memory(0, 1));
+}
+
+TEST(scratch_is_handed_on) {
+  float* before;
+  {
+    sg::Scratch scratch(1 << 20);
+    before = scratch.get();
+  }
+  CHECK(sg::Scratch((1 << 20) - 9).get() == before);
+  CHECK(sg::Scratch(1 << 18).get() != before);
+}
+
+TEST(scratch_serves_a_child_forked_while_others_use_it) {
+  std::atomic<bool> stop{false};
+  std::thread other([&] {
+    while (!stop) own_memory(5000, 1);
+  });
+  for (int k = 0; k < 20; ++k) {
+    const pid_t child = fork();
+    if (child == 0) {
+      alarm(60);
+      _exit(own_memory(5000, 1) && own_memory(9, 1) ? 0 : 1);
+    }
+    int status = -1;
+    waitpid(child, &status, 0);
+    CHECK(status == 0);
+  }
+  stop = true;
+  other.join();
 }

@@ -1,4 +1,4 @@
-"""The native codec of profile rd: what goes in comes out rounded, by no more than the steps say."""
+"""The native codec of profile rd: what goes in comes out rounded, by no more than the steps say, within its limits."""
 
 from __future__ import annotations
 
@@ -8,14 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from sgmethod import BitstreamError
-from sgmethod.bitstream import container, v3
-from sgmethod.bitstream.stream import Limits
-from sgmethod.bitstream.v3 import MAX_QUANTUM, MIN_QUANTUM, StreamV3, quantum_code, quantum_of
+from sgmethod.bitstream.v3 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
-from tests.harness.data import with_checksum
 
+VERSIONS = (3, 4)
+U_BITS = {3: 8, 4: 12}  # by which a class is divided at most
 CLASS_WIDTH = math.log(2) / 2
 BASIS = np.array([[3**-0.5] * 3, [2**-0.5, 0, -(2**-0.5)], [6**-0.5, -2 * 6**-0.5, 6**-0.5]])
 MIN_SCALE = np.float32(0.3)
@@ -74,7 +72,8 @@ def test_decoding_gives_what_rounding_gives(seed: int) -> None:
     values = scattered(int(rng.integers(0, 1500)), size, seed)
     if upright:
         values.factors[:, 1] = 0
-    assert_round_trip(native.RdParameters(*size, 0.003 * 4.0 ** (seed % 5), grey, upright), values)
+    for version in VERSIONS:
+        assert_round_trip(native.RdParameters(*size, 0.003 * 4.0 ** (seed % 5), grey, upright, version), values)
 
 
 @pytest.mark.parametrize("n", range(12))
@@ -103,14 +102,15 @@ def hostile(size: tuple[int, int], n: int = 900) -> Gaussians:
         return gaussians(means, factors, colors)
 
 
+@pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("quantum", [MIN_QUANTUM, 0.1, MAX_QUANTUM])
 @pytest.mark.parametrize("size", [(1, 1), (30, 30), (1, 65535), (65535, 65535)])
-def test_extreme_values(size: tuple[int, int], quantum: float) -> None:
+def test_extreme_values(size: tuple[int, int], quantum: float, version: int) -> None:
     """Everything finite with positive scales is coded, and lands in or near the picture."""
     values = hostile(size)
     if size == (1, 1):
         values = Gaussians(*(a[:1] for a in (values.means, values.factors, values.colors)))
-    parameters = native.RdParameters(*size, quantum)
+    parameters = native.RdParameters(*size, quantum, version=version)
     found = assert_round_trip(parameters, values)
     assert (found.means > -3 * 2**14).all()
     assert (found.means < np.array(size) + 4 * 2**14).all()
@@ -134,12 +134,13 @@ def test_what_rounds_to_no_colour_is_left_out() -> None:
     assert len(assert_round_trip(native.RdParameters(100, 100, 16.0), values)) < 30
 
 
-def test_errors_stay_within_the_steps() -> None:
+@pytest.mark.parametrize(("version", "quantum"), [(3, 0.02), (4, 0.02), (4, 0.002)])
+def test_errors_stay_within_the_steps(version: int, quantum: float) -> None:
     """Half a step of each parameter, from the formulas in docs/format.md."""
-    quantum, size = 0.02, (300, 200)
+    size = (300, 200)
     values = scattered(2000, size)
     values.means[:] = np.random.default_rng(1).uniform(0, 1, (2000, 2)) * size
-    rounded = quantised(native.RdParameters(*size, quantum), values)
+    rounded = quantised(native.RdParameters(*size, quantum, version=version), values)
     kept = rounded.colors.any(1) & (values.factors[:, [0, 2]] > 1).all(1)  # no scale at its minimum
     assert kept.sum() > 800
     before, after = (
@@ -160,7 +161,7 @@ def test_errors_stay_within_the_steps() -> None:
     (u0, v0, _), (u1, v1, r1) = frame(before[1]), frame(after[1])
     # The slope l2 / l1 is what is kept, in the scales that are decoded.
     r0 = before[1][:, 1] / before[1][:, 0] * after[1][:, 0] / after[1][:, 2]
-    assert (np.abs(u1 - u0) <= slack * 0.5 * CLASS_WIDTH / 2 ** np.clip(h - 1, 0, 8)).all()
+    assert (np.abs(u1 - u0) <= slack * 0.5 * CLASS_WIDTH / 2 ** np.clip(h - 1, 0, U_BITS[version])).all()
     assert (np.abs(v1 - v0) <= slack * 0.5 * 2**-h + 1e-6).all()
     assert (np.abs(r1 - r0) <= slack * 2**-h + 1e-6).all()
     l1, _, l3 = after[1].T
@@ -249,19 +250,6 @@ def test_every_cut_gives_the_first_gaussians(seed: int) -> None:
     assert counts[-1] == len(whole)
 
 
-def test_prefix_of_a_stream() -> None:
-    values = scattered(300, (120, 90))
-    stream = StreamV3.of(values, (120, 90), 0.05, (1, 2, 3), False)
-    whole = stream.gaussians()
-    sizes = np.sqrt(whole.factors[:, 0] * whole.factors[:, 2])
-    sizes = sizes[sizes > 1]  # of the smallest, one side may be at its least
-    assert (sizes[1:] <= sizes[:-1] * math.sqrt(2) * 1.001).all()  # by classes, from the largest down
-    for prefix in (1e-9, 0.2, 0.5, 0.999):
-        part = stream.gaussians(prefix)
-        assert np.array_equal(rows(part), rows(whole)[: len(part)])
-        assert len(part) == pytest.approx(prefix * len(whole), abs=0.12 * len(whole))
-
-
 @pytest.mark.parametrize("cut", [1, 9, 40])
 def test_a_cut_payload_is_refused(cut: int) -> None:
     parameters = native.RdParameters(120, 90, 0.1)
@@ -275,79 +263,67 @@ def test_a_cut_payload_is_refused(cut: int) -> None:
         decoded(parameters, b"\0\0\xff\xff" + payload)
 
 
-def test_exact_bytes() -> None:
-    """Values well within their steps, so that no machine's logarithm matters."""
-    values = gaussians(
-        [[10.3, 20.4], [40.6, 5.2], [40.7, 5.3], [1.1, 46.2]],
-        [[8.3, 1.2, 5.1], [2.2, 0, 2.3], [0.9, -0.4, 1.7], [0.4, 0.1, 0.5]],
-        [[0.31, 0.22, 0.13], [-0.2, 0.1, 0.3], [0.5, 0.4, 0.4], [0.9, -0.9, 0.8]],
-    )
-    data = container.serialise(StreamV3.of(values, (64, 48), 0.1, (128, 64, 32), False))
-    assert data.hex() == (
-        "53474d03ff74d1ef00004000300" + "89a80402005fd21d79042ace09b7ef0239b28feb4040634421dc4a7950ad091c11dafad4c"
-    )
+# The ends of what fits keep to (sgmethod/native/core/constants.h), in corners where several come together.
+CORNERS = {
+    "needle": ([60, 60, 0.3], [0.5, 0.4, 0.3]),
+    "needle of the largest slant": ([614.4, 614.4, 0.3], [1, 1, 1]),
+    "longest, along x": ([8192, 614.4, 0.3], [32, 32, 32]),
+    "longest, along y": ([0.3, 2048 * 8192, 8192], [32, -32, 32]),
+    "largest": ([8192, 2048 * 8192, 8192], [-32, -32, -32]),
+    "smallest": ([0.3, -614.4, 0.3], [-32, 32, -32]),
+}
 
 
-@pytest.mark.parametrize("quantum", [1e-9, MIN_QUANTUM, 0.0123, 0.1, 0.999, 1.0, 1.9999, 3.3, MAX_QUANTUM, 1e9])
-def test_quantum_round_trip(quantum: float) -> None:
-    code = quantum_code(quantum)
-    assert quantum_code(quantum_of(code)) == code
-    clamped = min(max(quantum, MIN_QUANTUM), MAX_QUANTUM)
-    assert quantum_of(code) == pytest.approx(clamped, rel=1 / 511)
+def clipped(parameters: native.RdParameters, values: Gaussians) -> int:
+    """Values that quantising moves to the end of their range."""
+    before = native.rd_clipped_values()
+    quantised(parameters, values)
+    return native.rd_clipped_values() - before
 
 
-def test_quantum_is_monotone() -> None:
-    found = [quantum_of(quantum_code(q)) for q in np.geomspace(MIN_QUANTUM / 2, 2 * MAX_QUANTUM, 20_000)]
-    assert found == sorted(found)
-    assert len(set(found)) == 14 * 256 + 1
-    assert all(quantum_code(q) == code for code in (0, *range(256, 3840)) for q in [quantum_of(code)])
+@pytest.mark.parametrize("quantum", [MIN_QUANTUM, 0.1, MAX_QUANTUM])
+@pytest.mark.parametrize("name", CORNERS)
+def test_no_fineness_clips_what_fits_keep_to(name: str, quantum: float) -> None:
+    factor, color = CORNERS[name]
+    scale = 1.6 * math.sqrt(factor[0] * factor[2])
+    for mean in ((150, 100), (-scale, 200 + scale), (300 + scale, -scale)):
+        values = gaussians([mean], [factor], [color])
+        assert clipped(native.RdParameters(300, 200, quantum), values) == 0
 
 
-def test_stream_round_trip() -> None:
-    for grey, shear in itertools.product((False, True), (0, 1)):
-        values = scattered(40, (70, 50))
-        values.factors[:, 1] *= shear
-        stream = StreamV3.of(values, (70, 50), 0.1, (9, 8, 7), grey)
-        assert (stream.grey, stream.upright) == (grey, not shear)
-        data = container.serialise(stream)
-        assert container.parse(data) == stream
-        assert sum(stream.size_bits().values()) == 8 * len(data)
+def test_a_needle_keeps_its_shape_in_a_fine_file() -> None:
+    """In version 3 its slope went from 1 to 0.16."""
+    factor, color = CORNERS["needle"]
+    needle = gaussians([[150, 100]], [factor], [color])
+    old, new = (quantised(native.RdParameters(300, 200, MIN_QUANTUM, version=v), needle).factors[0] for v in VERSIONS)
+    assert new == pytest.approx(factor, rel=2e-4)  # worst seen 9.5e-5: half a step of u
+    assert old[1] / old[0] < 0.2
+    assert clipped(native.RdParameters(300, 200, MIN_QUANTUM, version=3), needle) == 1
 
 
-@pytest.mark.parametrize(
-    ("at", "value", "why"),
-    [
-        (4, b"\0\0\0\0", "checksum"),
-        (8, b"\4", "flags"),
-        (9, b"\0\0", "size is 0 x"),
-        (11, b"\0\0", "x 0"),
-        (13, b"\0\1", "quantum"),
-        (13, b"\x0f\0", "quantum"),
-        (18, b"\0\0", "begins"),
-    ],
-)
-def test_refused_headers(at: int, value: bytes, why: str) -> None:
-    data = container.serialise(StreamV3.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
-    data = data[:at] + value + data[at + len(value) :]
-    with pytest.raises(BitstreamError, match=why):
-        container.parse(data if at == 4 else with_checksum(data)).gaussians()
+BEYOND = {
+    "mean, left": ([-9, 50], [2, 0, 2], [1, 1, 1]),
+    "mean, below": ([50, 109], [2, 0, 2], [1, 1, 1]),
+    "size": ([50, 50], [1e5, 0, 1e5], [1, 1, 1]),
+    "aspect": ([50, 50], [1e4, 0, 1e-4], [1, 1, 1]),
+    "slant": ([50, 50], [2, 1e5, 2], [1, 1, 1]),
+    "colour": ([50, 50], [50, 0, 50], [100, 100, 100]),
+}
 
 
-def test_a_limit_of_gaussians() -> None:
-    stream = StreamV3.of(
-        gaussians([[35, 25]] * 3000, [[9, 0, 9]] * 3000, [[0.5, 0, 0]] * 3000), (70, 50), 0.1, (9, 8, 7), False
-    )
-    assert len(stream.gaussians(limits=Limits(max_gaussians=3000))) == 3000
-    for prefix in (1.0, 0.9):
-        with pytest.raises(BitstreamError, match=r"limit of 2999$"):
-            stream.gaussians(prefix, Limits(max_gaussians=2999))
+@pytest.mark.parametrize("name", BEYOND)
+def test_what_is_clipped_is_counted(name: str) -> None:
+    mean, factor, color = BEYOND[name]
+    assert clipped(native.RdParameters(100, 100, MIN_QUANTUM), gaussians([mean], [factor], [color])) == 1
+    far = gaussians([mean] * 700, [factor] * 700, [color] * 700)  # by several threads
+    assert clipped(native.RdParameters(100, 100, MIN_QUANTUM), far) == 700
 
 
-def test_limits_of_parse() -> None:
-    data = container.serialise(StreamV3.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
-    assert container.parse(data, Limits(max_pixels=3500)).width == 70
-    with pytest.raises(BitstreamError, match="limit of 3499"):
-        container.parse(data, Limits(max_pixels=3499))
-    for length in range(v3.HEADER_BYTES):
-        with pytest.raises(BitstreamError):
-            container.parse(with_checksum(data[:length]) if length > 8 else data[:length])
+def test_steps_are_no_finer_than_single_precision_can_use() -> None:
+    """Of colours 2^-16 at least; of r 2^-17, however long the colour is in its steps."""
+    values = gaussians([[150, 100]] * 2, [[4000, 70, 1000]] * 2, [[0.123, 0.123, 0.123], [32, 32, 32]])
+    found = quantised(native.RdParameters(300, 200, MIN_QUANTUM), values)
+    factors = found.factors[1].astype(float)
+    for steps in (found.colors[0] @ BASIS[0] * 2**16, factors[1] / factors[2] * 2**17):
+        assert steps > 8000
+        assert steps == pytest.approx(round(steps), abs=0.002)  # worst seen 2e-4

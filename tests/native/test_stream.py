@@ -1,0 +1,116 @@
+"""Profile rd's streams, versions 3 and 4: the header, the quantum's code, prefixes, limits, what is refused."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from sgmethod import BitstreamError
+from sgmethod.bitstream import container, v3
+from sgmethod.bitstream.stream import Limits
+from sgmethod.bitstream.v3 import MAX_QUANTUM, MIN_QUANTUM, StreamV3, quantum_code, quantum_of
+from sgmethod.bitstream.v4 import StreamV4
+from tests.harness.data import with_checksum
+from tests.native.test_codec import gaussians, rows, scattered
+
+STREAMS = pytest.mark.parametrize("stream_of", [StreamV3, StreamV4])
+
+
+@STREAMS
+def test_prefix_of_a_stream(stream_of: type[StreamV3]) -> None:
+    values = scattered(300, (120, 90))
+    stream = stream_of.of(values, (120, 90), 0.05, (1, 2, 3), False)
+    whole = stream.gaussians()
+    sizes = np.sqrt(whole.factors[:, 0] * whole.factors[:, 2])
+    sizes = sizes[sizes > 1]  # of the smallest, one side may be at its least
+    assert (sizes[1:] <= sizes[:-1] * math.sqrt(2) * 1.001).all()  # by classes, from the largest down
+    for prefix in (1e-9, 0.2, 0.5, 0.999):
+        part = stream.gaussians(prefix)
+        assert np.array_equal(rows(part), rows(whole)[: len(part)])
+        assert len(part) == pytest.approx(prefix * len(whole), abs=0.12 * len(whole))
+
+
+@STREAMS
+def test_exact_bytes(stream_of: type[StreamV3]) -> None:
+    """Values well within their steps, so that no machine's logarithm matters, and within both versions' limits."""
+    values = gaussians(
+        [[10.3, 20.4], [40.6, 5.2], [40.7, 5.3], [1.1, 46.2]],
+        [[8.3, 1.2, 5.1], [2.2, 0, 2.3], [0.9, -0.4, 1.7], [0.4, 0.1, 0.5]],
+        [[0.31, 0.22, 0.13], [-0.2, 0.1, 0.3], [0.5, 0.4, 0.4], [0.9, -0.9, 0.8]],
+    )
+    data = container.serialise(stream_of.of(values, (64, 48), 0.1, (128, 64, 32), False))
+    assert data[:4] == b"SGM" + bytes([stream_of.VERSION])
+    assert data[4:].hex() == (
+        "ff74d1ef00004000300" + "89a80402005fd21d79042ace09b7ef0239b28feb4040634421dc4a7950ad091c11dafad4c"
+    )
+
+
+@pytest.mark.parametrize("quantum", [1e-9, MIN_QUANTUM, 0.0123, 0.1, 0.999, 1.0, 1.9999, 3.3, MAX_QUANTUM, 1e9])
+def test_quantum_round_trip(quantum: float) -> None:
+    code = quantum_code(quantum)
+    assert quantum_code(quantum_of(code)) == code
+    clamped = min(max(quantum, MIN_QUANTUM), MAX_QUANTUM)
+    assert quantum_of(code) == pytest.approx(clamped, rel=1 / 511)
+
+
+def test_quantum_is_monotone() -> None:
+    found = [quantum_of(quantum_code(q)) for q in np.geomspace(MIN_QUANTUM / 2, 2 * MAX_QUANTUM, 20_000)]
+    assert found == sorted(found)
+    assert len(set(found)) == 14 * 256 + 1
+    assert all(quantum_code(q) == code for code in (0, *range(256, 3840)) for q in [quantum_of(code)])
+
+
+@STREAMS
+def test_stream_round_trip(stream_of: type[StreamV3]) -> None:
+    for grey, shear in itertools.product((False, True), (0, 1)):
+        values = scattered(40, (70, 50))
+        values.factors[:, 1] *= shear
+        stream = stream_of.of(values, (70, 50), 0.1, (9, 8, 7), grey)
+        assert (stream.grey, stream.upright) == (grey, not shear)
+        data = container.serialise(stream)
+        assert container.parse(data) == stream
+        assert sum(stream.size_bits().values()) == 8 * len(data)
+
+
+@STREAMS
+@pytest.mark.parametrize(
+    ("at", "value", "why"),
+    [
+        (4, b"\0\0\0\0", "checksum"),
+        (8, b"\4", "flags"),
+        (9, b"\0\0", "size is 0 x"),
+        (11, b"\0\0", "x 0"),
+        (13, b"\0\1", "quantum"),
+        (13, b"\x0f\0", "quantum"),
+        (18, b"\0\0", "begins"),
+    ],
+)
+def test_refused_headers(at: int, value: bytes, why: str, stream_of: type[StreamV3]) -> None:
+    data = container.serialise(stream_of.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
+    data = data[:at] + value + data[at + len(value) :]
+    with pytest.raises(BitstreamError, match=why):
+        container.parse(data if at == 4 else with_checksum(data)).gaussians()
+
+
+@STREAMS
+def test_a_limit_of_gaussians(stream_of: type[StreamV3]) -> None:
+    values = gaussians([[35, 25]] * 3000, [[9, 0, 9]] * 3000, [[0.5, 0, 0]] * 3000)
+    stream = stream_of.of(values, (70, 50), 0.1, (9, 8, 7), False)
+    assert len(stream.gaussians(limits=Limits(max_gaussians=3000))) == 3000
+    for prefix in (1.0, 0.9):
+        with pytest.raises(BitstreamError, match=r"limit of 2999$"):
+            stream.gaussians(prefix, Limits(max_gaussians=2999))
+
+
+@STREAMS
+def test_limits_of_parse(stream_of: type[StreamV3]) -> None:
+    data = container.serialise(stream_of.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
+    assert container.parse(data, Limits(max_pixels=3500)).width == 70
+    with pytest.raises(BitstreamError, match="limit of 3499"):
+        container.parse(data, Limits(max_pixels=3499))
+    for length in range(v3.HEADER_BYTES):
+        with pytest.raises(BitstreamError):
+            container.parse(with_checksum(data[:length]) if length > 8 else data[:length])
