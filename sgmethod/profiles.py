@@ -78,11 +78,7 @@ class RdSettings(OptimiserSettings):
     dense_steps: int = 1500  # where many Gaussians a pixel are expected: they take longer to come to rest
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
     dense: float = 0.035  # and from which `dense_steps` are taken
-    mean_rate: float = 0.09
-    factor_rate: float = 0.09
-    color_rate: float = 0.045
-    beta2: float = 0.98
-    color_solve_steps: int = 4  # conjugate-gradient steps for the colours of the start and of new Gaussians
+    color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     # Growth: Gaussians are added at these times, where each gains more than its bits are worth.
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow

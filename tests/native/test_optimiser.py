@@ -1,19 +1,15 @@
-"""The native steps of the fit against the same written down in torch: Adam and Gauss-Newton in the Gaussian's frame,
-price of bits, the range that Gaussians are kept in."""
+"""The native steps of the fit against the same written down in torch: Adam in the Gaussian's frame, the price of bits,
+the range that Gaussians are kept in."""
 
 from __future__ import annotations
-
-import math
 
 import pytest
 import torch
 from torch import Tensor
 
 from sgmethod.fitting.adam import FrameAdam
-from sgmethod.fitting.newton import FrameNewton
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
-from sgmethod.native.reference import render
 from sgmethod.profiles import PAPER, RD
 from sgmethod.rd.quantiser import add_rate_gradient
 
@@ -81,57 +77,6 @@ def moved(means: Tensor, factors: Tensor, colors: Tensor, move: Tensor) -> tuple
     means = means + torch.stack([l1 * move[:, 0], l2 * move[:, 0] + l3 * move[:, 1]], 1)
     l1, l3, l2 = (l1 * a).clamp_min(RD.min_scale_px), (l3 * b).clamp_min(RD.min_scale_px), l2 * a + l3 * move[:, 3]
     return means, torch.stack([l1, l2, l3], 1), colors + move[:, 5:]
-
-
-def curvature(factors: Tensor, colors: Tensor, values: int) -> Tensor:
-    """Of each Gaussian's own squared error [N, 8], by d, S and the colour."""
-    area = 2 * math.pi / values * factors[:, :1] * factors[:, 2:]
-    energy = area * (colors.square().sum(1, keepdim=True) + RD.faint**2)
-    return torch.cat([energy * torch.tensor([0.5, 0.5, 0.75, 0.25, 0.75]), area.expand(-1, 3)], 1)
-
-
-def test_the_curvature_of_a_gaussian_alone() -> None:
-    """Twice the sum of the squared derivatives of its picture, over the picture's values."""
-    size, values = (80, 60), 3 * 80 * 60
-    p = Parameters(torch.tensor([[40.3, 30.2]]), torch.tensor([[6.0, 2.0, 4.0]]), torch.tensor([[0.5, -0.3, 0.8]]))
-
-    def picture(move: Tensor) -> Tensor:
-        return render(*moved(*(t.double() for t in p.tensors()), move), size, 12.0)
-
-    moves = 1e-5 * torch.eye(8, dtype=torch.float64)
-    derivatives = [(picture(move[None]) - picture(-move[None])) / 2e-5 for move in moves]
-    expected = torch.stack([2 / values * d.square().sum() for d in derivatives])[None]
-    found = curvature(p.factors.double(), p.colors.double(), values)
-    torch.testing.assert_close(found, expected, rtol=2e-3, atol=0)  # worst seen 9.2e-4, of which `faint` is most
-
-
-def test_newton_in_the_gaussians_frame() -> None:
-    """Half of the gradients turn around at each step, so that those Gaussians ease."""
-    n, rate, values = 1200, 0.6, 60_000
-    p, grad = gaussians(n, 7), gaussians(n, 8)
-    grad = Parameters(*(t * 1e-3 for t in grad.tensors()))
-    newton = FrameNewton(n - 100, RD)
-    newton.extend(100)
-    newton.select(torch.arange(n))
-    means, factors, colors = (t.double() for t in p.tensors())
-    momentum, eased = torch.zeros(n, 8).double(), torch.zeros(n).double()
-    for step in range(1, 7):
-        newton.step(p, grad, rate, values)
-        g, own = in_frame(factors, *(t.double() for t in grad.tensors())), curvature(factors, colors, values)
-        lengths = ((g * g / own).sum(1) + 1e-30).sqrt() * ((momentum * momentum / own).sum(1) + 1e-30).sqrt()
-        cosine = (g * momentum / own).sum(1) / lengths
-        eased = (eased - cosine * torch.where(cosine < 0, 0.1, 0.05)).clamp(0, 4)
-        momentum = RD.momentum * momentum + (1 - RD.momentum) * g
-        step_size = RD.newton_rate * rate * torch.exp(-eased)[:, None] / (1 - RD.momentum**step)
-        most = torch.tensor([RD.most_frame] * 5 + [RD.most_color] * 3)
-        move = (-step_size * momentum / own).clamp(-most, most)
-        means, factors, colors = moved(means, factors, colors, move)
-        for values_of in grad.tensors():
-            values_of[::2] *= -1
-    assert (eased[::2] > 0).float().mean() > 0.3
-    assert not eased[1::2].any()
-    for found, value in zip(p.tensors(), (means, factors, colors), strict=True):
-        torch.testing.assert_close(found.double(), value, rtol=1e-4, atol=1e-4)
 
 
 def test_adam_in_the_gaussians_frame() -> None:
