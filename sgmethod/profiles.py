@@ -75,9 +75,9 @@ class RdSettings(OptimiserSettings):
     """
 
     steps: int = 1000
-    dense_steps: int = 1500  # where many Gaussians a pixel are expected: they take longer to come to rest
+    dense_steps: float = 1.5  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
-    dense: float = 0.035  # and from which `dense_steps` are taken
+    dense: float = 0.035  # and from which there are `dense_steps` times as many
     color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     # Growth: Gaussians are added at these times, where each gains more than its bits are worth.
@@ -124,6 +124,7 @@ class RdSettings(OptimiserSettings):
     far_from_size: float = 1.1  # of the bytes allowed; a fit that ends beyond was cut short, and also tries to drop
     psnr_tries: int = 7
     psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
+    least_gain: float = 0.1  # of what a finer quantum should gain; one that gains less is finer than the picture needs
 
 
 PAPER = PaperSettings()

@@ -95,37 +95,47 @@ class Finish:
         return len(self.coder.with_quantum(math.exp(log_quantum)).stream(self.p).payload)
 
     def _at_psnr(self, psnr_db: float) -> StreamV4:
-        """The smallest found that reaches the PSNR; the nearest to it if none does."""
+        """The smallest found that reaches the PSNR; where none does, the smallest about as good as the best."""
         slack = self.settings.psnr_slack_db
-        tried: dict[float, float] = {}  # log2 of the quantum: decibels beyond the target
-        at, streams, took = math.log2(self.coder.quantum), {}, 0.0
+        tried: dict[float, float] = {}  # log2 of the quantum: decibels
+        at, streams, aim, took = math.log2(self.coder.quantum), {}, psnr_db, 0.0
         for _ in range(self.settings.psnr_tries):
             began = self.clock.seconds()
-            stream = self._quantise_and_refine(self.coder.with_quantum(2**at))
-            tried[at], streams[at] = self._psnr(stream) - psnr_db, stream
+            streams[at] = self._quantise_and_refine(self.coder.with_quantum(2**at))
+            tried[at] = self._psnr(streams[at])
             took = self.clock.seconds() - began
-            if 0 <= tried[at] <= slack or took > self._left_s():
+            aim = self._reachable(aim, tried)
+            if 0 <= tried[at] - aim <= slack or took > self._left_s():
                 break
-            at = self._next_quantum(tried)
+            at = self._next_quantum({quantum: db - aim for quantum, db in tried.items()})
             if at in tried:
                 break
-        reached = [q for q, beyond in tried.items() if beyond >= 0]
+        reached = [q for q, db in tried.items() if db >= aim]
         if not reached:
             return streams[max(tried, key=lambda q: tried[q])]
         at = min(reached, key=lambda q: len(streams[q].payload))
-        if tried[at] <= slack or took > self._left_s():
+        if tried[at] - aim <= slack or took > self._left_s():
             return streams[at]
-        return self._fewer(streams[at], psnr_db)
+        return self._fewer(streams[at], aim, took)
 
-    def _fewer(self, stream: StreamV4, psnr_db: float) -> StreamV4:
-        """The fewest bytes at the stream's quantum that still reach the PSNR, by bisection.
+    def _reachable(self, aim: float, tried: dict[float, float]) -> float:
+        """The PSNR to aim at: a little less than the best so far where a finer quantum hardly helps any more."""
+        if len(tried) < 2 or max(tried.values()) >= aim:
+            return aim
+        (finest, db), (finer, before) = sorted(tried.items())[:2]
+        if db - before >= self.settings.least_gain * self.settings.db_per_doubling * (finer - finest):
+            return aim
+        return max(tried.values()) - self.settings.missed_db
+
+    def _fewer(self, stream: StreamV4, psnr_db: float, took: float) -> StreamV4:
+        """The fewest bytes at the stream's quantum that still reach the PSNR, by bisection. took: seconds of a try.
 
         In a picture of some tens of Gaussians each of them is worth tenths of a decibel, whatever the quantum. So the
         coarsest quantum that reaches the PSNR may end well above it.
         """
         coder, too_small = self.coder.with_quantum(stream.quantum), -1
         for _ in range(self.settings.psnr_tries):
-            if len(stream.payload) - too_small <= 2 or self._left_s() == 0:
+            if len(stream.payload) - too_small <= 2 or took > self._left_s():
                 break
             middle = (too_small + len(stream.payload)) // 2
             smaller = self._quantise_and_refine(coder, middle)

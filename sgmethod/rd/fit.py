@@ -140,8 +140,17 @@ class RdFit:
         """Move the quantum as the rate control says."""
         self.size = len(container.serialise(self.coder.stream(self.p)))
         quantum = self.control.steered(self.coder.quantum, at, self.size, lambda: self._rounded_psnr(self.p))
+        if quantum < self.coder.quantum and at > self.settings.growth_at[-1] and self._in_vain():
+            return
         if quantum != self.coder.quantum:
             self.coder = self.coder.with_quantum(quantum)
+
+    def _in_vain(self) -> bool:
+        """Whether rounding takes so little from the PSNR that a finer quantum cannot give what is missing."""
+        if self.control.psnr is None:
+            return False
+        exact = -10 * math.log10(max(self.picture.residual(self.p).square().mean().item(), 1e-12))
+        return exact - self._rounded_psnr(self.p) < self.settings.missed_db and exact < self.control.psnr
 
     def _grow(self, most: int) -> None:
         """Add Gaussians where they gain more than their bits are worth, so many in all at most."""

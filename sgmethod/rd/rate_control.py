@@ -80,7 +80,7 @@ class RateControl:
         s = self.settings
         density = self.expected_gaussians() / self.pixels
         share = min(max((density - s.sparse) / (s.dense - s.sparse), 0), 1)
-        return round(s.steps + share * (max(s.dense_steps, s.steps) - s.steps))
+        return round(s.steps * (1 + share * (s.dense_steps - 1)))
 
     def most_gaussians(self, at: float) -> int:
         """How many Gaussians there may be at a time of the schedule."""
