@@ -18,7 +18,7 @@ from sgmethod.scene import Gaussians, Scene
 
 PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
-FAR = 1 << 16  # output pixels; coordinates stay below, for single precision. A multiple of every level's tiles.
+FAR = 1 << 16  # output pixels; coordinates stay below, for single precision. A multiple of every level's samples.
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.stiff.pictures import Pixels
 from sgmethod import Budget, BudgetError, Encoded, TracePoint, encode
 from sgmethod.bitstream import container
+from sgmethod.native import native
 
 PROFILE = "rd"
 # What rounding to 8 bits leaves of a perfect picture: an error of 1/12 of a squared level. No better one is asked for.
@@ -25,8 +26,9 @@ class Row:
 
     value: the budget, in the unit of its kind; max_bytes: what a budget of kind bpp allows; bytes: of the file, None
     where there is none; psnr: dB of the decoded file, None for identical pixels and where there is no file; traced:
-    bytes, PSNR and phase of the best point of the trace at the file's size; clipped: see clipped_count; refused: why
-    no file fits in a budget of kind bpp; error: what else ended the encode.
+    bytes, PSNR and phase of the best point of the trace at the file's size; clipped: numbers that the encode clipped,
+    and those of the file that are not finite; refused: why no file fits in a budget of kind bpp; error: what else
+    ended the encode.
     """
 
     picture: str
@@ -83,6 +85,7 @@ def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
     height, width = pixels.shape[:2]
     max_bytes = budget.max_bytes(width, height)
     asked = Row(picture, seed, budget.kind, budget.value, max_bytes)
+    clipped_before = native.rd_clipped_values()
     try:
         encoded = encode(pixels.astype(np.float32) / np.float32(255), budget, PROFILE, seed=seed)
     except Exception as error:
@@ -98,7 +101,7 @@ def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
         gaussians=stats.gaussians,
         seconds=round(stats.seconds, 2),
         traced=(best.bytes, best.psnr, best.phase) if best else None,
-        clipped=clipped_count(encoded),
+        clipped=native.rd_clipped_values() - clipped_before + not_finite(encoded),
     )
 
 
@@ -107,11 +110,8 @@ def best_traced(trace: Sequence[TracePoint], max_bytes: int) -> TracePoint | Non
     return max((p for p in trace if 0 < p.bytes <= max_bytes), key=lambda p: p.psnr, default=None)
 
 
-def clipped_count(encoded: Encoded) -> int:
-    """How many numbers were clipped or are not finite.
-
-    The library counts no clipping: a count of its own belongs here, added to the numbers that are not finite.
-    """
+def not_finite(encoded: Encoded) -> int:
+    """How many numbers of the file's Gaussians are not finite."""
     gaussians = container.parse(encoded.data).scene().gaussians
     numbers = (gaussians.means, gaussians.factors, gaussians.colors)
     return sum(int(np.count_nonzero(~np.isfinite(values))) for values in numbers)

@@ -97,7 +97,7 @@ def frame_adam(
     second: FloatArray,
     bias: FloatArray,
 ) -> None:
-    """One step of sgmethod.fitting.fit.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
+    """One step of sgmethod.fitting.adam.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
 
 def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray

@@ -139,18 +139,10 @@ class RdFit:
     def _steer(self, at: float) -> None:
         """Move the quantum as the rate control says."""
         self.size = len(container.serialise(self.coder.stream(self.p)))
-        quantum = self.control.steered(self.coder.quantum, at, self.size, lambda: self._rounded_psnr(self.p))
-        if quantum < self.coder.quantum and at > self.settings.growth_at[-1] and self._in_vain():
-            return
+        psnrs = (lambda: self._rounded_psnr(self.p)), (lambda: self._psnr(self.p))
+        quantum = self.control.steered(self.coder.quantum, at, self.size, *psnrs)
         if quantum != self.coder.quantum:
             self.coder = self.coder.with_quantum(quantum)
-
-    def _in_vain(self) -> bool:
-        """Whether rounding takes so little from the PSNR that a finer quantum cannot give what is missing."""
-        if self.control.psnr is None:
-            return False
-        exact = -10 * math.log10(max(self.picture.residual(self.p).square().mean().item(), 1e-12))
-        return exact - self._rounded_psnr(self.p) < self.settings.missed_db and exact < self.control.psnr
 
     def _grow(self, most: int) -> None:
         """Add Gaussians where they gain more than their bits are worth, so many in all at most."""
@@ -181,7 +173,10 @@ class RdFit:
         self.adam.select(order)
 
     def _rounded_psnr(self, p: Parameters) -> float:
-        residual = self.picture.residual(self.coder.rounded(p))
+        return self._psnr(self.coder.rounded(p))
+
+    def _psnr(self, p: Parameters) -> float:
+        residual = self.picture.residual(p)
         return -10 * math.log10(max(residual.square().mean().item(), 1e-12))
 
 

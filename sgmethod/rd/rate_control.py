@@ -95,9 +95,11 @@ class RateControl:
         s = self.settings
         return max(int(s.growth * now), self.expected_gaussians() // len(s.growth_at), 4)
 
-    def steered(self, quantum: float, at: float, file_bytes: int, psnr: Callable[[], float]) -> float:
+    def steered(
+        self, quantum: float, at: float, file_bytes: int, psnr: Callable[[], float], unrounded_psnr: Callable[[], float]
+    ) -> float:
         """The quantum from this time on, given the quantum now and what it comes to: the file's size, and its PSNR in
-        dB, which is asked for where it is needed."""
+        dB and that before rounding, which are asked for where they are needed."""
         s = self.settings
         if self.max_bytes is None and self.psnr is None:
             return self._given_quantum(at)
@@ -114,7 +116,11 @@ class RateControl:
             # Early in the growth a larger error than the final one is right.
             missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
             aim = self.psnr - s.early_db * missing
-            ratio = 2 ** ((psnr() - aim) / s.db_per_doubling * exponent)
+            rounded = psnr()
+            ratio = 2 ** ((rounded - aim) / s.db_per_doubling * exponent)
+            # Where rounding takes next to nothing, a finer quantum cannot give what is missing.
+            if ratio < 1 and at > s.growth_at[-1] and unrounded_psnr() < min(rounded + s.missed_db, self.psnr):
+                return quantum
         if ratio == 1.0:
             return quantum
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)

@@ -6,7 +6,6 @@ import hashlib
 import json
 import re
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View
 from tests.bitstream import plain_decoder_v3 as plain_decoder_rd
 from tests.bitstream.test_format_v1 import TEXT, table
-from tests.harness.data import ROOT, golden, golden_path
+from tests.harness.data import ROOT, damaged, golden, golden_path, with_checksum
 
 GOLDEN = golden(3)
 HASHES = json.loads((golden_path("v3-hashes.json")).read_text())
@@ -72,14 +71,14 @@ def test_every_quantum_code() -> None:
     for code in (*range(520), *range(3500, 4200), 0xFFFF):
         data = bytearray(container.serialise(empty))
         data[13:15] = code.to_bytes(2, "big")
-        data[4:8] = struct.pack(">I", zlib.crc32(data[8:]))
+        coded = with_checksum(bytes(data))
         if code == single or low <= code <= high:
-            assert container.parse(bytes(data)).quantum == plain_decoder_rd.parse_header(bytes(data)).quantum
+            assert container.parse(coded).quantum == plain_decoder_rd.parse_header(coded).quantum
         else:
             with pytest.raises(BitstreamError, match="quantum"):
-                container.parse(bytes(data))
+                container.parse(coded)
             with pytest.raises(plain_decoder_rd.RefusedError):
-                plain_decoder_rd.parse_header(bytes(data))
+                plain_decoder_rd.parse_header(coded)
 
 
 def test_start_tables() -> None:
@@ -129,11 +128,11 @@ def test_a_first_state_that_no_encoder_leaves_is_refused(payload: str) -> None:
     """Though the next words would lift it to one."""
     data = bytearray(container.serialise(StreamV3(9, 9, 1.0, (0, 0, 0), False, False, bytes.fromhex(payload))))
     data[18:20] = b"\0\0"
-    data[4:8] = struct.pack(">I", zlib.crc32(data[8:]))
+    refused = with_checksum(bytes(data))
     with pytest.raises(BitstreamError, match="begins"):
-        container.parse(bytes(data)).gaussians()
+        container.parse(refused).gaussians()
     with pytest.raises(plain_decoder_rd.RefusedError, match="start"):
-        plain_decoder_rd.parse(bytes(data))
+        plain_decoder_rd.parse(refused)
 
 
 @pytest.mark.parametrize("name", GOLDEN)
@@ -164,10 +163,7 @@ def test_the_plain_decoder_shares_nothing() -> None:
 )
 def test_both_take_and_refuse_the_same_files(name: str, place: float, value: bytes, growth: int, part: float) -> None:
     """Bytes changed, the end moved, the checksum made to fit: the same Gaussians, or both refuse."""
-    data, at = GOLDEN[name], 8 + int(place * (len(GOLDEN[name]) - 8))
-    data = data[:at] + value + data[at + len(value) :]
-    data = data[: len(data) + growth] if growth < 0 else data + bytes(growth)
-    data = data[:4] + struct.pack(">I", zlib.crc32(data[8:])) + data[8:]
+    data = damaged(GOLDEN[name], place, value, growth)
     try:
         ours = rows(container.parse(data).gaussians(part))
     except BitstreamError:

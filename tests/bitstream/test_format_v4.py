@@ -23,7 +23,7 @@ from tests.bitstream.plain_decoder_v3 import Header, Model, Numbers, RefusedErro
 from tests.bitstream.plain_decoder_v4 import NUMBERS
 from tests.bitstream.test_format_v1 import TEXT, table
 from tests.bitstream.test_format_v3 import PARTS, assert_same_pixels, rows
-from tests.harness.data import ROOT, golden, golden_path, with_checksum
+from tests.harness.data import ROOT, damaged, golden, golden_path
 
 GOLDEN = golden(4)
 HASHES = json.loads(golden_path("v4-hashes.json").read_text())
@@ -274,7 +274,4 @@ def test_files_of_version_3_under_another_number(name: str) -> None:
 )
 def test_both_take_and_refuse_the_same_files(name: str, place: float, value: bytes, growth: int, part: float) -> None:
     """Bytes changed, the end moved, the checksum made to fit."""
-    data, at = GOLDEN[name], 8 + int(place * (len(GOLDEN[name]) - 8))
-    data = data[:at] + value + data[at + len(value) :]
-    data = data[: len(data) + growth] if growth < 0 else data + bytes(growth)
-    assert_same_outcome(with_checksum(data), part)
+    assert_same_outcome(damaged(GOLDEN[name], place, value, growth), part)

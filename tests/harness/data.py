@@ -21,6 +21,14 @@ def golden_path(name: str) -> Path:
     return DATA / version / rest
 
 
+def damaged(data: bytes, place: float, value: bytes, growth: int) -> bytes:
+    """The data of an .sg file with other bytes at a place, 0 to 1 of what the checksum covers, so many bytes more or
+    fewer at the end, and the checksum that belongs to them."""
+    at = 8 + int(place * (len(data) - 8))
+    data = data[:at] + value + data[at + len(value) :]
+    return with_checksum(data[: len(data) + growth] if growth < 0 else data + bytes(growth))
+
+
 def with_checksum(data: bytes) -> bytes:
     """The data of an .sg file with the checksum that belongs to them; the eight bytes of its prefix come first."""
     return data[:4] + zlib.crc32(data[8:]).to_bytes(4, "big") + data[8:]

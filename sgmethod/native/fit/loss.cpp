@@ -8,14 +8,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "core/clones.h"
 #include "core/thread_pool.h"
-
-// Each function for several instruction sets; the loader picks one, before the thread sanitizer can watch it do so.
-#ifdef __SANITIZE_THREAD__
-#define SG_CLONES
-#else
-#define SG_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#endif
 
 namespace sg {
 namespace {

@@ -39,8 +39,7 @@ void Rasterization::draw_coarse(const float* colors, Planes& planes) const {
     parallel_for(tiles(level), [&](int k) {
       const int tile = first_tile_[level] + k, rows = rows_of(tile);
       alignas(64) float acc[kTileFloats];
-      begin_tile(planes, tile, kBlack, acc);
-      kernels(isa_).forward(*this, tile, colors, acc);
+      draw_tile(planes, tile, kBlack, colors, acc);
       const auto [x, y] = corner(tile);
       for (int row = 0; row < rows; ++row)
         for (int color = 0; color < 3; ++color)
@@ -63,6 +62,12 @@ void Rasterization::begin_tile(Planes& planes, int tile, const float* background
   kernels(isa_).enlarge(coarse, planes.stride(level + 1), rows_of(tile), background, accumulators);
 }
 
+void Rasterization::draw_tile(Planes& planes, int tile, const float* background, const float* colors,
+                              float* accumulators) const {
+  begin_tile(planes, tile, background, accumulators);
+  kernels(isa_).forward(*this, tile, colors, accumulators);
+}
+
 // Rows of a tile, as far as its level goes.
 int Rasterization::rows_of(int tile) const {
   const Grid& grid = grids_[level_of_tile(tile)];
@@ -74,8 +79,7 @@ void Rasterization::render(const float* colors, float* image) const {
   draw_coarse(colors, coarse);
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float acc[kTileFloats];
-    begin_tile(coarse, tile, kBlack, acc);
-    kernels(isa_).forward(*this, tile, colors, acc);
+    draw_tile(coarse, tile, kBlack, colors, acc);
     const Area a = area(tile);
     for (int row = 0; row < a.rows; ++row)
       for (int k = 0; k < 3; ++k)
@@ -89,8 +93,7 @@ void Rasterization::render_bytes(const float* colors, const float* background, u
   draw_coarse(colors, coarse);
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float acc[kTileFloats];
-    begin_tile(coarse, tile, background, acc);
-    kernels(isa_).forward(*this, tile, colors, acc);
+    draw_tile(coarse, tile, background, colors, acc);
     const Area a = area(tile);
     const float* from = acc + a.skip_rows * 3 * kTileWidth;
     const int64_t stride = 3 * int64_t{width()};
@@ -206,8 +209,7 @@ void Rasterization::leave(const float* colors, const float* target, const Strips
   draw_coarse(colors, coarse);
   const auto each = [&](int tile, float* values) {
     if (tile >= tiles(0)) return;
-    begin_tile(coarse, tile, kBlack, values);
-    kernels(isa_).forward(*this, tile, colors, values);
+    draw_tile(coarse, tile, kBlack, colors, values);
     const Area a = area(tile);
     const TileTarget wanted{target + static_cast<int64_t>(a.y) * width() + a.x, plane, width(), 0, a.columns, a.rows, -1.0f};
     fit_kernels(isa_).difference(values, wanted);

@@ -1,11 +1,7 @@
 #include "raster/footprint.h"
 
-// For several instruction sets; the loader picks one, before the thread sanitizer can watch it do so.
-#ifdef __SANITIZE_THREAD__
-#define SG_CLONES
-#else
-#define SG_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#endif
+#include "core/clones.h"
+
 
 namespace sg {
 namespace {

@@ -21,8 +21,8 @@ SG_INLINE Bytes levels(const float* in) {
   return reinterpret_cast<Bytes>(_mm_packus_epi16(low, high));
 }
 
-template <int W>
-SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
+// For the baseline, which has no byte shuffle.
+SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
     const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth), b = levels(accumulators + 2 * kTileWidth);
     // Red and green go to their places first, then blue between them.
@@ -39,7 +39,7 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
 }
 
 // Where byte shuffles are quick: the three levels of a pixel in one integer, whose fourth byte is then left out.
-SG_INLINE void rows_of_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
+SG_INLINE void shuffled_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   using V = Simd<8>;
   typedef uint8_t Bytes32 __attribute__((vector_size(32)));
   constexpr Bytes32 kKept = {0,  1,  2,  4,  5,  6,  8,  9,  10, 12, 13, 14, 3,  3,  3,  3,
@@ -60,13 +60,11 @@ SG_INLINE void rows_of_bytes(const float* accumulators, int columns, int rows, u
     else std::memcpy(pixels, out, 3 * static_cast<size_t>(columns));
   }
 }
-template <>
-SG_INLINE void bytes_body<8>(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
-  rows_of_bytes(accumulators, columns, rows, pixels, stride);
-}
-template <>
-SG_INLINE void bytes_body<16>(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
-  rows_of_bytes(accumulators, columns, rows, pixels, stride);
+
+template <int W>
+SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
+  if constexpr (W == 4) packed_bytes(accumulators, columns, rows, pixels, stride);
+  else shuffled_bytes(accumulators, columns, rows, pixels, stride);
 }
 
 // Along an axis, sample 2u of the result is (3 c[u + 1] + c[u]) / 4 and sample 2u + 1 is (3 c[u + 1] + c[u + 2]) / 4, with

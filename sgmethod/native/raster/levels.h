@@ -7,7 +7,6 @@
 // ratio of the determinants.
 #pragma once
 
-#include <array>
 #include <vector>
 
 #include "raster/footprint.h"

@@ -107,6 +107,7 @@ class Rasterization {
   int rows_of(int tile) const;
   void draw_coarse(const float* colors, Planes& planes) const;
   void begin_tile(Planes& planes, int tile, const float* background, float* accumulators) const;
+  void draw_tile(Planes& planes, int tile, const float* background, const float* colors, float* accumulators) const;
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
   void load(Planes& planes, int tile, float* values) const;

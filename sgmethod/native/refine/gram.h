@@ -4,7 +4,6 @@
 // pictures no longer overlap. Pixels outside the picture do not count.
 #pragma once
 
-#include <array>
 #include <vector>
 
 #include "raster/kernels.h"
@@ -20,7 +19,6 @@ class Patch {
 
   // Sets the weights. spans: at least one.
   void draw(const Footprint& f, float floor, const std::vector<Span>& spans);
-  bool drawn() const { return rows_ > 0; }
 
   int x() const { return x_; }  // of the first column, margin included
   int y() const { return y_; }

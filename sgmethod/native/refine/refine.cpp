@@ -36,13 +36,12 @@ using Clock = std::chrono::steady_clock;
 class Refinement {
  public:
   Refinement(const RdParameters& p, std::vector<Symbols> all, const float* target, const RefineSettings& settings)
-      : target_(target), state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr,
-                                nullptr, {}},
+      : target_(target), gram_(grids_of(0, 0, p.width, p.height, kMaxLevel)),
+        state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr, gram_, {}},
         all_(std::move(all)) {
     const int64_t strips = (p.width + kTileWidth - 1) / kTileWidth;
     values_.assign(strips * p.height * 3 * kTileWidth, 0.0f);
     state_.left = {values_.data(), p.width, p.height};
-    look();
   }
 
   std::vector<uint8_t> run() {
@@ -79,12 +78,7 @@ class Refinement {
     const Canvas canvas{0, 0, state_.p.width, state_.p.height, state_.settings.cutoff, true};
     const Rasterization raster(g.means.data(), g.factors.data(), static_cast<int>(all_.size()), canvas, -1, kMaxPairs);
     reduced_ = std::make_unique<Planes>(raster.grids());
-    if (!gram_ || gram_levels_ < raster.grids().size()) {
-      gram_ = std::make_unique<Gram>(raster.grids());
-      gram_levels_ = raster.grids().size();
-    }
     state_.reduced = reduced_.get();
-    state_.gram = gram_.get();
     raster.leave(g.colors.data(), target_, state_.left, *reduced_);
   }
 
@@ -196,12 +190,11 @@ class Refinement {
   }
 
   const float* target_;
+  const Gram gram_;
   State state_;
   std::vector<Symbols> all_;
   std::vector<float> values_;  // of state_.left
   std::unique_ptr<Planes> reduced_;
-  std::unique_ptr<Gram> gram_;
-  size_t gram_levels_ = 0;
   std::vector<int> levels_;  // of all_, when last looked at
   Clock::time_point until_;
 };

@@ -52,7 +52,7 @@ struct State {
   float floor, reach;
   Strips left;  // what all Gaussians leave of the target
   Planes* reduced;  // and what that comes to on coarse levels
-  const Gram* gram;
+  const Gram& gram;
   Models models;
 
   Candidate decoded(const Symbols& s) const {
@@ -180,7 +180,7 @@ class Visitor {
     const std::vector<Span>& spans = spans_of(f, g.factor, c.level);
     if (spans.empty()) return 0.0f;
     patch_.draw(f, state_.floor, spans);
-    state_.gram->apply(c.level, patch_);
+    state_.gram.apply(c.level, patch_);
     return g.gain;
   }
 
