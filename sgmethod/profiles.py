@@ -7,6 +7,7 @@ photographs that scikit-image carries (docs/notebook.md).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 
@@ -20,6 +21,7 @@ class OptimiserSettings:
     final_rate: float = 0.03  # the cosine schedule ends at this part of the rates
     beta1: float = 0.9
     beta2: float = 0.99
+    newton_steps: float = math.inf  # a step is at most so many of Gauss-Newton's, by the curvature of a Gaussian alone
     min_scale_px: float = 0.3  # l1, l3 at least this: below it a Gaussian falls between pixel centres
 
 
@@ -74,7 +76,9 @@ class RdSettings(OptimiserSettings):
     docs/notebook.md has the measurement behind each number.
     """
 
-    steps: int = 1000
+    final_rate: float = 0.5  # steps become short by newton_steps
+    newton_steps: float = 2.0
+    steps: int = 400
     dense_steps: float = 1.5  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
     dense: float = 0.035  # and from which there are `dense_steps` times as many

@@ -3,6 +3,10 @@
 With the factor L, a mean moves by L d and the factor by L S, S lower triangular. So a rate means the same relative
 change for a speck and for a wide, tilted ellipse. On five photographs that was worth as much as three times the steps
 of Adam on plain parameters.
+
+Adam's steps have the length of the rate even where next to nothing is left to gain. So profile rd takes the shorter of
+that and of a few steps of Gauss-Newton, whose matrix is known in the frame and taken for diagonal. That halves the
+steps that a fit needs.
 """
 
 from __future__ import annotations
@@ -18,10 +22,11 @@ from sgmethod.profiles import OptimiserSettings
 class FrameAdam:
     """Adam on (d, S, colour), 8 numbers a Gaussian (see the module's text)."""
 
-    def __init__(self, n: int, settings: OptimiserSettings) -> None:
+    def __init__(self, n: int, settings: OptimiserSettings, values: int = 1) -> None:
+        """values: of the picture, whose mean squared error is the loss. They matter where newton_steps is finite."""
         s = settings
         rates = (s.mean_rate, s.factor_rate, s.color_rate)
-        self._settings = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px)
+        self._settings = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px, s.newton_steps, values)
         self.first, self.second = torch.zeros(n, 8), torch.zeros(n, 8)
         self.bias = torch.ones(n, 2)  # beta^steps; Gaussians that come later start their averages anew
 

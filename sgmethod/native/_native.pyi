@@ -81,7 +81,15 @@ class AdamSettings:
     """Of frame_adam; rates are relative changes of a step."""
 
     def __init__(
-        self, mean_rate: float, factor_rate: float, color_rate: float, beta1: float, beta2: float, min_scale: float
+        self,
+        mean_rate: float,
+        factor_rate: float,
+        color_rate: float,
+        beta1: float,
+        beta2: float,
+        min_scale: float,
+        newton_steps: float,
+        values: float,
     ) -> None: ...
 
 def frame_adam(

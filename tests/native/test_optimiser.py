@@ -3,6 +3,8 @@ the range that Gaussians are kept in."""
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from torch import Tensor
@@ -10,7 +12,7 @@ from torch import Tensor
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
-from sgmethod.profiles import PAPER, RD
+from sgmethod.profiles import PAPER, RD, OptimiserSettings
 from sgmethod.rd.quantiser import add_rate_gradient
 
 COLOR_AXES = torch.tensor(
@@ -79,11 +81,24 @@ def moved(means: Tensor, factors: Tensor, colors: Tensor, move: Tensor) -> tuple
     return means, torch.stack([l1, l2, l3], 1), colors + move[:, 5:]
 
 
-def test_adam_in_the_gaussians_frame() -> None:
+CURVATURE = torch.tensor([0.5, 0.5, 0.75, 0.25, 0.75, 1, 1, 1]).double()  # over |colour|^2 but for the colour itself
+FAINT = 0.03**2
+
+
+def newton(factors: Tensor, colors: Tensor, gradient: Tensor, values: int) -> Tensor:
+    """The step of Gauss-Newton for Gaussians that lie alone."""
+    square = colors.square().sum(1, keepdim=True).clamp_min(FAINT).repeat(1, 8)
+    square[:, 5:] = 1
+    return -gradient * values / (2 * math.pi * factors[:, :1] * factors[:, 2:] * CURVATURE * square)
+
+
+@pytest.mark.parametrize(("settings", "values"), [(PAPER, 1), (RD, 20)], ids=["adam", "no longer than Gauss-Newton"])
+def test_adam_in_the_gaussians_frame(settings: OptimiserSettings, values: int) -> None:
     n, rate = 1200, 0.6
-    p, adam = gaussians(n, 7), FrameAdam(n - 100, PAPER)
+    p, adam = gaussians(n, 7), FrameAdam(n - 100, settings, values)
     first, second, age = torch.zeros(n, 8).double(), torch.zeros(n, 8).double(), torch.zeros(n, 1).double()
-    rates = torch.tensor([PAPER.mean_rate] * 2 + [PAPER.factor_rate] * 3 + [PAPER.color_rate] * 3).double()
+    s = settings
+    rates = torch.tensor([s.mean_rate] * 2 + [s.factor_rate] * 3 + [s.color_rate] * 3).double()
     grad = gaussians(n, 8)
     old, young = torch.arange(n - 100), torch.arange(n - 100, n)
     early = Parameters(p.means[old].contiguous(), p.factors[old].contiguous(), p.colors[old].contiguous())
@@ -103,10 +118,14 @@ def test_adam_in_the_gaussians_frame() -> None:
         means, factors, colors = (t.clone() for t in wanted)
         g = in_frame(factors[rows], *(t[rows].double() for t in grad.tensors()))
         age[rows] += 1
-        first[rows] = PAPER.beta1 * first[rows] + (1 - PAPER.beta1) * g
-        second[rows] = PAPER.beta2 * second[rows] + (1 - PAPER.beta2) * g * g
-        unbiased = first[rows] / (1 - PAPER.beta1 ** age[rows])
-        move = -rate * rates * unbiased / (second[rows] / (1 - PAPER.beta2 ** age[rows])).sqrt()
+        first[rows] = s.beta1 * first[rows] + (1 - s.beta1) * g
+        second[rows] = s.beta2 * second[rows] + (1 - s.beta2) * g * g
+        unbiased = first[rows] / (1 - s.beta1 ** age[rows])
+        move = -rate * rates * unbiased / (second[rows] / (1 - s.beta2 ** age[rows])).sqrt()
+        if settings is RD:
+            most = RD.newton_steps * newton(factors[rows], colors[rows], unbiased, values)
+            assert 0.1 < (most.abs() < move.abs()).double().mean() < 0.9  # both are met
+            move = torch.where(most.abs() < move.abs(), most, move)
         means[rows], factors[rows], colors[rows] = moved(means[rows], factors[rows], colors[rows], move)
         wanted = means, factors, colors
     for found, value in zip((early.means, early.factors, early.colors), wanted, strict=True):

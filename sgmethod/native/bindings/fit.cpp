@@ -49,8 +49,8 @@ void bind_fit(nb::module_& m) {
       .def(nb::init<Image, float>(), "target"_a, "lambda_g"_a)
       .def("__call__", &evaluate, "image"_a, "grad"_a.noconvert());
   nb::class_<sg::AdamSettings>(m, "AdamSettings")
-      .def(nb::init<float, float, float, float, float, float>(), "mean_rate"_a, "factor_rate"_a, "color_rate"_a, "beta1"_a,
-           "beta2"_a, "min_scale"_a);
+      .def(nb::init<float, float, float, float, float, float, float, float>(), "mean_rate"_a, "factor_rate"_a,
+           "color_rate"_a, "beta1"_a, "beta2"_a, "min_scale"_a, "newton_steps"_a, "values"_a);
   m.def("frame_adam", &frame_adam, "settings"_a, "rate"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
         "colors"_a.noconvert(), "by_means"_a, "by_factors"_a, "by_colors"_a, "first"_a.noconvert(), "second"_a.noconvert(),
         "bias"_a.noconvert());

@@ -11,11 +11,20 @@ namespace {
 
 constexpr int kBlock = 512;  // Gaussians of a task
 
+// Half the second derivative of the squared error by d, S and the colour, where a Gaussian lies alone: integrals over
+// pi l1 l3 of the squared derivative of w = exp(-sigma), as in rd/symbols.h. Those of d and S count |colour|^2 times.
+constexpr float kCurvature[kAdamValues] = {0.5f, 0.5f, 0.75f, 0.25f, 0.75f, 1.0f, 1.0f, 1.0f};
+constexpr int kOfShape = 5;  // the first values, of d and S
+constexpr float kFaint = 0.03f * 0.03f;  // |colour|^2 counts as at least this: a fainter Gaussian's shape would jump
+constexpr double kPi = 3.14159265358979;
+
 }  // namespace
 
-AdamSettings::AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2, float min_scale)
+AdamSettings::AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2, float min_scale,
+                           float newton_steps, float values)
     : rates{mean_rate, mean_rate, factor_rate, factor_rate, factor_rate, color_rate, color_rate, color_rate},
-      beta1(beta1), beta2(beta2), min_scale(min_scale) {}
+      beta1(beta1), beta2(beta2), min_scale(min_scale),
+      newton(static_cast<float>(newton_steps * values / (2 * kPi))) {}
 
 void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGaussians& p, const ConstGaussians& grad,
                 float* first, float* second, float* bias) {
@@ -30,12 +39,16 @@ void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGa
     bias[2 * i] *= s.beta1;
     bias[2 * i + 1] *= s.beta2;
     const float unbias1 = 1 / (1 - bias[2 * i]), unbias2 = 1 / (1 - bias[2 * i + 1]);
+    const float square = std::max(color[0] * color[0] + color[1] * color[1] + color[2] * color[2], kFaint);
+    const float newton = s.newton / (l[0] * l[2]);
     float move[kAdamValues];
     for (int k = 0; k < kAdamValues; ++k) {
       float &m1 = first[kAdamValues * i + k], &m2 = second[kAdamValues * i + k];
       m1 = s.beta1 * m1 + (1 - s.beta1) * g[k];
       m2 = s.beta2 * m2 + (1 - s.beta2) * g[k] * g[k];
-      move[k] = -s.rates[k] * m1 * unbias1 / (std::sqrt(m2 * unbias2) + 1e-15f);
+      const float adam = s.rates[k] / (std::sqrt(m2 * unbias2) + 1e-15f);
+      const float most = newton / (k < kOfShape ? kCurvature[k] * square : kCurvature[k]);
+      move[k] = -std::min(adam, most) * m1 * unbias1;
     }
     mean[0] += l[0] * move[0];
     mean[1] += l[1] * move[0] + l[2] * move[1];

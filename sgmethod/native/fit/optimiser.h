@@ -7,10 +7,14 @@ namespace sg {
 constexpr int kAdamValues = 8;  // d (2), S (3), colour (3): a step moves the mean by L d and the factor by L S
 
 struct AdamSettings {
-  AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2, float min_scale);
+  // newton_steps: of Gauss-Newton's steps, a step may be as long as so many; values: numbers of the picture, over which the
+  // loss is the mean squared error.
+  AdamSettings(float mean_rate, float factor_rate, float color_rate, float beta1, float beta2, float min_scale,
+               float newton_steps, float values);
   float rates[kAdamValues];  // relative change of each value in a step
   float beta1, beta2;
   float min_scale;  // l1, l3 at least this
+  float newton;     // a step may be so many times its gradient, divided by l1 l3 and the share of kCurvature
 };
 
 // Rows of 2, 3, 3 values a Gaussian; grad_* likewise.

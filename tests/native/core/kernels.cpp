@@ -117,7 +117,7 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
         raster.squared_error(g.colors.data(), target.data(), out);
       }
     sg::rd_rate_gradient(0.1f, 1.0f, 300, g.factors.data(), g.colors.data(), by.factors.data(), by.colors.data());
-    const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f);
+    const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f, 2.0f, 1000.0f);
     sg::frame_adam(settings, 1.0f, 300, {g.means.data(), g.factors.data(), g.colors.data()},
                    {by.means.data(), by.factors.data(), by.colors.data()}, first.data(), second.data(), bias.data());
     sg::keep_in_range(2.0f, kWidth, kHeight, 300, {g.means.data(), g.factors.data(), g.colors.data()});
