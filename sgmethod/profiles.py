@@ -82,7 +82,7 @@ class RdSettings(OptimiserSettings):
     dense_steps: float = 1.5  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
     dense: float = 0.035  # and from which there are `dense_steps` times as many
-    color_solve_steps: int = 10  # conjugate-gradient steps for the colours of the start and of new Gaussians
+    color_solve_steps: int = 4  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     # Growth: Gaussians are added at these times, where each gains more than its bits are worth.
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow
