@@ -23,6 +23,7 @@ WINDOW_SIZE, WINDOW_SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 BLOCK = 1 << 20  # values compared at a time: float64 copies of whole pictures would take more memory than an encode
+BAND = 1 << 16  # windows compared at a time, about
 
 # The window must fit at the coarsest of the five scales: a side of 161 has 11 pixels there, 160 has 10.
 MIN_SIDE = (WINDOW_SIZE - 1) * 2 ** (len(SCALE_WEIGHTS) - 1) + 1
@@ -56,21 +57,18 @@ def ms_ssim(a: Pixels, b: Pixels) -> float | None:
     if min(a.shape[:2]) < MIN_SIDE:
         return None
 
-    def channel(image: Pixels, k: int) -> Float64Array:
-        return np.divide(image[:, :, k], peak, dtype=np.float64)
-
-    return float(np.mean([_ms_ssim(channel(a, k), channel(b, k)) for k in range(a.shape[2])]))
+    return float(np.mean([_ms_ssim(a[:, :, k], b[:, :, k], peak) for k in range(a.shape[2])]))
 
 
-def _ms_ssim(x: Float64Array, y: Float64Array) -> float:
+def _ms_ssim(x: Pixels, y: Pixels, peak: int) -> float:
     """Of one channel [H, W]."""
     product = 1.0
     for scale, weight in enumerate(SCALE_WEIGHTS, start=1):
-        similarity, contrast = _ssim(x, y)
+        similarity, contrast = _ssim(x, y, peak)
         last = scale == len(SCALE_WEIGHTS)
         product *= max(similarity if last else contrast, 0.0) ** weight
         if not last:
-            x, y = _halve(x), _halve(y)
+            x, y, peak = _halve(x, peak), _halve(y, peak), 1
     return product
 
 
@@ -84,22 +82,31 @@ def _peak(a: Pixels, b: Pixels) -> int:
     return 255 if a.dtype == np.uint8 else 1
 
 
-def _ssim(x: Float64Array, y: Float64Array) -> tuple[float, float]:
-    """The means of the SSIM map and of its contrast-structure part. In place where it can be: planes are large."""
+def _ssim(x: Pixels, y: Pixels, peak: int) -> tuple[float, float]:
+    """The means of the SSIM map and of its contrast-structure part. In bands of rows: float64 copies of whole
+    planes would take more memory than an encode, and several times the time."""
+    height, width = (side - WINDOW_SIZE + 1 for side in x.shape)
+    rows = max(BAND // width, 1)
+    similarity = contrast = 0.0
+    for start in range(0, height, rows):
+        band = slice(start, min(start + rows, height) + WINDOW_SIZE - 1)
+        sums = _ssim_sums(*(np.divide(plane[band], peak, dtype=np.float64) for plane in (x, y)))
+        similarity, contrast = similarity + sums[0], contrast + sums[1]
+    return similarity / (width * height), contrast / (width * height)
+
+
+def _ssim_sums(x: Float64Array, y: Float64Array) -> tuple[float, float]:
+    """The sums of the SSIM map and of its contrast-structure part. In place where it can be."""
     mean_x, mean_y = _window(x), _window(y)
     mean_xy = mean_x * mean_y
     energy = np.square(mean_x, out=mean_x)
     energy += np.square(mean_y, out=mean_y)
-    del mean_y
     # The two variances are only ever added, so four filters do instead of five.
     contrast = _window(x * y)
     contrast -= mean_xy
     contrast *= 2
     contrast += C2
-    square = x * x
-    square += y * y
-    variances = _window(square)
-    del square
+    variances = _window(x * x + y * y)
     variances -= energy
     variances += C2
     contrast /= variances
@@ -108,7 +115,7 @@ def _ssim(x: Float64Array, y: Float64Array) -> tuple[float, float]:
     energy += C1
     luminance /= energy
     luminance *= contrast
-    return float(luminance.mean()), float(contrast.mean())
+    return float(luminance.sum()), float(contrast.sum())
 
 
 def _window(x: Float64Array) -> Float64Array:
@@ -123,9 +130,12 @@ def _window(x: Float64Array) -> Float64Array:
     return filtered[margin:-margin, margin:-margin]
 
 
-def _halve(x: Float64Array) -> Float64Array:
-    """Means over 2 x 2 pixels, after a row or column of zeros in front where a side is odd."""
+def _halve(x: Pixels, peak: int) -> Float64Array:
+    """Means over 2 x 2 pixels, after a row or column of zeros in front where a side is odd; peak becomes 1."""
     height, width = x.shape
-    if height % 2 or width % 2:
-        x = np.pad(x, ((height % 2, 0), (width % 2, 0)))
-    return (x[0::2, 0::2] + x[1::2, 0::2] + x[0::2, 1::2] + x[1::2, 1::2]) / 4
+    even: npt.NDArray[Any] = np.pad(x, ((height % 2, 0), (width % 2, 0))) if height % 2 or width % 2 else x
+    sums: Float64Array = np.add(even[0::2, 0::2], even[1::2, 0::2], dtype=np.float64)
+    sums += even[0::2, 1::2]
+    sums += even[1::2, 1::2]
+    sums /= 4 * peak
+    return sums
