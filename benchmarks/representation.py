@@ -24,7 +24,7 @@ from benchmarks.pictures import pictures_in
 from sgmethod.bitstream import v3
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.schedule import Schedule
-from sgmethod.io.image import read_image
+from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import RD, RdSettings
 from sgmethod.rd.fit import RdFit
@@ -50,7 +50,7 @@ def lengthened(steps: int) -> RdSettings:
 
 def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, Any]:
     """PSNR and MS-SSIM of the float Gaussians, rendered and rounded to 8 bits."""
-    pixels = read_image(picture.read_bytes())
+    pixels = read_image_8_bit(picture.read_bytes())
     recorder = Recorder(Clock(), None)
     area = pixels.shape[0] * pixels.shape[1]
     quantum = 0.8 * GAUSSIANS_GUESS * area / gaussians  # leaves a few more to choose from
@@ -65,14 +65,13 @@ def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, An
 
     Schedule("fit", settings.steps, settings.final_rate, patience=1.0).run(recorder, step)
     seconds = time.perf_counter() - began
-    shown = pixels - fit.picture.residual(fit.p).permute(1, 2, 0).numpy()
+    shown = pixels / np.float32(255) - fit.picture.residual(fit.p).permute(1, 2, 0).numpy()
     levels = np.round(np.clip(shown, 0, 1) * 255).astype(np.uint8)
-    source = np.round(pixels * 255).astype(np.uint8)
     return {
         "image": picture.name,
         "gaussians": len(fit.p.means),
-        "psnr": psnr(levels, source),
-        "ms_ssim": ms_ssim(levels, source),
+        "psnr": psnr(levels, pixels),
+        "ms_ssim": ms_ssim(levels, pixels),
         "seconds": seconds,
     }
 

@@ -19,7 +19,7 @@ from sgmethod.decode import MAX_PIXELS, decode, info
 from sgmethod.errors import BudgetError, ImageError
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
-from sgmethod.io.image import ImageLimits
+from sgmethod.io.image import ImageLimits, to_8_bit
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings
@@ -57,7 +57,7 @@ class Encoded:
 
 
 def encode(
-    pixels: NDArray[np.float32],
+    pixels: NDArray[np.float32] | NDArray[np.uint8],
     budget: Budget,
     profile: str = DEFAULT_PROFILE,
     *,
@@ -65,8 +65,9 @@ def encode(
     time_limit_s: float | None = None,
     on_progress: Progress | None = None,
 ) -> Encoded:
-    """Encode an image [H, W, 3], values in [0, 1], within a budget.
+    """Encode an image [H, W, 3], of levels in uint8 or of values in [0, 1], within a budget.
 
+    Values are rounded to levels: a decoded picture has no others, and its figures are against them.
     profile: one of sgmethod.profiles.PROFILE_NAMES; seed: of everything random, so that the same call gives
     the same file on the same machine unless time_limit_s (seconds, whole encode) cuts it short;
     on_progress: called with each point of the trace, and may raise to abandon the encode.
@@ -77,7 +78,7 @@ def encode(
     _check_profile(profile)
     _check_time_limit(time_limit_s)
     recorder = Recorder(Clock(time_limit_s), on_progress)
-    request = Request(np.ascontiguousarray(pixels, np.float32), budget, profile, seed, recorder)
+    request = Request(to_8_bit(pixels), budget, profile, seed, recorder)
     settings = PROFILES[profile]
     with _single_torch_thread(), _memory_errors():
         if isinstance(settings, RdSettings):
@@ -111,7 +112,7 @@ def _memory_errors() -> Iterator[None]:
 
 def _measured(request: Request, data: bytes, steps: int) -> Encoded:
     """Decode the very bytes and measure them."""
-    decoded, source = decode(data), request.source()
+    decoded, source = decode(data), request.pixels
     height, width = source.shape[:2]
     db, gaussians = psnr(decoded, source), info(data).gaussians
     request.recorder.report("done", steps, steps, 10 ** (-db / 10), (gaussians, 8 * len(data)))
@@ -130,13 +131,15 @@ def _measured(request: Request, data: bytes, steps: int) -> Encoded:
     return Encoded(data, stats, request.recorder.points)
 
 
-def _check_image(pixels: NDArray[np.float32]) -> None:
+def _check_image(pixels: NDArray[np.float32] | NDArray[np.uint8]) -> None:
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
         raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
     height, width = pixels.shape[:2]
     ImageLimits(max_pixels=MAX_PIXELS).check(width, height)  # no more than decode() gives back
+    if pixels.dtype == np.uint8:
+        return
     if not np.issubdtype(pixels.dtype, np.floating):
-        raise ImageError(f"an image must hold floating-point values in [0, 1], got {pixels.dtype}")
+        raise ImageError(f"an image must be uint8 or hold floating-point values in [0, 1], got {pixels.dtype}")
     if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:
         raise ImageError("the image's values must lie in [0, 1]")
 

@@ -225,7 +225,8 @@ def test_ms_ssim_is_that_of_the_file_where_it_is_defined() -> None:
 def test_arrays_of_other_types_hold_the_same_picture() -> None:
     budget = Budget("bytes", 400)
     expected = encode(small(), budget, "paper").data
-    for same in (small().astype(np.float64), np.asfortranarray(small()), small()[::-1][::-1]):
+    levels = np.round(small() * 255).astype(np.uint8)
+    for same in (small().astype(np.float64), np.asfortranarray(small()), small()[::-1][::-1], levels, levels / 255):
         assert encode(same, budget, "paper").data == expected
 
 
@@ -244,7 +245,7 @@ def test_arrays_of_other_types_hold_the_same_picture() -> None:
         np.full((4, 5, 3), 1.001),
         np.full((4, 5, 3), np.nan),
         np.full((4, 5, 3), np.inf),
-        np.full((4, 5, 3), 255, np.uint8),
+        np.full((4, 5, 3), 255, np.uint16),
         np.full((4, 5, 3), 0.5 + 0.5j),
         np.full((4, 5, 3), "0.5"),
         np.full((4, 5, 3), None),

@@ -89,11 +89,11 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     from sgmethod.budget import Budget
     from sgmethod.codec import encode
     from sgmethod.errors import SgError
-    from sgmethod.io.image import read_image
+    from sgmethod.io.image import read_image_8_bit
 
     try:
         encoded = encode(
-            read_image(source),
+            read_image_8_bit(source),
             Budget(request.budget_kind, request.budget_value),
             request.profile,
             time_limit_s=request.time_limit_s,

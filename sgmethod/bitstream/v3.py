@@ -145,7 +145,7 @@ class StreamV3:
         return {"headers": 8 * HEADER_BYTES, "payload": 8 * len(self.payload)}
 
 
-def background_of(pixels: NDArray[np.float32]) -> tuple[int, int, int]:
-    """The mean colour of an image [H, W, 3] in [0, 1], to 8 bits."""
-    red, green, blue = (round(255 * float(v)) for v in pixels.reshape(-1, 3).mean(0, dtype=np.float64))
+def background_of(pixels: NDArray[np.uint8]) -> tuple[int, int, int]:
+    """The mean colour of an image [H, W, 3]."""
+    red, green, blue = (round(float(v)) for v in pixels.mean((0, 1)))
     return red, green, blue

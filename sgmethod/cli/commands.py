@@ -13,7 +13,7 @@ from sgmethod.cli import files
 from sgmethod.cli.arguments import DEFAULT_BUDGET
 from sgmethod.cli.terminal import progress_line, silent_stderr
 from sgmethod.decode import decode, info
-from sgmethod.io.image import read_image
+from sgmethod.io.image import read_image_8_bit
 from sgmethod.io.png import encode_png
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
@@ -42,7 +42,7 @@ def run_encode(arguments: argparse.Namespace) -> None:
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes) -> Result:
     with silent_stderr():  # libtiff prints its own lines about a damaged file
-        pixels = read_image(image)
+        pixels = read_image_8_bit(image)
     encode = _load_encoder()
     with progress_line(not arguments.quiet and os.isatty(2)) as show:
         encoded = encode(

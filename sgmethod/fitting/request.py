@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from sgmethod.budget import Budget
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.scene import FloatArray
 
 # Kept back of a time limit, for writing and measuring the file.
 RESERVE_S = 0.15
@@ -19,9 +18,9 @@ RESERVE_S_PER_MEGAPIXEL = 0.5
 
 @dataclass(frozen=True)
 class Request:
-    """Pixels [H, W, 3] in [0, 1], and what encode() was given with them."""
+    """Pixels, uint8 [H, W, 3], and what encode() was given with them."""
 
-    pixels: FloatArray
+    pixels: NDArray[np.uint8]
     budget: Budget
     profile: str
     seed: int
@@ -34,11 +33,6 @@ class Request:
             return None
         megapixels = float(self.pixels.shape[0] * self.pixels.shape[1]) / 1e6
         return limit - RESERVE_S - RESERVE_S_PER_MEGAPIXEL * megapixels
-
-    def source(self) -> NDArray[np.uint8]:
-        """The picture at 8 bits, against which a result is measured."""
-        levels: NDArray[np.uint8] = np.round(self.pixels * 255).astype(np.uint8)
-        return levels
 
     def gaussians_asked(self) -> int:
         """The budget as a number of Gaussians. Raises BudgetError if it is more than pixels."""

@@ -5,7 +5,7 @@ Decoded pixels leave as PNG, and every file that is written is whole or absent.
 """
 
 from sgmethod.io.files import write_atomically
-from sgmethod.io.image import read_image
+from sgmethod.io.image import read_image, read_image_8_bit
 from sgmethod.io.png import encode_png
 
-__all__ = ["encode_png", "read_image", "write_atomically"]
+__all__ = ["encode_png", "read_image", "read_image_8_bit", "write_atomically"]

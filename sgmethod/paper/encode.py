@@ -74,7 +74,7 @@ class _Encoder:
         limit = self.request.until_s()
         for attempt in range(PSNR_ATTEMPTS):
             stream = self.run(n, None, None if limit is None else limit * (attempt + 1) / PSNR_ATTEMPTS)
-            tried[n] = (psnr(decode(container.serialise(stream)), self.request.source()), stream)
+            tried[n] = (psnr(decode(container.serialise(stream)), self.request.pixels), stream)
             n = _next_count(tried, target_db, pixels)
             if n in tried:
                 break
@@ -87,8 +87,10 @@ class _Encoder:
         tune_until = request.until_s() if until_s is None else until_s
         begun = request.recorder.clock.seconds()
         fit_until = None if tune_until is None else begun + FIT_SHARE * (tune_until - begun)
-        picture = Picture(request.pixels, settings.lambda_g, native.CUTOFF_V1)
-        start = place(request.pixels, n, settings, np.random.default_rng(request.seed))
+        image = request.pixels.astype(np.float32)
+        image /= 255
+        picture = Picture(image, settings.lambda_g, native.CUTOFF_V1)
+        start = place(image, n, settings, np.random.default_rng(request.seed))
         fitted, fit_steps = fit(picture, start, settings, request.recorder, fit_until)
         tuner = Tuner(fitted, picture, settings, max_bytes, request.seed)
         schedule = Schedule("tune", settings.tune_steps, settings.final_rate, tune_until)

@@ -29,7 +29,7 @@ class Finish:
     def __init__(self, fit: RdFit, request: Request) -> None:
         self.p, self.coder, self.picture = fit.p, fit.coder, fit.picture
         self.control, self.settings = fit.control, fit.settings
-        self.source = request.source()
+        self.source = request.pixels
         self.clock, self.until = request.recorder.clock, request.until_s()
 
     def stream(self) -> StreamV4:

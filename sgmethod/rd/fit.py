@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import background_of
@@ -25,11 +26,8 @@ from sgmethod.rd import growth, quantiser
 from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
 from sgmethod.rd.rate_control import RateControl
-from sgmethod.scene import FloatArray
 from sgmethod.start.placement import place
 
-GREY_TOLERANCE = 0.25 / 255  # channels that differ by less than this everywhere are one
-GREY_PROBE = 16  # every so many pixels are looked at first
 FEWEST_AT_START = 4
 GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 
@@ -37,15 +35,17 @@ GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 class RdFit:
     """The state of one fit: the Gaussians, the optimiser's averages of them, and the coder with the quantum."""
 
-    def __init__(self, pixels: FloatArray, control: RateControl, seed: int, recorder: Recorder) -> None:
-        """pixels [H, W, 3] in [0, 1]; recorder says when an error will be shown, and so must be exact."""
+    def __init__(self, pixels: NDArray[np.uint8], control: RateControl, seed: int, recorder: Recorder) -> None:
+        """pixels [H, W, 3]; recorder says when an error will be shown, and so must be exact."""
         self.control, self.recorder = control, recorder
         self.settings = settings = control.settings
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = background_of(pixels)
-        grey = len(set(background)) == 1 and _is_grey(pixels[::GREY_PROBE, ::GREY_PROBE]) and _is_grey(pixels)
+        grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
         self.coder = Coder((self.width, self.height), control.quantum, background, grey)
-        above = (pixels - np.array(background, np.float32) / 255).astype(np.float32)
+        above = pixels.astype(np.float32)
+        above /= 255
+        above -= np.array(background, np.float32) / 255
         self.picture = Picture(above, 0.0, native.CUTOFF_V3, pyramid=True)
         self.values = self.picture.target.numel()
         self.pyramid = Pyramid(self.picture, settings)
@@ -178,8 +178,3 @@ class RdFit:
     def _psnr(self, p: Parameters) -> float:
         residual = self.picture.residual(p)
         return -10 * math.log10(max(residual.square().mean().item(), 1e-12))
-
-
-def _is_grey(pixels: FloatArray) -> bool:
-    red, green, blue = pixels.transpose(2, 0, 1)
-    return all(bool((np.abs(a - b) < GREY_TOLERANCE).all()) for a, b in ((red, green), (green, blue), (red, blue)))

@@ -304,7 +304,7 @@ def test_what_cannot_be_written_is_known_before_the_work(
         raise AssertionError("begins to work")
 
     Path("folder").mkdir()
-    for name in ("read_image", "_load_encoder", "decode"):
+    for name in ("read_image_8_bit", "_load_encoder", "decode"):
         monkeypatch.setattr(commands, name, work)
     assert_refused(run(*shlex.split(line)), why)
     assert Path("photo.png").read_bytes().startswith(b"\x89PNG")

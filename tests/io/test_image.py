@@ -16,7 +16,7 @@ from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io import image
-from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image
+from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image, read_image_8_bit, to_8_bit
 from sgmethod.io.png import encode_png
 from tests.harness.data import PHOTOGRAPHS
 
@@ -118,6 +118,24 @@ def test_reads_every_format(kind: str) -> None:
     assert pixels.flags.c_contiguous
     tolerance = 0.05 if "jpeg" in kind or kind in ("webp", "webp-exif", "bmp-palette") else 0.002
     assert np.abs(pixels - PIXELS / 255).mean() < tolerance
+
+
+def test_8_bit_pixels_are_the_same_picture_rounded() -> None:
+    rgba = np.dstack([PIXELS, PIXELS[..., :1]])
+    others = [
+        png_of(rgba, 6),
+        png_of(PIXELS[..., :1], 0),
+        png_of(RGB16[..., :1], 0),
+        saved("JPEG", exif=exif_with(6)),
+        saved("PNG", PHOTO.quantize(64)),
+    ]
+    for data in (*KINDS.values(), *others):
+        found, wanted = read_image_8_bit(data), read_image(data)
+        assert found.dtype == np.uint8
+        assert found.flags.c_contiguous
+        assert np.array_equal(found, np.round(wanted * 255))
+    assert np.array_equal(to_8_bit(PIXELS / 255), PIXELS)
+    assert np.array_equal(to_8_bit(PIXELS[:, ::-1]), PIXELS[:, ::-1])
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -16,7 +16,7 @@ from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.recorder import Clock, Recorder
-from sgmethod.io.image import read_image
+from sgmethod.io.image import read_image, to_8_bit
 from sgmethod.native import native
 from sgmethod.native.reference import render
 from sgmethod.profiles import RD
@@ -308,7 +308,7 @@ def test_growth_on_odd_sizes(size: tuple[int, int]) -> None:
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     def fit_with(seconds: float) -> RdFit:
         control = RateControl(RD, 128 * 160, 0.1, max_bytes=2000)
-        fit = RdFit(noise(128, 160), control, 0, Recorder(Clock(), None))
+        fit = RdFit(to_8_bit(noise(128, 160)), control, 0, Recorder(Clock(), None))
         with torch.no_grad():
             fit.hurry(seconds)
         return fit
