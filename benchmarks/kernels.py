@@ -25,7 +25,7 @@ from PIL import Image, ImageOps
 from benchmarks.machine import ISA_NAMES, RESULTS, in_words, origin, write_json
 from benchmarks.pictures import pictures_in
 from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.native import native
 from sgmethod.paper.fit import fit
@@ -51,7 +51,7 @@ class Spread:
     p90_ms: float
 
 
-def load(folder: Path | None) -> tuple[str, NDArray[np.float32]]:
+def load(folder: Path | None) -> tuple[str, NDArray[np.uint8]]:
     """Name and pixels of the folder's first picture, or of a test picture, brought to SIZE."""
     path = PHOTOGRAPHS / "kodim23-crop.png"
     if folder is not None:
@@ -61,15 +61,15 @@ def load(folder: Path | None) -> tuple[str, NDArray[np.float32]]:
         path = pictures[0]
     with Image.open(path) as picture:
         fitted = ImageOps.fit(picture.convert("RGB"), SIZE, Image.Resampling.LANCZOS)
-    return path.name, np.asarray(fitted, np.float32) / np.float32(255)
+    return path.name, np.asarray(fitted)
 
 
-def fitted(image: NDArray[np.float32], n: int, steps: int) -> tuple[Parameters, float]:
+def fitted(pixels: NDArray[np.uint8], n: int, steps: int) -> tuple[Parameters, float]:
     """n Gaussians after so many steps of the fit, and the seconds these took."""
     torch.set_num_threads(1)  # as encode() does: two pools of threads on the same cores cost several times the time
     settings = replace(PAPER, fit_steps=steps)
-    start = place(image, n, settings, np.random.default_rng(0))
-    picture = Picture(image, settings.lambda_g, native.CUTOFF_V1)
+    start = place(pixels.astype(np.float32) / np.float32(255), n, settings, np.random.default_rng(0))
+    picture = Picture(target_of(pixels), settings.lambda_g, native.CUTOFF_V1)
     clock = Clock()
     gaussians, done = fit(picture, start, settings, Recorder(clock, None), None)
     if done < steps:

@@ -28,6 +28,14 @@ class Parameters:
         """n Gaussians whose values are not set, for kernels to fill."""
         return cls(torch.empty(n, 2), torch.empty(n, 3), torch.empty(n, 3))
 
+    def alike(self) -> Parameters:
+        """As many Gaussians whose values are not set."""
+        return Parameters.empty(len(self.means))
+
+    def with_more(self, new: Parameters) -> Parameters:
+        """These and after them new ones."""
+        return Parameters(*(torch.cat(pair) for pair in zip(self.tensors(), new.tensors(), strict=True)))
+
     def tensors(self) -> tuple[Tensor, Tensor, Tensor]:
         """(means, factors, colors)."""
         return self.means, self.factors, self.colors

@@ -6,11 +6,23 @@ import math
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 from sgmethod.scene import FloatArray
+
+Target = NDArray[np.int16]
+
+
+def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 0, 0)) -> Target:
+    """What Gaussians on a background should add up to, [3, H, W], for pixels [H, W, 3]: TARGET_WHITE is white."""
+    target = np.empty((3, *pixels.shape[:2]), np.int16)
+    for plane, channel, below in zip(target, pixels.transpose(2, 0, 1), background, strict=True):
+        np.subtract(channel, below, out=plane, dtype=np.int16)
+        plane *= native.TARGET_WHITE // 255
+    return target
 
 
 class Picture:
@@ -20,89 +32,100 @@ class Picture:
     stay in pixels of the whole picture, and spacing says how many of those a pixel of this one is wide.
     """
 
-    def __init__(
-        self, image: FloatArray, lambda_g: float, cutoff: float, pyramid: bool = False, spacing: int = 1
-    ) -> None:
-        """image [H, W, 3] in [0, 1]; lambda_g weighs the geometry-consistent regularisation; cutoff: sigma at
-        which the weight of a Gaussian ends, and pyramid: whether it is drawn in one, by the version of the format."""
-        self.target = torch.from_numpy(np.ascontiguousarray(image.transpose(2, 0, 1)))
-        self.height, self.width = image.shape[:2]
+    def __init__(self, target: Target, lambda_g: float, cutoff: float, pyramid: bool = False, spacing: int = 1) -> None:
+        """target: of target_of(); lambda_g weighs the geometry-consistent regularisation; cutoff: sigma at which the
+        weight of a Gaussian ends, and pyramid: whether it is drawn in one, by the version of the format."""
+        self.target = target
+        self.height, self.width = target.shape[1:]
+        self.values = target.size
         self.spacing = spacing
         self.lambda_g = lambda_g
         self.cutoff, self.pyramid = cutoff, pyramid
-        self._loss = native.ReconstructionLoss(self.target.numpy(), lambda_g)
-        self._image = torch.empty_like(self.target)
-        self._grad = torch.empty_like(self.target)
+        if lambda_g > 0:
+            self._loss = native.ReconstructionLoss(self.rows(0, self.height), lambda_g)
+            self._image, self._grad = np.empty(target.shape, np.float32), np.empty(target.shape, np.float32)
+
+    def rows(self, first: int, end: int) -> FloatArray:
+        """The target's rows from first to before end, in which 1 is white."""
+        rows = self.target[:, first:end].astype(np.float32)
+        rows /= native.TARGET_WHITE
+        return rows
 
     def halved(self) -> Picture:
         """The same picture at half the size."""
-        planes = torch.nn.functional.pad(self.target[None], (0, self.width % 2, 0, self.height % 2), mode="replicate")
-        small = torch.nn.functional.avg_pool2d(planes, 2)[0].permute(1, 2, 0).numpy()
-        picture = Picture(small, self.lambda_g, self.cutoff, self.pyramid, 2 * self.spacing)
-        # Scratch is shared: pictures are evaluated one at a time.
-        picture._image, picture._grad = (
-            whole.view(-1)[: picture.target.numel()].view_as(picture.target) for whole in (self._image, self._grad)
-        )
-        return picture
+        even: NDArray[np.int16] = self.target
+        if self.height % 2 or self.width % 2:
+            even = np.pad(even, ((0, 0), (0, self.height % 2), (0, self.width % 2)), mode="edge")
+        sums = np.add(even[:, 0::2, 0::2], even[:, 1::2, 0::2], dtype=np.int32)
+        sums += even[:, 0::2, 1::2]
+        sums += even[:, 1::2, 1::2]
+        sums += 2
+        sums >>= 2
+        return Picture(sums.astype(np.int16), self.lambda_g, self.cutoff, self.pyramid, 2 * self.spacing)
 
     def rasterise(self, means: Tensor, factors: Tensor) -> native.Rasterization:
         """The geometry over this picture's pixels."""
+        arrays = self._scaled(means, factors)
+        return native.Rasterization(*arrays, self.width, self.height, self.cutoff, pyramid=self.pyramid)
+
+    def _scaled(self, means: Tensor, factors: Tensor) -> tuple[FloatArray, FloatArray]:
+        """In this picture's pixels."""
         if self.spacing != 1:
             means, factors = means / self.spacing, factors / self.spacing
-        arrays = means.contiguous().numpy(), factors.contiguous().numpy()
-        return native.Rasterization(*arrays, self.width, self.height, self.cutoff, pyramid=self.pyramid)
+        return means.contiguous().numpy(), factors.contiguous().numpy()
 
     def gradients(self, p: Parameters) -> tuple[float, Parameters]:
         """Mean squared error, and the gradients of MSE + lambda_g L_g by each parameter."""
-        raster = self.rasterise(p.means, p.factors)
-        colors = p.colors.contiguous().numpy()
-        out = Parameters.empty(len(p.means))
         if self.lambda_g == 0:
-            mse = raster.squared_error(colors, self.target.numpy(), *out.arrays())
+            mse, out = self._squared_error(p)
         else:
-            image, grad = self._image.numpy(), self._grad.numpy()
-            raster.render(colors, image)
-            mse, _ = self._loss(image, grad)
-            raster.backward(colors, grad, *out.arrays())
+            raster, colors, out = self.rasterise(p.means, p.factors), p.colors.contiguous().numpy(), p.alike()
+            raster.render(colors, self._image)
+            mse, _ = self._loss(self._image, self._grad)
+            raster.backward(colors, self._grad, *out.arrays())
         if self.spacing != 1:
             out.means /= self.spacing
             out.factors /= self.spacing
         return mse, out
 
-    def residual(self, p: Parameters) -> Tensor:
-        """Target minus picture [3, H, W], in this picture's pixels; valid until gradients() is called."""
-        self.rasterise(p.means, p.factors).render(p.colors.contiguous().numpy(), self._grad.numpy())
-        return torch.sub(self.target, self._grad, out=self._grad)
+    def error(self, p: Parameters) -> float:
+        """Mean squared error."""
+        return self._squared_error(p)[0]
 
-    def interleaved(self, planes: Tensor) -> FloatArray:
-        """Planes [3, H, W] of this picture's size as [H, W, 3], in memory of this picture: valid until it is drawn."""
-        return self._image.view(self.height, self.width, 3).copy_(planes.permute(1, 2, 0)).numpy()
+    def _squared_error(self, p: Parameters) -> tuple[float, Parameters]:
+        """The mean, and its gradients in this picture's pixels."""
+        out = p.alike()
+        colors = p.colors.contiguous().numpy()
+        return self.rasterise(p.means, p.factors).squared_error(colors, self.target, *out.arrays()), out
+
+    def residual(self, p: Parameters, first: int, end: int) -> FloatArray:
+        """Rows from first to before end of target minus picture [3, end - first, W], in this picture's pixels."""
+        arrays = self._scaled(p.means, p.factors)
+        raster = native.Rasterization(*arrays, self.width, end - first, self.cutoff, pyramid=self.pyramid, y=first)
+        drawn = np.empty((3, end - first, self.width), np.float32)
+        raster.render(p.colors.contiguous().numpy(), drawn)
+        return np.subtract(self.rows(first, end), drawn, out=drawn)
 
     def solve_colors(
-        self, means: Tensor, factors: Tensor, steps: int, residual_of: Tensor | None = None, damping: float = 1e-2
+        self, means: Tensor, factors: Tensor, steps: int, others: Parameters | None = None, damping: float = 1e-2
     ) -> Tensor:
         """Colours [N, 3] near the least-squares solution for fixed geometry: the image is linear in them.
 
         Conjugate gradients from zero on the normal equations, preconditioned by the Gaussians' energies
-        pi l1 l3, of which `damping` is added to the diagonal. The target is the picture, or residual_of [3, H, W].
+        pi l1 l3, of which `damping` is added to the diagonal. The target is the picture, less others.
         """
-        raster, n = self.rasterise(means, factors), len(means)
+        n = len(means)
         energy = (math.pi / self.spacing**2 * factors[:, :1] * factors[:, 2:]).clamp_min(1e-12)
-        zero = np.zeros((n, 3), np.float32)
-        by_means, by_factors, _ = Parameters.empty(n).arrays()
-
-        def transpose(image: Tensor) -> Tensor:
-            out = torch.empty(n, 3)
-            raster.backward(zero, image.numpy(), by_means, by_factors, out.numpy())
-            return out
-
-        colors = torch.zeros(n, 3)
-        residual = transpose(self.target if residual_of is None else residual_of)
+        black = Parameters(means, factors, torch.zeros(n, 3))
+        _, gradients = self._squared_error(black if others is None else others.with_more(black))
+        residual = gradients.colors[-n:] * (-self.values / 2)  # each one's product with what is missing
+        raster = self.rasterise(means, factors)
+        colors, product = torch.zeros(n, 3), torch.empty(n, 3)
         direction = z = residual / energy
         rz = (residual * z).sum(0)
         for _ in range(steps):
-            raster.render(direction.numpy(), self._image.numpy())
-            q = transpose(self._image) + damping * energy * direction
+            raster.gram(direction.numpy(), product.numpy())
+            q = product + damping * energy * direction
             alpha = rz / (direction * q).sum(0).clamp_min(1e-30)
             colors = colors + alpha * direction
             residual = residual - alpha * q

@@ -19,6 +19,7 @@ COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple
 COLOR_SCALE: float
 """A colour's step in profile rd is quantum / (COLOR_SCALE s), with s the Gaussian's size in pixels."""
 R_STEP: float  # the step of r = l2 / l3 over that of v = log sqrt(l1 / l3) in profile rd
+TARGET_WHITE: int  # in the target of a fit, int16 [3, height, width]
 TILE_WIDTH: int
 TILE_HEIGHT: int
 
@@ -61,9 +62,17 @@ class Rasterization:
         """Fill image [height, width, 3], uint8: background plus Gaussians."""
 
     def squared_error(
-        self, colors: FloatArray, target: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
+        self,
+        colors: FloatArray,
+        target: NDArray[np.int16],
+        means: FloatArray,
+        factors: FloatArray,
+        out_colors: FloatArray,
     ) -> float:
-        """The mean squared error against target [3, height, width]; fills its gradients as backward does."""
+        """The mean squared error against a target; fills its gradients as backward does."""
+
+    def gram(self, colors: FloatArray, out_colors: FloatArray) -> None:
+        """Fill out_colors [N, 3]: each Gaussian's product with the picture that all draw."""
 
     def backward(
         self, colors: FloatArray, grad: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
@@ -151,7 +160,7 @@ def rd_refine(
     means: FloatArray,
     factors: FloatArray,
     colors: FloatArray,
-    target: FloatArray,
+    target: NDArray[np.int16],
     cutoff: float,
     price: float,
     sweeps: int,

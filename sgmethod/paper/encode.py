@@ -11,7 +11,7 @@ from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.decode import decode
 from sgmethod.errors import BudgetError
-from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.request import Request
 from sgmethod.fitting.schedule import Schedule
 from sgmethod.metrics import psnr
@@ -89,7 +89,7 @@ class _Encoder:
         fit_until = None if tune_until is None else begun + FIT_SHARE * (tune_until - begun)
         image = request.pixels.astype(np.float32)
         image /= 255
-        picture = Picture(image, settings.lambda_g, native.CUTOFF_V1)
+        picture = Picture(target_of(request.pixels), settings.lambda_g, native.CUTOFF_V1)
         start = place(image, n, settings, np.random.default_rng(request.seed))
         fitted, fit_steps = fit(picture, start, settings, request.recorder, fit_until)
         tuner = Tuner(fitted, picture, settings, max_bytes, request.seed)

@@ -33,7 +33,7 @@ def fit(
 
     def step(rate: float, _: float) -> tuple[float, tuple[int, int]]:
         mse, grad = picture.gradients(p)
-        add_energy_gradient(p, grad, settings.lambda_e / picture.target.numel())
+        add_energy_gradient(p, grad, settings.lambda_e / picture.values)
         adam.step(p, grad, rate)
         return mse, (len(start), 0)
 

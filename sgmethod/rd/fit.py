@@ -18,7 +18,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import background_of
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.native import native
 from sgmethod.profiles import PAPER
@@ -43,11 +43,7 @@ class RdFit:
         background = background_of(pixels)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
         self.coder = Coder((self.width, self.height), control.quantum, background, grey)
-        above = pixels.astype(np.float32)
-        above /= 255
-        above -= np.array(background, np.float32) / 255
-        self.picture = Picture(above, 0.0, native.CUTOFF_V3, pyramid=True)
-        self.values = self.picture.target.numel()
+        self.picture = Picture(target_of(pixels, background), 0.0, native.CUTOFF_V3, pyramid=True)
         self.pyramid = Pyramid(self.picture, settings)
         self.mse = 1.0
         self.size = 0  # of the file in bytes, when last looked at
@@ -60,7 +56,7 @@ class RdFit:
         share = int(self.control.expected_gaussians() * self.settings.start_share)
         n = min(max(share, FEWEST_AT_START), self.control.most_gaussians(1.0))
         picture = self.pyramid.smallest(n)
-        image = picture.target.permute(1, 2, 0).numpy() + np.array(self.coder.background, np.float32) / 255
+        image = picture.rows(0, picture.height).transpose(1, 2, 0) + np.array(self.coder.background, np.float32) / 255
         placed = Parameters.of(place(np.ascontiguousarray(image), n, PAPER, rng))
         means, factors = placed.means * picture.spacing, placed.factors * picture.spacing
         return Parameters(means, factors, picture.solve_colors(means, factors, self.settings.color_solve_steps))
@@ -93,8 +89,8 @@ class RdFit:
         if picture is self.picture:
             self.mse = mse
         elif self.recorder.due():
-            self.mse = self.recorder.measured(lambda: self.picture.residual(self.p).square().mean().item())
-        quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.values)
+            self.mse = self.recorder.measured(lambda: self.picture.error(self.p))
+        quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.picture.values)
         self.adam.step(self.p, grad, rate)
         self._stay_in_range()
         return self.mse, (len(self.p.means), 8 * self.size)
@@ -148,20 +144,17 @@ class RdFit:
         """Add Gaussians where they gain more than their bits are worth, so many in all at most."""
         n = len(self.p.means)
         picture = self.pyramid.finest
-        residual = picture.residual(self.p)
         room = min(self.control.new_gaussians(n), most - n)
         least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
-        found = growth.candidates(picture.interleaved(residual), room, least_gain)
+        found = growth.candidates(
+            np.ascontiguousarray(picture.residual(self.p, 0, picture.height).transpose(1, 2, 0)), room, least_gain
+        )
         means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
         if len(means) == 0:
             return
         # Neighbours overlap: their colours are solved together, or they would overshoot.
-        colors = picture.solve_colors(means, factors, self.settings.color_solve_steps, residual_of=residual)
-        self.p = Parameters(
-            torch.cat([self.p.means, means]),
-            torch.cat([self.p.factors, factors]),
-            torch.cat([self.p.colors, colors]),
-        )
+        colors = picture.solve_colors(means, factors, self.settings.color_solve_steps, others=self.p)
+        self.p = self.p.with_more(Parameters(means, factors, colors))
         self.adam.extend(len(means))
         self._sort()
 
@@ -176,5 +169,4 @@ class RdFit:
         return self._psnr(self.coder.rounded(p))
 
     def _psnr(self, p: Parameters) -> float:
-        residual = self.picture.residual(p)
-        return -10 * math.log10(max(residual.square().mean().item(), 1e-12))
+        return -10 * math.log10(max(self.picture.error(p), 1e-12))

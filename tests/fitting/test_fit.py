@@ -17,9 +17,10 @@ from torch import Tensor
 
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.schedule import Schedule
+from sgmethod.io.image import to_8_bit
 from sgmethod.native import native, reference
 from sgmethod.paper.fit import fit
 from sgmethod.profiles import BASELINE, PAPER, PaperSettings
@@ -57,7 +58,7 @@ def recorder(tick: float = 1.0) -> Recorder:
 def small_case() -> tuple[FloatArray, Tensor, Tensor]:
     """A picture [12, 17, 3] and the geometry of ten Gaussians on it."""
     rng = np.random.default_rng(0)
-    image = rng.random((12, 17, 3)).astype(np.float32)
+    image = rng.integers(0, 256, (12, 17, 3)).astype(np.float32) / 255
     means = torch.tensor(rng.random((10, 2)) * (17, 12), dtype=torch.float32)
     factors = torch.tensor(np.stack([rng.uniform(1, 4, 10), rng.uniform(-2, 2, 10), rng.uniform(1, 4, 10)], 1))
     return image, means, factors.float()
@@ -78,7 +79,12 @@ def design(means: Tensor, factors: Tensor, size: tuple[int, int]) -> NDArray[np.
 
 def test_solved_colours_reach_the_least_squares_residual() -> None:
     image, means, factors = small_case()
-    found = Picture(image, 0.0, CUTOFF).solve_colors(means, factors, steps=60, damping=0.0).double().numpy()
+    found = (
+        Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
+        .solve_colors(means, factors, steps=60, damping=0.0)
+        .double()
+        .numpy()
+    )
     matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     best = np.linalg.lstsq(matrix, target)[0]
     residual, least = (np.square(matrix @ c - target).sum() for c in (found, best))
@@ -92,7 +98,12 @@ def test_damping_is_that_of_a_ridge_weighed_by_energy() -> None:
     matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     energy = math.pi * (factors[:, 0] * factors[:, 2]).double().numpy()
     for damping in (1e-2, 1.0):
-        found = Picture(image, 0.0, CUTOFF).solve_colors(means, factors, steps=60, damping=damping).double().numpy()
+        found = (
+            Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
+            .solve_colors(means, factors, steps=60, damping=damping)
+            .double()
+            .numpy()
+        )
         ridge = np.linalg.solve(matrix.T @ matrix + damping * np.diag(energy), matrix.T @ target)
         assert np.abs(found - ridge).max() < 1e-4  # worst seen 2e-6
 
@@ -102,7 +113,12 @@ def test_more_steps_of_the_solver_do_not_make_it_worse() -> None:
     matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     errors = []
     for steps in (0, 1, 2, 4, 8, 16, 32):
-        colors = Picture(image, 0.0, CUTOFF).solve_colors(means, factors, steps, damping=0.0).double().numpy()
+        colors = (
+            Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
+            .solve_colors(means, factors, steps, damping=0.0)
+            .double()
+            .numpy()
+        )
         errors.append(np.square(matrix @ colors - target).sum())
     assert errors[0] == pytest.approx(np.square(target).sum())
     assert all(b <= a * (1 + 1e-6) for a, b in pairwise(errors))
@@ -118,7 +134,7 @@ def test_gradients_are_those_of_the_mean_squared_error() -> None:
     target = torch.from_numpy(image).double().permute(2, 0, 1)
     mse = (reference.render(leaves[0], leaves[1], leaves[2], (17, 12), CUTOFF) - target).square().mean()
     expected = torch.autograd.grad(mse, leaves)
-    found_mse, found = Picture(image, 0.0, CUTOFF).gradients(Parameters(means, factors, colors))
+    found_mse, found = Picture(target_of(to_8_bit(image)), 0.0, CUTOFF).gradients(Parameters(means, factors, colors))
     assert found_mse == pytest.approx(mse.item(), rel=1e-5)  # worst seen 2e-7
     for mine, true in zip((found.means, found.factors, found.colors), expected, strict=True):
         assert (mine - true).abs().max() < 1e-4 * true.abs().max()  # worst seen 5e-6
@@ -150,7 +166,7 @@ def test_a_step_is_relative_to_the_gaussians_own_scale() -> None:
 @pytest.mark.parametrize("rate", [1e-3, 0.1])
 def test_a_step_lowers_the_error(rate: float) -> None:
     image, means, factors = small_case()
-    picture = Picture(image, 0.0, CUTOFF)
+    picture = Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
     p = Parameters(means, factors, picture.solve_colors(means, factors, 10))
     before, grad = picture.gradients(p)
     FrameAdam(10, PAPER).step(p, grad, rate)
@@ -261,7 +277,7 @@ def test_a_report_that_raises_ends_the_run() -> None:
 
 
 def psnr_of(gaussians: Gaussians, image: FloatArray) -> float:
-    mse, _ = Picture(image, 0.0, CUTOFF).gradients(Parameters.of(gaussians))
+    mse, _ = Picture(target_of(to_8_bit(image)), 0.0, CUTOFF).gradients(Parameters.of(gaussians))
     return -10 * math.log10(max(mse, 1e-12))
 
 
@@ -269,7 +285,7 @@ def psnr_of(gaussians: Gaussians, image: FloatArray) -> float:
 def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -> None:
     settings = replace(profile, fit_steps=200)
     start = place(photo(), 150, settings, np.random.default_rng(0))
-    picture = Picture(photo(), settings.lambda_g, CUTOFF)
+    picture = Picture(target_of(to_8_bit(photo())), settings.lambda_g, CUTOFF)
     p = Parameters.of(start)
     solved = picture.solve_colors(p.means, p.factors, steps=60)
     begun = psnr_of(Gaussians(start.means, start.factors, solved.numpy()), photo())
@@ -313,7 +329,7 @@ def test_extreme_pictures_stay_finite(name: str) -> None:
     for n in sorted({1, min(40, pixels), pixels}):
         start = place(image, n, settings, np.random.default_rng(0))
         kept = recorder()
-        fitted, _ = fit(Picture(image, settings.lambda_g, CUTOFF), start, settings, kept, None)
+        fitted, _ = fit(Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, kept, None)
         for array in (fitted.means, fitted.factors, fitted.colors):
             assert np.isfinite(array).all()
         assert (fitted.factors[:, [0, 2]] >= np.float32(settings.min_scale_px)).all()
@@ -325,7 +341,9 @@ def test_nothing_to_draw_is_soon_done() -> None:
     settings = replace(PAPER, fit_steps=400)
     image = np.zeros((30, 40, 3), np.float32)
     start = place(image, 20, settings, np.random.default_rng(0))
-    fitted, steps = fit(Picture(image, settings.lambda_g, CUTOFF), start, settings, recorder(), None)
+    fitted, steps = fit(
+        Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, recorder(), None
+    )
     assert steps < 200
     assert not fitted.colors.any()
 
@@ -333,7 +351,10 @@ def test_nothing_to_draw_is_soon_done() -> None:
 def test_the_same_start_gives_the_same_fit() -> None:
     settings = replace(PAPER, fit_steps=40)
     start = place(photo(), 60, settings, np.random.default_rng(0))
-    fits = [fit(Picture(photo(), settings.lambda_g, CUTOFF), start, settings, recorder(), None)[0] for _ in range(2)]
+    fits = [
+        fit(Picture(target_of(to_8_bit(photo())), settings.lambda_g, CUTOFF), start, settings, recorder(), None)[0]
+        for _ in range(2)
+    ]
     for one, other in zip(*((f.means, f.factors, f.colors) for f in fits), strict=True):
         assert np.array_equal(one, other)
     assert np.array_equal(start.colors, place(photo(), 60, settings, np.random.default_rng(0)).colors)

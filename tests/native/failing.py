@@ -75,15 +75,16 @@ def gradients() -> bytes:
     first = [np.empty_like(array) for array in (means, factors, colors)]
     second = [np.empty_like(array) for array in (means, factors, colors)]
     raster.backward(colors, target, *first)
-    raster.squared_error(colors, target, *second)
+    raster.squared_error(colors, (target * native.TARGET_WHITE).astype(np.int16), *second)
+    raster.gram(colors, gram := np.empty_like(colors))
     loss = native.ReconstructionLoss(target, 0.5)
     loss(target, grad := np.empty_like(target))
-    return joined(*first, *second, grad)
+    return joined(*first, *second, grad, gram)
 
 
 def refine() -> bytes:
     parameters = native.RdParameters(WIDTH, HEIGHT, 0.1)
-    target = np.full((3, HEIGHT, WIDTH), 0.5, np.float32)
+    target = np.full((3, HEIGHT, WIDTH), native.TARGET_WHITE // 2, np.int16)
     return native.rd_refine(parameters, *scattered(20), target, native.CUTOFF_V3, 0.01, 1, 60.0, 100)
 
 

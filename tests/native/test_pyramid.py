@@ -85,7 +85,7 @@ class Case:
 
     values: Gaussians
     size: Size
-    target: FloatArray
+    target: NDArray[np.int16]
     upstream: FloatArray
     picture: NDArray[np.float64]
     error: float
@@ -104,12 +104,14 @@ def case(name: str) -> Case:
 
 def case_of(values: Gaussians, size: Size) -> Case:
     rng = np.random.default_rng(9)
-    target, upstream = (draw((3, size[1], size[0])).astype(np.float32) for draw in (rng.random, rng.standard_normal))
+    shape = 3, size[1], size[0]
+    target = np.round(rng.random(shape) * native.TARGET_WHITE).astype(np.int16)
+    upstream = rng.standard_normal(shape).astype(np.float32)
     leaves = [
         torch.tensor(a, dtype=torch.float64, requires_grad=True) for a in (values.means, values.factors, values.colors)
     ]
     picture = reference.render_pyramid(leaves[0], leaves[1], leaves[2], size, CUTOFF)
-    error = (picture - torch.from_numpy(target)).square().mean()
+    error = (picture - torch.from_numpy(target) / native.TARGET_WHITE).square().mean()
     scalars = (error, (picture * torch.from_numpy(upstream)).sum()) if len(values) else ()
     found = [[g.numpy() for g in torch.autograd.grad(s, leaves, retain_graph=True)] for s in scalars]
     by_error, by_picture = found or [[np.zeros((0, k)) for k in (2, 3, 3)]] * 2
@@ -121,7 +123,7 @@ def rasterised(c: Case, isa: int) -> native.Rasterization:
 
 
 def native_picture(c: Case, isa: int) -> FloatArray:
-    picture = np.full_like(c.target, np.nan)
+    picture = np.full(c.target.shape, np.nan, np.float32)
     rasterised(c, isa).render(c.values.colors, picture)
     return picture
 
@@ -191,7 +193,7 @@ def test_the_same_on_every_instruction_set_and_for_every_number_of_threads(name:
 
 def test_narrow_gaussians_are_drawn_as_without_a_pyramid() -> None:
     c = case_of(scattered((83, 70), 60, 1.3, 0), (83, 70))
-    plain = np.empty_like(c.target)
+    plain = np.empty_like(c.upstream)
     native.Rasterization(c.values.means, c.values.factors, *c.size, CUTOFF).render(c.values.colors, plain)
     assert np.array_equal(native_picture(c, native.best_isa()), plain)
 
@@ -202,7 +204,7 @@ def test_a_pyramid_is_near_the_plain_sum() -> None:
         minor = reference.NARROWEST * 2**level * 1.001
         for factor in ([minor, 0, minor], turned(5 * minor, minor)):
             c = case_of(gaussians([[40.3, 30.7]], [factor], [[1, 1, 1]]), (80, 60))
-            plain = np.empty_like(c.target)
+            plain = np.empty_like(c.upstream)
             native.Rasterization(c.values.means, c.values.factors, *c.size, CUTOFF).render(c.values.colors, plain)
             assert np.abs(native_picture(c, 0) - plain).max() < 0.03  # worst seen 0.021
 
@@ -218,8 +220,9 @@ def test_what_is_no_ellipse_contributes_nothing(isa: int) -> None:
         np.concatenate([odd, sound.factors]),
         np.concatenate([np.ones((n, 3)), sound.colors]),
     )
-    target = np.full((3, 70, 83), 0.5, np.float32)
-    one, other = (Case(values, size, target, target, target, 0, [], []) for values in (mixed, sound))
+    target = np.full((3, 70, 83), native.TARGET_WHITE // 2, np.int16)
+    floats = target.astype(np.float32)
+    one, other = (Case(values, size, target, floats, floats, 0, [], []) for values in (mixed, sound))
     assert np.array_equal(native_picture(one, isa), native_picture(other, isa))
     for mine, others in zip(native_gradients(one, isa)[2], native_gradients(other, isa)[2], strict=True):
         assert not mine[:n].any()

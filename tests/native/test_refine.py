@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from sgmethod.bitstream import v3
+from sgmethod.fitting.picture import Target
 from sgmethod.native import native, reference
 from sgmethod.scene import FloatArray, Gaussians
 from tests.native.test_codec import encoded, gaussians, rows, scattered
@@ -26,10 +27,16 @@ def picture(values: Gaussians, size: tuple[int, int] = SIZE) -> FloatArray:
     return image
 
 
+def target_of(image: FloatArray) -> Target:
+    levels = np.round(image * native.TARGET_WHITE)
+    assert np.abs(levels).max() <= np.iinfo(np.int16).max
+    return levels.astype(np.int16)
+
+
 def refined(
     parameters: native.RdParameters,
     values: Gaussians,
-    target: FloatArray,
+    target: Target,
     *,
     price: float = 0.0,
     sweeps: int = 6,
@@ -40,26 +47,26 @@ def refined(
     return native.rd_refine(parameters, *arrays, target, CUTOFF, price, sweeps, seconds, max_bytes)
 
 
-def error(parameters: native.RdParameters, payload: bytes, target: FloatArray) -> float:
+def error(parameters: native.RdParameters, payload: bytes, target: Target) -> float:
     found = Gaussians(*native.rd_decode(parameters, payload))
-    return float(np.square(picture(found, target.shape[:0:-1]) - target, dtype=np.float64).sum())
+    return float(np.square(picture(found, target.shape[:0:-1]) - target / native.TARGET_WHITE, dtype=np.float64).sum())
 
 
-def scene(seed: int = 0, n: int = 150) -> tuple[Gaussians, FloatArray]:
+def scene(seed: int = 0, n: int = 150) -> tuple[Gaussians, Target]:
     """Gaussians, and a target that they meet but for some noise."""
     values = scattered(n, SIZE, seed)
     noise = np.random.default_rng(seed).normal(0, 0.005, (3, SIZE[1], SIZE[0]))
-    return values, (picture(values) + noise).astype(np.float32)
+    return values, target_of(picture(values) + noise)
 
 
-def wide_scene(seed: int) -> tuple[Gaussians, FloatArray]:
+def wide_scene(seed: int) -> tuple[Gaussians, Target]:
     """The same with Gaussians of several levels, most of them wide."""
     rng, n = np.random.default_rng(seed), 80
     factors = np.exp(rng.uniform(0.5, 4.5, (n, 1)) + rng.normal(0, 0.5, (n, 3)))
     factors[:, 1] *= rng.choice([-1, 0, 1], n)
     values = gaussians(scattered(n, SIZE, seed).means, factors, rng.normal(0, 0.2, (n, 3)))
     assert {reference.level_of(*factor) for factor in values.factors.tolist()} >= set(range(5))
-    return values, (picture(values) + rng.normal(0, 0.005, (3, SIZE[1], SIZE[0]))).astype(np.float32)
+    return values, target_of(picture(values) + rng.normal(0, 0.005, (3, SIZE[1], SIZE[0])))
 
 
 @pytest.mark.parametrize("limits", [{"sweeps": 0}, {"seconds": 0.0}])
@@ -71,7 +78,7 @@ def test_without_time_it_is_rounding(limits: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("make", [scene, wide_scene])
 @pytest.mark.parametrize("seed", range(6))
-def test_each_sweep_lowers_the_error(seed: int, make: Callable[[int], tuple[Gaussians, FloatArray]]) -> None:
+def test_each_sweep_lowers_the_error(seed: int, make: Callable[[int], tuple[Gaussians, Target]]) -> None:
     """Seen: 43 to 63 % of the error of rounding is left after six sweeps."""
     values, target = make(seed)
     parameters = native.RdParameters(*SIZE, 0.4)
@@ -116,7 +123,7 @@ def test_what_a_file_has_no_room_for_stays_out(grey: bool, upright: bool) -> Non
         values.colors[:] = values.colors[:, :1]
     if upright:
         values.factors[:, 1] = 0
-    target = picture(values)
+    target = target_of(picture(values))
     parameters = native.RdParameters(*SIZE, 0.3, grey, upright)
     payload = refined(parameters, values, target)
     found = Gaussians(*native.rd_decode(parameters, payload))
@@ -129,7 +136,7 @@ def test_what_a_file_has_no_room_for_stays_out(grey: bool, upright: bool) -> Non
 def test_the_same_for_every_number_of_threads(size: tuple[int, int], n: int) -> None:
     """On the larger one many cells are refined at once."""
     values = scattered(n, size, 0)
-    target = picture(values, size) + np.random.default_rng(0).normal(0, 0.005, (3, size[1], size[0])).astype(np.float32)
+    target = target_of(picture(values, size) + np.random.default_rng(0).normal(0, 0.005, (3, size[1], size[0])))
     parameters = native.RdParameters(*size, 0.3)
     most = len(encoded(parameters, values)) * 3 // 4
     threads = native.thread_count()
@@ -149,7 +156,7 @@ def test_the_same_for_every_number_of_threads(size: tuple[int, int], n: int) -> 
 @pytest.mark.parametrize("quantum", [v3.MIN_QUANTUM, 0.2, v3.MAX_QUANTUM])
 def test_odd_sizes_and_steps(size: tuple[int, int], quantum: float) -> None:
     values = scattered(size[0] * size[1] // 2 + 1, size)
-    target = picture(values, size)
+    target = target_of(picture(values, size))
     parameters = native.RdParameters(*size, quantum)
     payload = refined(parameters, values, target, price=1e-9)
     before = error(parameters, encoded(parameters, values), target)

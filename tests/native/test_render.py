@@ -402,17 +402,35 @@ def test_squared_error_is_render_loss_and_backward(size: tuple[int, int]) -> Non
     means = (rng.uniform(-0.2, 1.2, (n, 2)) * size).astype(np.float32)
     factors = np.exp(rng.normal(1, 0.7, (n, 3))).astype(np.float32)
     colors = rng.normal(0, 0.3, (n, 3)).astype(np.float32)
-    target = rng.random((3, size[1], size[0]), np.float32)
+    target = rng.integers(-native.TARGET_WHITE, native.TARGET_WHITE, (3, size[1], size[0]), np.int16)
     found, wanted = (tuple(np.empty_like(a) for a in (means, factors, colors)) for _ in range(2))
     for isa in range(native.best_isa() + 1):
         raster = native.Rasterization(means, factors, *size, 3.0, isa=isa)
         mse = raster.squared_error(colors, target, *found)
-        picture = np.empty_like(target)
+        picture = np.empty(target.shape, np.float32)
         raster.render(colors, picture)
-        difference = picture - target
+        difference = picture - target / np.float32(native.TARGET_WHITE)
         raster.backward(colors, 2 * difference / difference.size, *wanted)
         assert mse == pytest.approx(float(np.square(difference, dtype=np.float64).mean()), rel=1e-6)
         for a, b in zip(found, wanted, strict=True):
             assert np.allclose(a, b, rtol=1e-5, atol=1e-7)
     with pytest.raises(ValueError, match="size"):
         raster.squared_error(colors, target[:, :, :0].copy(), *found)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 64), (17, 65), (100, 140)])
+@pytest.mark.parametrize("pyramid", [False, True])
+def test_gram_is_backward_of_render(size: tuple[int, int], pyramid: bool) -> None:
+    rng = np.random.default_rng(8)
+    n = 30
+    means = (rng.uniform(-0.2, 1.2, (n, 2)) * size).astype(np.float32)
+    factors = np.exp(rng.normal(1.5, 0.9, (n, 3))).astype(np.float32)
+    colors = rng.normal(0, 0.3, (n, 3)).astype(np.float32)
+    others = np.empty_like(means), np.empty_like(factors)
+    picture, wanted, found = np.empty((3, size[1], size[0]), np.float32), np.empty_like(colors), np.empty_like(colors)
+    for isa in range(native.best_isa() + 1):
+        raster = native.Rasterization(means, factors, *size, 3.0, isa=isa, pyramid=pyramid)
+        raster.render(colors, picture)
+        raster.backward(colors, picture, *others, wanted)
+        raster.gram(colors, found)
+        assert np.allclose(found, wanted, rtol=1e-5, atol=1e-6)

@@ -26,6 +26,7 @@ NB_MODULE(_native, m) {
   m.attr("CUTOFF_V3") = sg::kCutoffV3;
   m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
   m.attr("MIN_SCALE") = sg::kMinScale;
+  m.attr("TARGET_WHITE") = sg::kTargetWhite;
   m.attr("TILE_WIDTH") = sg::kTileWidth;
   m.attr("TILE_HEIGHT") = sg::kTileHeight;
   m.attr("COLOR_BASIS") = std::make_tuple(color_axis(0), color_axis(1), color_axis(2));

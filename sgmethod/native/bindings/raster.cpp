@@ -47,12 +47,18 @@ void render_bytes(const sg::Rasterization& r, Rows<3> colors, BytesOut image, Co
   r.render_bytes(colors.data(), below, image.data());
 }
 
-double squared_error(const sg::Rasterization& r, Rows<3> colors, Image target, RowsOut<2> means, RowsOut<3> factors,
+double squared_error(const sg::Rasterization& r, Rows<3> colors, Target target, RowsOut<2> means, RowsOut<3> factors,
                      RowsOut<3> out_colors) {
   const sg::Gradients out = gradients(r, colors, means, factors, out_colors);
   require_size(target, r.width(), r.height());
   nb::gil_scoped_release release;
   return r.squared_error(colors.data(), target.data(), out);
+}
+
+void gram(const sg::Rasterization& r, Rows<3> colors, RowsOut<3> out_colors) {
+  require(gaussians(colors, out_colors) == r.gaussians(), "one row per Gaussian");
+  nb::gil_scoped_release release;
+  r.gram(colors.data(), out_colors.data());
 }
 
 void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors,
@@ -71,8 +77,9 @@ void bind_raster(nb::module_& m) {
            "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0)
       .def("render", &render, "colors"_a, "image"_a.noconvert())
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
-      .def("squared_error", &squared_error, "colors"_a, "target"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
+      .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(), "factors"_a.noconvert(),
            "out_colors"_a.noconvert())
+      .def("gram", &gram, "colors"_a, "out_colors"_a.noconvert())
       .def("backward", &backward, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
            "out_colors"_a.noconvert());
 }

@@ -45,7 +45,7 @@ nb::bytes encode(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows
   return bytes_of([&] { return sg::rd_encode(p, means.data(), factors.data(), colors.data(), n); });
 }
 
-nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Image target, float cutoff,
+nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Target target, float cutoff,
                  double price, int sweeps, double seconds, uint64_t max_bytes) {
   const int n = gaussians(means, factors, colors);
   require_size(target, p.width, p.height);
@@ -78,7 +78,7 @@ void bind_rd(nb::module_& m) {
   m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),
         "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
-  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a, "cutoff"_a, "price"_a,
+  m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "cutoff"_a, "price"_a,
         "sweeps"_a, "seconds"_a, "max_bytes"_a);
   m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
 }

@@ -20,6 +20,10 @@ constexpr double kMaxScale = 8192.0;     // pixels; l1 and l3 are at most this
 constexpr double kMaxSlant = 2048.0;     // of |l2| / l3
 constexpr double kMaxAmplitude = 32.0;   // of each colour, 1 being full white
 
+// White in the target of a fit, which is in int16: 16 steps to a level of 8 bits, so that pictures of half the size, and a
+// quarter, are whole numbers too. Memory for a large picture, and the time to read it, are half of what float takes.
+constexpr int kTargetWhite = 16 * 255;
+
 // A tile is the part of a picture that one task draws: a strip of columns, cut into blocks of rows.
 constexpr int kTileWidth = 16;
 constexpr int kTileHeight = 64;

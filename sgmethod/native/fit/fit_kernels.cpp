@@ -8,24 +8,48 @@
 namespace sg {
 namespace {
 
+// Vectors of the target's values: each width by itself (core/simd.h).
+template <int W>
+struct Shorts;
+template <>
+struct Shorts<4> {
+  typedef int16_t S __attribute__((vector_size(8)));
+};
+template <>
+struct Shorts<8> {
+  typedef int16_t S __attribute__((vector_size(16)));
+};
+template <>
+struct Shorts<16> {
+  typedef int16_t S __attribute__((vector_size(32)));
+};
+
+template <int W>
+SG_INLINE typename Simd<W>::F load_target(const int16_t* in) {
+  typename Shorts<W>::S values;
+  std::memcpy(&values, in, sizeof values);
+  return __builtin_convertvector(values, typename Simd<W>::F);
+}
+
 // Puts the gradient of the squared error in the place of the tile's picture, and returns the squared error.
 template <int W>
 SG_INLINE double difference_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
+  constexpr float kStep = 1.0f / kTargetWhite;
   typename V::F sum{};
   for (int row = 0; row < target.rows; ++row)
     for (int k = 0; k < 3; ++k, values += kTileWidth) {
-      const float* wanted = target.first + k * target.plane + row * target.stride;
+      const int16_t* wanted = target.first + k * target.plane + row * target.stride;
       __builtin_prefetch(wanted + target.ahead);
       if (target.columns == kTileWidth) {
         for (int lane = 0; lane < kTileWidth; lane += W) {
-          const typename V::F difference = V::load(values + lane) - V::load(wanted + lane);
+          const typename V::F difference = V::load(values + lane) - load_target<W>(wanted + lane) * kStep;
           sum += difference * difference;
           V::store(values + lane, difference * target.scale);
         }
       } else {
         for (int column = 0; column < target.columns; ++column) {
-          const float difference = values[column] - wanted[column];
+          const float difference = values[column] - static_cast<float>(wanted[column]) * kStep;
           sum[0] += difference * difference;
           values[column] = difference * target.scale;
         }

@@ -203,7 +203,21 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
   gradients(colors, fill, out);
 }
 
-void Rasterization::leave(const float* colors, const float* target, const Strips& left, Planes& reduced) const {
+void Rasterization::gram(const float* colors, float* out_colors) const {
+  std::vector<float> means(2 * static_cast<size_t>(n_)), factors(3 * static_cast<size_t>(n_));  // not needed
+  Planes coarse(grids_);
+  draw_coarse(colors, coarse);
+  const auto fill = [&](int tile, float* picture, float* pair_gradients) {
+    draw_tile(coarse, tile, kBlack, colors, picture);
+    const Area a = area(tile);  // what lies beyond it is no part of the picture
+    for (int row = 0; row < kTileHeight * 3; ++row)
+      std::fill(picture + row * kTileWidth + (row < a.rows * 3 ? a.columns : 0), picture + (row + 1) * kTileWidth, 0.0f);
+    fit_kernels(isa_).backward(*this, tile, colors, picture, pair_gradients);
+  };
+  gradients(colors, fill, {means.data(), factors.data(), out_colors});
+}
+
+void Rasterization::leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const {
   const int64_t plane = static_cast<int64_t>(width()) * height();
   Planes coarse(grids_);
   draw_coarse(colors, coarse);
@@ -218,7 +232,7 @@ void Rasterization::leave(const float* colors, const float* target, const Strips
   reduce_all(each, reduced);
 }
 
-double Rasterization::squared_error(const float* colors, const float* target, const Gradients& out) const {
+double Rasterization::squared_error(const float* colors, const int16_t* target, const Gradients& out) const {
   if (canvas_.x != 0 || canvas_.y != 0) throw std::invalid_argument("a fit is of the whole picture");
   const int64_t plane = static_cast<int64_t>(width()) * height();
   const float scale = 2.0f / static_cast<float>(3 * plane);

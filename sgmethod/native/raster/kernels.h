@@ -18,11 +18,11 @@ struct Strips {
   }
 };
 
-// Where a tile's part of a picture [3][height][width] lies.
+// Where a tile's part of a target [3][height][width] lies, in which white is kTargetWhite.
 struct TileTarget {
-  const float* first;
-  int64_t plane, stride;  // floats from one plane, and from one row, to the next
-  int64_t ahead;          // floats from a value to the one that is fetched from memory meanwhile, for later
+  const int16_t* first;
+  int64_t plane, stride;  // values from one plane, and from one row, to the next
+  int64_t ahead;          // values from a value to the one that is fetched from memory meanwhile, for later
   int columns, rows;      // within the picture
   float scale;            // of the gradient
 };

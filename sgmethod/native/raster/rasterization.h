@@ -54,12 +54,14 @@ class Rasterization {
   void render_bytes(const float* colors, const float* background, uint8_t* image) const;
   // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
   void backward(const float* colors, const float* image_grad, const Gradients& out) const;
-  // The mean squared error against target [3, height, width], and its gradients: render, loss and backward at once, so
+  // What A^T A makes of colours, with A the weights of the Gaussians: each one's product with the picture that all draw.
+  void gram(const float* colors, float* out_colors) const;
+  // The mean squared error against target [3, height, width], in which white is kTargetWhite, and its gradients: render, loss and backward at once, so
   // that no picture goes through memory.
-  double squared_error(const float* colors, const float* target, const Gradients& out) const;
+  double squared_error(const float* colors, const int16_t* target, const Gradients& out) const;
 
   // left = target [3, height, width] less the picture; reduced: what that comes to on the coarse levels of grids().
-  void leave(const float* colors, const float* target, const Strips& left, Planes& reduced) const;
+  void leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const;
 
   int gaussians() const { return n_; }
   int width() const { return canvas_.width; }

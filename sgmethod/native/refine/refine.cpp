@@ -35,7 +35,7 @@ using Clock = std::chrono::steady_clock;
 
 class Refinement {
  public:
-  Refinement(const RdParameters& p, std::vector<Symbols> all, const float* target, const RefineSettings& settings)
+  Refinement(const RdParameters& p, std::vector<Symbols> all, const int16_t* target, const RefineSettings& settings)
       : target_(target), gram_(grids_of(0, 0, p.width, p.height, kMaxLevel)),
         state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr, gram_, {}},
         all_(std::move(all)) {
@@ -189,7 +189,7 @@ class Refinement {
     }
   }
 
-  const float* target_;
+  const int16_t* target_;
   const Gram gram_;
   State state_;
   std::vector<Symbols> all_;
@@ -202,7 +202,7 @@ class Refinement {
 }  // namespace
 
 std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
-                               const float* target, const RefineSettings& settings) {
+                               const int16_t* target, const RefineSettings& settings) {
   return Refinement(p, quantised(p, means, factors, colors, n), target, settings).run();
 }
 

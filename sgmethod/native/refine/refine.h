@@ -17,8 +17,8 @@ struct RefineSettings {
 };
 
 // The payload of the Gaussians, rounded, with integers changed one Gaussian at a time wherever that lowers squared error
-// plus price times bits. target [3, height, width]: what they should add up to.
+// plus price times bits. target [3, height, width]: what they should add up to, with kTargetWhite for white.
 std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
-                               const float* target, const RefineSettings& settings);
+                               const int16_t* target, const RefineSettings& settings);
 
 }  // namespace sg

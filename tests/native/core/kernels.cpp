@@ -106,6 +106,7 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
     sg::GaussianArrays g = scattered(300, wild), by = g;
     std::vector<float> image(3 * kPixels), grad(3 * kPixels), target(3 * kPixels, 0.5f), bias(600, 0.5f);
     std::vector<float> first(2400), second(2400);
+    const std::vector<int16_t> levels(3 * kPixels, sg::kTargetWhite / 2);
     sg::ReconstructionLoss loss(target.data(), kWidth, kHeight, 0.5f);
     for (const bool pyramid : {false, true})
       for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
@@ -114,7 +115,8 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
         raster.render(g.colors.data(), image.data());
         loss(image.data(), grad.data());
         raster.backward(g.colors.data(), grad.data(), out);
-        raster.squared_error(g.colors.data(), target.data(), out);
+        raster.squared_error(g.colors.data(), levels.data(), out);
+        raster.gram(g.colors.data(), by.colors.data());
       }
     sg::rd_rate_gradient(0.1f, 1.0f, 300, g.factors.data(), g.colors.data(), by.factors.data(), by.colors.data());
     const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f, 2.0f, 1000.0f);
@@ -198,7 +200,7 @@ TEST(refining_keeps_the_limit_of_bytes) {
   for (const bool wild : {false, true}) {
     const sg::RdParameters p(kWidth, kHeight, 0.05, false, false, 4);
     const sg::GaussianArrays g = scattered(100, wild);
-    const std::vector<float> target(3 * kPixels, 0.5f);
+    const std::vector<int16_t> target(3 * kPixels, sg::kTargetWhite / 2);
     const std::vector<uint8_t> bytes = sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), 100, target.data(),
                                                      {sg::kCutoffV3, 0.01, 1, 60.0, 100});
     CHECK(bytes.size() <= 100);
@@ -218,7 +220,7 @@ TEST(refining_is_the_same_for_every_number_of_threads) {
     for (const float v : {50.0f, 0.0f, 4.0f}) g.factors.push_back(v);
     for (int k = 0; k < 3; ++k) g.colors.push_back(between(-1, 1));
   }
-  const std::vector<float> target(3 * kLong * kShort, 0.5f);
+  const std::vector<int16_t> target(3 * kLong * kShort, sg::kTargetWhite / 2);
   std::vector<std::vector<uint8_t>> found;
   for (const int threads : {1, 2, 5}) {
     sg::set_thread_count(threads);

@@ -54,7 +54,7 @@ struct Residual {
       : raster(g.means.data(), g.factors.data(), kAll, {0, 0, width, height, sg::kCutoffV3, true}, -1, sg::kMaxPairs),
         strips(static_cast<size_t>(raster.grids()[0].strips() * height * 3 * sg::kTileWidth)),
         left{strips.data(), width, height}, reduced(raster.grids()) {
-    const std::vector<float> target(static_cast<size_t>(3 * width * height), 0.5f);
+    const std::vector<int16_t> target(static_cast<size_t>(3 * width * height), sg::kTargetWhite / 2);
     raster.leave(g.colors.data(), target.data(), left, reduced);
   }
   sg::Rasterization raster;
