@@ -65,7 +65,7 @@ def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, An
 
     Schedule("fit", settings.steps, settings.final_rate, patience=1.0).run(recorder, step)
     seconds = time.perf_counter() - began
-    shown = pixels / np.float32(255) - fit.picture.residual(fit.p, 0, pixels.shape[0]).transpose(1, 2, 0)
+    shown = pixels / np.float32(255) - fit.picture.residual(fit.p)(0, pixels.shape[0]).transpose(1, 2, 0)
     levels = np.round(np.clip(shown, 0, 1) * 255).astype(np.uint8)
     return {
         "image": picture.name,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -98,13 +99,22 @@ class Picture:
         colors = p.colors.contiguous().numpy()
         return self.rasterise(p.means, p.factors).squared_error(colors, self.target, *out.arrays()), out
 
-    def residual(self, p: Parameters, first: int, end: int) -> FloatArray:
-        """Rows from first to before end of target minus picture [3, end - first, W], in this picture's pixels."""
-        arrays = self._scaled(p.means, p.factors)
-        raster = native.Rasterization(*arrays, self.width, end - first, self.cutoff, pyramid=self.pyramid, y=first)
-        drawn = np.empty((3, end - first, self.width), np.float32)
-        raster.render(p.colors.contiguous().numpy(), drawn)
-        return np.subtract(self.rows(first, end), drawn, out=drawn)
+    def residual(self, p: Parameters) -> Callable[[int, int], FloatArray]:
+        """Target minus picture, in this picture's pixels. It is drawn when it is asked for rows: from the first to
+        before another, [3, rows, W]."""
+        arrays, colors = self._scaled(p.means, p.factors), p.colors.contiguous().numpy()
+        scale = np.float32(1 / native.TARGET_WHITE)
+
+        def rows(first: int, end: int) -> FloatArray:
+            drawn = np.empty((3, end - first, self.width), np.float32)
+            size = (self.width, end - first)
+            raster = native.Rasterization(*arrays, *size, cutoff=self.cutoff, pyramid=self.pyramid, y=first)
+            raster.render(colors, drawn)
+            for plane, target in zip(drawn, self.target[:, first:end], strict=True):
+                np.subtract(target * scale, plane, out=plane)
+            return drawn
+
+        return rows
 
     def solve_colors(
         self, means: Tensor, factors: Tensor, steps: int, others: Parameters | None = None, damping: float = 1e-2

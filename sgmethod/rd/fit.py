@@ -146,9 +146,7 @@ class RdFit:
         picture = self.pyramid.finest
         room = min(self.control.new_gaussians(n), most - n)
         least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
-        found = growth.candidates(
-            np.ascontiguousarray(picture.residual(self.p, 0, picture.height).transpose(1, 2, 0)), room, least_gain
-        )
+        found = growth.candidates(picture.residual(self.p), (picture.height, picture.width), room, least_gain)
         means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
         if len(means) == 0:
             return
