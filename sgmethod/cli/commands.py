@@ -43,6 +43,7 @@ def run_encode(arguments: argparse.Namespace) -> None:
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes) -> Result:
     with silent_stderr():  # libtiff prints its own lines about a damaged file
         pixels = read_image_8_bit(image)
+    del image  # the file: a photograph of some megabytes
     encode = _load_encoder()
     with progress_line(not arguments.quiet and os.isatty(2)) as show:
         encoded = encode(

@@ -33,6 +33,8 @@ def thread_count() -> int:
     """Threads that kernels use, the calling one included. Fewer run where the system refuses to create them."""
 
 def set_thread_count(count: int) -> None: ...
+def release_memory() -> None:
+    """Give back to the system what is kept of freed memory: before work that needs other sizes."""
 
 class Rasterization:
     """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""

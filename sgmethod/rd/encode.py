@@ -18,6 +18,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.fitting.schedule import Schedule
+from sgmethod.native import native
 from sgmethod.profiles import RdSettings
 from sgmethod.rd.finish import Finish
 from sgmethod.rd.fit import RdFit
@@ -30,8 +31,10 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
     with torch.no_grad():
         fit = place(request, control)
         steps = fit_and_grow(fit, request)
-        stream = quantise_and_refine(fit, request)
-        return write(stream), steps
+        finish = Finish(fit, request)
+        del fit  # what only steps need
+        native.release_memory()
+        return write(finish.stream()), steps
 
 
 def place(request: Request, control: RateControl) -> RdFit:
@@ -49,11 +52,6 @@ def fit_and_grow(fit: RdFit, request: Request) -> int:
     steps = schedule.run(request.recorder, fit.step)
     fit.settle()
     return steps
-
-
-def quantise_and_refine(fit: RdFit, request: Request) -> StreamV4:
-    """The coded picture that meets the budget best."""
-    return Finish(fit, request).stream()
 
 
 def write(stream: StreamV4) -> bytes:

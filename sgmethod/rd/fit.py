@@ -155,6 +155,7 @@ class RdFit:
         self.p = self.p.with_more(Parameters(means, factors, colors))
         self.adam.extend(len(means))
         self._sort()
+        native.release_memory()
 
     def _sort(self) -> None:
         """By place, along bands as high as a tile: what a tile needs then lies together in memory."""

@@ -29,7 +29,7 @@ from sgmethod.scene import FloatArray
 BLURS_PX = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
-BAND = 128  # rows; an even number
+BAND = 256  # rows; an even number
 REACH = 4  # of a blur, in multiples of it; what cv2 takes
 
 Rows = Callable[[int, int], FloatArray]  # of a residual, from the first to before another: [3, rows, W]

@@ -8,6 +8,7 @@
 #include "core/constants.h"
 #include "core/cores.h"
 #include "core/isa.h"
+#include "core/scratch.h"
 #include "core/thread_pool.h"
 
 namespace {
@@ -36,6 +37,7 @@ NB_MODULE(_native, m) {
   m.def("available_cores", &sg::available_cores);
   m.def("thread_count", &sg::thread_count);
   m.def("set_thread_count", &sg::set_thread_count, nb::arg("count"));
+  m.def("release_memory", &sg::release_memory);
   bind_raster(m);
   bind_fit(m);
   bind_rd(m);

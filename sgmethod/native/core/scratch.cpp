@@ -1,5 +1,6 @@
 #include "core/scratch.h"
 
+#include <malloc.h>
 #include <pthread.h>
 
 #include <algorithm>
@@ -54,6 +55,16 @@ Scratch::~Scratch() {
   const std::lock_guard<std::mutex> hold(kept->lock);
   blocks.push_back(std::move(floats_));
   while (blocks.size() > kMostKept || floats_of(blocks) > kMostFloats) blocks.erase(blocks.begin());
+}
+
+void release_memory() {
+  {
+    const std::lock_guard<std::mutex> hold(kept->lock);
+    kept->blocks.clear();
+  }
+#ifdef __GLIBC__
+  malloc_trim(0);
+#endif
 }
 
 }  // namespace sg

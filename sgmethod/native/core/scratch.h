@@ -20,4 +20,7 @@ class Scratch {
   std::vector<float> floats_;
 };
 
+// Gives back to the system what is kept for later calls, and what the C library keeps of freed memory.
+void release_memory();
+
 }  // namespace sg

@@ -77,6 +77,7 @@ class Refinement {
     });
     const Canvas canvas{0, 0, state_.p.width, state_.p.height, state_.settings.cutoff, true};
     const Rasterization raster(g.means.data(), g.factors.data(), static_cast<int>(all_.size()), canvas, -1, kMaxPairs);
+    reduced_.reset();  // before the next: they are a third of a picture
     reduced_ = std::make_unique<Planes>(raster.grids());
     state_.reduced = reduced_.get();
     raster.leave(g.colors.data(), target_, state_.left, *reduced_);

@@ -165,7 +165,10 @@ TEST(scratch_is_one_holders_at_a_time) {
   std::vector<std::thread> holders;
   for (int h = 1; h <= 6; ++h)
     holders.emplace_back([h] {
-      for (size_t k = 0; k < 200; ++k) CHECK(own_memory(k * k % 997 * h, static_cast<float>(h)));
+      for (size_t k = 0; k < 200; ++k) {
+        CHECK(own_memory(k * k % 997 * h, static_cast<float>(h)));
+        if (k % 50 == 0) sg::release_memory();
+      }
     });
   for (auto& holder : holders) holder.join();
   CHECK(own_memory(0, 1));
