@@ -59,9 +59,41 @@ struct Simd {
   }
   static SG_INLINE void store(float* p, F v) { std::memcpy(p, &v, sizeof v); }
   static SG_INLINE F all(float x) { return x - F{}; }
-  static SG_INLINE F max0(F v) { return v > 0.0f ? v : F{}; }
+  static SG_INLINE F max0(F v) { return max(v, F{}); }
+#ifdef __clang__
   static SG_INLINE F min(F a, F b) { return a < b ? a : b; }
   static SG_INLINE F max(F a, F b) { return a > b ? a : b; }
+#else
+  // The same, b where either is not a number. GCC takes two instructions for it, a comparison and a choice.
+  static SG_INLINE F min(F a, F b) {
+    if constexpr (W == 4) {
+      asm("minps %1, %0" : "+x"(a) : "x"(b));
+    } else {
+      asm("vminps %1, %0, %0" : "+v"(a) : "v"(b));
+    }
+    return a;
+  }
+  static SG_INLINE F max(F a, F b) {
+    if constexpr (W == 4) {
+      asm("maxps %1, %0" : "+x"(a) : "x"(b));
+    } else {
+      asm("vmaxps %1, %0, %0" : "+v"(a) : "v"(b));
+    }
+    return a;
+  }
+#endif
+  static SG_INLINE F sqrt(F v) {
+#ifdef __clang__
+    for (int i = 0; i < W; ++i) v[i] = __builtin_sqrtf(v[i]);
+#else
+    if constexpr (W == 4) {
+      asm("sqrtps %0, %0" : "+x"(v));
+    } else {
+      asm("vsqrtps %0, %0" : "+v"(v));
+    }
+#endif
+    return v;
+  }
   static SG_INLINE float sum(F v) {
     float total = 0.0f;
     for (int i = 0; i < W; ++i) total += v[i];
@@ -90,27 +122,31 @@ struct Simd {
     return shuffle(a, b, even) + shuffle(a, b, odd);
   }
 
-  // exp(x) for -87 <= x <= 87, relative error below 3e-7 (measured against double).
+  // x = exp(x) for -87 <= x <= 87, relative error below 3e-7 (measured against double).
   // exp(x) = 2^n exp(r), r = x - n ln 2 in two parts (Cody and Waite), |r| <= 0.35, Taylor to degree 6.
-  static SG_INLINE F exp(F x) {
+  // Each operation waits for the one before, so those of all N come first in the code: a processor looks ahead no further
+  // than some dozens of operations.
+  template <int N>
+  static SG_INLINE void exp(F (&x)[N]) {
     const float magic = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer in the low bits
-    const F shifted = x * 1.44269504f + magic;
-    const F n = shifted - magic;
-    const F r = (x - n * 0.693359375f) - n * -2.12194440e-4f;
-    F p = r * (1.0f / 720.0f) + (1.0f / 120.0f);
-    p = p * r + (1.0f / 24.0f);
-    p = p * r + (1.0f / 6.0f);
-    p = p * r + 0.5f;
-    p = p * r + 1.0f;
-    p = p * r + 1.0f;
-    I bits;
-    std::memcpy(&bits, &p, sizeof bits);
-    I exponent;
-    std::memcpy(&exponent, &shifted, sizeof exponent);
-    bits += exponent << 23;  // the low bits of `shifted` hold n; higher bits fall out of the shift
-    F result;
-    std::memcpy(&result, &bits, sizeof result);
-    return result;
+    constexpr float kTaylor[] = {1.0f / 720.0f, 1.0f / 120.0f, 1.0f / 24.0f, 1.0f / 6.0f, 0.5f, 1.0f, 1.0f};
+    F shifted[N], p[N];
+    for (int i = 0; i < N; ++i) shifted[i] = x[i] * 1.44269504f + magic;
+    for (int i = 0; i < N; ++i) {
+      const F n = shifted[i] - magic;
+      x[i] = (x[i] - n * 0.693359375f) - n * -2.12194440e-4f;
+    }
+    for (int i = 0; i < N; ++i) p[i] = x[i] * kTaylor[0] + kTaylor[1];
+    for (int k = 2; k < 7; ++k)
+      for (int i = 0; i < N; ++i) p[i] = p[i] * x[i] + kTaylor[k];
+    for (int i = 0; i < N; ++i) {
+      I bits;
+      std::memcpy(&bits, &p[i], sizeof bits);
+      I exponent;
+      std::memcpy(&exponent, &shifted[i], sizeof exponent);
+      bits += exponent << 23;  // the low bits of `shifted` hold n; higher bits fall out of the shift
+      std::memcpy(&x[i], &bits, sizeof bits);
+    }
   }
 };
 

@@ -197,13 +197,10 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
     const int x0 = span->strip * kTileWidth;
     for (int lane = 0; lane < kTileWidth; lane += W) {
       const typename V::F centres = lane_centres<W>(static_cast<float>(x0 + lane));
-      const typename V::F dx = centres - f.x;
-      const typename V::F z1 = dx * f.inv_l1;
-      const typename V::F z1_half_square = z1 * z1 * 0.5f;
       const typename V::F inside = centres < static_cast<float>(picture.width) ? V::all(1.0f) : typename V::F{};
       for (int row = span->first_row; row <= span->last_row;) {
         const int end = segment_end(f, row, span->last_row);
-        Column<W> c = column<W>(f, dx, z1_half_square, static_cast<float>(row) + 0.5f - f.y);
+        Column<W> c = column<W>({&f, static_cast<float>(x0 + lane), static_cast<float>(row)});
         float* values = picture.row(span->strip, row) + lane;
         for (; row < end; ++row, values += 3 * kTileWidth) {
           visit(V::max0(c.e - floor) * inside, values);
@@ -221,12 +218,11 @@ SG_INLINE void weights_body(const Footprint& f, float floor, const Span* spans, 
   using V = Simd<W>;
   for (const Span* span = spans; span != spans + count; ++span)
     for (int lane = 0; lane < kTileWidth; lane += W) {
-      const typename V::F dx = lane_centres<W>(static_cast<float>(span->strip * kTileWidth + lane)) - f.x;
-      const typename V::F z1 = dx * f.inv_l1;
+      const auto x = static_cast<float>(span->strip * kTileWidth + lane);
       float* out = patch + (span->first_row - first_row) * stride + (span->strip - spans->strip) * kTileWidth + lane;
       for (int row = span->first_row; row <= span->last_row;) {
         const int end = segment_end(f, row, span->last_row);
-        Column<W> c = column<W>(f, dx, z1 * z1 * 0.5f, static_cast<float>(row) + 0.5f - f.y);
+        Column<W> c = column<W>({&f, x, static_cast<float>(row)});
         for (; row < end; ++row, out += stride) {
           V::store(out, V::max0(c.e - floor));
           c.e *= c.ratio;

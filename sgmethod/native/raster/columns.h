@@ -20,22 +20,45 @@ struct Column {
   typename Simd<W>::F e, ratio;
 };
 
-// Values in a row dy pixels from the Gaussian's mean, in columns dx from it.
-template <int W>
-SG_INLINE Column<W> column(const Footprint& f, typename Simd<W>::F dx, typename Simd<W>::F z1_half_square, float dy) {
-  using V = Simd<W>;
-  const typename V::F z2 = (dy - dx * f.shear) * f.inv_l3;
-  const typename V::F sigma = z1_half_square + z2 * z2 * 0.5f;
-  const typename V::F near = V::exp(-V::min(sigma, V::all(kFar)));
-  const typename V::F slope = (z2 + f.inv_l3 * 0.5f) * f.inv_l3;
-  return {sigma < kFar ? near : typename V::F{}, V::exp(V::min(V::max(-slope, V::all(-kFar)), V::all(kFar)))};
-}
-
 template <int W>
 SG_INLINE typename Simd<W>::F lane_centres(float x) {
   typename Simd<W>::F v{};
   for (int i = 0; i < W; ++i) v[i] = x + static_cast<float>(i) + 0.5f;
   return v;
+}
+
+// A vector of columns, from x on, in the row y: pixels, of their edges.
+struct Start {
+  const Footprint* f;
+  float x, y;
+};
+
+// The values at N starts. They are independent of each other, and each takes long by itself.
+template <int W, int N>
+SG_INLINE void columns(const Start* starts, Column<W>* out) {
+  using V = Simd<W>;
+  using F = typename V::F;
+  F sigma[N], exps[2 * N];
+#pragma GCC unroll 4
+  for (int i = 0; i < N; ++i) {
+    const Footprint& f = *starts[i].f;
+    const F dx = lane_centres<W>(starts[i].x) - f.x;
+    const F z1 = dx * f.inv_l1;
+    const F z2 = (starts[i].y + 0.5f - f.y - dx * f.shear) * f.inv_l3;
+    sigma[i] = z1 * z1 * 0.5f + z2 * z2 * 0.5f;
+    const F slope = (z2 + f.inv_l3 * 0.5f) * f.inv_l3;
+    exps[2 * i] = -V::min(sigma[i], V::all(kFar));
+    exps[2 * i + 1] = V::min(V::max(-slope, V::all(-kFar)), V::all(kFar));
+  }
+  V::exp(exps);
+  for (int i = 0; i < N; ++i) out[i] = {sigma[i] < kFar ? exps[2 * i] : F{}, exps[2 * i + 1]};
+}
+
+template <int W>
+SG_INLINE Column<W> column(const Start& start) {
+  Column<W> c[1];
+  columns<W, 1>(&start, c);
+  return c[0];
 }
 
 // The first row after the column segment that begins at `row`. Each kernel writes its loop over segments out. With a
@@ -63,24 +86,36 @@ SG_INLINE int segments(const Rasterization& raster, const Pair& pair) {
   return (pair.last_row - pair.first_row + segment) / segment;
 }
 
+template <int W, int N>
+SG_INLINE void store_columns(const Start* starts, float* first) {
+  Column<W> values[N];
+  columns<W, N>(starts, values);
+  for (int i = 0; i < N; ++i) {
+    Simd<W>::store(first + 2 * i * W, values[i].e);
+    Simd<W>::store(first + (2 * i + 1) * W, values[i].ratio);
+  }
+}
+
 // Computes the values in the first rows of column segments. It is a loop of its own, because the loops over rows would
 // have to wait for each of its exponentials.
 template <int W>
 SG_INLINE void first_values(const Rasterization& raster, int tile, const Pair* begin, const Pair* end, float* first) {
-  using V = Simd<W>;
+  constexpr int kTogether = W == 16 ? 4 : 2;  // as many as there are registers for
   const int x0 = raster.tile_x(tile), y0 = raster.tile_y(tile);
+  Start starts[kTogether];
+  int waiting = 0;
   for (const Pair* pair = begin; pair != end; ++pair) {
     const Footprint& f = raster.footprint(pair->gaussian);
-    for (int lane = lanes_begin<W>(*pair); lane < lanes_end<W>(*pair); lane += W) {
-      const typename V::F dx = lane_centres<W>(static_cast<float>(x0 + lane)) - f.x;
-      const typename V::F z1 = dx * f.inv_l1;
-      for (int row = pair->first_row; row <= pair->last_row; row += f.segment, first += 2 * W) {
-        const Column<W> c = column<W>(f, dx, z1 * z1 * 0.5f, static_cast<float>(y0 + row) + 0.5f - f.y);
-        V::store(first, c.e);
-        V::store(first + W, c.ratio);
+    for (int lane = lanes_begin<W>(*pair); lane < lanes_end<W>(*pair); lane += W)
+      for (int row = pair->first_row; row <= pair->last_row; row += f.segment) {
+        starts[waiting++] = {&f, static_cast<float>(x0 + lane), static_cast<float>(y0 + row)};
+        if (waiting < kTogether) continue;
+        store_columns<W, kTogether>(starts, first);
+        first += kTogether * 2 * W;
+        waiting = 0;
       }
-    }
   }
+  for (int i = 0; i < waiting; ++i, first += 2 * W) store_columns<W, 1>(starts + i, first);
 }
 
 template <int W>
