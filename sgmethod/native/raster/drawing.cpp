@@ -42,9 +42,11 @@ void Rasterization::draw_coarse(const float* colors, Planes& planes) const {
       draw_tile(planes, tile, kBlack, colors, acc);
       const auto [x, y] = corner(tile);
       for (int row = 0; row < rows; ++row)
-        for (int color = 0; color < 3; ++color)
-          std::memcpy(planes.at(level, x, y + row) + color * planes.stride(level), acc + (3 * row + color) * kTileWidth,
-                      kTileWidth * sizeof(float));
+        for (int color = 0; color < 3; ++color) {
+          float* to = planes.at(level, x, y + row) + color * planes.stride(level);
+          const float* from = acc + (3 * row + color) * kTileWidth;
+          for (int i = 0; i < kTileWidth; ++i) to[i] = from[i] * (1.0f / 16.0f);  // as enlarging wants them
+        }
     });
 }
 

@@ -44,20 +44,28 @@ SG_INLINE void shuffled_bytes(const float* accumulators, int columns, int rows, 
   typedef uint8_t Bytes32 __attribute__((vector_size(32)));
   constexpr Bytes32 kKept = {0,  1,  2,  4,  5,  6,  8,  9,  10, 12, 13, 14, 3,  3,  3,  3,
                              16, 17, 18, 20, 21, 22, 24, 25, 26, 28, 29, 30, 19, 19, 19, 19};
-  for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
-    uint8_t out[3 * kTileWidth + 4];  // each store of 16 bytes leaves 12 that count
-    for (int lane = 0; lane < kTileWidth; lane += 8) {
-      const auto level = [&](int k) SG_INLINE_LAMBDA {
-        const V::F clamped = V::min(V::max0(V::load(accumulators + k * kTileWidth + lane)), V::all(1.0f));
-        return __builtin_convertvector(clamped * 255.0f + 0.5f, V::I);
-      };
-      const V::I whole = level(0) | level(1) << 8 | level(2) << 16;
-      const Bytes32 kept = shuffle(reinterpret_cast<Bytes32>(whole), reinterpret_cast<Bytes32>(whole), kKept);
-      std::memcpy(out + 3 * lane, &kept, 16);
-      std::memcpy(out + 3 * lane + 12, reinterpret_cast<const uint8_t*>(&kept) + 16, 16);
+  constexpr V::I kTogether = {0, 1, 2, 4, 5, 6, 3, 3};
+  const auto eight = [&](int row, int lane) SG_INLINE_LAMBDA {  // pixels, in 24 bytes
+    const auto level = [&](int k) SG_INLINE_LAMBDA {
+      const float* values = accumulators + (3 * row + k) * kTileWidth + lane;
+      return __builtin_convertvector(V::min(V::max0(V::load(values)), V::all(1.0f)) * 255.0f + 0.5f, V::I);
+    };
+    const auto whole = reinterpret_cast<Bytes32>(level(0) | level(1) << 8 | level(2) << 16);
+    const auto kept = reinterpret_cast<V::I>(shuffle(whole, whole, kKept));
+    return shuffle(kept, kept, kTogether);
+  };
+  for (int row = 0; row < rows; ++row, pixels += stride) {
+    const V::I left = eight(row, 0), right = eight(row, 8);
+    if (columns == kTileWidth) {  // no store reaches beyond the row
+      std::memcpy(pixels, &left, 32);
+      std::memcpy(pixels + 24, &right, 16);
+      std::memcpy(pixels + 40, reinterpret_cast<const uint8_t*>(&right) + 16, 8);
+    } else {
+      uint8_t out[24 + 32];
+      std::memcpy(out, &left, 32);
+      std::memcpy(out + 24, &right, 32);
+      std::memcpy(pixels, out, 3 * static_cast<size_t>(columns));
     }
-    if (columns == kTileWidth) std::memcpy(pixels, out, 3 * kTileWidth);
-    else std::memcpy(pixels, out, 3 * static_cast<size_t>(columns));
   }
 }
 
@@ -68,7 +76,7 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
 }
 
 // Along an axis, sample 2u of the result is (3 c[u + 1] + c[u]) / 4 and sample 2u + 1 is (3 c[u + 1] + c[u + 2]) / 4, with
-// c the coarse samples: first along x, then along y.
+// c the coarse samples: first along x, then along y. They come divided by 16 already, which changes no digit.
 template <int W>
 SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const float* background, float* accumulators) {
   using V = Simd<W>;
@@ -80,7 +88,7 @@ SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const
     for (int i = 0; i < kVectors; ++i) {
       const int k = i * W / kTileWidth, lane = i * W % kTileWidth;
       const F in = V::load(coarse + (3 * row + k) * stride + lane / 2);
-      out[i] = shuffle(in, in, near_places) * 0.75f + shuffle(in, in, far_places) * 0.25f;
+      out[i] = shuffle(in, in, near_places) * 3.0f + shuffle(in, in, far_places);
     }
   };
   F above[kVectors], near[kVectors], below[kVectors];
@@ -90,8 +98,9 @@ SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const
     along_x(row / 2 + 2, below);
     for (int i = 0; i < kVectors; ++i) {
       const float under = background[i * W / kTileWidth];
-      V::store(accumulators + i * W, (near[i] * 0.75f + above[i] * 0.25f) + under);
-      V::store(accumulators + 3 * kTileWidth + i * W, (near[i] * 0.75f + below[i] * 0.25f) + under);
+      const F thrice = near[i] * 3.0f;
+      V::store(accumulators + i * W, (thrice + above[i]) + under);
+      V::store(accumulators + 3 * kTileWidth + i * W, (thrice + below[i]) + under);
       above[i] = near[i];
       near[i] = below[i];
     }
