@@ -26,7 +26,7 @@ bool drawable(const float* mean, const float* factor) {
 SG_CLONES void exps_minus(const double* x, double* value, int count) {
   for (int i = 0; i < count; ++i) {
     double v = 1.0;
-    for (int k = 9; k > 0; --k) v = 1.0 - v * (x[i] / 1024.0) / k;
+    for (int k = 9; k > 0; --k) v = 1.0 - v * (x[i] * (1.0 / 1024.0)) * (1.0 / k);
     for (int k = 0; k < 10; ++k) v *= v;
     value[i] = v;
   }

@@ -61,41 +61,4 @@ inline int ceil_to_int(float v, int low, int high) {
   return whole < high && static_cast<float>(whole) < v ? whole + 1 : whole;
 }
 
-// The rows that the ellipse within `reach` of its own axes covers in each strip of a grid. The edge above dx is
-// shear dx + l3 sqrt(reach^2 - (dx / l1)^2), concave, with its summit at dx = reach l1 l2 / sqrt(l2^2 + l3^2).
-// Calls visit(span), counted within the grid, for each strip in which there are any; returns the strips looked at.
-template <typename Visit>
-int spans(const Footprint& f, const float* l, float reach, const Grid& grid, const Visit& visit) {
-  constexpr float kMargin = 0.01f;  // samples by which a footprint is widened: far more than its rounding error
-  if (f.segment == 0) return 0;
-  const float half_width = reach * l[0];
-  const float half_height = std::sqrt(l[1] * l[1] + l[2] * l[2]);
-  const float summit = half_width * l[1] / half_height;
-  const float beyond = reach * 1.001f * half_height + 1.0f;  // far more than any rounding error
-  const int bottom_row = grid.y + grid.height;
-  if (f.y + beyond < static_cast<float>(grid.y) || f.y - beyond > static_cast<float>(bottom_row)) return 0;
-  const auto edge = [&](float dx) {
-    const float z = dx * f.inv_l1;
-    return l[2] * std::sqrt(std::max(reach * reach - z * z, 0.0f));
-  };
-  const int first = grid.x / kTileWidth, end = first + grid.strips();
-  const float from = f.x - half_width - kMargin - 0.5f, to = f.x + half_width + kMargin;  // columns
-  const int s0 = floor_to_int(from / kTileWidth, first, end), s1 = floor_to_int(to / kTileWidth, first - 1, end - 1);
-  for (int strip = s0; strip <= s1; ++strip) {
-    const float left = std::clamp(static_cast<float>(strip * kTileWidth) - f.x, -half_width, half_width);
-    const float right = std::clamp(static_cast<float>((strip + 1) * kTileWidth) - f.x, -half_width, half_width);
-    const float top_dx = std::clamp(-summit, left, right), bottom_dx = std::clamp(summit, left, right);
-    const float top = f.y + f.shear * top_dx - edge(top_dx) - kMargin;
-    const float bottom = f.y + f.shear * bottom_dx + edge(bottom_dx) + kMargin;
-    const int row0 = ceil_to_int(top - 0.5f, grid.y, bottom_row);
-    const int row1 = floor_to_int(bottom - 0.5f, grid.y - 1, bottom_row - 1);
-    if (row0 > row1) continue;
-    const auto column = static_cast<float>(strip * kTileWidth);
-    visit(Span{strip - first, row0 - grid.y, row1 - grid.y,
-               static_cast<uint8_t>(clamp_to_int(from - column, 0, kTileWidth - 1)),
-               static_cast<uint8_t>(clamp_to_int(to - column, 0, kTileWidth - 1))});
-  }
-  return std::max(s1 - s0 + 1, 0);
-}
-
 }  // namespace sg

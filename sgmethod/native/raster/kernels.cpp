@@ -108,6 +108,7 @@ SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const
 }
 
 #define SG_KERNELS(name, width, attribute)                                                                        \
+  attribute void cross_##name(Crossings<kManyStrips>& c, float reach) { cross<width>(c, reach); }                  \
   attribute void forward_##name(const Rasterization& r, int tile, const float* colors, float* accumulators) {     \
     for_batches<width>(r, tile, [&](const Batch& batch) SG_INLINE_LAMBDA {                                        \
       forward_body<width>(r, batch, colors, accumulators);                                                        \
@@ -120,7 +121,7 @@ SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const
   attribute void bytes_##name(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) { \
     bytes_body<width>(accumulators, columns, rows, pixels, stride);                                                      \
   }                                                                                                               \
-  constexpr TileKernels k_##name = {forward_##name, enlarge_##name, bytes_##name};
+  constexpr TileKernels k_##name = {cross_##name, forward_##name, enlarge_##name, bytes_##name};
 
 SG_KERNELS(baseline, 4, )
 SG_KERNELS(avx2, 8, [[gnu::target("avx2")]])

@@ -1,6 +1,7 @@
 // The inner loops, one tile at a time, for each instruction set.
 #pragma once
 
+#include "raster/crossings.h"
 #include "raster/rasterization.h"
 
 namespace sg {
@@ -28,6 +29,8 @@ struct TileTarget {
 };
 
 struct TileKernels {
+  // Finds the rows and lanes of some crossings.
+  void (*cross)(Crossings<kManyStrips>&, float reach);
   // accumulators [kTileHeight][3][kTileWidth] += sum over the tile's Gaussians of colour times weight.
   void (*forward)(const Rasterization&, int tile, const float* colors, float* accumulators);
   // accumulators = background [3] plus a part of the next level, enlarged. coarse: the first of its samples, rows of three

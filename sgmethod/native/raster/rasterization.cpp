@@ -7,16 +7,18 @@
 
 #include "core/isa.h"
 #include "core/thread_pool.h"
+#include "raster/crossings.h"
 #include "raster/kernels.h"
 #include "raster/levels.h"
 
 namespace sg {
 namespace {
 
-constexpr int kChunk = 256;               // Gaussians of a task, at least
+constexpr int kChunk = 256;               // Gaussians of a bin, at least
 constexpr int kMaxBins = 64;
 constexpr int kMaxGridSide = 1 << 20;     // pixels; the number of tiles stays within an int
-constexpr int64_t kMaxReserve = 1 << 20;  // pairs for which a bin takes memory at once; boxes may promise far too many
+constexpr int kPairsExpected = 4;         // of a Gaussian; a bin takes memory for so many at once
+constexpr int64_t kPairsAtOnce = 1 << 20; // more are counted before they take memory: there may be far too many
 
 // Gaussians in a bin. Each bin has a counter for every tile, so bins are few enough that going through their counters
 // takes no longer than finding the pairs.
@@ -43,75 +45,115 @@ int checked_isa(int isa) {
   return isa < 0 ? best : isa;
 }
 
-// At least the number of tiles that the box around an ellipse touches; NaN where it overflows.
-float box_tiles(const float* l, float reach) {
-  const float width = 2.0f * reach * l[0], height = 2.0f * reach * std::sqrt(l[1] * l[1] + l[2] * l[2]);
-  return (width / kTileWidth + 2.1f) * (height / kTileHeight + 2.1f);
-}
-
 }  // namespace
 
 Rasterization::Rasterization(const float* means, const float* factors, int n, const Canvas& canvas, int isa,
                              int64_t max_pairs)
     : canvas_(checked(canvas)), n_(n), isa_(checked_isa(isa)), reach_(std::sqrt(2.0f * canvas.cutoff)),
       floor_(exp_minus(canvas.cutoff)), footprints_(n), factors_(factors, factors + 3 * static_cast<int64_t>(n)), levels_(n) {
-  place(means, factors);
-  find_pairs(std::min(max_pairs, kMaxPairs));
+  max_pairs = std::min(max_pairs, kMaxPairs);
+  const int64_t pairs = find_pairs(means, max_pairs, std::min(max_pairs, kPairsAtOnce));
+  if (pairs > max_pairs) throw std::overflow_error("too many pairs of Gaussian and tile");
+  if (pairs > kPairsAtOnce) find_pairs(means, max_pairs, max_pairs);
   sort_pairs();
 }
 
-// Each Gaussian's level, and what it is in samples of it.
-void Rasterization::place(const float* means, const float* factors) {
-  std::atomic<int> top{0};
-  if (canvas_.pyramid) original_ = factors_;
-  parallel_chunks(n_, kChunk, [&](int first, int last, int) {
-    int highest = 0;
-    for (int64_t i = first; i < last; ++i) {
-      const float *mean = means + 2 * i, *factor = factors + 3 * i;
-      const int level = canvas_.pyramid ? level_of(factor) : 0;
-      if (level == 0) {
-        footprints_[i] = Footprint(mean, factor);
-        continue;
-      }
-      const Levelled g(mean, factor, level);
-      std::copy_n(g.factor, 3, &factors_[3 * i]);
-      footprints_[i] = Footprint(g.mean, g.factor);
-      footprints_[i].gain = g.gain;
-      levels_[i] = static_cast<uint8_t>(level);
-      highest = std::max(highest, level);
-    }
-    set_decays(&footprints_[first], last - first);
-    for (int seen = top; seen < highest && !top.compare_exchange_weak(seen, highest);) {}
-  });
+Rasterization::Bin::Bin(int first_gaussian, int end, int tiles) : first(first_gaussian), counts(end - first), next(tiles) {
+  pairs.reserve(kPairsExpected * counts.size());
+  places.reserve(kPairsExpected * counts.size());
+}
+
+void Rasterization::set_levels(int top) {
   grids_ = grids_of(canvas_.x, canvas_.y, canvas_.width, canvas_.height, top);
   first_tile_.assign(1, 0);
   for (const Grid& grid : grids_) first_tile_.push_back(first_tile_.back() + grid.tiles());
 }
 
-void Rasterization::find_pairs(int64_t max_pairs) {
+// Prepares each Gaussian, and finds the tiles that it touches. Levels above the highest that a Gaussian has come last, so
+// that their tiles can be left out at the end. Returns the number of pairs, counted no further than the limit; beyond
+// most_kept they are counted alone.
+int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t most_kept) {
+  set_levels(canvas_.pyramid ? kMaxLevel : 0);
   chunk_ = bin_size(n_, tiles());
   bins_.resize((n_ + chunk_ - 1) / chunk_);
+  std::atomic<int> top{0};
   std::atomic<int64_t> total{0};
   parallel_chunks(n_, chunk_, [&](int first, int last, int k) {
-    int64_t sum = 0;
-    for (int i = first; i < last; ++i)
-      if (footprints_[i].segment != 0) {
-        const auto most = static_cast<float>(tiles(levels_[i]));
-        sum += static_cast<int64_t>(std::min(most, box_tiles(&factors_[3 * static_cast<int64_t>(i)], reach_)));
+    bins_[k] = Bin(first, last, tiles());
+    Crossings<kManyStrips> crossings;
+    const auto count = [&] {
+      const int64_t found = this->count(crossings), before = total.fetch_add(found, std::memory_order_relaxed);
+      if (before + found <= most_kept) bin(crossings, bins_[k]);
+      crossings.count = 0;
+      return before + found;
+    };
+    int highest = 0;
+    for (int i = first; i < last; ++i) {
+      const Ellipse ellipse = place(i, means + 2 * static_cast<int64_t>(i));
+      if (footprints_[i].segment == 0) continue;
+      const Grid& grid = grids_[levels_[i]];
+      highest = std::max(highest, int{levels_[i]});
+      for (int strip = ellipse.first_strip(grid), end = ellipse.last_strip(grid); strip <= end; ++strip) {
+        crossings.add(i, strip, ellipse, grid);
+        if (crossings.count == kManyStrips && count() > limit) return;
       }
-    bins_[k].at_most = sum;
-    total.fetch_add(sum, std::memory_order_relaxed);
+    }
+    count();
+    set_decays(&footprints_[first], last - first);
+    for (int seen = top; seen < highest && !top.compare_exchange_weak(seen, highest);) {}
   });
-  if (total > max_pairs && pairs_up_to(max_pairs) > max_pairs)
-    throw std::overflow_error("too many pairs of Gaussian and tile");
-  parallel_chunks(n_, chunk_, [&](int first, int last, int k) {
-    Bin& bin = bins_[k];
-    bin.next.assign(tiles(), 0);
-    bin.ends.reserve(last - first);
-    bin.pairs.reserve(std::min(bin.at_most, kMaxReserve));
-    bin.places.reserve(std::min(bin.at_most, kMaxReserve));
-    for (int i = first; i < last; ++i) this->bin(i, bin);
-  });
+  set_levels(top);
+  return total;
+}
+
+// A Gaussian's level, and what it is in samples of it.
+Ellipse Rasterization::place(int gaussian, const float* mean) {
+  const float* factor = &factors_[3 * static_cast<int64_t>(gaussian)];
+  Footprint& f = footprints_[gaussian];
+  const int level = canvas_.pyramid ? level_of(factor) : 0;
+  if (level == 0) {
+    f = Footprint(mean, factor);
+    return f.segment == 0 ? Ellipse{} : Ellipse(f, factor, reach_);
+  }
+  const Levelled g(mean, factor, level);
+  f = Footprint(g.mean, g.factor);
+  f.gain = g.gain;
+  levels_[gaussian] = static_cast<uint8_t>(level);
+  return f.segment == 0 ? Ellipse{} : Ellipse(f, g.factor, reach_);
+}
+
+// Finds where ellipses cross, and returns the number of pairs. An empty strip counts too: looking at it takes time.
+int64_t Rasterization::count(Crossings<kManyStrips>& c) const {
+  kernels(isa_).cross(c, reach_);
+  int64_t pairs = 0;
+  for (int k = 0; k < c.count; ++k) pairs += std::max(c.blocks(k), 1);
+  return pairs;
+}
+
+void Rasterization::bin(const Crossings<kManyStrips>& c, Bin& bin) const {
+  int64_t pairs = 0;
+  for (int k = 0; k < c.count; ++k) pairs += c.blocks(k);
+  const size_t before = bin.places.size();
+  bin.pairs.resize(before + pairs);
+  bin.places.resize(before + pairs);
+  Pair* pair = bin.pairs.data() + before;
+  int32_t *place = bin.places.data() + before, *next = bin.next.data();
+  for (int k = 0; k < c.count; ++k) {
+    const int level = levels_[c.gaussian[k]], blocks = c.blocks(k);
+    const Grid& grid = grids_[level];
+    const int first_row = c.first_row[k] - grid.y, last_row = c.last_row[k] - grid.y, across = grid.strips();
+    const int top = first_row / kTileHeight;
+    int tile = first_tile_[level] + top * across + c.strip[k] - grid.x / kTileWidth;
+    bin.counts[c.gaussian[k] - bin.first] += blocks;
+    for (int block = top; block < top + blocks; ++block, tile += across) {
+      const int base = block * kTileHeight;
+      *pair++ = {c.gaussian[k], static_cast<uint8_t>(std::max(first_row - base, 0)),
+                 static_cast<uint8_t>(std::min(last_row - base, kTileHeight - 1)), static_cast<uint8_t>(c.first_lane[k]),
+                 static_cast<uint8_t>(c.last_lane[k])};
+      *place++ = tile;
+      ++next[tile];
+    }
+  }
 }
 
 // A counting sort by tile. Bins come in order, so that each tile's Gaussians come in order of index.
@@ -140,43 +182,6 @@ void Rasterization::sort_pairs() {
   });
 }
 
-template <typename Visit>
-int Rasterization::spans(int gaussian, const Visit& visit) const {
-  const float* factor = factors_.data() + 3 * static_cast<int64_t>(gaussian);
-  return sg::spans(footprints_[gaussian], factor, reach_, grids_[levels_[gaussian]], visit);
-}
-
-// The number of pairs, counted without memory and no further than the limit. A Gaussian counts as its strips where these
-// are more than its pairs: looking at them takes time too.
-int64_t Rasterization::pairs_up_to(int64_t limit) const {
-  std::atomic<int64_t> total{0};
-  parallel_chunks(n_, kChunk, [&](int first, int last, int) {
-    for (int i = first; i < last && total.load(std::memory_order_relaxed) <= limit; ++i) {
-      int64_t pairs = 0;
-      const int strips =
-          spans(i, [&](const Span& s) { pairs += s.last_row / kTileHeight - s.first_row / kTileHeight + 1; });
-      total.fetch_add(std::max<int64_t>(pairs, strips), std::memory_order_relaxed);
-    }
-  });
-  return total;
-}
-
-void Rasterization::bin(int gaussian, Bin& bin) const {
-  const int level = levels_[gaussian], strips_across = grids_[level].strips();
-  spans(gaussian, [&](const Span& span) {
-    const int first = span.first_row / kTileHeight * kTileHeight;
-    for (int base = first; base <= span.last_row; base += kTileHeight) {
-      const int tile = first_tile_[level] + base / kTileHeight * strips_across + span.strip;
-      bin.pairs.push_back({gaussian, static_cast<uint8_t>(std::max(span.first_row - base, 0)),
-                           static_cast<uint8_t>(std::min(span.last_row - base, kTileHeight - 1)), span.first_lane,
-                           span.last_lane});
-      bin.places.push_back(tile);
-      ++bin.next[tile];
-    }
-  });
-  bin.ends.push_back(static_cast<int32_t>(bin.places.size()));
-}
-
 int Rasterization::level_of_tile(int tile) const {
   int level = 0;
   while (tile >= first_tile_[level + 1]) ++level;
@@ -195,14 +200,14 @@ void Rasterization::sum_pairs(const float* colors, const float* pair_gradients, 
     const int32_t* place = bins_[k].places.data();
     for (int64_t i = first; i < last; ++i) {
       float sum[kPairGradients] = {};
-      for (const int32_t* end = bins_[k].places.data() + bins_[k].ends[i - first]; place < end; ++place) {
+      for (const int32_t* end = place + bins_[k].counts[i - first]; place < end; ++place) {
         const float* gradient = pair_gradients + static_cast<int64_t>(*place) * kPairGradients;
         for (int j = 0; j < kPairGradients; ++j) sum[j] += gradient[j];
       }
       if (levels_[i] != 0) {
         const float* color = colors + 3 * i;
         const float by_gain = color[0] * sum[5] + color[1] * sum[6] + color[2] * sum[7];
-        to_pixels(&original_[3 * i], levels_[i], by_gain, sum, sum + 2);
+        to_pixels(&factors_[3 * i], levels_[i], by_gain, sum, sum + 2);
         for (int j = 5; j < kPairGradients; ++j) sum[j] *= footprints_[i].gain;
       }
       std::copy_n(sum, 2, out.means + 2 * i);

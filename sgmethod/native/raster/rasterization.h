@@ -10,6 +10,7 @@
 #include <memory>
 #include <vector>
 
+#include "raster/crossings.h"
 #include "raster/footprint.h"
 
 namespace sg {
@@ -84,10 +85,12 @@ class Rasterization {
   struct Area {
     int x, y, columns, rows, skip_columns, skip_rows;
   };
-  // Some consecutive Gaussians, and their pairs in the order in which spans() finds them.
+  // Some consecutive Gaussians, and their pairs, strip by strip.
   struct Bin {
-    int64_t at_most;              // pairs that there can be
-    std::vector<int32_t> ends;    // for each Gaussian, the number of pairs up to its last
+    Bin() = default;
+    Bin(int first_gaussian, int end, int tiles);
+    int first = 0;                // Gaussian
+    std::vector<int32_t> counts;  // each Gaussian's pairs
     std::vector<int32_t> places;  // where each pair lies in pairs_; before that is known, its tile
     std::vector<Pair> pairs;      // until they lie in pairs_
     std::vector<int32_t> next;    // [tiles] until then: the number of pairs in each tile, later the place of the next
@@ -98,13 +101,12 @@ class Rasterization {
   int level_of_tile(int tile) const;
   Corner corner(int tile) const;
   Area area(int tile) const;
-  void place(const float* means, const float* factors);
-  void find_pairs(int64_t max_pairs);
-  template <typename Visit>
-  int spans(int gaussian, const Visit& visit) const;
-  void bin(int gaussian, Bin& bin) const;
+  void set_levels(int top);
+  int64_t find_pairs(const float* means, int64_t limit, int64_t most_kept);
+  Ellipse place(int gaussian, const float* mean);
+  int64_t count(Crossings<kManyStrips>& crossings) const;
+  void bin(const Crossings<kManyStrips>& crossings, Bin& bin) const;
   void sort_pairs();
-  int64_t pairs_up_to(int64_t limit) const;
 
   int rows_of(int tile) const;
   void draw_coarse(const float* colors, Planes& planes) const;
@@ -124,7 +126,7 @@ class Rasterization {
   int chunk_ = 0;  // Gaussians in a bin
   float reach_, floor_;
   std::vector<Footprint> footprints_;
-  std::vector<float> original_, factors_;  // factors in pixels; and in samples of the Gaussian's level
+  std::vector<float> factors_;  // in pixels
   std::vector<uint8_t> levels_;
   std::vector<Grid> grids_;       // of level 0, 1, ...
   std::vector<int> first_tile_;   // [levels + 1]
