@@ -214,3 +214,20 @@ def test_geometry_beyond_single_precision_is_harmless() -> None:
             assert "overlap" in str(error)
     assert drawn > 50
     assert time.process_time() - began < 30
+
+
+def test_coarse_levels_of_a_narrow_picture_take_little_memory() -> None:
+    """16 x 1,048,560 pixels take 50 MB, and the coarse levels below one wide Gaussian 120 MB: their rows are as wide as
+    their samples."""
+    script = (
+        "import re, numpy as np\n"
+        "from sgmethod.native import native\n"
+        "peak = lambda: int(re.search(r'VmHWM:\\s*(\\d+) kB', open('/proc/self/status').read())[1]) // 1024\n"
+        "before, pixels = peak(), np.empty((1 << 20, 16, 3), np.uint8)\n"
+        "gaussian = np.full((1, 2), 8, np.float32), np.float32([[1e4, 0, 1e4]])\n"
+        "raster = native.Rasterization(*gaussian, 16, 1 << 20, native.CUTOFF_V3, pyramid=True)\n"
+        "raster.render_bytes(np.ones((1, 3), np.float32), pixels)\n"
+        "print(peak() - before)\n"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert int(run.stdout) < 200  # seen: 155

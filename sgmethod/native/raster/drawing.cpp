@@ -41,12 +41,12 @@ void Rasterization::draw_coarse(const float* colors, Planes& planes) const {
       alignas(64) float acc[kTileFloats];
       draw_tile(planes, tile, kBlack, colors, acc);
       const auto [x, y] = corner(tile);
-      for (int row = 0; row < rows; ++row)
-        for (int color = 0; color < 3; ++color) {
-          float* to = planes.at(level, x, y + row) + color * planes.stride(level);
-          const float* from = acc + (3 * row + color) * kTileWidth;
-          for (int i = 0; i < kTileWidth; ++i) to[i] = from[i] * (1.0f / 16.0f);  // as enlarging wants them
-        }
+      const Grid& grid = grids_[level];
+      const int columns = std::min(kTileWidth, grid.x + grid.width - x);
+      const int64_t stride = planes.stride(level);
+      float* to = planes.at(level, x, y);
+      for (const float *from = acc, *end = acc + rows * 3 * kTileWidth; from != end; from += kTileWidth, to += stride)
+        for (int i = 0; i < columns; ++i) to[i] = from[i] * (1.0f / 16.0f);  // as enlarging wants them
     });
 }
 
@@ -77,7 +77,7 @@ int Rasterization::rows_of(int tile) const {
 }
 
 void Rasterization::render(const float* colors, float* image) const {
-  Planes coarse(grids_);
+  Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, coarse);
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float acc[kTileFloats];
@@ -91,7 +91,7 @@ void Rasterization::render(const float* colors, float* image) const {
 }
 
 void Rasterization::render_bytes(const float* colors, const float* background, uint8_t* image) const {
-  Planes coarse(grids_);
+  Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, coarse);
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float acc[kTileFloats];
@@ -207,7 +207,7 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
 
 void Rasterization::gram(const float* colors, float* out_colors) const {
   std::vector<float> means(2 * static_cast<size_t>(n_)), factors(3 * static_cast<size_t>(n_));  // not needed
-  Planes coarse(grids_);
+  Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, coarse);
   const auto fill = [&](int tile, float* picture, float* pair_gradients) {
     draw_tile(coarse, tile, kBlack, colors, picture);
@@ -221,7 +221,7 @@ void Rasterization::gram(const float* colors, float* out_colors) const {
 
 void Rasterization::leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const {
   const int64_t plane = static_cast<int64_t>(width()) * height();
-  Planes coarse(grids_);
+  Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, coarse);
   const auto each = [&](int tile, float* values) {
     if (tile >= tiles(0)) return;
@@ -238,7 +238,7 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
   if (canvas_.x != 0 || canvas_.y != 0) throw std::invalid_argument("a fit is of the whole picture");
   const int64_t plane = static_cast<int64_t>(width()) * height();
   const float scale = 2.0f / static_cast<float>(3 * plane);
-  Planes coarse(grids_);
+  Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, coarse);
   std::vector<double> errors(tiles(0));
   // The processor does not foresee the rows of a large picture, because they lie too far apart. So each kernel asks for

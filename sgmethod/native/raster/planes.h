@@ -11,17 +11,23 @@
 
 namespace sg {
 
-// Rows of three colours, [height][3][stride], one level after the other. Enlarging may read beyond a row's last sample, but
-// not beyond its stride. Values are not set at first.
+// Rows of three colours, [height][3][stride], one level after the other. Values are not set at first.
 class Planes {
  public:
+  // kWhole: as wide as their samples, to draw. Enlarging may then read beyond a row, but not beyond the memory. kRoom: with
+  // room for whole tiles and what is reduced from them, which is longer.
+  enum class Rows { kWhole, kRoom };
+
   // grids: of level 0, 1, ...; the first takes no memory.
-  explicit Planes(std::vector<Grid> grids) : grids_(std::move(grids)), offsets_(offsets()), values_(offsets_.back()) {}
+  explicit Planes(std::vector<Grid> grids, Rows rows = Rows::kRoom)
+      : grids_(std::move(grids)), rows_(rows), offsets_(offsets()), values_(offsets_.back() + 2 * kTileWidth) {}
 
   int top() const { return static_cast<int>(grids_.size()) - 1; }
   const Grid& grid(int level) const { return grids_[static_cast<size_t>(level)]; }
   // Floats from one colour of a row to the next.
-  int64_t stride(int level) const { return (grid(level).strips() + 1) * kTileWidth; }
+  int64_t stride(int level) const {
+    return rows_ == Rows::kWhole ? grid(level).width : (grid(level).strips() + 1) * kTileWidth;
+  }
   // A sample's red, by its place on the level.
   float* at(int level, int x, int y) {
     return values_.get() + offsets_[static_cast<size_t>(level)] +
@@ -40,6 +46,7 @@ class Planes {
     return ends;
   }
   std::vector<Grid> grids_;
+  Rows rows_;
   std::vector<size_t> offsets_;  // [levels + 1]
   Scratch values_;
 };
