@@ -49,7 +49,7 @@ class RdFit:
         self.size = 0  # of the file in bytes, when last looked at
         self.due = sorted([*settings.growth_at, *settings.trim_at])
         self.p = self._place(np.random.default_rng(seed))
-        self.adam = FrameAdam(len(self.p.means), settings, self.values)
+        self.adam = FrameAdam(len(self.p.means), settings, self.picture.values)
 
     def _place(self, rng: np.random.Generator) -> Parameters:
         """A part of the expected Gaussians, where the structure is. They are few, so a small picture shows enough."""
@@ -75,7 +75,7 @@ class RdFit:
         self.pyramid.choose_finest(seconds, self.control.steps() * min(times))
         # What is narrower falls between the pixels.
         narrowest = self.settings.min_scale_px * self.pyramid.finest.spacing
-        self.adam = FrameAdam(len(self.p.means), replace(self.settings, min_scale_px=narrowest), self.values)
+        self.adam = FrameAdam(len(self.p.means), replace(self.settings, min_scale_px=narrowest), self.picture.values)
 
     def step(self, rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         """One optimiser step, after whatever is due at this part of the schedule."""
