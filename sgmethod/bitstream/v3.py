@@ -1,6 +1,6 @@
 """Version 3 of the file (profile rd): a short header, then one entropy-coded payload.
 
-The payload's model is native (sgmethod/native/rd/models.h), written once for both directions. docs/format.md
+The payload's model is native (sgmethod/native/rd/models_v3.h), written once for both directions. docs/format.md
 describes both in words.
 """
 

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 from tests.bitstream import plain_decoder_v3 as v3
-from tests.bitstream.plain_decoder import Region, resized, round32, to_byte, view_size
-from tests.bitstream.plain_decoder_v3 import CUTOFF, FORMAT, Gaussian, Header, Numbers
+from tests.bitstream.plain_decoder import RefusedError, Region, refuse_unless, resized, round32, to_byte, view_size
+from tests.bitstream.plain_decoder_v3 import CUTOFF, FORMAT, EndError, Gaussian, Header, Numbers
 
 Plane = list[list[float]]  # rows of one colour's samples, in a part of a level
 
@@ -37,14 +39,270 @@ NUMBERS = Numbers(
 NARROWEST, TOP_LEVEL = TEXT["narrowest"], int(TEXT["top level"])
 
 
+MOST_RAW = int(TEXT["most raw bits"])
+
+
+class Model:
+    def __init__(self, start: list[int]) -> None:
+        self.fast = [0, *(32704 * byte // 256 + 4 * i for i, byte in enumerate(start, 1))]
+        self.slow = list(self.fast)
+        self.seen = 0
+
+    def edge(self, i: int) -> int:
+        return 32768 if i == 16 else (self.fast[i] + self.slow[i]) // 2
+
+    def adapt(self, symbol: int) -> None:
+        j = min((self.seen + 16).bit_length() - 1, 7)
+        self.seen += 1
+        for i in range(1, 16):
+            aim = 4 * i + 32704 * (i > symbol)
+            self.fast[i] += (aim - self.fast[i] + 15) // 32
+            self.slow[i] += (aim - self.slow[i] + 2 ** (j - 1) - 1) // 2**j
+
+
+COLOUR, SHAPE = 0, 1  # the states
+
+
+class Coder:
+    def __init__(self, payload: bytes) -> None:
+        self.payload, self.at = payload, 0
+        self.queue, self.queued = 0, 0  # raw bits and their number
+        self.states = [self.bytes(4), self.bytes(4)]
+
+    def bytes(self, count: int) -> int:
+        self.at += count
+        return int.from_bytes(self.payload[self.at - count : self.at].ljust(count, b"\0"), "little")
+
+    @property
+    def past_end(self) -> bool:
+        return self.at > len(self.payload)
+
+    def symbol(self, which: int, model: Model) -> int:
+        state = self.states[which]
+        place = state % 32768
+        symbol = next(i for i in range(16) if place < model.edge(i + 1))
+        state = (model.edge(symbol + 1) - model.edge(symbol)) * (state // 32768) + place - model.edge(symbol)
+        model.adapt(symbol)
+        self.states[which] = state * 65536 + self.bytes(2) if state < 65536 else state
+        return symbol
+
+    def fetch(self, count: int) -> None:
+        while self.queued < count:
+            self.queue += self.bytes(1) << self.queued
+            self.queued += 8
+
+    def take(self, count: int) -> int:
+        value = self.queue % 2**count
+        self.queue >>= count
+        self.queued -= count
+        return value
+
+    def number(self, which: int, model: Model) -> Number:
+        s = self.symbol(which, model)
+        if s < 4:
+            return Number(s, 0, s)
+        if s == 15:
+            self.fetch(5)
+            n = self.take(5)
+            self.fetch(n)
+            return Number(2**n + self.take(n), 0, s)
+        n = s // 2 - 1
+        return Number((2 + s % 2) * 2**n, n, s)
+
+    def rest(self, number: Number) -> int:
+        return number.least + self.take(number.rest)
+
+
+@dataclass(frozen=True)
+class Number:
+    least: int = 0
+    rest: int = 0  # bits that follow
+    symbol: int = 0
+
+
+def level(x: Number) -> int:
+    return 0 if x.symbol == 0 else 1 if x.symbol <= 2 else 2 if x.symbol <= 5 else 3
+
+
+class Models:
+    def __init__(self) -> None:
+        of = {name: [Model(start) for start in rows] for name, rows in v3.start_tables().items()}
+        (self.count,), (self.distance,), (self.luma,) = of["count"], of["distance"], of["luma"]
+        self.a, self.b, self.v, self.r = of["a"], of["b"], of["v"], of["r"]
+        self.color_signs, self.shape_signs = of["colour signs"], of["shape signs"]
+
+
+@dataclass
+class Half:
+    """A Gaussian whose cell and colour are known, but not the signs of the colour."""
+
+    k: int
+    cell: int
+    size: list[int]  # |y|, |a|, |b|
+    color: list[int] = field(default_factory=list)  # with their signs
+
+    def __post_init__(self) -> None:
+        self.square = sum(value * value for value in self.size)
+        self.h = int(min(self.square.bit_length() // 2, NUMBERS.most_h))
+        self.u_bits = min(max(self.h - 1, 0), NUMBERS.most_u_bits)
+        self.g = max(0, (self.k + 1) // 2)
+
+
+def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussian]:
+    """The Gaussians of a payload; of a part of one, until EndError."""
+
+    def check_end() -> None:
+        if coder.past_end:
+            if part:
+                raise EndError
+            raise RefusedError("end")
+
+    if not coder.payload:
+        return
+    models = Models()
+    most = min(header.width * header.height, 2**24, 8 * len(coder.payload) + 64)
+    begun = min(coder.states) >= 65536
+    coder.fetch(6)
+    first = 28 - coder.take(6)
+    coder.fetch(6)
+    last = first - coder.take(6)
+    check_end()
+    refuse_unless(begun and last >= -4, "start")
+    total = 0
+    for k in range(first, last - 1, -1):
+        columns, rows = (min(side // 2 ** max(0, (k + 1) // 2) + 5, 65536) for side in (header.width, header.height))
+        number = coder.number(COLOUR, models.count)
+        coder.fetch(number.rest)
+        n = coder.rest(number)
+        check_end()
+        refuse_unless(part or total + n <= most, "count")
+        t, mean = 0, columns * rows // max(n, 1)
+        while mean >= 8:
+            t, mean = t + 1, mean // 2
+        now: Half | None = None
+        for i in range(n + 1 if n > 0 else 0):
+            if total == most:
+                raise EndError
+            before = now
+            now, gaussian = read_turn(header, coder, models, (k, min(t, MOST_RAW), columns, rows), i < n, before)
+            if gaussian is not None:
+                check_end()
+                yield gaussian
+                total += 1
+    refuse_unless(part or coder.states == [65536, 65536], "last states")
+    refuse_unless(part or coder.queue == 0, "last bits")
+    refuse_unless(part or not any(coder.payload[coder.at :]), "rest")
+
+
+def read_turn(
+    header: Header, coder: Coder, models: Models, of_class: tuple[int, int, int, int], more: bool, now: Half | None
+) -> tuple[Half | None, Gaussian | None]:
+    """Cell and colour of the next Gaussian, if there are more; shape and place of the one before, if there is one."""
+    k, t, columns, rows = of_class
+    distance = y = a = b = v = r = Number()
+    if more:
+        distance = coder.number(COLOUR, models.distance)
+    if now:
+        signs = coder.symbol(
+            SHAPE, models.color_signs[sum(w * (x != 0) for w, x in zip((4, 2, 1), now.size, strict=True))]
+        )
+        now.color = [-x if signs & w else x for w, x in zip((4, 2, 1), now.size, strict=True)]
+    if more:
+        y = coder.number(COLOUR, models.luma)
+    if now:
+        v = coder.number(SHAPE, models.v[min(now.h, 7)])
+    if more and not header.grey:
+        a = coder.number(COLOUR, models.a[level(y)])
+    if now and not header.upright:
+        r = coder.number(SHAPE, models.r[min(now.h, 7)])
+    if more and not header.grey:
+        b = coder.number(COLOUR, models.b[level(a)])
+
+    coder.fetch(v.rest + r.rest + (now.u_bits if now else 0) + (t if more else 0))
+    px = py = u = shape_v = shape_r = 0
+    if now:
+        shape_v, shape_r, u = coder.rest(v), coder.rest(r), coder.take(now.u_bits)
+        refuse_unless(shape_v <= NUMBERS.most_v * 2**now.h and shape_r <= NUMBERS.most_r * 2**now.h / 2, "shape")
+        signs = coder.symbol(SHAPE, models.shape_signs[2 * (shape_v != 0) + (shape_r != 0)])
+        shape_v, shape_r = -shape_v if signs & 2 else shape_v, -shape_r if signs & 1 else shape_r
+        px, py = parts(now, u, shape_v, shape_r)
+    low = coder.take(t) if more else 0
+
+    coder.fetch(y.rest + a.rest + b.rest + distance.rest + px + py)
+    following = gaussian = None
+    if more:
+        size = [coder.rest(number) for number in (y, a, b)]
+        refuse_unless(any(size), "no colour")
+        refuse_unless(max(size) <= NUMBERS.most_colour, "colour")
+        cell = (now.cell if now else 0) + coder.rest(distance) * 2**t + low
+        column, row = v3.deinterleave(cell)
+        refuse_unless(cell < 2**32 and column < columns and row < rows, "cell")
+        following = Half(k, cell, size)
+    if now:
+        gaussian = values(header, now, (u, shape_v, shape_r), (px, coder.take(px)), (py, coder.take(py)))
+    return following, gaussian
+
+
+def lg(x: int) -> int:
+    """The logarithm to base two in sixteenths, linear between powers of two."""
+    n = x.bit_length() - 1
+    return 16 * n + 16 * x // 2**n - 16
+
+
+def parts(half: Half, u: int, v: int, r: int) -> tuple[int, int]:
+    """By how many bits the cell is divided along x and y."""
+    h = half.h
+    within = 8 * (2 * u + 1) // 2**half.u_bits - 8
+    aspect = 46 * v // 2**h
+    slant = lg(4**h + 4 * r * r) - 32 * h
+    fineness = lg(half.square) + 32 * half.g - 17
+    along = fineness + slant - max(16 * half.k + within + aspect, -56)
+    across = fineness - max(16 * half.k + within - aspect, -56)
+    px, py = (min(max(x // 32 + 1, 0), NUMBERS.most_part_bits) for x in (along, across))
+    return px, py
+
+
+def values(header: Header, half: Half, shape: tuple[int, int, int], x: tuple[int, int], y: tuple[int, int]) -> Gaussian:
+    """From integers to what is drawn, as in version 3."""
+    u, v, r = shape
+    step, size, least = 2.0**-half.h, v3.size(half.k), round32(0.3)
+    within = ((u + 0.5) / 2**half.u_bits - 0.5) * 0.34657359027997264
+    l1 = max(size * v3.exponential(within + v * step), least)
+    l3 = max(size * v3.exponential(within - v * step), least)
+    l2 = r * (2 * step) * l3
+    column, row = v3.deinterleave(half.cell)
+    place_x, place_y = (
+        (cell - 2 + (part + 0.5) / 2**bits) * 2**half.g for cell, (bits, part) in ((column, x), (row, y))
+    )
+    c = max(header.quantum / (size * 1.5), NUMBERS.least_colour_step)
+    p, q, s = (
+        value * c * axis
+        for value, axis in zip(half.color, (0.57735026918962576, 0.70710678118654752, 0.40824829046386302), strict=True)
+    )
+    color = round32(p + q + s), round32(p - 2 * s), round32(p - q + s)
+    return round32(place_x), round32(place_y), round32(l1), round32(l2), round32(l3), color
+
+
 def parse(data: bytes) -> tuple[Header, list[Gaussian]]:
     """The header and the Gaussians."""
-    return v3.parse(data, NUMBERS)
+    header = v3.parse_header(data, NUMBERS)
+    return header, list(read_gaussians(header, Coder(data[18:]), part=False))
 
 
 def parse_part(data: bytes, part: float) -> tuple[Header, list[Gaussian]]:
     """The header, and the Gaussians in a part, above 0 and below 1, of the payload."""
-    return v3.parse_part(data, part, NUMBERS)
+    header = v3.parse_header(data, NUMBERS)
+    coder = Coder(data[18:][: math.ceil(part * (len(data) - 18))])
+    found = []
+    try:
+        for gaussian in read_gaussians(header, coder, part=True):
+            found.append(gaussian)
+    except EndError:
+        pass
+    except RefusedError:
+        if not coder.past_end:
+            raise
+    return header, found
 
 
 def level_of(l1: float, l2: float, l3: float) -> int:

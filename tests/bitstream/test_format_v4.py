@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +20,9 @@ from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.scene import Gaussians
 from sgmethod.view import FAR, View
 from tests.bitstream import plain_decoder_v3, plain_decoder_v4
-from tests.bitstream.plain_decoder_v3 import Header, Model, Numbers, RefusedError
-from tests.bitstream.plain_decoder_v4 import NUMBERS
+from tests.bitstream.plain_decoder import RefusedError
+from tests.bitstream.plain_decoder_v3 import Header, Numbers
+from tests.bitstream.plain_decoder_v4 import NUMBERS, Coder, Model, Number
 from tests.bitstream.test_format_v1 import TEXT, table
 from tests.bitstream.test_format_v3 import PARTS, assert_same_pixels, rows
 from tests.harness.data import ROOT, damaged, golden, golden_path
@@ -55,6 +57,7 @@ def test_the_numbers_are_the_codes() -> None:
     assert limits_in_the_code(4) == NUMBERS
     assert limits_in_the_code(3) == plain_decoder_v3.V3
     narrowest, top_level = f"= {plain_decoder_v4.NARROWEST:g}", f"= {plain_decoder_v4.TOP_LEVEL}"
+    assert f"kMostRawDistanceBits = {plain_decoder_v4.MOST_RAW};" in (NATIVE / "rd" / "codec.cpp").read_text()
     kernels, reference = ((NATIVE / path).read_text() for path in ("raster/levels.h", "reference.py"))
     assert f"kNarrowest {narrowest};" in kernels
     assert f"kMaxLevel {top_level};" in kernels
@@ -144,75 +147,109 @@ def test_the_plain_decoder_shares_nothing() -> None:
     source = Path(plain_decoder_v4.__file__).read_text()
     imports = re.findall(r"^(?:from|import) ([\w.]+)", source, re.MULTILINE)
     others = {f"tests.bitstream{name}" for name in ("", ".plain_decoder", ".plain_decoder_v3")}
-    assert set(imports) == {"__future__", "math", "re", *others}
+    assert set(imports) == {"__future__", "collections.abc", "dataclasses", "math", "re", *others}
 
 
-class Scribe:
+@dataclass(frozen=True)
+class Known(Number):
+    """A number whose rest is known already."""
+
+    value: int = 0
+
+
+class Scribe(Coder):
     """Stands where the plain decoder has its entropy decoder: says given values, then zeros, and writes them down."""
 
-    payload, state, at, past_end = bytes(64), 65536, 0, False
-
     def __init__(self, values: list[int]) -> None:
+        super().__init__(b"")
+        self.payload = bytes(64)
         self.values = values
-        self.steps: list[tuple[int, int, int]] = []  # where a symbol begins, its share; or raw bits, 0, their number
+        self.steps: list[
+            tuple[int, int, int]
+        ] = []  # where a symbol begins, its share, its state; or bits fetched, 0, 0
+        self.bits: list[int] = []
+        self.states = [65536, 65536]
+
+    @property
+    def past_end(self) -> bool:
+        return False
 
     def next(self) -> int:
         return self.values.pop(0) if self.values else 0
 
-    def write_symbol(self, model: Model, symbol: int) -> None:
-        self.steps.append((model.edge(symbol), model.edge(symbol + 1) - model.edge(symbol), 0))
+    def write(self, which: int, model: Model, symbol: int) -> None:
+        self.steps.append((model.edge(symbol), model.edge(symbol + 1) - model.edge(symbol), which))
         model.adapt(symbol)
 
-    def write_raw(self, value: int, count: int) -> None:
-        if count > 16:
-            self.steps.append((value >> 16, 0, count - 16))
-        self.steps.append((value % 2**16, 0, min(count, 16)))
+    def write_bits(self, value: int, count: int) -> None:
+        self.bits += [value >> k & 1 for k in range(count)]
 
-    def symbol(self, model: Model) -> int:
+    def symbol(self, which: int, model: Model) -> int:
         symbol = self.next()
-        self.write_symbol(model, symbol)
+        self.write(which, model, symbol)
         return symbol
 
-    def raw(self, count: int) -> int:
+    def fetch(self, count: int) -> None:
+        self.steps.append((count, 0, 0))
+
+    def take(self, count: int) -> int:
         value = self.next()
-        self.write_raw(value, count)
+        self.write_bits(value, count)
         return value
 
-    def number(self, model: Model) -> int:
+    def number(self, which: int, model: Model) -> Number:
         value = self.next()
         n = value.bit_length() - 1
         if value < 4:
-            self.write_symbol(model, value)
-        elif value < 192:
-            self.write_symbol(model, 2 * n + (value >> n - 1) % 2)
-            self.write_raw(value % 2 ** (n - 1), n - 1)
-        else:
-            self.write_symbol(model, 15)
-            self.write_raw(n, 5)
-            self.write_raw(value - 2**n, n)
-        return value
+            self.write(which, model, value)
+            return Known(value, 0, value, value)
+        if value < 192:
+            symbol = 2 * n + (value >> n - 1) % 2
+            self.write(which, model, symbol)
+            return Known(value >> n - 1 << n - 1, n - 1, symbol, value)
+        self.write(which, model, 15)
+        for part, count in (n, 5), (value - 2**n, n):
+            self.fetch(count)
+            self.write_bits(part, count)
+        return Known(value, 0, 15, value)
+
+    def rest(self, number: Number) -> int:
+        assert isinstance(number, Known)
+        self.write_bits(number.value - number.least, number.rest)
+        return number.value
 
     def written(self) -> bytes:
-        """The payload: the last of the steps is coded first."""
-        state, words = 65536, []
-        for low, share, bits in reversed(self.steps):
-            if state >= (share << 17 if share else 1 << 32 - bits):
-                words.append(state % 65536)
-                state >>= 16
-            state = (state // share << 15) + state % share + low if share else (state << bits) + low
-        return state.to_bytes(4, "big") + b"".join(word.to_bytes(2, "big") for word in reversed(words))
+        """The payload: of each state, the last of the steps is coded first."""
+        states, words = [65536, 65536], [b""] * len(self.steps)
+        for i, (low, share, which) in reversed(list(enumerate(self.steps))):
+            if share == 0:
+                continue
+            if states[which] >= share << 17:
+                words[i] = (states[which] % 65536).to_bytes(2, "little")
+                states[which] >>= 16
+            states[which] = (states[which] // share << 15) + states[which] % share + low
+        raw = sum(bit << k for k, bit in enumerate(self.bits)).to_bytes(len(self.bits) // 8 + 8, "little")
+        queued = at = 0
+        for i, (count, share, _) in enumerate(self.steps):
+            if share == 0:
+                more = (max(count - queued, 0) + 7) // 8
+                words[i] = raw[at : at + more]
+                queued, at = queued + 8 * more - count, at + more
+        return b"".join(state.to_bytes(4, "little") for state in states) + b"".join(words)
 
 
 def one_gaussian(y: int, v: int, r: int) -> bytes:
     """A file with one Gaussian of size 1 in the midst of 9 by 9 pixels; the integers may be out of their range."""
-    # First and last class, number in it; distance in steps of 2^4 and the rest; y, a, b, signs, u, v, r.
-    scribe = Scribe([28, 0, 1, 3, 12, y, 0, 0, 0, 0, v, r])
+    # First and last class, number in it; distance in steps of 2^5, y, a, b, the rest of the distance; signs, v, r.
+    scribe = Scribe([28, 0, 1, 3, y, 0, 0, 12, 0, v, r])
     header = Header(False, False, 9, 9, 1.0, (0, 0, 0), NUMBERS)
+    refused = b""
     try:
-        list(plain_decoder_v3.read_gaussians(header, scribe, part=False))
+        list(plain_decoder_v4.read_gaussians(header, scribe, part=False))
     except RefusedError:
-        scribe.steps += [(0, 0, 16)] * 8  # so that the payload does not end there
-    stream = StreamV4(9, 9, header.quantum, header.background, header.grey, header.upright, scribe.written())
+        refused = bytes(16)  # so that the payload does not end there
+    payload = scribe.written() + refused
+    stream = StreamV4(9, 9, header.quantum, header.background, header.grey, header.upright, payload)
     return container.serialise(stream)
 
 

@@ -2,21 +2,27 @@
 //
 // Classes of size come from the largest down. Each class divides the picture into cells about as wide as its Gaussians.
 // Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance along
-// that curve from the one before: no bits are spent on the order, which a set does not have. After the cell come the
-// colour, u within its class, v, r, and the position within the cell.
+// that curve from the one before: no bits are spent on the order, which a set does not have. Then come the colour, u
+// within its class, v, r, and the position within the cell.
+//
+// In version 4 the integers of many Gaussians are decoded first. What follows from each by itself comes after, in vectors
+// and on several threads.
 #include "rd/codec.h"
 
 #include <algorithm>
 #include <atomic>
+#include <memory>
 #include <stdexcept>
 
-#include "rd/models.h"
+#include "core/isa.h"
 #include "core/thread_pool.h"
+#include "rd/models.h"
+#include "rd/models_v3.h"
 
 namespace sg {
 namespace {
 
-constexpr int kClassBits = 6;
+constexpr int kClassBits = 6, kMostRawDistanceBits = 24;
 constexpr int kQuantiseChunk = 256;  // Gaussians of one task
 std::atomic<int64_t> clipped{0};
 
@@ -27,17 +33,13 @@ int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
   const uint64_t cells = static_cast<uint64_t>(cells_along(p.width, bits)) * cells_along(p.height, bits);
   int result = 0;
   for (uint64_t mean = cells / std::max(count, 1u); mean >= 8; mean /= 2) ++result;
-  return result;
+  return p.version == 3 ? result : std::min(result, kMostRawDistanceBits);
 }
 
-// The Morton code of the next Gaussian of a class. Throws std::runtime_error if it has more than 32 bits.
-template <typename Coder>
-uint32_t code_cell(Coder& coder, Model& model, int raw_bits, uint32_t previous, uint32_t cell = 0) {
-  const uint32_t distance = cell - previous;
-  const uint64_t high = code_number(coder, model, distance >> raw_bits);
-  const uint64_t next = previous + (high << raw_bits) + code_bits(coder, distance & ((1u << raw_bits) - 1), raw_bits);
-  if (next > 0xFFFFFFFFull) throw std::runtime_error("a position is out of range");
-  return static_cast<uint32_t>(next);
+SizeClass class_of(const RdParameters& p, int number, uint32_t count) {
+  const int bits = cell_bits(number);
+  return {number, raw_distance_bits(p, number, count), spread_bits(cells_along(p.width, bits) - 1),
+          spread_bits(cells_along(p.height, bits) - 1) << 1};
 }
 
 // The most Gaussians that a payload may hold. A decoder's memory and time thus follow the bytes it is given. Fitted
@@ -59,79 +61,265 @@ void for_each_quantised(const RdParameters& p, const float* means, const float* 
   });
 }
 
-// Decodes `size` bytes; with prefix = true, up to the first Gaussian that needs more.
-class Decoding {
- public:
-  Decoding(GaussianArrays& out, const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit)
-      : out_(out), p_(p), size_(size), prefix_(prefix), most_(most_in(p, size)), limit_(limit), coder_(data) {}
+// Version 3 as decoded() and encoded() need it.
+struct Version3 {
+  using Encoder = EncoderV3;
+  using Decoder = DecoderV3;
+  using Models = ModelsV3;
 
-  // False where a prefix ended. Throws std::runtime_error on what no encoder writes.
-  bool run() {
-    const bool begun = coder_.state() >= kStateLow;
-    const int first = kMaxClass - static_cast<int>(coder_.raw(0, kClassBits));
-    const int last = first - static_cast<int>(coder_.raw(0, kClassBits));
-    if (prefix_ && overrun()) return false;
-    if (!begun || last < kMinClass) throw std::runtime_error("no encoder begins like this");
-    for (int c = first; c >= last; --c)
-      if (!size_class(c)) return false;
-    if (!prefix_ && coder_.state() != kStateLow) throw std::runtime_error("the last Gaussian does not end as it should");
-    return true;
+  template <typename Coder>
+  static uint32_t class_number(Coder& coder, uint32_t value) {
+    return coder.raw(value, kClassBits);
   }
-
-  size_t read() const { return coder_.read(); }
-  bool overrun() const { return coder_.read() > size_; }
-
- private:
-  bool size_class(int c) {
-    const uint32_t count = code_number(coder_, models_.count);
-    if (!whole()) return false;
-    const size_t done = out_.means.size() / 2;
-    if (!prefix_ && count > most_ - done) throw std::runtime_error("more Gaussians than the data can hold");
-    const size_t room = std::min<uint64_t>(count, most_ - done);
-    if (done + room > limit_) throw std::overflow_error("more Gaussians than the limit");
-    resize(done + room);
-    Symbols s{};
-    s.size_class = c;
-    const int raw_bits = raw_distance_bits(p_, c, count);
-    for (size_t i = done; i < done + room; ++i) {
-      try {
-        s.cell = code_cell(coder_, models_.distance, raw_bits, s.cell);
-        if (!in_grid(p_, cell_bits(c), s.cell)) throw std::runtime_error("a position is out of range");
-        const Geometry geometry = models_.gaussian(coder_, p_, s);
-        if (whole()) {
-          dequantise(p_, s, geometry, &out_.means[2 * i], &out_.factors[3 * i], &out_.colors[3 * i]);
-          continue;
-        }
-      } catch (const std::runtime_error&) {
-        if (!prefix_ || !overrun()) throw;  // what stands past the end of a prefix means nothing
-      }
-      resize(i);
-      return false;
+  template <typename Coder>
+  static uint32_t count(Coder& coder, Models& models, uint32_t value) {
+    return code_number_v3(coder, models.count, value);
+  }
+  static void encode(Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
+    const int raw_bits = raw_distance_bits(p, size_class, static_cast<uint32_t>(end - s));
+    for (uint32_t previous = 0; s < end; ++s) {
+      previous = models.cell(coder, raw_bits, previous, s->cell);
+      models.gaussian(coder, p, *s);
     }
-    return room == count;
   }
+};
 
+struct Version4 {
+  using Encoder = sg::Encoder;
+  using Decoder = sg::Decoder;
+  using Models = sg::Models;
+
+  template <typename Coder>
+  static uint32_t class_number(Coder& coder, uint32_t value) {
+    coder.fetch(kClassBits);
+    return coder.raw(value, kClassBits);
+  }
+  template <typename Coder>
+  static uint32_t count(Coder& coder, Models& models, uint32_t value) {
+    return code_whole(coder, kColorLane, models.count, value);
+  }
+  static void encode(Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
+    if (s == end) return;
+    const SizeClass c = class_of(p, size_class, static_cast<uint32_t>(end - s));
+    ColorSize size;
+    models.pair<true, false>(coder, p, c, 0, size, *s, *s);
+    for (; s + 1 < end; ++s) models.pair<true, true>(coder, p, c, s->cell, size, s[1], s[0]);
+    models.pair<false, true>(coder, p, c, s->cell, size, *s, *s);
+  }
+};
+
+// The state of a decoder. With prefix = true, it goes up to the first Gaussian that needs more.
+template <typename Version>
+struct Decoding {
+  using Decoder = typename Version::Decoder;
+
+  const RdParameters& p;
+  const size_t size;
+  const bool prefix;
+  GaussianArrays& out;
+  Decoder coder;
+  typename Version::Models models{};
+
+  // All that follow take the decoder as it is now, since a loop has a copy of its own.
+  bool overrun(const Decoder& now) const { return now.read() > size; }
   // False if a prefix has ended.
-  bool whole() const {
-    if (!overrun()) return true;
-    if (!prefix_) throw std::runtime_error("the data end too early");
+  bool whole(const Decoder& now) const {
+    if (!overrun(now)) return true;
+    if (!prefix) throw std::runtime_error("the data end too early");
     return false;
   }
+  // Room for more Gaussians; returns the first of them.
+  size_t add(size_t more) {
+    const size_t n = out.means.size() / 2;
+    out.means.resize(2 * (n + more));
+    out.factors.resize(3 * (n + more));
+    out.colors.resize(3 * (n + more));
+    return n;
+  }
+  // Within a catch: what stands past the end of a prefix means nothing.
+  void rethrow_unless_overrun(const Decoder& now) const {
+    if (!prefix || !overrun(now)) throw;
+  }
+};
 
-  void resize(size_t n) {
-    out_.means.resize(2 * n);
-    out_.factors.resize(3 * n);
-    out_.colors.resize(3 * n);
+// Decodes Gaussians class by class.
+class ClassesV3 {
+ public:
+  explicit ClassesV3(Decoding<Version3>& d) : d_(d) {}
+
+  // At most `room` of `count` Gaussians of a class. Returns how many there are: less where a prefix ends.
+  size_t read(int size_class, uint32_t count, size_t room) {
+    Symbols s{};
+    s.size_class = size_class;
+    const int raw_bits = raw_distance_bits(d_.p, size_class, count);
+    size_t found = 0;
+    try {
+      for (; found < room; ++found) {
+        s.cell = d_.models.cell(d_.coder, raw_bits, s.cell);
+        if (!in_grid(d_.p, cell_bits(size_class), s.cell)) throw std::runtime_error("a position is out of range");
+        const Geometry geometry = d_.models.gaussian(d_.coder, d_.p, s);
+        if (!d_.whole(d_.coder)) break;
+        const size_t at = d_.add(1);
+        dequantise(d_.p, s, geometry, &d_.out.means[2 * at], &d_.out.factors[3 * at], &d_.out.colors[3 * at]);
+      }
+    } catch (const std::runtime_error&) {
+      d_.rethrow_unless_overrun(d_.coder);
+    }
+    return found;
+  }
+  void finish() {}
+
+ private:
+  Decoding<Version3>& d_;
+};
+
+// Gaussians whose integers are decoded, and behind them perhaps one that has only its cell and colour. Their values come
+// later, of many at a time.
+struct Batch {
+  static constexpr int kMost = 2048;
+  int n = 0;
+  std::unique_ptr<Symbols[]> symbols{new Symbols[kMost + 1]};  // without values
+  std::unique_ptr<Parts[]> parts{new Parts[kMost]};
+  ColorSize size;  // of the one behind
+};
+
+// Adds `wanted` Gaussians of a class to a batch, or less where a prefix ends: the first of the class if `begin`, not its
+// last if `more`.
+SG_INLINE void decode_batch_body(Decoding<Version4>& d, Batch& batch, const SizeClass& c, int wanted, bool begin,
+                                 bool more) {
+  Decoder coder = d.coder;  // copies, to be kept in registers
+  ColorSize size = batch.size;
+  const RdParameters p = d.p;
+  const SizeClass by = c;
+  Models& models = d.models;
+  Symbols* s = &batch.symbols[batch.n];
+  Parts* parts = &batch.parts[batch.n];
+  int found = 0;
+  try {
+    s->size_class = by.number;
+    if (begin) models.pair<true, false>(coder, p, by, 0, size, *s, *s);
+    for (const int pairs = more ? wanted : wanted - 1; found < pairs; ++found, ++s) {
+      s[1].size_class = by.number;
+      parts[found] = models.pair<true, true>(coder, p, by, s->cell, size, s[1], s[0]);
+      if (!d.whole(coder)) break;
+    }
+    if (!more && found == wanted - 1) {
+      parts[found] = models.pair<false, true>(coder, p, by, s->cell, size, *s, *s);
+      found += d.whole(coder);
+    }
+  } catch (const std::runtime_error&) {
+    d.rethrow_unless_overrun(coder);
+  }
+  batch.n += found;
+  batch.size = size;
+  d.coder = coder;
+}
+void decode_batch_baseline(Decoding<Version4>& d, Batch& batch, const SizeClass& c, int wanted, bool begin, bool more) {
+  decode_batch_body(d, batch, c, wanted, begin, more);
+}
+__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<Version4>& d, Batch& batch,
+                                                                      const SizeClass& c, int wanted, bool begin,
+                                                                      bool more) {
+  decode_batch_body(d, batch, c, wanted, begin, more);
+}
+
+class ClassesV4 {
+ public:
+  explicit ClassesV4(Decoding<Version4>& d) : d_(d) {}
+
+  size_t read(int size_class, uint32_t count, size_t room) {
+    static const auto decode_batch = best_isa() >= kAvx2 && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("lzcnt")
+                                         ? decode_batch_avx2
+                                         : decode_batch_baseline;
+    const SizeClass c = class_of(d_.p, size_class, count);
+    size_t found = 0;
+    while (found < room) {
+      if (batch_.n == Batch::kMost) finish();
+      const int wanted = static_cast<int>(std::min<size_t>(room - found, Batch::kMost - batch_.n)), before = batch_.n;
+      decode_batch(d_, batch_, c, wanted, found == 0, found + wanted < count);
+      found += batch_.n - before;
+      if (batch_.n - before < wanted) break;
+    }
+    return found;
   }
 
-  GaussianArrays& out_;
-  const RdParameters& p_;
-  const size_t size_;
-  const bool prefix_;
-  const uint64_t most_, limit_;
-  RansDecoder coder_;
-  Models models_;
+  // The values of what is in the batch.
+  void finish() {
+    const size_t done = d_.add(static_cast<size_t>(batch_.n));
+    parallel_chunks(batch_.n, kQuantiseChunk, [&](int first, int last, int) {
+      const size_t at = done + static_cast<size_t>(first);
+      dequantise(d_.p, &batch_.symbols[first], &batch_.parts[first], last - first, &d_.out.means[2 * at],
+                 &d_.out.factors[3 * at], &d_.out.colors[3 * at]);
+    });
+    batch_.symbols[0] = batch_.symbols[batch_.n];
+    batch_.n = 0;
+  }
+
+ private:
+  Decoding<Version4>& d_;
+  Batch batch_;
 };
+
+// Decodes a payload. False where a prefix ended. Throws std::runtime_error on what no encoder writes.
+template <typename Version, typename Classes>
+bool decode_payload(Decoding<Version>& d, Classes& classes, uint64_t limit) {
+  const uint64_t most = most_in(d.p, d.size);
+  const bool begun = d.coder.begins();
+  const int first = kMaxClass - static_cast<int>(Version::class_number(d.coder, 0));
+  const int last = first - static_cast<int>(Version::class_number(d.coder, 0));
+  if (d.prefix && d.overrun(d.coder)) return false;
+  if (!begun || last < kMinClass) throw std::runtime_error("no encoder begins like this");
+  size_t done = 0;
+  for (int c = first; c >= last; --c) {
+    const uint32_t count = Version::count(d.coder, d.models, 0);
+    if (!d.whole(d.coder)) return false;
+    if (!d.prefix && count > most - done) throw std::runtime_error("more Gaussians than the data can hold");
+    const size_t room = std::min<uint64_t>(count, most - done);
+    if (done + room > limit) throw std::overflow_error("more Gaussians than the limit");
+    const size_t found = classes.read(c, count, room);
+    done += found;
+    if (found < count) return false;
+  }
+  if (!d.prefix && !d.coder.ends()) throw std::runtime_error("the last Gaussian does not end as it should");
+  return true;
+}
+
+template <typename Version, typename Classes>
+GaussianArrays decoded(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
+  GaussianArrays out;
+  std::vector<uint8_t> padded(size + Version::Decoder::kSlack);
+  std::copy_n(data, size, padded.begin());
+  Decoding<Version> d{p, size, prefix, out, typename Version::Decoder(padded.data())};
+  const size_t expected = std::min<uint64_t>(most_in(p, size), size / 2);  // in 16 bits each
+  out.means.reserve(2 * expected);
+  out.factors.reserve(3 * expected);
+  out.colors.reserve(3 * expected);
+  Classes classes(d);
+  const bool ended = decode_payload(d, classes, max_gaussians);
+  const size_t read = std::min(d.coder.read(), size);
+  if (ended && !prefix && std::any_of(data + read, data + size, [](uint8_t byte) { return byte != 0; }))
+    throw std::runtime_error("there are bytes behind the last Gaussian");
+  classes.finish();
+  return out;
+}
+
+template <typename Version>
+std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, typename Version::Models& models) {
+  typename Version::Encoder coder;
+  const int first = all.front().size_class, last = all.back().size_class;
+  Version::class_number(coder, static_cast<uint32_t>(kMaxClass - first));
+  Version::class_number(coder, static_cast<uint32_t>(first - last));
+  Symbols* at = all.data();
+  Symbols* const behind = at + all.size();
+  for (int c = first; c >= last; --c) {
+    Symbols* end = at;
+    while (end < behind && end->size_class == c) ++end;
+    Version::count(coder, models, static_cast<uint32_t>(end - at));
+    Version::encode(coder, models, p, c, at, end);
+    at = end;
+  }
+  return coder.finish();
+}
 
 }  // namespace
 
@@ -173,23 +361,13 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
   std::stable_sort(all.begin(), all.end(), [](const Symbols& a, const Symbols& b) {
     return a.size_class != b.size_class ? a.size_class > b.size_class : a.cell < b.cell;
   });
-  RansEncoder coder;
-  const int first = all.front().size_class, last = all.back().size_class;
-  coder.raw(static_cast<uint32_t>(kMaxClass - first), kClassBits);
-  coder.raw(static_cast<uint32_t>(first - last), kClassBits);
-  size_t at = 0;
-  for (int c = first; c >= last; --c) {
-    size_t end = at;
-    while (end < all.size() && all[end].size_class == c) ++end;
-    const auto count = static_cast<uint32_t>(end - at);
-    code_number(coder, models.count, count);
-    const int raw_bits = raw_distance_bits(p, c, count);
-    for (uint32_t previous = 0; at < end; ++at) {
-      previous = code_cell(coder, models.distance, raw_bits, previous, all[at].cell);
-      models.gaussian(coder, p, all[at]);
-    }
+  std::vector<uint8_t> bytes;
+  if (p.version == 3) {
+    ModelsV3 old;
+    bytes = encoded<Version3>(p, all, old);
+  } else {
+    bytes = encoded<Version4>(p, all, models);
   }
-  std::vector<uint8_t> bytes = coder.finish();
   // Thousands of equal Gaussians take less than a bit each, and may be more than the payload may hold. Zeros behind the
   // last of them mean nothing.
   while (all.size() > most_in(p, bytes.size())) bytes.push_back(0);
@@ -204,17 +382,9 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
 }
 
 GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
-  GaussianArrays out;
-  if (size == 0) return out;
-  std::vector<uint8_t> padded(size + RansDecoder::kSlack);
-  std::copy_n(data, size, padded.begin());
-  Decoding decoding(out, p, padded.data(), size, prefix, max_gaussians);
-  const auto behind = [&] {
-    return std::any_of(data + std::min(decoding.read(), size), data + size, [](uint8_t byte) { return byte != 0; });
-  };
-  if (decoding.run() && !prefix && behind())
-    throw std::runtime_error("there are bytes behind the last Gaussian");
-  return out;
+  if (size == 0) return {};
+  const auto decode = p.version == 3 ? decoded<Version3, ClassesV3> : decoded<Version4, ClassesV4>;
+  return decode(p, data, size, prefix, max_gaussians);
 }
 
 }  // namespace sg

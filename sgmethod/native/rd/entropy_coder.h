@@ -1,15 +1,24 @@
-// Adaptive models of 16 symbols, and rANS over them (J. Duda, "Asymmetric numeral systems", 2013; state and words as
-// in F. Giesen's public-domain rans_word_sse41). Integers only, so that every machine decodes the same. Decoding a
-// symbol has no division and no branch that depends on the data.
+// Version 4: adaptive models of 16 symbols, and rANS over them with two states (J. Duda, "Asymmetric numeral systems",
+// 2013; interleaved as by F. Giesen, 2014). Integers only, so that every machine decodes the same. Decoding a symbol has no
+// division and no branch that depends on the data.
+//
+// A symbol waits for the one before it in the same state, for some 30 cycles. So there are two lanes, each with a state of
+// its own, and whoever calls for the one and the other in turns decodes two symbols in that time. Raw bits wait for neither.
+//
+// All come from one sequence of bytes. A lane takes two of them right after the symbol that leaves its state low; raw bits
+// take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
 #pragma once
 
 #include <emmintrin.h>
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
 #include <vector>
+
+#include "core/simd.h"
 
 namespace sg {
 
@@ -19,158 +28,226 @@ constexpr uint32_t kProbabilityOne = 1u << kProbabilityBits;
 constexpr uint32_t kStateLow = 1u << 16;  // a state is at least this, and below 2^32
 constexpr size_t kStateBytes = 4, kWordBytes = 2;
 
-// The probabilities of 16 symbols: the mean of a fast and a slow estimate. Each estimate is a cumulative distribution in
-// 1/65536. The first observations move both faster.
-class alignas(16) Model {
+// How models adapt. Edges move by 1 / 2^shift of the way towards where they would be if nothing but the symbol came: by
+// shift 5 in the fast estimate, and in the slow one by 4 at first, later by up to 7.
+struct Adaptation {
+  static constexpr int kLeastShare = 4, kRoom = (1 << kProbabilityBits) - kSymbols * kLeastShare;
+  static constexpr int kFastShift = 5, kSlowShift = 7, kStartShift = 4, kStartSeen = 16, kMostSeen = 112;
+  using Ends = int16_t[kSymbols][kSymbols];  // by symbol
+  struct Stage {
+    int64_t slow_shift = 0;
+    uint16_t next = 0, slow_shifts = 0;  // index of the next stage; slow_shift less kStartShift
+  };
+  // Where the ends of all symbols go, and half of what the shift drops, so that it rounds.
+  alignas(32) Ends fast = {}, slow[kSlowShift - kStartShift + 1] = {};
+  Stage stages[kMostSeen + 1] = {};  // by the number of symbols seen
+
+  constexpr Adaptation() {
+    set(fast, kFastShift);
+    for (int k = 0; k <= kSlowShift - kStartShift; ++k) set(slow[k], k + kStartShift);
+    for (int seen = 0; seen <= kMostSeen; ++seen) {
+      int shift = kStartShift;
+      while ((seen + kStartSeen) >> (shift + 1) != 0) ++shift;
+      stages[seen].slow_shift = shift;
+      stages[seen].slow_shifts = static_cast<uint16_t>(shift - kStartShift);
+      stages[seen].next = static_cast<uint16_t>(std::min(seen + 1, kMostSeen));
+    }
+  }
+  // The least end of symbol i, less kProbabilityOne.
+  static constexpr int least_end(int i) { return kLeastShare * (i + 1) - (1 << kProbabilityBits); }
+
+ private:
+  static constexpr void set(Ends& ends, int shift) {
+    for (int symbol = 0; symbol < kSymbols; ++symbol)
+      for (int i = 0; i + 1 < kSymbols; ++i)
+        ends[symbol][i] = static_cast<int16_t>(least_end(i) + (i >= symbol ? kRoom : 0) + (1 << shift >> 1) - 1);
+  }
+};
+inline constexpr Adaptation kAdaptation;
+
+// The probabilities of 16 symbols: the mean of a fast and a slow estimate of the edges between them. Edges are kept less
+// kProbabilityOne, so that the last is 0 and vectors compare them with signs.
+class Model {
  public:
   // start: the cumulative probabilities below symbols 1 to 15, in 1/256.
   explicit Model(const uint8_t* start) {
-    for (int i = 1; i < kSymbols; ++i) fast_[i] = slow_[i] = static_cast<uint16_t>(start[i - 1] << 8);
-    edges_[kSymbols] = kProbabilityOne;  // never moves, like the first
-    set_edges();
+    ends()[-1] = -kOne;
+    for (int i = 0; i + 1 < kSymbols; ++i)
+      fast_[i] = slow_[i] = ends()[i] = static_cast<int16_t>(Adaptation::kRoom * start[i] / 256 + Adaptation::least_end(i));
   }
 
   // Where symbol i begins, in 1/2^kProbabilityBits; no symbol's share is ever zero.
-  uint32_t edge(int i) const { return edges_[i]; }
+  uint32_t edge(int i) const { return static_cast<uint32_t>(kOne + ends()[i - 1]); }
 
-  // The symbol within whose share `place` lies.
-  int find(uint32_t place) const {
-    const __m128i p = _mm_set1_epi16(static_cast<int16_t>(place));
-    const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(at(edges_), p), _mm_cmpgt_epi16(at(edges_ + 8), p));
-    return __builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above)) | 1u << kSymbols) - 1;
+  // The symbol within whose share a place lies, which is given less kProbabilityOne.
+  SG_INLINE uint32_t find(int place) const {
+    __m128i p = _mm_shufflelo_epi16(_mm_cvtsi32_si128(place), 0);
+    p = _mm_unpacklo_epi64(p, p);
+    const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(at(ends()), p), _mm_cmpgt_epi16(at(ends() + 8), p));
+    return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above))));
+  }
+  struct Share {
+    int low, size;  // low less kProbabilityOne
+  };
+  SG_INLINE Share share(uint32_t symbol) const {
+    const int16_t* end = ends() + symbol;
+    return {end[-1], end[0] - end[-1]};
   }
 
-  void update(int symbol) {
-    const int shift = 31 - __builtin_clz(seen_ + kStartSeen);
-    if (seen_ < kMostSeen) ++seen_;
-    const __m128i fast = _mm_cvtsi32_si128(std::min(shift, kFastShift));
-    const __m128i slow = _mm_cvtsi32_si128(std::min(shift, kSlowShift));
-    const __m128i s = _mm_set1_epi16(static_cast<int16_t>(symbol));
-    const __m128i low = _mm_setr_epi16(0, 1, 2, 3, 4, 5, 6, 7), high = _mm_setr_epi16(8, 9, 10, 11, 12, 13, 14, 15);
-    const __m128i up_low = _mm_cmpgt_epi16(low, s), up_high = _mm_cmpgt_epi16(high, s);
-    move(fast_, up_low, fast);
-    move(fast_ + 8, up_high, fast);
-    move(slow_, up_low, slow);
-    move(slow_ + 8, up_high, slow);
-    set_edges();
+  SG_INLINE void update(uint32_t symbol) {
+    const Adaptation::Stage& stage = kAdaptation.stages[static_cast<uint16_t>(seen())];
+    seen() = static_cast<int16_t>(stage.next);
+    Lanes f = lanes(fast_), s = lanes(slow_);
+    f += (lanes(kAdaptation.fast[symbol]) - f) >> Adaptation::kFastShift;
+    s = shifted(lanes(kAdaptation.slow[stage.slow_shifts][symbol]) - s, stage.slow_shift) + s;
+    lanes(fast_) = f;
+    lanes(slow_) = s;
+    lanes(ends()) = f + ((s - f) >> 1);
   }
 
  private:
-  static constexpr int kFastShift = 5, kSlowShift = 7, kStartSeen = 16, kMostSeen = 128;
+  // Vectors of the compiler, which makes one or two registers of each.
+  typedef int16_t Lanes __attribute__((vector_size(32), may_alias));
 
-  static __m128i at(const uint16_t* p) { return _mm_load_si128(reinterpret_cast<const __m128i*>(p)); }
-  // Towards 65535 where `up` is all ones, towards 0 elsewhere, by 1 / 2^shift of the way.
-  static void move(uint16_t* p, __m128i up, __m128i shift) {
-    const __m128i v = _mm_xor_si128(at(p), up);
-    _mm_store_si128(reinterpret_cast<__m128i*>(p), _mm_xor_si128(_mm_sub_epi16(v, _mm_srl_epi16(v, shift)), up));
-  }
-  void set_edges() {
-    for (int i = 0; i < kSymbols; i += 8) {
-      const __m128i mean = _mm_avg_epu16(at(fast_ + i), at(slow_ + i));
-      const __m128i room = _mm_sub_epi16(_mm_srli_epi16(mean, 1), _mm_srli_epi16(mean, 10));
-      const __m128i first = _mm_set1_epi16(static_cast<int16_t>(4 * i));
-      const __m128i least = _mm_add_epi16(_mm_setr_epi16(0, 4, 8, 12, 16, 20, 24, 28), first);
-      _mm_store_si128(reinterpret_cast<__m128i*>(edges_ + i), _mm_add_epi16(room, least));
-    }
-  }
+  static SG_INLINE __m128i at(const int16_t* p) { return _mm_load_si128(reinterpret_cast<const __m128i*>(p)); }
+  static SG_INLINE Lanes& lanes(int16_t* p) { return *reinterpret_cast<Lanes*>(p); }
+  static SG_INLINE const Lanes& lanes(const int16_t* p) { return *reinterpret_cast<const Lanes*>(p); }
 
-  alignas(16) uint16_t fast_[kSymbols] = {}, slow_[kSymbols] = {}, edges_[kSymbols + 1] = {};
-  int seen_ = 0;
+  static SG_INLINE Lanes shifted(Lanes v, const int64_t& by) { return v >> static_cast<int>(by); }
+
+  static constexpr int kOne = kProbabilityOne;
+  int16_t* ends() { return rest_ + kSymbols; }  // where each symbol ends; and right before, where the first begins
+  const int16_t* ends() const { return rest_ + kSymbols; }
+  int16_t& seen() { return rest_[0]; }
+
+  alignas(32) int16_t fast_[kSymbols] = {}, slow_[kSymbols] = {}, rest_[2 * kSymbols] = {};
 };
 
-// Records what is to be coded; rANS codes backwards, so the bytes come at the end.
-class RansEncoder {
- public:
-  static constexpr bool kDecodes = false;
+// Which state a symbol goes into, by what it says (models.h).
+enum Lane { kColorLane, kShapeLane };
+constexpr size_t kLanes = 2;
 
-  int symbol(Model& model, int symbol) {
-    const uint32_t low = model.edge(symbol);
-    steps_.push_back({low, model.edge(symbol + 1) - low, 0});
+// Records what is to be coded; the bytes come at the end.
+class Encoder {
+ public:
+  static constexpr bool kCodesCells = true;  // unlike what only counts bits (refine/visitor.h)
+
+  uint32_t symbol(Lane lane, Model& model, uint32_t symbol) {
+    const uint32_t low = model.edge(static_cast<int>(symbol));
+    steps_.push_back({low, model.edge(static_cast<int>(symbol) + 1) - low, lane});
     model.update(symbol);
     return symbol;
   }
 
-  // `count` bits, at most 16, of equal probability.
+  // `count` raw bits, at most 56, come with the next calls of raw().
+  void fetch(int count) { steps_.push_back({0, 0, count}); }
+  // `count` bits, at most 32, of equal probability.
   uint32_t raw(uint32_t value, int count) {
-    steps_.push_back({value, 0, count});
+    for (int k = 0; k < count; ++k, ++bits_) {
+      if (bits_ % 8 == 0) raw_.push_back(0);
+      raw_.back() |= static_cast<uint8_t>((value >> k & 1) << bits_ % 8);
+    }
     return value;
   }
 
   std::vector<uint8_t> finish() const {
-    std::vector<uint8_t> reversed;
-    const auto put = [&](uint32_t word) {
-      reversed.push_back(static_cast<uint8_t>(word));
-      reversed.push_back(static_cast<uint8_t>(word >> 8));
-    };
-    uint32_t state = kStateLow;
-    for (auto step = steps_.rbegin(); step != steps_.rend(); ++step) {
-      const uint64_t room = step->share ? static_cast<uint64_t>(step->share) << (32 - kProbabilityBits)
-                                        : uint64_t{1} << (32 - step->bits);
-      if (state >= room) {
-        put(state & 0xFFFF);
+    // rANS codes backwards.
+    std::vector<int> words(steps_.size(), kNone);
+    std::array<uint32_t, kLanes> states;
+    states.fill(kStateLow);
+    for (size_t i = steps_.size(); i-- > 0;) {
+      const Step& step = steps_[i];
+      if (step.share == 0) continue;
+      uint32_t& state = states[static_cast<size_t>(step.which)];
+      if (state >= static_cast<uint64_t>(step.share) << (32 - kProbabilityBits)) {
+        words[i] = static_cast<int>(state & 0xFFFF);
         state >>= 16;
       }
-      state = step->share ? (state / step->share << kProbabilityBits) + state % step->share + step->low
-                          : state << step->bits | step->low;
+      state = (state / step.share << kProbabilityBits) + state % step.share + step.low;
     }
-    put(state & 0xFFFF);
-    put(state >> 16);
-    return {reversed.rbegin(), reversed.rend()};
+    std::vector<uint8_t> bytes;
+    const auto put = [&](uint32_t value, size_t count) {
+      for (size_t k = 0; k < count; ++k) bytes.push_back(static_cast<uint8_t>(value >> 8 * k));
+    };
+    for (const uint32_t state : states) put(state, kStateBytes);
+    auto raw = raw_.begin();
+    int left = 0;
+    for (size_t i = 0; i < steps_.size(); ++i) {
+      if (words[i] != kNone) put(static_cast<uint32_t>(words[i]), kWordBytes);
+      if (steps_[i].share != 0) continue;
+      for (; left < steps_[i].which; left += 8) bytes.push_back(raw == raw_.end() ? 0 : *raw++);
+      left -= steps_[i].which;
+    }
+    return bytes;
   }
 
  private:
+  static constexpr int kNone = -1;
   struct Step {
     uint32_t low, share;  // of a symbol; share 0: raw bits
-    int bits;
+    int which;            // lane, or number of raw bits
   };
   std::vector<Step> steps_;
+  std::vector<uint8_t> raw_;
+  size_t bits_ = 0;  // in raw_
 };
 
 // Does not look for the end of the data, which kSlack zeros must follow. Whoever decodes compares read() with the size
 // before these are used up.
-class RansDecoder {
+class Decoder {
  public:
-  static constexpr bool kDecodes = true;
-  static constexpr size_t kSlack = 128;  // enough for 64 calls of symbol() or raw()
+  static constexpr bool kCodesCells = true;
+  static constexpr size_t kSlack = 128;  // enough for 16 calls of symbol() or fetch()
 
   // data: what is to be read, and kSlack zeros.
-  explicit RansDecoder(const uint8_t* data) : begin_(data), next_(data + kStateBytes) {
-    for (size_t i = 0; i < kStateBytes; ++i) state_ = state_ << 8 | data[i];
+  explicit Decoder(const uint8_t* data) : begin_(data), next_(data + kLanes * kStateBytes) {
+    std::memcpy(states_.data(), data, kLanes * kStateBytes);
   }
 
-  int symbol(Model& model, int = 0) {
-    const uint32_t place = state_ & (kProbabilityOne - 1);
-    const int symbol = model.find(place);
-    const uint32_t low = model.edge(symbol);
-    state_ = (model.edge(symbol + 1) - low) * (state_ >> kProbabilityBits) + place - low;
+  SG_INLINE uint32_t symbol(Lane lane, Model& model, uint32_t = 0) {
+    const uint32_t state = states_[lane];
+    const uint32_t symbol = model.find(static_cast<int>(state | kProbabilityOne));
+    const Model::Share share = model.share(symbol);
+    const int place = static_cast<int>(state & (kProbabilityOne - 1)) - static_cast<int>(kProbabilityOne);
+    const uint32_t left =
+        static_cast<uint32_t>(share.size) * (state >> kProbabilityBits) + static_cast<uint32_t>(place - share.low);
+    uint16_t word;
+    std::memcpy(&word, next_, sizeof word);
+    // The compiler would make a branch of the condition, and that would be wrong half of the time.
+    uint32_t filled = left;
+    bool refill;
+    asm("cmp %3, %0\n\tcmovb %2, %0" : "+r"(filled), "=@ccb"(refill) : "r"(left << 16 | word), "i"(kStateLow));
+    states_[lane] = filled;
+    next_ += refill * kWordBytes;
     model.update(symbol);
-    refill();
     return symbol;
   }
 
-  uint32_t raw(uint32_t, int count) {
-    const uint32_t value = state_ & ((1u << count) - 1);
-    state_ >>= count;
-    refill();
-    return value;
+  SG_INLINE void fetch(int count) {
+    const auto bytes = static_cast<unsigned>(std::max(count - bits_, 0) + 7) / 8;
+    uint64_t word;
+    std::memcpy(&word, next_, sizeof word);
+    raw_ |= (word & ((uint64_t{1} << 8 * bytes) - 1)) << bits_;
+    bits_ += static_cast<int>(8 * bytes) - count;
+    next_ += bytes;
+  }
+  SG_INLINE uint32_t raw(uint32_t, int count) {
+    const uint64_t value = raw_ & ((uint64_t{1} << count) - 1);
+    raw_ >>= count;
+    return static_cast<uint32_t>(value);
   }
 
   size_t read() const { return static_cast<size_t>(next_ - begin_); }
-  // Every state in use is at least kStateLow, and that of the end is the encoder's first, kStateLow itself.
-  uint32_t state() const { return state_; }
+  // Every state in use is at least kStateLow.
+  bool begins() const { return states_[0] >= kStateLow && states_[1] >= kStateLow; }
+  // Those of the end are the encoder's first, and no bits are left but zeros.
+  bool ends() const { return states_[0] == kStateLow && states_[1] == kStateLow && raw_ == 0; }
 
  private:
-  void refill() {
-    uint16_t word;
-    std::memcpy(&word, next_, sizeof word);
-    const bool low = state_ < kStateLow;
-    const uint32_t filled = state_ << 16 | static_cast<uint16_t>(word << 8 | word >> 8);
-    state_ = low ? filled : state_;
-    next_ += low ? kWordBytes : 0;
-  }
-
   const uint8_t *begin_, *next_;
-  uint32_t state_ = 0;
+  std::array<uint32_t, kLanes> states_;
+  uint64_t raw_ = 0;
+  int bits_ = 0;  // in raw_ that are not spoken for
 };
 
 }  // namespace sg

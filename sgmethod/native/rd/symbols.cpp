@@ -4,6 +4,8 @@
 #include <cstring>
 
 #include "core/constants.h"
+#include "core/isa.h"
+#include "core/simd.h"
 
 namespace sg {
 namespace {
@@ -16,15 +18,17 @@ constexpr int kBorderCells = 2;
 
 typedef double Pair __attribute__((vector_size(16)));
 
-// exp of both by halving and a Taylor polynomial: the C library's last bit differs between machines.
-Pair exact_exp(Pair x) {
-  const Pair z = x / 1024.0;
-  Pair e = 1.0 + z * (1.0 + z * (0.5 + z * (0.16666666666666666 + z * 0.041666666666666664)));
+// exp by halving and a Taylor polynomial, of a number or of each of a vector: the C library's last bit differs between
+// machines.
+template <typename T>
+SG_INLINE T exact_exp(T x) {
+  const T z = x / 1024.0;
+  T e = 1.0 + z * (1.0 + z * (0.5 + z * (0.16666666666666666 + z * 0.041666666666666664)));
   for (int k = 0; k < 10; ++k) e *= e;
   return e;
 }
 
-double class_size(int c) { return ((c & 1) ? 1.4142135623730951 : 1.0) * Steps::power((c - (c & 1)) / 2); }
+SG_INLINE double class_size(int c) { return ((c & 1) ? 1.4142135623730951 : 1.0) * Steps::power((c - (c & 1)) / 2); }
 
 // A colour along the axes of kColorBasis.
 struct Luma {
@@ -34,20 +38,14 @@ Luma to_luma(const float* c) {
   return {(c[0] + c[1] + c[2]) * kColorBasis[0][0], (c[0] - c[2]) * kColorBasis[1][0],
           (c[0] - 2.0 * c[1] + c[2]) * kColorBasis[2][0]};
 }
-void to_rgb(const Luma& l, float* c) {
+SG_INLINE void to_rgb(const Luma& l, float* c) {
   const double y = l.y * kColorBasis[0][0], a = l.a * kColorBasis[1][0], b = l.b * kColorBasis[2][0];
   c[0] = static_cast<float>(y + a + b);
   c[1] = static_cast<float>(y - 2.0 * b);
   c[2] = static_cast<float>(y - a + b);
 }
 
-uint32_t spread_bits(uint32_t v) {
-  v = (v | v << 8) & 0x00FF00FF;
-  v = (v | v << 4) & 0x0F0F0F0F;
-  v = (v | v << 2) & 0x33333333;
-  return (v | v << 1) & 0x55555555;
-}
-uint32_t gather_bits(uint32_t v) {
+SG_INLINE uint32_t gather_bits(uint32_t v) {
   v &= 0x55555555;
   v = (v | v >> 1) & 0x33333333;
   v = (v | v >> 2) & 0x0F0F0F0F;
@@ -55,7 +53,12 @@ uint32_t gather_bits(uint32_t v) {
   return (v | v >> 8) & 0x0000FFFF;
 }
 
-// Bits by which a cell is divided so that a part is at most one step: the first power of two above sqrt(square).
+// Within the class.
+SG_INLINE double shape_u(const Symbols& s, const Steps& steps) {
+  return ((s.u + 0.5) * Steps::power(-steps.u_bits()) - 0.5) * kClassWidth;
+}
+
+// Version 3: bits by which a cell is divided so that a part is at most one step: the first power of two above sqrt(square).
 int refine_bits(double square, int most) {
   uint64_t bits;
   std::memcpy(&bits, &square, sizeof bits);  // positive and normal
@@ -67,14 +70,12 @@ double color_step(const RdParameters& p, int size_class) {
   return std::max(p.quantum / (class_size(size_class) * kColorScale), limits_of(p).color_step);
 }
 
-}  // namespace
-
-double Steps::power(int exponent) {
-  const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
-  double value;
-  std::memcpy(&value, &bits, sizeof value);
-  return value;
+// A coordinate of a mean, from that of its cell, the part of the cell, and by how many bits this is divided.
+SG_INLINE float place(uint32_t cell, uint32_t part, int bits, double side) {
+  return static_cast<float>((static_cast<double>(cell) - kBorderCells + (part + 0.5) * Steps::power(-bits)) * side);
 }
+
+}  // namespace
 
 bool in_range(const float* l, const float* color) {
   const auto small = [](float v, double most) { return std::abs(v) <= 1.5 * most; };
@@ -82,25 +83,28 @@ bool in_range(const float* l, const float* color) {
          small(color[1], kMaxAmplitude) && small(color[2], kMaxAmplitude);
 }
 
-Steps::Steps(const RdParameters& p, const Symbols& s) : limits(limits_of(p)) {
-  const int64_t whole = int64_t{s.y} * s.y + int64_t{s.a} * s.a + int64_t{s.b} * s.b;
-  square = static_cast<double>(whole);
-  const int nearest = (64 - __builtin_clzll(static_cast<uint64_t>(whole))) >> 1;  // 2^(2 e - 1) <= m^2 < 2^(2 e + 1)
-  exponent = std::min(nearest, limits.exponent);
-}
-
 Geometry::Geometry(const Symbols& s, const Steps& steps) {
-  const double u = ((s.u + 0.5) * Steps::power(-steps.u_bits()) - 0.5) * kClassWidth;
-  const double v = s.v * steps.v(), r = s.r * steps.r();
-  const double size = class_size(s.size_class);
+  const double u = shape_u(s, steps), v = s.v * steps.v(), r = s.r * steps.r();
   const Pair e = exact_exp(Pair{u + v, u - v});
+  const double size = class_size(s.size_class);
   l1 = std::max(size * e[0], kLeastScale);
   l3 = std::max(size * e[1], kLeastScale);
   l2 = r * l3;
+  if (steps.version == 4) {
+    parts = parts_of(s, steps);
+    return;
+  }
   // (side / (sqrt(2) / m scale))^2
-  const double square = steps.square * Steps::power(2 * cell_bits(s.size_class) - 1);
-  x_bits = refine_bits(square * (1.0 + r * r) / (l1 * l1), steps.limits.part_bits);
-  y_bits = refine_bits(square / (l3 * l3), steps.limits.part_bits);
+  const double square = static_cast<double>(steps.square) * Steps::power(2 * cell_bits(s.size_class) - 1);
+  parts.x_bits = refine_bits(square * (1.0 + r * r) / (l1 * l1), steps.limits.part_bits);
+  parts.y_bits = refine_bits(square / (l3 * l3), steps.limits.part_bits);
+}
+
+uint32_t spread_bits(uint32_t v) {
+  v = (v | v << 8) & 0x00FF00FF;
+  v = (v | v << 4) & 0x0F0F0F0F;
+  v = (v | v << 2) & 0x33333333;
+  return (v | v << 1) & 0x55555555;
 }
 
 uint32_t cells_along(int side, int bits) {
@@ -151,7 +155,7 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
     part = static_cast<uint32_t>(std::clamp(std::floor(inside), 0.0, parts - 1));
     return c;
   };
-  const uint32_t cx = place(mean[0], p.width, g.x_bits, s.px), cy = place(mean[1], p.height, g.y_bits, s.py);
+  const uint32_t cx = place(mean[0], p.width, g.parts.x_bits, s.px), cy = place(mean[1], p.height, g.parts.y_bits, s.py);
   s.cell = spread_bits(cx) | spread_bits(cy) << 1;
   return true;
 }
@@ -162,16 +166,79 @@ void erase_empty(std::vector<Symbols>& all) {
 
 void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, float* mean, float* factor, float* color) {
   const double side = Steps::power(cell_bits(s.size_class));
-  const auto place = [&](uint32_t cell, uint32_t part, int refine) {
-    return static_cast<float>((static_cast<double>(cell) - kBorderCells + (part + 0.5) * Steps::power(-refine)) * side);
-  };
-  mean[0] = place(gather_bits(s.cell), s.px, g.x_bits);
-  mean[1] = place(gather_bits(s.cell >> 1), s.py, g.y_bits);
+  mean[0] = place(gather_bits(s.cell), s.px, g.parts.x_bits, side);
+  mean[1] = place(gather_bits(s.cell >> 1), s.py, g.parts.y_bits, side);
   factor[0] = static_cast<float>(g.l1);
   factor[1] = static_cast<float>(g.l2);
   factor[2] = static_cast<float>(g.l3);
   const double step = color_step(p, s.size_class);
   to_rgb({s.y * step, s.a * step, s.b * step}, color);
+}
+
+namespace {
+
+// Operation by operation what Geometry and dequantise() do of one Gaussian, in loops of which the compiler makes vectors.
+SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const Parts* parts, int n, float* means,
+                               float* factors, float* colors) {
+  constexpr int kBlock = 64, kClasses = kMaxClass - kMinClass + 1;
+  double sizes[kClasses], color_steps[kClasses];
+  for (int c = 0; c < kClasses; ++c) {
+    sizes[c] = class_size(c + kMinClass);
+    color_steps[c] = color_step(p, c + kMinClass);
+  }
+  for (int first = 0; first < n; first += kBlock) {
+    const int count = std::min(kBlock, n - first);
+    const Symbols* const s = all + first;
+    const Parts* const part = parts + first;
+    float *const mean = means + 2 * first, *const factor = factors + 3 * first, *const color = colors + 3 * first;
+    double l1[kBlock], l3[kBlock], slants[kBlock];
+    uint32_t columns[kBlock], rows[kBlock];
+    for (int i = 0; i < count; ++i) {
+      const Steps steps(4, s[i].y, s[i].a, s[i].b);
+      const double u = shape_u(s[i], steps), v = s[i].v * steps.v();
+      l1[i] = u + v;
+      l3[i] = u - v;
+      slants[i] = s[i].r * steps.r();
+      columns[i] = s[i].cell;
+    }
+    for (int i = 0; i < count; ++i) l1[i] = exact_exp(l1[i]);
+    for (int i = 0; i < count; ++i) l3[i] = exact_exp(l3[i]);
+    for (int i = 0; i < count; ++i) {
+      rows[i] = gather_bits(columns[i] >> 1);
+      columns[i] = gather_bits(columns[i]);
+    }
+    for (int i = 0; i < count; ++i) {
+      const double size = sizes[s[i].size_class - kMinClass];
+      const double across = std::max(size * l3[i], kLeastScale);
+      factor[3 * i] = static_cast<float>(std::max(size * l1[i], kLeastScale));
+      factor[3 * i + 1] = static_cast<float>(slants[i] * across);
+      factor[3 * i + 2] = static_cast<float>(across);
+    }
+    for (int i = 0; i < count; ++i) {
+      const double step = color_steps[s[i].size_class - kMinClass];
+      to_rgb({s[i].y * step, s[i].a * step, s[i].b * step}, color + 3 * i);
+    }
+    for (int i = 0; i < count; ++i)
+      mean[2 * i] = place(columns[i], s[i].px, part[i].x_bits, Steps::power(cell_bits(s[i].size_class)));
+    for (int i = 0; i < count; ++i)
+      mean[2 * i + 1] = place(rows[i], s[i].py, part[i].y_bits, Steps::power(cell_bits(s[i].size_class)));
+  }
+}
+void dequantise_baseline(const RdParameters& p, const Symbols* s, const Parts* parts, int n, float* means, float* factors,
+                         float* colors) {
+  dequantise_body(p, s, parts, n, means, factors, colors);
+}
+__attribute__((target("avx2"))) void dequantise_avx2(const RdParameters& p, const Symbols* s, const Parts* parts, int n,
+                                                     float* means, float* factors, float* colors) {
+  dequantise_body(p, s, parts, n, means, factors, colors);
+}
+
+}  // namespace
+
+void dequantise(const RdParameters& p, const Symbols* s, const Parts* parts, int n, float* means, float* factors,
+                float* colors) {
+  const auto run = best_isa() >= kAvx2 ? dequantise_avx2 : dequantise_baseline;
+  run(p, s, parts, n, means, factors, colors);
 }
 
 }  // namespace sg

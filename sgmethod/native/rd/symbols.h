@@ -15,6 +15,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #include "core/constants.h"
@@ -37,7 +38,8 @@ struct Limits {
 };
 constexpr Limits kLimitsV3 = {1 << 20, 20.0, 1e300, 65536.0, 64, 8, 12, 0.0};
 constexpr Limits kLimitsV4 = {1 << 22, 8.0, 4096.0, 1e300, 18, 12, 16, 1.0 / 65536};
-inline const Limits& limits_of(const RdParameters& p) { return p.version == 3 ? kLimitsV3 : kLimitsV4; }
+inline const Limits& limits_of(int version) { return version == 3 ? kLimitsV3 : kLimitsV4; }
+inline const Limits& limits_of(const RdParameters& p) { return limits_of(p.version); }
 
 // The integers of one Gaussian.
 struct Symbols {
@@ -53,31 +55,73 @@ struct Symbols {
 
 // The steps that follow from the colour: the class's width halved u_bits() times for u, powers of two for v and r.
 struct Steps {
-  Steps(const RdParameters& p, const Symbols& s);
+  Steps(const RdParameters& p, const Symbols& s) : Steps(p.version, s.y, s.a, s.b) {}
+  Steps(int version, int64_t y, int64_t a, int64_t b)
+      : version(version), limits(limits_of(version)), square(static_cast<uint64_t>(y * y + a * a + b * b)) {
+    const int nearest = (64 - __builtin_clzll(square)) >> 1;  // 2^(2 e - 1) <= m^2 < 2^(2 e + 1)
+    exponent = std::min(nearest, limits.exponent);
+  }
+  int version;
   const Limits& limits;
-  double square;  // m^2
-  int exponent;   // of the power of two nearest to m
+  uint64_t square;  // m^2
+  int exponent;     // of the power of two nearest to m
   int u_bits() const { return std::clamp(exponent - 1, 0, limits.u_bits); }  // 0.3466 / 2^bits against 0.707 / m
   double v() const { return power(-exponent); }
   double r() const { return kRStep * v(); }
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
   // Whether a shape of so many steps of v and of r is one that the version has.
-  bool allow(double v_steps, double r_steps) const {
-    return std::max(v_steps, r_steps) <= limits.shape_steps && v_steps * v() <= limits.v && r_steps * r() <= limits.r;
+  bool allow(uint32_t v_steps, uint32_t r_steps) const {
+    if (version == 4) {
+      const auto within = [&](uint32_t steps, double most) { return steps <= static_cast<uint64_t>(most) << exponent; };
+      return within(v_steps, kLimitsV4.v) && within(r_steps, kLimitsV4.r / kRStep);
+    }
+    return std::max(v_steps, r_steps) <= limits.shape_steps && v_steps * v() <= limits.v;
   }
-  static double power(int exponent);  // of two
+  static double power(int exponent) {  // of two
+    const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
+    double value;
+    std::memcpy(&value, &bits, sizeof value);
+    return value;
+  }
+};
+
+// By how many bits a cell is divided.
+struct Parts {
+  int x_bits, y_bits;
 };
 
 struct Geometry {
   Geometry(const Symbols& s, const Steps& steps);
   double l1, l2, l3;
-  int x_bits, y_bits;  // by which the cell is divided
+  Parts parts;
 };
 
 // Side of a class's cell, a power of two.
 inline int cell_bits(int size_class) { return std::max(0, (size_class + 1) / 2); }
+
+// Version 4: the parts from integers alone, so that what follows need not wait for the geometry. Sizes are measured by the
+// logarithms of their squares, in sixteenths.
+inline int log_16(uint64_t x) {  // linear between powers of two
+  const int zeros = __builtin_clzll(x);
+  return 16 * (63 - zeros) + static_cast<int>((x << zeros) >> 59) - 16;
+}
+inline Parts parts_of(const Symbols& s, const Steps& steps) {
+  constexpr int kLeast = -56;  // of kMinScale
+  const int h = steps.exponent;
+  const int64_t r = s.r;
+  const int u = static_cast<int>(((2 * s.u + 1) << 3) >> steps.u_bits()) - 8;
+  const int v = static_cast<int>(46 * int64_t{s.v} >> h);  // 32 / log(2)
+  const int slant = log_16((uint64_t{1} << 2 * h) + 4 * static_cast<uint64_t>(r * r)) - 32 * h;  // 1 + (l2 / l3)^2
+  const int fineness = log_16(steps.square) + 32 * cell_bits(s.size_class) - 17;
+  const auto bits = [&](int step) { return std::clamp(((fineness - step) >> 5) + 1, 0, steps.limits.part_bits); };
+  const int size = 16 * s.size_class + u;
+  return {bits(std::max(size + v, kLeast) - slant), bits(std::max(size - v, kLeast))};
+}
+
 // Cells along a side of the picture: those that touch it and two beyond each edge.
 uint32_t cells_along(int side, int bits);
+// Every bit but 16 two places apart, as the columns of a Morton code have them.
+uint32_t spread_bits(uint32_t v);
 bool in_grid(const RdParameters& p, int bits, uint32_t cell);
 
 // What fits keep to, so that no version's range is ever left: within kMaxSlant, kMaxAmplitude and kMaxScale (constants.h),
@@ -95,5 +139,8 @@ void erase_empty(std::vector<Symbols>& all);
 // What is left of n Gaussians.
 std::vector<Symbols> quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n);
 void dequantise(const RdParameters& p, const Symbols& s, const Geometry& g, float* mean, float* factor, float* color);
+// The same of n Gaussians whose parts are known, in vectors.
+void dequantise(const RdParameters& p, const Symbols* s, const Parts* parts, int n, float* means, float* factors,
+                float* colors);
 
 }  // namespace sg

@@ -26,12 +26,14 @@ constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about, which the
 
 // A coder that only counts bits. The models stay as they are.
 struct BitCounter {
-  static constexpr bool kDecodes = false;
+  static constexpr bool kCodesCells = false;
   double bits = 0;
-  int symbol(const Model& model, int symbol) {
-    bits += kProbabilityBits - std::log2(static_cast<float>(model.edge(symbol + 1) - model.edge(symbol)));
+  uint32_t symbol(Lane, const Model& model, uint32_t symbol) {
+    const int i = static_cast<int>(symbol);
+    bits += kProbabilityBits - std::log2(static_cast<float>(model.edge(i + 1) - model.edge(i)));
     return symbol;
   }
+  void fetch(int) {}
   uint32_t raw(uint32_t value, int count) {
     bits += count;
     return value;
@@ -64,9 +66,12 @@ struct State {
   }
 
   double bits(const Symbols& s) {
+    constexpr SizeClass kAny{0, 0, ~0u, ~0u};
     BitCounter counter;
+    ColorSize size;
     Symbols copy = s;
-    models.gaussian(counter, p, copy);
+    models.pair<true, false>(counter, p, kAny, s.cell, size, copy, copy);
+    models.pair<false, true>(counter, p, kAny, s.cell, size, copy, copy);
     return counter.bits + kPositionBits;
   }
 };
@@ -113,7 +118,7 @@ class Visitor {
           moved.py += sign;
         }
         if (!steps.allow(std::abs(moved.v), std::abs(moved.r))) continue;
-        if (moved.px >> g.x_bits || moved.py >> g.y_bits) continue;
+        if (moved.px >> g.parts.x_bits || moved.py >> g.parts.y_bits) continue;
         c = state_.decoded(moved);
         // Another shape divides the cell into other parts, so the mean is rounded again.
         if (which < 2 && !quantised(now.mean, c.factor, c.color, c)) continue;
@@ -223,7 +228,7 @@ class Visitor {
     Candidate found;
     if (same.size_class == s.size_class && before.exponent == after.exponent) {
       const Geometry old_geometry(c.symbols, before), geometry(same, after);
-      if (old_geometry.x_bits == geometry.x_bits && old_geometry.y_bits == geometry.y_bits) {
+      if (old_geometry.parts.x_bits == geometry.parts.x_bits && old_geometry.parts.y_bits == geometry.parts.y_bits) {
         found = state_.decoded(same);
         found.cost = cost(found, products);
         if (found.cost < best.cost) best = found;

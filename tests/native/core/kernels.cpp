@@ -155,6 +155,9 @@ TEST(kernels_refuse_what_cannot_be) {
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false, 4); }));
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false, 4); }));
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 1, std::nan(""), false, false, 4); }));
+  CHECK(check::throws<std::invalid_argument>([] {
+    sg::rd_refine({1, 1, 1.0, false, false, 3}, nullptr, nullptr, nullptr, 0, nullptr, {sg::kCutoffV3, 0.01, 1, 60.0, 100});
+  }));
   for (const int version : {2, 5})
     CHECK(check::throws<std::invalid_argument>([&] { sg::RdParameters(1, 1, 1.0, false, false, version); }));
 }
