@@ -78,7 +78,7 @@ class RdSettings(OptimiserSettings):
 
     final_rate: float = 0.5  # steps become short by newton_steps
     newton_steps: float = 2.0
-    steps: int = 400
+    steps: int = 450
     dense_steps: float = 1.5  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
     dense: float = 0.035  # and from which there are `dense_steps` times as many
@@ -121,7 +121,7 @@ class RdSettings(OptimiserSettings):
     # The end: one quantum for all, then integers are refined.
     fit_share: float = 0.9  # of a time limit; the rest is for the end
     refine_weight: float = 0.35  # price of a bit in refining, in multiples of its theoretical price
-    refine_sweeps: int = 3  # over all Gaussians
+    refine_sweeps: int = 2  # over all Gaussians
     least_used: float = 0.985  # of the bytes allowed; if refining leaves less in use, a finer quantum is tried
     size_tries: int = 4
     quantum_per_size: float = 1.4  # the quantum goes with about this power of the size's inverse

@@ -27,7 +27,6 @@ namespace sg {
 namespace {
 
 constexpr double kConverged = 0.02;   // a sweep that changes a smaller part of the Gaussians is the last
-constexpr int kSweepsAfterDrops = 2;  // in which the Gaussians that stay take over from those that were left out
 constexpr int kCoarseSweeps = 2;
 constexpr int kPatience = 64;         // Gaussians between two looks at the clock
 constexpr int kCell = 128;            // pixels along a side; half of it is a multiple of kTileWidth
@@ -49,19 +48,22 @@ class Refinement {
     const std::chrono::duration<double> seconds(std::min(state_.settings.seconds, 1e6));
     until_ = Clock::now() + std::chrono::duration_cast<Clock::duration>(seconds);
     std::vector<uint8_t> payload = encode();
-    sweep(state_.settings.sweeps, payload);
-    for (int sweeps = kSweepsAfterDrops; drop_until_it_fits(payload) && sweeps > 0; --sweeps) sweep(1, payload);
+    for (int k = 0; k < state_.settings.sweeps; ++k)
+      if (!sweep(k < kCoarseSweeps, payload)) break;
+    if (drop_until_it_fits(payload)) {
+      sweep(true, payload);  // the Gaussians that stay take over from those that were left out
+      drop_until_it_fits(payload);
+    }
     return payload;
   }
 
  private:
-  // At most so many sweeps. Coarse levels have few Gaussians, which settle early.
-  void sweep(int sweeps, std::vector<uint8_t>& payload) {
-    for (int k = 0; k < sweeps && Clock::now() < until_; ++k) {
-      const size_t changed = visit_everywhere(k < kCoarseSweeps);
-      payload = encode();
-      if (changed < all_.size() * kConverged) break;
-    }
+  // Returns whether another sweep may gain more. Coarse levels have few Gaussians, which settle early.
+  bool sweep(bool coarse, std::vector<uint8_t>& payload) {
+    if (Clock::now() >= until_) return false;
+    const size_t changed = visit_everywhere(coarse);
+    payload = encode();
+    return changed >= all_.size() * kConverged;
   }
 
   // Draws the picture, and sets what it leaves of the target.
