@@ -7,23 +7,23 @@ The Gaussians of profile rd end at sigma = 3. Such a Gaussian is as wide as a wh
 integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the residual blurred by a normalised Gaussian
 of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
 
-A place qualifies where its gain is the largest within the Gaussian's own size, and is more than its bits are worth.
+A place qualifies where its gain is the largest of all scales within the Gaussian's own size, and is more than its bits
+are worth. Wide blurs are done on smaller pictures, and looked for on them. So each size of the picture has two things
+to know of the others: the most that is gained at a coarser one, enlarged, and the most in four samples of a finer one.
 
-All is done in bands of rows, several at once: no array but the residual on a smaller picture, for wide blurs, is as
-large as the picture.
+The whole size is done in bands of rows, which keeps memory small.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.native import native
 from sgmethod.scene import FloatArray
 
 BLURS_PX = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
@@ -35,93 +35,129 @@ REACH = 4  # of a blur, in multiples of it; what cv2 takes
 Rows = Callable[[int, int], FloatArray]  # of a residual, from the first to before another: [3, rows, W]
 
 
+@dataclass(frozen=True)
+class Places:
+    """Where Gaussians pay: their gain, centre in pixels, and blur; arrays [N]."""
+
+    gain: FloatArray
+    x: FloatArray
+    y: FloatArray
+    blur: FloatArray
+
+
 def candidates(residual: Rows, size: tuple[int, int], most: int, least_gain: float) -> tuple[FloatArray, FloatArray]:
     """Means [N, 2] and factors [N, 3] of at most `most` round Gaussians for a residual of size (height, width), each
     with a gain above least_gain, best first."""
-    # The gain of a wider one counts what lies outside, and hides every other place.
-    blurs = [b for b in BLURS_PX if REACH * b <= max(size)] or [BLURS_PX[0]]
-    bands = [(first, min(first + BAND, size[0])) for first in range(0, size[0], BAND)]
-    half = np.empty((3, -(-size[0] // 2), -(-size[1] // 2)), np.float32)
-
-    def halve(band: tuple[int, int]) -> None:
-        first, end = band
-        for plane, to in zip(residual(first, end), half[:, first // 2 : -(-end // 2)], strict=True):
-            to[...] = _halved(plane)
-
-    with ThreadPoolExecutor(native.thread_count()) as pool:
-        list(pool.map(halve, bands))
-        gains = _Gains(residual, size, blurs, half)
-        found = list(pool.map(lambda band: gains.peaks(band[0], band[1], least_gain), bands))
-    gain, rows, columns, chosen = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    found = _places(residual, size, least_gain)
+    gain, x, y, blur = (
+        np.concatenate(values) for values in zip(*((p.gain, p.x, p.y, p.blur) for p in found), strict=True)
+    )
     order = np.argsort(-gain, kind="stable")[: max(most, 0)]
-    means = np.stack([columns[order], rows[order]], 1).astype(np.float32) + 0.5
-    scale = np.array(blurs, np.float32)[chosen[order]] * np.float32(SCALE_OF_BLUR)
+    scale = blur[order] * np.float32(SCALE_OF_BLUR)
+    inside = np.array([size[1], size[0]], np.float32) - 0.5
+    means = np.clip(np.stack([x[order], y[order]], 1), 0.5, inside).astype(np.float32)
     return means, np.stack([scale, 0 * scale, scale], 1)
 
 
-class _Gains:
-    """The gain of the best blur at every place."""
+def _places(residual: Rows, size: tuple[int, int], least_gain: float) -> list[Places]:
+    height, width = size
+    # The gain of a wider one counts what lies outside, and hides every other place.
+    blurs = [b for b in BLURS_PX if REACH * b <= max(size)] or [BLURS_PX[0]]
+    by_shrink: dict[int, list[float]] = {}
+    for b in blurs:
+        by_shrink.setdefault(_shrink(b, min(size)), []).append(b)
+    narrow = by_shrink.pop(1)
+    bands = [(first, min(first + BAND, height)) for first in range(0, height, BAND)]
+    half_size = -(-height // 2), -(-width // 2)
+    margin = math.ceil(REACH * narrow[-1]) + _reach(narrow[-1], 1)
+    half, seen = np.empty((3, *half_size), np.float32), np.zeros(half_size, np.float32)
 
-    def __init__(self, residual: Rows, size: tuple[int, int], blurs: list[float], half: FloatArray) -> None:
-        """half: the residual at half the size."""
-        self.residual, (self.height, self.width), self.blurs = residual, size, blurs
-        self.widest = max(1, int(blurs[-1]))
-        self.shrinks = [_shrink(b, min(size)) for b in blurs]
-        # Gains of wide blurs, on smaller pictures: there the same blur takes a fraction of the time.
-        self.small: dict[int, FloatArray] = {}
-        planes, shrink = list(half), 2
-        for index, b in enumerate(blurs):
-            while shrink < self.shrinks[index]:
-                planes, shrink = [_halved(plane) for plane in planes], 2 * shrink
-            if self.shrinks[index] > 1:
-                self.small[index] = _gain(planes, b / shrink, b)
+    levels: list[_Level] = []
+    if by_shrink:
+        for first, end in bands:
+            for plane, to in zip(residual(first, end), half[:, first // 2 : -(-end // 2)], strict=True):
+                to[...] = _halved(plane)
+        levels = _coarse_levels(list(half), by_shrink)
+    found = []
+    for first, end in bands:
+        top, bottom = max(first - margin, 0), min(end + margin, height)
+        coarser = levels[-1].enlarged(top, bottom, width) if levels else None
+        level = _Level(list(residual(top, bottom)), 1, narrow, coarser)
+        here = slice(first - top, end - top)
+        _most_of_four(level.most[here], out=seen[first // 2 : -(-end // 2)])
+        found.append(level.places(level.most, least_gain, here, top))
+    for level in reversed(levels):  # from the finest
+        seen = np.maximum(seen, level.most)
+        found.append(level.places(seen, least_gain))
+        seen = _most_of_four(seen)
+    return found
 
-    def peaks(
-        self, first: int, end: int, least: float
-    ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp], NDArray[np.uint8]]:
-        """Gain, row, column and index of the blur where the gain is above the least, and the largest within the
-        blur's own size. In rows from `first` to before `end`."""
-        top, bottom = max(first - self.widest, 0), min(end + self.widest, self.height)
-        gain, chosen = self._rows(top, bottom)
-        above = gain[first - top : end - top] > least
-        peaks = np.zeros(above.shape, np.bool_)
-        largest, reach = gain, 0  # within so many pixels
+
+class _Level:
+    """The gains at one size of the picture."""
+
+    def __init__(self, planes: list[FloatArray], shrink: int, blurs: list[float], coarser: FloatArray | None) -> None:
+        """planes [3] of the residual; blurs in pixels of the whole size; coarser: the most at coarser levels."""
+        self.shrink, self.blurs = shrink, blurs
+        self.gain = _gain(planes, blurs[0] / shrink, blurs[0])
+        self.chosen = np.zeros(self.gain.shape, np.uint8)  # the index of the blur that gains so much
+        for index, b in enumerate(blurs[1:], 1):
+            more = _gain(planes, b / shrink, b)
+            # Indices rise, so that the larger one is that of the larger gain.
+            np.maximum(self.chosen, (more > self.gain).view(np.uint8) * np.uint8(index), out=self.chosen)
+            np.maximum(self.gain, more, out=self.gain)
+        self.most = self.gain if coarser is None else np.maximum(self.gain, coarser)  # here and at coarser levels
+
+    def places(self, everywhere: FloatArray, least: float, rows: slice = slice(None), first_row: int = 0) -> Places:
+        """Where a gain of this level, in these of its rows, is above the least and is the most within its blur's size.
+        everywhere: the most at all levels; first_row: of the picture, at which this part of it begins."""
+        peaks = np.zeros(self.gain[rows].shape, np.bool_)
+        largest, reach = everywhere, 0  # within so many samples
         for index, b in enumerate(self.blurs):
-            wider = max(1, int(b))
+            wider = _reach(b, self.shrink)
             if wider > reach:  # windows of windows: a wide one at once takes its width in time
                 side = 2 * (wider - reach) + 1
                 largest = np.asarray(cv2.dilate(largest, np.ones((side, side), np.uint8)), np.float32)
                 reach = wider
-            peaks |= ((gain >= largest) & (chosen == index))[first - top : end - top]
-        rows, columns = np.nonzero(peaks & above)
-        rows += first - top
-        return gain[rows, columns], rows + top, columns, chosen[rows, columns]
+            peaks |= (self.gain[rows] >= largest[rows]) & (self.chosen[rows] == index)
+        y, x = np.nonzero(peaks & (self.gain[rows] > least))
+        y += rows.start or 0
+        gain, blurs = self.gain[y, x], np.array(self.blurs, np.float32)[self.chosen[y, x]]
+        x_px, y_px = ((place + np.float32(0.5)) * np.float32(self.shrink) for place in self._peak(x, y))
+        return Places(gain, x_px, y_px + np.float32(first_row), blurs)
 
-    def _rows(self, first: int, end: int) -> tuple[FloatArray, NDArray[np.uint8]]:
-        """Rows from `first` to before `end` of the gain, and of the index of the blur that has it."""
-        gain = np.zeros((end - first, self.width), np.float32)
-        chosen = np.zeros(gain.shape, np.uint8)
-        reach = math.ceil(REACH * max(b for b, shrink in zip(self.blurs, self.shrinks, strict=True) if shrink == 1)) + 1
-        top, bottom = max(first - reach, 0), min(end + reach, self.height)
-        planes = self.residual(top, bottom)
-        for index, b in enumerate(self.blurs):
-            if index in self.small:
-                found = self._enlarged(index, first, end)
-            else:
-                found = _gain(list(planes), b, b)[first - top : end - top]
-            # Indices rise, so that the larger one is that of the larger gain.
-            np.maximum(chosen, (found > gain).view(np.uint8) * np.uint8(index), out=chosen)
-            np.maximum(gain, found, out=gain)
-        return gain, chosen
+    def _peak(self, x: NDArray[np.intp], y: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """Where the gain is the most near a sample, in samples: of the parabolas through it and its neighbours."""
+        height, width = self.gain.shape
+        here = self.gain[y, x]
+        left, right = self.gain[y, np.maximum(x - 1, 0)], self.gain[y, np.minimum(x + 1, width - 1)]
+        above, below = self.gain[np.maximum(y - 1, 0), x], self.gain[np.minimum(y + 1, height - 1), x]
 
-    def _enlarged(self, index: int, first: int, end: int) -> FloatArray:
-        """Rows from `first` to before `end` of a gain from a smaller picture."""
-        small, shrink = self.small[index], self.shrinks[index]
-        top = max(first // shrink - 1, 0)
-        part = small[top : end // shrink + 2]
-        size = (part.shape[1] * shrink, part.shape[0] * shrink)
-        enlarged = cv2.resize(part, size, interpolation=cv2.INTER_LINEAR)
-        return np.asarray(enlarged[first - top * shrink : end - top * shrink, : self.width], np.float32)
+        def beside(before: FloatArray, after: FloatArray) -> FloatArray:
+            bend = np.maximum(2 * here - before - after, 1e-30)
+            return np.asarray(np.clip((after - before) / (2 * bend), -0.5, 0.5), np.float32)
+
+        return x + beside(left, right), y + beside(above, below)
+
+    def enlarged(self, first: int, end: int, width: int) -> FloatArray:
+        """The most, here and at coarser levels, at twice the size; rows from `first` to before `end`."""
+        top = max(first // 2 - 1, 0)
+        part = self.most[top : end // 2 + 2]
+        large = cv2.resize(part, (part.shape[1] * 2, part.shape[0] * 2), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(large[first - 2 * top : end - 2 * top, :width], np.float32)
+
+
+def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> list[_Level]:
+    """One for each shrink, from the coarsest. half: the residual's planes at half the size."""
+    planes = {2: half}
+    for shrink in list(blurs)[1:]:
+        planes[shrink] = [_halved(plane) for plane in planes[shrink // 2]]
+    levels: list[_Level] = []
+    for shrink, here in reversed(blurs.items()):
+        height, width = planes[shrink][0].shape
+        coarser = levels[-1].enlarged(0, height, width) if levels else None
+        levels.append(_Level(planes[shrink], shrink, here, coarser))
+    return levels
 
 
 def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:
@@ -135,16 +171,32 @@ def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:
 
 def _shrink(blur: float, shorter_side: int) -> int:
     """How many times smaller a picture may be that is blurred so much."""
-    shrink = 1 << max(0, int(math.log2(blur / 3)) if blur > 3 else 0)
+    shrink = 1 << max(0, int(math.log2(blur / 1.5)))
     while shrink > 1 and shorter_side < 4 * shrink:
         shrink //= 2
     return shrink
 
 
-def _halved(plane: FloatArray) -> FloatArray:
-    """At half the size; at an odd end the last sample counts twice."""
+def _reach(blur: float, shrink: int) -> int:
+    """Samples within which a blur's gain has to be the most."""
+    return max(1, int(blur / shrink))
+
+
+def _even(plane: FloatArray) -> FloatArray:
+    """With both sides even: the last sample counts twice."""
     height, width = plane.shape
-    if height % 2 or width % 2:
-        plane = np.pad(plane, ((0, height % 2), (0, width % 2)), mode="edge")
+    return np.pad(plane, ((0, height % 2), (0, width % 2)), mode="edge") if height % 2 or width % 2 else plane
+
+
+def _halved(plane: FloatArray) -> FloatArray:
+    """At half the size."""
+    plane = _even(plane)
     size = (plane.shape[1] // 2, plane.shape[0] // 2)
     return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _most_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    """At half the size the most of each four samples."""
+    plane = _even(plane)
+    rows = np.maximum(plane[0::2], plane[1::2])
+    return np.maximum(rows[:, 0::2], rows[:, 1::2], out=out)
