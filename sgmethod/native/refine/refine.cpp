@@ -29,7 +29,8 @@ namespace {
 constexpr double kConverged = 0.02;   // a sweep that changes a smaller part of the Gaussians is the last
 constexpr int kCoarseSweeps = 2;
 constexpr int kPatience = 64;         // Gaussians between two looks at the clock
-constexpr int kCell = 128;            // pixels along a side; half of it is a multiple of kTileWidth
+// Samples along a cell's side, whose half is a multiple of kTileWidth. Coarse levels are small, and would be one cell.
+constexpr int kCell = 128, kCoarseCell = 64;
 constexpr int kFar = 1 << 24;         // beyond all strips and rows
 using Clock = std::chrono::steady_clock;
 
@@ -107,24 +108,24 @@ class Refinement {
   // The four phases on one level. Visits the Gaussians in `waiting`, and leaves there those that have to wait.
   size_t visit_cells(int level, std::vector<size_t>& waiting) {
     const Grid& grid = reduced_->grid(level);
-    const int columns = (grid.width + kCell - 1) / kCell, rows = (grid.height + kCell - 1) / kCell;
+    const int side = level == 0 ? kCell : kCoarseCell, half = side / 2;
+    const int columns = (grid.width + side - 1) / side, rows = (grid.height + side - 1) / side;
     if (columns * rows == 1) return 0;
     const float samples = std::ldexp(1.0f, -level);
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
     for (const size_t i : waiting) {
       const Candidate c = state_.decoded(all_[i]);
-      const int column = clamp_to_int(c.mean[0] * samples / kCell, 0, columns - 1);
-      const int row = clamp_to_int(c.mean[1] * samples / kCell, 0, rows - 1);
+      const int column = clamp_to_int(c.mean[0] * samples / side, 0, columns - 1);
+      const int row = clamp_to_int(c.mean[1] * samples / side, 0, rows - 1);
       cells[static_cast<size_t>(row) * columns + column].push_back(i);
     }
-    constexpr int kHalf = kCell / 2;
     std::atomic<size_t> changed{0};
     for (int phase = 0; phase < 4; ++phase) {
       const int column0 = phase % 2, row0 = phase / 2, across = (columns - column0 + 1) / 2;
       parallel_for(across * ((rows - row0 + 1) / 2), [&](int k) {
         const int column = column0 + k % across * 2, row = row0 + k / across * 2;
-        const Part part{(2 * column - 1) * kHalf / kTileWidth, (2 * column + 3) * kHalf / kTileWidth,
-                        (2 * row - 1) * kHalf, (2 * row + 3) * kHalf};
+        const Part part{(2 * column - 1) * half / kTileWidth, (2 * column + 3) * half / kTileWidth,
+                        (2 * row - 1) * half, (2 * row + 3) * half};
         changed += visit_all(part, cells[static_cast<size_t>(row) * columns + column]);
       });
     }
