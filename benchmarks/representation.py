@@ -56,7 +56,7 @@ def measure(picture: Path, gaussians: int, settings: RdSettings) -> dict[str, An
     quantum = 0.8 * GAUSSIANS_GUESS * area / gaussians  # leaves a few more to choose from
     began = time.perf_counter()
     control = RateControl(settings, area, quantum, max_gaussians=gaussians)
-    fit = RdFit(pixels, control, 0, recorder)
+    fit = RdFit(pixels, control, 0, recorder.clock)
 
     def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         if progress >= FREE_FROM * RD.steps / settings.steps:

@@ -12,7 +12,7 @@ class TracePoint:
 
     seconds: since the encode began; step of steps: optimiser steps done and scheduled (the schedule may be cut
     short by convergence or a time limit); psnr: dB over all channels of the picture as it would decode
-    then (unquantised during the first phase); bytes: estimated size of the file, 0 while unknown;
+    then (unquantised in phase "fit"); bytes: estimated size of the file, 0 while unknown;
     phase: "joint" (profile rd), "fit" or "tune" (the others), at last "done".
     """
 

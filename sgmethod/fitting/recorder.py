@@ -31,23 +31,18 @@ class Recorder:
         self.points: list[TracePoint] = []
         self._interval_s = REPORT_INTERVAL_S
 
-    def due(self) -> bool:
-        """Whether the next point of a phase will be taken."""
-        return not self.points or self.clock.seconds() - self.points[-1].seconds >= self._interval_s
-
-    def measured(self, error: Callable[[], float]) -> float:
-        """An error that only the trace needs. Measuring takes no more than a tenth of the time."""
-        began = self.clock.seconds()
-        mse = error()
-        self._interval_s = max(REPORT_INTERVAL_S, 10 * (self.clock.seconds() - began))
-        return mse
-
-    def report(self, phase: str, step: int, steps: int, mse: float, counts: tuple[int, int]) -> None:
-        """Add a point; counts = (number of Gaussians, bits of the file or 0)."""
-        new_phase = not self.points or self.points[-1].phase != phase
-        if not (new_phase or step == steps or self.due()):
-            return
+    def report(
+        self, phase: str, step: int, steps: int, mse: float | Callable[[], float], counts: tuple[int, int]
+    ) -> None:
+        """Add a point, where one is due. mse: the error, or what measures it for the trace alone, which takes no more
+        than a tenth of the time; counts = (number of Gaussians, bits of the file or 0)."""
         seconds = self.clock.seconds()
+        new_phase = not self.points or self.points[-1].phase != phase
+        if not (new_phase or step == steps or seconds - self.points[-1].seconds >= self._interval_s):
+            return
+        if callable(mse):
+            mse = mse()
+            self._interval_s = max(REPORT_INTERVAL_S, 10 * (self.clock.seconds() - seconds))
         psnr = -10 * math.log10(max(mse, 1e-12))
         gaussians, bits = counts
         point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), -(-bits // 8), gaussians, phase)

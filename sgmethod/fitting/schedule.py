@@ -25,12 +25,12 @@ class Schedule:
     until_s: float | None = None
     patience: float = 0.3
 
-    def run(self, recorder: Recorder, step: Step) -> int:
+    def run(self, recorder: Recorder, step: Step, shown: Callable[[], float] | None = None) -> int:
         """Repeat step(rate, progress) -> (mse, counts); returns the steps done.
 
         The rate falls along a cosine from 1 to final_rate. Progress follows the steps or the time, whichever is
         further, so that a time limit shortens the schedule instead of cutting it off. The phase ends early when the
-        error has stopped falling.
+        error has stopped falling. shown measures the error that the trace is to show, in place of the step's.
         """
         begun = recorder.clock.seconds()
         best, best_at, done = math.inf, 0.0, 0
@@ -42,7 +42,7 @@ class Schedule:
             progress = done / self.steps
             if self.until_s is not None:
                 progress = max(progress, (recorder.clock.seconds() - begun) / max(self.until_s - begun, 1e-9))
-            recorder.report(self.phase, done if progress < 1 else self.steps, self.steps, mse, counts)
+            recorder.report(self.phase, done if progress < 1 else self.steps, self.steps, shown or mse, counts)
             if mse < best * 10 ** (-PROGRESS_DB / 10):
                 best, best_at = mse, progress
             elif progress - best_at > self.patience:

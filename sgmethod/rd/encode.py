@@ -39,7 +39,7 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
 
 def place(request: Request, control: RateControl) -> RdFit:
     """Few Gaussians, ready to be fitted."""
-    return RdFit(request.pixels, control, request.seed, request.recorder)
+    return RdFit(request.pixels, control, request.seed, request.recorder.clock)
 
 
 def fit_and_grow(fit: RdFit, request: Request) -> int:
@@ -49,7 +49,7 @@ def fit_and_grow(fit: RdFit, request: Request) -> int:
     if fit_until is not None:
         fit.hurry(fit_until - clock.seconds())
     schedule = Schedule("joint", fit.control.steps(), settings.final_rate, fit_until, patience=1.0)
-    steps = schedule.run(request.recorder, fit.step)
+    steps = schedule.run(request.recorder, fit.step, fit.decoded_mse)
     fit.settle()
     return steps
 

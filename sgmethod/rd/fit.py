@@ -19,7 +19,7 @@ from sgmethod.bitstream.v3 import background_of
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
-from sgmethod.fitting.recorder import Recorder
+from sgmethod.fitting.recorder import Clock
 from sgmethod.native import native
 from sgmethod.profiles import PAPER
 from sgmethod.rd import growth, quantiser
@@ -35,9 +35,9 @@ GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 class RdFit:
     """The state of one fit: the Gaussians, the optimiser's averages of them, and the coder with the quantum."""
 
-    def __init__(self, pixels: NDArray[np.uint8], control: RateControl, seed: int, recorder: Recorder) -> None:
-        """pixels [H, W, 3]; recorder says when an error will be shown, and so must be exact."""
-        self.control, self.recorder = control, recorder
+    def __init__(self, pixels: NDArray[np.uint8], control: RateControl, seed: int, clock: Clock) -> None:
+        """pixels [H, W, 3]."""
+        self.control, self.clock = control, clock
         self.settings = settings = control.settings
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = background_of(pixels)
@@ -45,8 +45,7 @@ class RdFit:
         self.coder = Coder((self.width, self.height), control.quantum, background, grey)
         self.picture = Picture(target_of(pixels, background), 0.0, native.CUTOFF_V3, pyramid=True)
         self.pyramid = Pyramid(self.picture, settings)
-        self.mse = 1.0
-        self.size = 0  # of the file in bytes, when last looked at
+        self.size = 0  # of the file in bytes, about
         self.due = sorted([*settings.growth_at, *settings.trim_at])
         self.p = self._place(np.random.default_rng(seed))
         self.adam = FrameAdam(len(self.p.means), settings, self.picture.values)
@@ -69,9 +68,9 @@ class RdFit:
         """
         times = []
         for _ in range(3):  # the first one also touches new memory
-            began = self.recorder.clock.seconds()
+            began = self.clock.seconds()
             self.picture.gradients(self.p)
-            times.append(self.recorder.clock.seconds() - began)
+            times.append(self.clock.seconds() - began)
         self.pyramid.choose_finest(seconds, self.control.steps() * min(times))
         # What is narrower falls between the pixels.
         narrowest = self.settings.min_scale_px * self.pyramid.finest.spacing
@@ -86,14 +85,14 @@ class RdFit:
             self._reconsider(at)
         picture = self.pyramid.at(progress, len(self.p.means))
         mse, grad = picture.gradients(self.p)
-        if picture is self.picture:
-            self.mse = mse
-        elif self.recorder.due():
-            self.mse = self.recorder.measured(lambda: self.picture.error(self.p))
         quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.picture.values)
         self.adam.step(self.p, grad, rate)
         self._stay_in_range()
-        return self.mse, (len(self.p.means), 8 * self.size)
+        return mse if picture is self.picture else math.inf, (len(self.p.means), 8 * self.size)
+
+    def decoded_mse(self) -> float:
+        """The error of the picture as it would decode now."""
+        return self.picture.error(self.coder.rounded(self.p))
 
     def settle(self) -> None:
         """What the end of the schedule does, and a time limit may have skipped."""
@@ -153,6 +152,7 @@ class RdFit:
         # Neighbours overlap: their colours are solved together, or they would overshoot.
         colors = picture.solve_colors(means, factors, self.settings.color_solve_steps, others=self.p)
         self.p = self.p.with_more(Parameters(means, factors, colors))
+        self.size = self.size * len(self.p.means) // max(n, 1)
         self.adam.extend(len(means))
         self._sort()
         native.release_memory()

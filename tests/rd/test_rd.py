@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.fitting.recorder import Clock
 from sgmethod.io.image import read_image, to_8_bit
 from sgmethod.native import native
 from sgmethod.native.reference import render
@@ -314,7 +314,7 @@ def test_growth_on_odd_sizes(size: tuple[int, int]) -> None:
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     def fit_with(seconds: float) -> RdFit:
         control = RateControl(RD, 128 * 160, 0.1, max_bytes=2000)
-        fit = RdFit(to_8_bit(noise(128, 160)), control, 0, Recorder(Clock(), None))
+        fit = RdFit(to_8_bit(noise(128, 160)), control, 0, Clock())
         with torch.no_grad():
             fit.hurry(seconds)
         return fit
@@ -331,3 +331,28 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     assert added[:, 0].max() > 80
     assert added[:, 1].max() > 64
     assert hurried.p.factors[:, 0].min() > 8 * 0.3
+
+
+def test_the_trace_shows_what_would_be_decoded() -> None:
+    """At a coarse quantum rounding costs decibels, which the unrounded Gaussians do not show."""
+    pixels = to_8_bit(crop())
+    fit = RdFit(pixels, RateControl(RD, 64 * 48, 1.0), 0, Clock())
+    with torch.no_grad():
+        for _ in range(50):
+            fit.step(1.0, 0.0)
+        fit.coder = fit.coder.with_quantum(4.0)
+        shown = fit.decoded_mse()
+    decoded = decode(container.serialise(fit.coder.stream(fit.p)))
+    wanted = float(np.square((decoded - pixels.astype(np.float64)) / 255).mean())
+    assert shown == pytest.approx(wanted, rel=0.01)  # but for 8 bits and what is clamped
+    assert shown > 1.03 * fit.picture.error(fit.p)
+
+
+def test_the_size_grows_with_the_gaussians() -> None:
+    fit = RdFit(to_8_bit(crop()), RateControl(RD, 64 * 48, 0.1, max_bytes=2000), 0, Clock())
+    with torch.no_grad():
+        fit.step(1.0, RD.growth_at[0])
+    before = fit.size / len(fit.p.means)
+    with torch.no_grad():
+        fit._grow(10**6)
+    assert fit.size / len(fit.p.means) == pytest.approx(before, rel=0.05)
