@@ -7,5 +7,7 @@ enum Isa { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
 
 // The best instruction set this processor has.
 int best_isa();
+// Whether this processor has BMI1, BMI2 and LZCNT.
+bool has_bit_operations();
 
 }  // namespace sg

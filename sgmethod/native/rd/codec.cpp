@@ -228,9 +228,8 @@ class ClassesV4 {
   explicit ClassesV4(Decoding<Version4>& d) : d_(d) {}
 
   size_t read(int size_class, uint32_t count, size_t room) {
-    static const auto decode_batch = best_isa() >= kAvx2 && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("lzcnt")
-                                         ? decode_batch_avx2
-                                         : decode_batch_baseline;
+    static const auto decode_batch =
+        best_isa() >= kAvx2 && has_bit_operations() ? decode_batch_avx2 : decode_batch_baseline;
     const SizeClass c = class_of(d_.p, size_class, count);
     size_t found = 0;
     while (found < room) {
