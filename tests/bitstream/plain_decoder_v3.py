@@ -172,23 +172,30 @@ def deinterleave(number: int) -> tuple[int, int]:
     return column, row
 
 
+def check_end(past_end: bool, part: bool) -> None:
+    """What follows where more was read than there is: in a part of a payload, its end."""
+    if past_end:
+        if part:
+            raise EndError
+        raise RefusedError("end")
+
+
+def most_gaussians(header: Header, payload: bytes) -> int:
+    """That a payload may hold."""
+    return min(header.width * header.height, 2**24, 8 * len(payload) + 64)
+
+
 def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussian]:
     """The Gaussians of a payload; of a part of one, until EndError."""
-
-    def check_end() -> None:
-        if coder.past_end:
-            if part:
-                raise EndError
-            raise RefusedError("end")
 
     if not coder.payload:
         return
     models = Models()
-    most = min(header.width * header.height, 2**24, 8 * len(coder.payload) + 64)
+    most = most_gaussians(header, coder.payload)
     begun = coder.state >= 65536
     first = 28 - coder.raw(6)
     last = first - coder.raw(6)
-    check_end()
+    check_end(coder.past_end, part)
     refuse_unless(begun and last >= -4, "start")
     total = 0
     for k in range(first, last - 1, -1):
@@ -196,7 +203,7 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
         columns = min(header.width // 2**g + 5, 65536)
         rows = min(header.height // 2**g + 5, 65536)
         n = coder.number(models.count)
-        check_end()
+        check_end(coder.past_end, part)
         refuse_unless(part or total + n <= most, "count")
         t, mean = 0, columns * rows // max(n, 1)
         while mean >= 8:
@@ -212,7 +219,7 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
             column, row = deinterleave(cell)
             refuse_unless(column < columns and row < rows, "cell")
             gaussian = read_gaussian(header, coder, models, k, (column, row))
-            check_end()
+            check_end(coder.past_end, part)
             yield gaussian
     refuse_unless(part or coder.state == 65536, "last state")
     refuse_unless(part or not any(coder.payload[coder.at :]), "rest")

@@ -151,22 +151,16 @@ class Half:
 def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussian]:
     """The Gaussians of a payload; of a part of one, until EndError."""
 
-    def check_end() -> None:
-        if coder.past_end:
-            if part:
-                raise EndError
-            raise RefusedError("end")
-
     if not coder.payload:
         return
     models = Models()
-    most = min(header.width * header.height, 2**24, 8 * len(coder.payload) + 64)
+    most = v3.most_gaussians(header, coder.payload)
     begun = min(coder.states) >= 65536
     coder.fetch(6)
     first = 28 - coder.take(6)
     coder.fetch(6)
     last = first - coder.take(6)
-    check_end()
+    v3.check_end(coder.past_end, part)
     refuse_unless(begun and last >= -4, "start")
     total = 0
     for k in range(first, last - 1, -1):
@@ -174,7 +168,7 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
         number = coder.number(COLOUR, models.count)
         coder.fetch(number.rest)
         n = coder.rest(number)
-        check_end()
+        v3.check_end(coder.past_end, part)
         refuse_unless(part or total + n <= most, "count")
         t, mean = 0, columns * rows // max(n, 1)
         while mean >= 8:
@@ -186,7 +180,7 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
             before = now
             now, gaussian = read_turn(header, coder, models, (k, min(t, MOST_RAW), columns, rows), i < n, before)
             if gaussian is not None:
-                check_end()
+                v3.check_end(coder.past_end, part)
                 yield gaussian
                 total += 1
     refuse_unless(part or coder.states == [65536, 65536], "last states")
