@@ -78,6 +78,7 @@ class RdSettings(OptimiserSettings):
 
     final_rate: float = 0.5  # steps become short by newton_steps
     newton_steps: float = 2.0
+    min_scale_px: float = 0.5  # below it a Gaussian jumps from pixel to pixel
     steps: int = 450
     dense_steps: float = 1.5  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
@@ -100,6 +101,7 @@ class RdSettings(OptimiserSettings):
     # Size of the picture that is fitted: while Gaussians are few, half the size or less serves as well.
     halvings: int = 3
     pixels_per_gaussian: float = 20.0
+    contrast_kept: float = 0.7  # of the picture's variance; a smaller picture that keeps less misses what matters
     halved_until: float = 0.5
     whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
 
@@ -128,6 +130,7 @@ class RdSettings(OptimiserSettings):
     far_from_size: float = 1.1  # of the bytes allowed; a fit that ends beyond was cut short, and also tries to drop
     psnr_tries: int = 7
     psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
+    dearest_bit: float = 256.0  # times the price of refining, where a file is far above the PSNR asked for
     least_gain: float = 0.1  # of what a finer quantum should gain; one that gains less is finer than the picture needs
 
 

@@ -48,8 +48,8 @@ class Finish:
     def _left_s(self) -> float:
         return math.inf if self.until is None else max(self.until - self.clock.seconds(), 0.0)
 
-    def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT) -> StreamV4:
-        price = self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
+    def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT, dearer: float = 1.0) -> StreamV4:
+        price = dearer * self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
         sweeps = self.settings.refine_sweeps
         return coder.refined(self.p, self.picture.target, price, sweeps, self._left_s(), max_payload)
 
@@ -128,22 +128,36 @@ class Finish:
         return max(tried.values()) - self.settings.missed_db
 
     def _fewer(self, stream: StreamV4, psnr_db: float, took: float) -> StreamV4:
-        """The fewest bytes at the stream's quantum that still reach the PSNR, by bisection. took: seconds of a try.
+        """The smallest found at the stream's quantum that still reaches the PSNR. took: seconds of a try.
 
         In a picture of some tens of Gaussians each of them is worth tenths of a decibel, whatever the quantum. So the
-        coarsest quantum that reaches the PSNR may end well above it.
+        coarsest quantum that reaches the PSNR may end well above it. A dearer bit coarsens the integers of all; then
+        a limit on the bytes takes single Gaussians away. Both are found by bisection.
         """
-        coder, too_small = self.coder.with_quantum(stream.quantum), -1
-        for _ in range(self.settings.psnr_tries):
-            if len(stream.payload) - too_small <= 2 or took > self._left_s():
+        s, coder, best = self.settings, self.coder.with_quantum(stream.quantum), stream
+
+        def reaches(dearer: float, max_payload: int = NO_LIMIT) -> bool:
+            nonlocal best
+            smaller = self._quantise_and_refine(coder, max_payload, dearer)
+            reached = self._psnr(smaller) >= psnr_db
+            if reached and len(smaller.payload) < len(best.payload):
+                best = smaller
+            return reached
+
+        dearer, too_dear = 1.0, s.dearest_bit
+        for _ in range(s.psnr_tries):
+            if took > self._left_s():
+                return best
+            middle = math.sqrt(dearer * too_dear)
+            dearer, too_dear = (middle, too_dear) if reaches(middle) else (dearer, middle)
+        too_small = -1
+        for _ in range(s.psnr_tries):
+            if len(best.payload) - too_small <= 2 or took > self._left_s():
                 break
-            middle = (too_small + len(stream.payload)) // 2
-            smaller = self._quantise_and_refine(coder, middle)
-            if self._psnr(smaller) >= psnr_db:
-                stream = smaller
-            else:
-                too_small = middle
-        return stream
+            bytes_between = (too_small + len(best.payload)) // 2
+            if not reaches(dearer, bytes_between):
+                too_small = bytes_between
+        return best
 
     def _next_quantum(self, tried: dict[float, float]) -> float:
         """Where the line through the two tries nearest to the target meets it, or a little above."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from sgmethod.scene import FloatArray
 
-BLURS_PX = (0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)
+BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first is that of a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
 BAND = 256  # rows; an even number
@@ -164,7 +164,7 @@ def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:
     """Of round Gaussians everywhere. sigma: of the blur in pixels of these planes, blur: in those of the picture."""
     total = np.zeros(planes[0].shape, np.float32)
     for plane in planes:
-        cv2.accumulateSquare(cv2.GaussianBlur(plane, (0, 0), sigma, borderType=cv2.BORDER_REFLECT), total)
+        cv2.accumulateSquare(cv2.GaussianBlur(plane, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101), total)
     total *= GAIN * blur * blur
     return total
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from sgmethod.fitting.picture import Picture
+import cv2
+import numpy as np
+
+from sgmethod.fitting.picture import Picture, Target
 from sgmethod.profiles import RdSettings
 
 SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
@@ -12,16 +15,21 @@ class Pyramid:
     """The levels of one picture, each half the size of the one before.
 
     whole: the picture itself; finest: the level that Gaussians are fitted to for most of the schedule. That is the
-    whole picture, unless there is too little time for it.
+    whole picture, unless there is too little time for it. showing_enough: levels beyond the whole that keep most of
+    its contrast. On the others, thin lines and checkerboards have gone, and Gaussians would unlearn them.
     """
 
     def __init__(self, whole: Picture, settings: RdSettings) -> None:
         self.settings = settings
         self.whole = self.finest = whole
         self.levels = [whole]
+        self.showing_enough = 0
+        least = settings.contrast_kept * _contrast(whole.target)
         for _ in range(settings.halvings):
             if min(self.levels[-1].height, self.levels[-1].width) >= SMALLEST_SIDE:
                 self.levels.append(self.levels[-1].halved())
+                if self.showing_enough == len(self.levels) - 2 and _contrast(self.levels[-1].target) >= least:
+                    self.showing_enough += 1
 
     def choose_finest(self, seconds: float, needed: float) -> None:
         """Take a smaller level for the finest where all steps would need more seconds than there are. Each level takes
@@ -34,7 +42,8 @@ class Pyramid:
     def smallest(self, gaussians: int) -> Picture:
         """The smallest level that tells so many Gaussians what they need; none finer than the finest."""
         enough = self.settings.pixels_per_gaussian * gaussians
-        coarser = [p for p in self.levels if p.spacing > self.finest.spacing and p.height * p.width >= enough]
+        levels = self.levels[: self.showing_enough + 1]
+        coarser = [p for p in levels if p.spacing > self.finest.spacing and p.height * p.width >= enough]
         return [self.finest, *coarser][-1]
 
     def at(self, progress: float, gaussians: int) -> Picture:
@@ -44,3 +53,8 @@ class Pyramid:
         if progress >= self.settings.halved_until:
             return self.finest
         return self.smallest(gaussians)
+
+
+def _contrast(target: Target) -> float:
+    """The variance of a picture, summed over its channels."""
+    return float(sum(np.square(cv2.meanStdDev(plane)[1]).item() for plane in target))
