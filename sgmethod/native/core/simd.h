@@ -100,6 +100,38 @@ struct Simd {
     return total;
   }
 
+  // Of 8 lanes: four from each place.
+  static SG_INLINE F halves(const float* low, const float* high) {
+    static_assert(W == 8);
+    F v;
+#ifdef __clang__
+    std::memcpy(&v, low, sizeof v / 2);
+    std::memcpy(reinterpret_cast<char*>(&v) + sizeof v / 2, high, sizeof v / 2);
+#else
+    typedef float Four __attribute__((vector_size(16), aligned(4), may_alias));
+    asm("vmovups %1, %x0\n\tvinsertf128 $1, %2, %0, %0"
+        : "=&x"(v) : "m"(*reinterpret_cast<const Four*>(low)), "m"(*reinterpret_cast<const Four*>(high)));
+#endif
+    return v;
+  }
+
+  // Of 8 lanes, clamped to 0 ... 255: in each half four bytes of a, four of b and four of c, and these once more.
+  static SG_INLINE auto bytes(I a, I b, I c) {
+    static_assert(W == 8);
+    typedef uint8_t Bytes __attribute__((vector_size(32)));
+    Bytes out;
+#ifdef __clang__
+    const I in[4] = {a, b, c, c};
+    for (int i = 0; i < 32; ++i) {
+      const int32_t v = in[i / 4 % 4][i / 16 * 4 + i % 4];
+      out[i] = static_cast<uint8_t>(v < 0 ? 0 : v > 255 ? 255 : v);
+    }
+#else
+    asm("vpackssdw %3, %2, %0\n\tvpackssdw %1, %1, %1\n\tvpackuswb %1, %0, %0" : "=&x"(out), "+x"(c) : "x"(a), "x"(b));
+#endif
+    return out;
+  }
+
   // out [8]: the sum of the lanes of each vector.
   static SG_INLINE void sums(const F (&v)[8], float* out) {
     for (int half = 0; half < 2; ++half) {

@@ -271,7 +271,7 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
   }                                                                                                                  \
   attribute void backward_##name(const Rasterization& r, int tile, const float* colors, const float* gradient,       \
                                  float* pair_gradients) {                                                            \
-    for_batches<width>(r, tile, [&](const Batch& batch) SG_INLINE_LAMBDA {                                           \
+    for_batches<width>(r, tile, r.tile_begin(tile), r.tile_end(tile), [&](const Batch& batch) SG_INLINE_LAMBDA {     \
       backward_body<width>(r, tile, batch, colors, gradient, pair_gradients);                                        \
       pair_gradients += (batch.end - batch.begin) * kPairGradients;                                                  \
     });                                                                                                              \

@@ -124,14 +124,14 @@ SG_INLINE Column<W> next_column(const float*& first) {
   return {Simd<W>::load(first - 2 * W), Simd<W>::load(first - W)};
 }
 
-// Calls draw(batch) for all pairs of a tile, in batches that fit a small array.
+// Calls draw(batch) for pairs of a tile, in batches that fit a small array.
 template <int W, typename Draw>
-SG_INLINE void for_batches(const Rasterization& raster, int tile, const Draw& draw) {
+SG_INLINE void for_batches(const Rasterization& raster, int tile, const Pair* begin, const Pair* last, const Draw& draw) {
   constexpr int kMost = 2 * kTileHeight;  // segments of a batch; one pair has kTileHeight at most
   alignas(64) float first[kMost * 2 * kTileWidth];
-  for (const Pair* begin = raster.tile_begin(tile); begin != raster.tile_end(tile);) {
+  while (begin != last) {
     const Pair* end = begin;
-    for (int count = 0; end != raster.tile_end(tile); ++end) {
+    for (int count = 0; end != last; ++end) {
       count += segments(raster, *end);
       if (count > kMost) break;
     }

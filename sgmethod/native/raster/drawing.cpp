@@ -20,6 +20,12 @@ namespace {
 
 constexpr float kBlack[3] = {};
 
+// What one task draws of the picture: so many strips of a row of tiles. The part of level 1 from which these are enlarged
+// begins anywhere within a strip of its own.
+constexpr int kPartStrips = 16, kPartRows = kTileHeight / 2 + 2;
+constexpr int kPartColumns = kPartStrips * kTileWidth / 2 + kTileWidth;
+constexpr int kPartFloats = 3 * kPartColumns * kPartRows + kTileWidth;  // enlarging reads beyond the last row
+
 }  // namespace
 
 Rasterization::Area Rasterization::area(int tile) const {
@@ -33,41 +39,71 @@ Rasterization::Area Rasterization::area(int tile) const {
           skip_rows};
 }
 
-// Draws levels 1 to the top, each with all above it.
-void Rasterization::draw_coarse(const float* colors, Planes& planes) const {
-  for (int level = top(); level >= 1; --level)
+// Draws the levels from the top down to `last`, each with all above it.
+void Rasterization::draw_coarse(const float* colors, int last, Planes& planes) const {
+  for (int level = top(); level >= last; --level)
     parallel_for(tiles(level), [&](int k) {
-      const int tile = first_tile_[level] + k, rows = rows_of(tile);
-      alignas(64) float acc[kTileFloats];
-      draw_tile(planes, tile, kBlack, colors, acc);
+      const int tile = first_tile_[level] + k;
       const auto [x, y] = corner(tile);
-      const Grid& grid = grids_[level];
-      const int columns = std::min(kTileWidth, grid.x + grid.width - x);
-      const int64_t stride = planes.stride(level);
-      float* to = planes.at(level, x, y);
-      for (const float *from = acc, *end = acc + rows * 3 * kTileWidth; from != end; from += kTileWidth, to += stride)
-        for (int i = 0; i < columns; ++i) to[i] = from[i] * (1.0f / 16.0f);  // as enlarging wants them
+      draw_coarse_tile(tile, {0, rows_of(tile)}, below(planes, tile), colors, planes.at(level, x, y), planes.stride(level));
     });
 }
 
-// What lies below the Gaussians that a tile draws itself: its part of the next level, enlarged, on a background.
-void Rasterization::begin_tile(Planes& planes, int tile, const float* background, float* accumulators) const {
-  const int level = level_of_tile(tile);
-  if (level == top()) {
-    for (int i = 0; i < 3 * kTileWidth; ++i) accumulators[i] = background[i / kTileWidth];
-    for (int row = 1; row < kTileHeight; ++row)
-      std::memcpy(accumulators + row * 3 * kTileWidth, accumulators, 3 * kTileWidth * sizeof(float));
-    return;
-  }
-  const auto [x, y] = corner(tile);
-  const float* coarse = planes.at(level + 1, coarse_of(x, level), coarse_of(y, level));
-  kernels(isa_).enlarge(coarse, planes.stride(level + 1), rows_of(tile), background, accumulators);
+// Some rows of a tile of a coarse level, as enlarging wants them.
+void Rasterization::draw_coarse_tile(int tile, Rows rows, Samples coarse, const float* colors, float* to,
+                                     int64_t stride) const {
+  alignas(64) float acc[kTileFloats];
+  draw_tile(tile, rows, coarse, kBlack, colors, acc);
+  const Grid& grid = grids_[level_of_tile(tile)];
+  const int columns = std::min(kTileWidth, grid.x + grid.width - corner(tile).x);
+  kernels(isa_).sixteenth(acc + rows.first * 3 * kTileWidth, columns, rows.end - rows.first, to, stride);
 }
 
-void Rasterization::draw_tile(Planes& planes, int tile, const float* background, const float* colors,
+// From where on the next level a tile is enlarged.
+Rasterization::Samples Rasterization::below(Planes& planes, int tile) const {
+  const int level = level_of_tile(tile);
+  if (level == top()) return {};
+  const auto [x, y] = corner(tile);
+  return {planes.at(level + 1, coarse_of(x, level), coarse_of(y, level)), planes.stride(level + 1)};
+}
+
+// What lies below the Gaussians that a tile draws itself: its part of the next level, enlarged, on a background.
+void Rasterization::begin_tile(Rows rows, Samples coarse, const float* background, float* accumulators) const {
+  const int first = rows.first / 2 * 2;  // rows are enlarged in pairs
+  float* const to = accumulators + first * 3 * kTileWidth;
+  if (coarse.first != nullptr) {
+    kernels(isa_).enlarge(coarse.first + first / 2 * 3 * coarse.stride, coarse.stride, rows.end - first, background, to);
+    return;
+  }
+  for (int i = 0; i < 3 * kTileWidth; ++i) to[i] = background[i / kTileWidth];
+  for (int row = first + 1; row < rows.end; ++row)
+    std::memcpy(accumulators + row * 3 * kTileWidth, to, 3 * kTileWidth * sizeof(float));
+}
+
+// Some rows of a tile. Their values do not depend on which are asked for; what is in the others means nothing.
+void Rasterization::draw_tile(int tile, Rows rows, Samples coarse, const float* background, const float* colors,
                               float* accumulators) const {
-  begin_tile(planes, tile, background, accumulators);
-  kernels(isa_).forward(*this, tile, colors, accumulators);
+  begin_tile(rows, coarse, background, accumulators);
+  const Pair *begin = tile_begin(tile), *const end = tile_end(tile);
+  if (rows.first == 0 && rows.end == rows_of(tile)) {
+    kernels(isa_).forward(*this, tile, begin, end, colors, accumulators);
+    return;
+  }
+  constexpr int kTogether = 128;
+  Pair inside[kTogether];
+  while (begin != end) {
+    int count = 0;
+    for (; begin != end && count < kTogether; ++begin) {
+      Pair& pair = inside[count] = *begin;
+      if (pair.last_row < rows.first || pair.first_row >= rows.end) continue;
+      // From the beginning of one of its column segments.
+      const int segment = footprints_[pair.gaussian].segment, before = std::max(rows.first - pair.first_row, 0);
+      pair.first_row = static_cast<uint8_t>(pair.first_row + before / segment * segment);
+      pair.last_row = static_cast<uint8_t>(std::min<int>(pair.last_row, rows.end - 1));
+      ++count;
+    }
+    kernels(isa_).forward(*this, tile, inside, inside + count, colors, accumulators);
+  }
 }
 
 // Rows of a tile, as far as its level goes.
@@ -78,10 +114,10 @@ int Rasterization::rows_of(int tile) const {
 
 void Rasterization::render(const float* colors, float* image) const {
   Planes coarse(grids_, Planes::Rows::kWhole);
-  draw_coarse(colors, coarse);
+  draw_coarse(colors, 1, coarse);
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float acc[kTileFloats];
-    draw_tile(coarse, tile, kBlack, colors, acc);
+    draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, acc);
     const Area a = area(tile);
     for (int row = 0; row < a.rows; ++row)
       for (int k = 0; k < 3; ++k)
@@ -90,25 +126,59 @@ void Rasterization::render(const float* colors, float* image) const {
   });
 }
 
+// Level 1 has a quarter of the picture's samples: too many to come back from memory. So a task draws the part of it that it
+// enlarges, and rows and columns at the edges of a part are drawn twice.
 void Rasterization::render_bytes(const float* colors, const float* background, uint8_t* image) const {
-  Planes coarse(grids_, Planes::Rows::kWhole);
-  draw_coarse(colors, coarse);
-  parallel_for(tiles(0), [&](int tile) {
-    alignas(64) float acc[kTileFloats];
-    draw_tile(coarse, tile, background, colors, acc);
-    const Area a = area(tile);
-    const float* from = acc + a.skip_rows * 3 * kTileWidth;
-    const int64_t stride = 3 * int64_t{width()};
-    uint8_t* to = image + a.y * stride + 3 * int64_t{a.x};
-    if (a.skip_columns == 0) {
-      kernels(isa_).bytes(from, a.columns, a.rows, to, stride);
-      return;
+  Planes coarse(grids_, Planes::Rows::kWhole, 2);
+  draw_coarse(colors, 2, coarse);
+  const int across = (grids_[0].strips() + kPartStrips - 1) / kPartStrips;
+  parallel_for(across * grids_[0].blocks(), [&](int k) {
+    alignas(64) float level_1[kPartFloats];
+    const int block = k / across, first = k % across * kPartStrips;
+    const Samples part = top() == 0 ? Samples{} : draw_part(coarse, first, block, colors, level_1);
+    for (int strip = first; strip < std::min(first + kPartStrips, grids_[0].strips()); ++strip) {
+      const int tile = block * grids_[0].strips() + strip;
+      const Samples here = {top() == 0 ? nullptr : part.first + (strip - first) * (kTileWidth / 2), part.stride};
+      alignas(64) float acc[kTileFloats];
+      draw_tile(tile, {0, rows_of(tile)}, here, background, colors, acc);
+      write_bytes(tile, acc, image);
     }
-    uint8_t whole[3 * kTileWidth * kTileHeight];
-    kernels(isa_).bytes(from, kTileWidth, a.rows, whole, 3 * kTileWidth);
-    for (int row = 0; row < a.rows; ++row)
-      std::copy_n(whole + 3 * (row * kTileWidth + a.skip_columns), 3 * std::max(a.columns, 0), to + row * stride);
   });
+}
+
+// The part of level 1 from which tiles of a block, from a strip on, are enlarged. samples: room for it.
+Rasterization::Samples Rasterization::draw_part(Planes& planes, int strip, int block, const float* colors,
+                                                float* samples) const {
+  const Grid& grid = grids_[1];
+  const int x = coarse_of(grids_[0].x + strip * kTileWidth, 0), y = coarse_of(grids_[0].y + block * kTileHeight, 0);
+  const int end = std::min(y + kPartRows, grid.y + grid.height), first_strip = (x - grid.x) / kTileWidth;
+  const int end_strip = std::min(first_strip + kPartColumns / kTileWidth, grid.strips());
+  for (int from = y; from < end;) {
+    const int in_block = (from - grid.y) / kTileHeight, top_row = grid.y + in_block * kTileHeight;
+    const Rows rows{from - top_row, std::min(end - top_row, kTileHeight)};
+    for (int s = first_strip; s < end_strip; ++s) {
+      const int tile = first_tile_[1] + in_block * grid.strips() + s;
+      float* to = samples + (from - y) * 3 * kPartColumns + (s - first_strip) * kTileWidth;
+      draw_coarse_tile(tile, rows, below(planes, tile), colors, to, kPartColumns);
+    }
+    from = top_row + rows.end;
+  }
+  return {samples + (x - grid.x) % kTileWidth, kPartColumns};
+}
+
+void Rasterization::write_bytes(int tile, const float* accumulators, uint8_t* image) const {
+  const Area a = area(tile);
+  const float* from = accumulators + a.skip_rows * 3 * kTileWidth;
+  const int64_t stride = 3 * int64_t{width()};
+  uint8_t* to = image + a.y * stride + 3 * int64_t{a.x};
+  if (a.skip_columns == 0) {
+    kernels(isa_).bytes(from, a.columns, a.rows, to, stride);
+    return;
+  }
+  uint8_t whole[3 * kTileWidth * kTileHeight];
+  kernels(isa_).bytes(from, kTileWidth, a.rows, whole, 3 * kTileWidth);
+  for (int row = 0; row < a.rows; ++row)
+    std::copy_n(whole + 3 * (row * kTileWidth + a.skip_columns), 3 * std::max(a.columns, 0), to + row * stride);
 }
 
 // Calls fill(tile, gradient, pair gradients) for each tile of the picture, which sets both; gradient is laid out as
@@ -208,9 +278,9 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
 void Rasterization::gram(const float* colors, float* out_colors) const {
   std::vector<float> means(2 * static_cast<size_t>(n_)), factors(3 * static_cast<size_t>(n_));  // not needed
   Planes coarse(grids_, Planes::Rows::kWhole);
-  draw_coarse(colors, coarse);
+  draw_coarse(colors, 1, coarse);
   const auto fill = [&](int tile, float* picture, float* pair_gradients) {
-    draw_tile(coarse, tile, kBlack, colors, picture);
+    draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, picture);
     const Area a = area(tile);  // what lies beyond it is no part of the picture
     for (int row = 0; row < kTileHeight * 3; ++row)
       std::fill(picture + row * kTileWidth + (row < a.rows * 3 ? a.columns : 0), picture + (row + 1) * kTileWidth, 0.0f);
@@ -222,10 +292,10 @@ void Rasterization::gram(const float* colors, float* out_colors) const {
 void Rasterization::leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const {
   const int64_t plane = static_cast<int64_t>(width()) * height();
   Planes coarse(grids_, Planes::Rows::kWhole);
-  draw_coarse(colors, coarse);
+  draw_coarse(colors, 1, coarse);
   const auto each = [&](int tile, float* values) {
     if (tile >= tiles(0)) return;
-    draw_tile(coarse, tile, kBlack, colors, values);
+    draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
     const Area a = area(tile);
     const TileTarget wanted{target + static_cast<int64_t>(a.y) * width() + a.x, plane, width(), 0, a.columns, a.rows, -1.0f};
     fit_kernels(isa_).difference(values, wanted);
@@ -239,7 +309,7 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
   const int64_t plane = static_cast<int64_t>(width()) * height();
   const float scale = 2.0f / static_cast<float>(3 * plane);
   Planes coarse(grids_, Planes::Rows::kWhole);
-  draw_coarse(colors, coarse);
+  draw_coarse(colors, 1, coarse);
   std::vector<double> errors(tiles(0));
   // The processor does not foresee the rows of a large picture, because they lie too far apart. So each kernel asks for
   // those of the next tile.
@@ -248,7 +318,7 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
     const Area a = area(tile);
     const TileTarget wanted{target + static_cast<int64_t>(a.y) * width() + a.x, plane, width(), ahead, a.columns, a.rows, scale};
     const std::unique_ptr<float[]> first(new float[first_value_count(*this, tile)]);  // all written by the kernel
-    begin_tile(coarse, tile, kBlack, gradient);
+    begin_tile({0, rows_of(tile)}, below(coarse, tile), kBlack, gradient);
     errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, wanted, first.get(), gradient, pair_gradients);
   };
   gradients(colors, fill, out);

@@ -38,21 +38,22 @@ SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, ui
   }
 }
 
-// Where byte shuffles are quick: the three levels of a pixel in one integer, whose fourth byte is then left out.
+// Where byte shuffles are quick: clamping is the processor's when it narrows, and then colours are mixed. What is not a
+// number becomes black, here as there.
 SG_INLINE void shuffled_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   using V = Simd<8>;
   typedef uint8_t Bytes32 __attribute__((vector_size(32)));
-  constexpr Bytes32 kKept = {0,  1,  2,  4,  5,  6,  8,  9,  10, 12, 13, 14, 3,  3,  3,  3,
-                             16, 17, 18, 20, 21, 22, 24, 25, 26, 28, 29, 30, 19, 19, 19, 19};
+  constexpr Bytes32 kMixed = {0,  4,  8,  1,  5,  9,  2,  6,  10, 3,  7,  11, 12, 12, 12, 12,
+                              16, 20, 24, 17, 21, 25, 18, 22, 26, 19, 23, 27, 28, 28, 28, 28};
   constexpr V::I kTogether = {0, 1, 2, 4, 5, 6, 3, 3};
   const auto eight = [&](int row, int lane) SG_INLINE_LAMBDA {  // pixels, in 24 bytes
     const auto level = [&](int k) SG_INLINE_LAMBDA {
       const float* values = accumulators + (3 * row + k) * kTileWidth + lane;
-      return __builtin_convertvector(V::min(V::max0(V::load(values)), V::all(1.0f)) * 255.0f + 0.5f, V::I);
+      return __builtin_convertvector(V::min(V::all(1.0f), V::load(values)) * 255.0f + 0.5f, V::I);
     };
-    const auto whole = reinterpret_cast<Bytes32>(level(0) | level(1) << 8 | level(2) << 16);
-    const auto kept = reinterpret_cast<V::I>(shuffle(whole, whole, kKept));
-    return shuffle(kept, kept, kTogether);
+    const auto whole = V::bytes(level(0), level(1), level(2));
+    const auto mixed = reinterpret_cast<V::I>(shuffle(whole, whole, kMixed));
+    return shuffle(mixed, mixed, kTogether);
   };
   for (int row = 0; row < rows; ++row, pixels += stride) {
     const V::I left = eight(row, 0), right = eight(row, 8);
@@ -81,36 +82,61 @@ template <int W>
 SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const float* background, float* accumulators) {
   using V = Simd<W>;
   using F = typename V::F;
+  // AVX2 is quicker within halves than across them, so the upper half comes by a load of its own.
   typename V::I near_places, far_places;
-  for (int i = 0; i < W; ++i) near_places[i] = 1 + i / 2, far_places[i] = i % 2 == 0 ? i / 2 : i / 2 + 2;
-  constexpr int kVectors = 3 * kTileWidth / W;
-  const auto along_x = [&](int row, F* out) SG_INLINE_LAMBDA {
-    for (int i = 0; i < kVectors; ++i) {
-      const int k = i * W / kTileWidth, lane = i * W % kTileWidth;
-      const F in = V::load(coarse + (3 * row + k) * stride + lane / 2);
-      out[i] = shuffle(in, in, near_places) * 3.0f + shuffle(in, in, far_places);
-    }
+  for (int i = 0; i < W; ++i) {
+    const int moved = W == 8 ? i / 4 * 2 : 0;
+    near_places[i] = moved + 1 + i / 2, far_places[i] = moved + (i % 2 == 0 ? i / 2 : i / 2 + 2);
+  }
+  const auto samples = [](const float* p) SG_INLINE_LAMBDA {
+    if constexpr (W == 8) return V::halves(p, p + 2);
+    else return V::load(p);
   };
-  F above[kVectors], near[kVectors], below[kVectors];
-  along_x(0, above);
-  along_x(1, near);
-  for (int row = 0; row < rows; row += 2, accumulators += 6 * kTileWidth) {
-    along_x(row / 2 + 2, below);
-    for (int i = 0; i < kVectors; ++i) {
-      const float under = background[i * W / kTileWidth];
-      const F thrice = near[i] * 3.0f;
-      V::store(accumulators + i * W, (thrice + above[i]) + under);
-      V::store(accumulators + 3 * kTileWidth + i * W, (thrice + below[i]) + under);
-      above[i] = near[i];
-      near[i] = below[i];
+  constexpr int kVectors = kTileWidth / W;
+  // One colour after the other, so that three rows of it stay in registers.
+  for (int k = 0; k < 3; ++k, coarse += stride, accumulators += kTileWidth) {
+    const auto along_x = [&](int row, F* out) SG_INLINE_LAMBDA {
+      for (int i = 0; i < kVectors; ++i) {
+        const F in = samples(coarse + 3 * row * stride + i * W / 2);
+        out[i] = shuffle(in, in, near_places) * 3.0f + shuffle(in, in, far_places);
+      }
+    };
+    const float under = background[k];
+    F above[kVectors], near[kVectors], below[kVectors];
+    along_x(0, above);
+    along_x(1, near);
+    float* out = accumulators;
+    for (int row = 0; row < rows; row += 2, out += 6 * kTileWidth) {
+      along_x(row / 2 + 2, below);
+      for (int i = 0; i < kVectors; ++i) {
+        const F thrice = near[i] * 3.0f;
+        V::store(out + i * W, (thrice + above[i]) + under);
+        V::store(out + 3 * kTileWidth + i * W, (thrice + below[i]) + under);
+        above[i] = near[i];
+        near[i] = below[i];
+      }
     }
   }
 }
 
+template <int W>
+SG_INLINE void sixteenth_body(const float* accumulators, int columns, int rows, float* samples, int64_t stride) {
+  using V = Simd<W>;
+  constexpr float kShare = 1.0f / 16.0f;
+  for (const float* end = accumulators + rows * 3 * kTileWidth; accumulators != end;
+       accumulators += kTileWidth, samples += stride)
+    if (columns == kTileWidth) {
+      for (int i = 0; i < kTileWidth; i += W) V::store(samples + i, V::load(accumulators + i) * kShare);
+    } else {
+      for (int i = 0; i < columns; ++i) samples[i] = accumulators[i] * kShare;
+    }
+}
+
 #define SG_KERNELS(name, width, attribute)                                                                        \
   attribute void cross_##name(Crossings<kManyStrips>& c, float reach) { cross<width>(c, reach); }                  \
-  attribute void forward_##name(const Rasterization& r, int tile, const float* colors, float* accumulators) {     \
-    for_batches<width>(r, tile, [&](const Batch& batch) SG_INLINE_LAMBDA {                                        \
+  attribute void forward_##name(const Rasterization& r, int tile, const Pair* begin, const Pair* end,             \
+                                const float* colors, float* accumulators) {                                       \
+    for_batches<width>(r, tile, begin, end, [&](const Batch& batch) SG_INLINE_LAMBDA {                            \
       forward_body<width>(r, batch, colors, accumulators);                                                        \
     });                                                                                                           \
   }                                                                                                               \
@@ -118,10 +144,13 @@ SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const
                                 float* accumulators) {                                                            \
     enlarge_body<width>(coarse, stride, rows, background, accumulators);                                          \
   }                                                                                                               \
-  attribute void bytes_##name(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) { \
-    bytes_body<width>(accumulators, columns, rows, pixels, stride);                                                      \
+  attribute void sixteenth_##name(const float* accumulators, int columns, int rows, float* samples, int64_t stride) { \
+    sixteenth_body<width>(accumulators, columns, rows, samples, stride);                                             \
   }                                                                                                               \
-  constexpr TileKernels k_##name = {cross_##name, forward_##name, enlarge_##name, bytes_##name};
+  attribute void bytes_##name(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) { \
+    bytes_body<width>(accumulators, columns, rows, pixels, stride);                                                \
+  }                                                                                                               \
+  constexpr TileKernels k_##name = {cross_##name, forward_##name, enlarge_##name, sixteenth_##name, bytes_##name};
 
 SG_KERNELS(baseline, 4, )
 SG_KERNELS(avx2, 8, [[gnu::target("avx2")]])

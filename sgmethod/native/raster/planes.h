@@ -18,9 +18,9 @@ class Planes {
   // room for whole tiles and what is reduced from them, which is longer.
   enum class Rows { kWhole, kRoom };
 
-  // grids: of level 0, 1, ...; the first takes no memory.
-  explicit Planes(std::vector<Grid> grids, Rows rows = Rows::kRoom)
-      : grids_(std::move(grids)), rows_(rows), offsets_(offsets()), values_(offsets_.back() + 2 * kTileWidth) {}
+  // grids: of level 0, 1, ...; those below `lowest` take no memory.
+  explicit Planes(std::vector<Grid> grids, Rows rows = Rows::kRoom, int lowest = 1)
+      : grids_(std::move(grids)), rows_(rows), offsets_(offsets(lowest)), values_(offsets_.back() + 2 * kTileWidth) {}
 
   int top() const { return static_cast<int>(grids_.size()) - 1; }
   const Grid& grid(int level) const { return grids_[static_cast<size_t>(level)]; }
@@ -39,9 +39,9 @@ class Planes {
   }
 
  private:
-  std::vector<size_t> offsets() const {
-    std::vector<size_t> ends(2, 0);
-    for (int level = 1; level <= top(); ++level)
+  std::vector<size_t> offsets(int lowest) const {
+    std::vector<size_t> ends(static_cast<size_t>(lowest) + 1, 0);
+    for (int level = lowest; level <= top(); ++level)
       ends.push_back(ends.back() + static_cast<size_t>(grid(level).height * 3 * stride(level)));
     return ends;
   }

@@ -81,6 +81,15 @@ class Rasterization {
   struct Corner {
     int x, y;
   };
+  // Of a tile: the first, and that before which they end.
+  struct Rows {
+    int first, end;
+  };
+  // Those of a level that are to be enlarged: rows of three colours, `stride` floats long. None at the top.
+  struct Samples {
+    const float* first = nullptr;
+    int64_t stride = 0;
+  };
   // A tile's place in the picture, as far as the picture goes. Rows and columns before `skip` are not asked for.
   struct Area {
     int x, y, columns, rows, skip_columns, skip_rows;
@@ -109,9 +118,14 @@ class Rasterization {
   void sort_pairs();
 
   int rows_of(int tile) const;
-  void draw_coarse(const float* colors, Planes& planes) const;
-  void begin_tile(Planes& planes, int tile, const float* background, float* accumulators) const;
-  void draw_tile(Planes& planes, int tile, const float* background, const float* colors, float* accumulators) const;
+  Samples below(Planes& planes, int tile) const;
+  void draw_coarse(const float* colors, int last, Planes& planes) const;
+  void draw_coarse_tile(int tile, Rows rows, Samples coarse, const float* colors, float* to, int64_t stride) const;
+  Samples draw_part(Planes& planes, int strip, int block, const float* colors, float* samples) const;
+  void begin_tile(Rows rows, Samples coarse, const float* background, float* accumulators) const;
+  void draw_tile(int tile, Rows rows, Samples coarse, const float* background, const float* colors,
+                 float* accumulators) const;
+  void write_bytes(int tile, const float* accumulators, uint8_t* image) const;
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
   void load(Planes& planes, int tile, float* values) const;
