@@ -72,12 +72,14 @@ def in_frame(factors: Tensor, by_means: Tensor, by_factors: Tensor, by_colors: T
     return torch.cat([torch.stack([l1 * x + l2 * y, l3 * y, l1 * a + l2 * b, l3 * b, l3 * c], 1), by_colors], 1)
 
 
-def moved(means: Tensor, factors: Tensor, colors: Tensor, move: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Gaussians moved by [N, 8] in their frames."""
+def moved(
+    means: Tensor, factors: Tensor, colors: Tensor, move: Tensor, narrowest: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Gaussians moved by [N, 8] in their frames, none of them narrower than so many pixels."""
     l1, l2, l3 = factors.unbind(1)
     a, b = move[:, 2].exp(), move[:, 4].exp()
     means = means + torch.stack([l1 * move[:, 0], l2 * move[:, 0] + l3 * move[:, 1]], 1)
-    l1, l3, l2 = (l1 * a).clamp_min(RD.min_scale_px), (l3 * b).clamp_min(RD.min_scale_px), l2 * a + l3 * move[:, 3]
+    l1, l3, l2 = (l1 * a).clamp_min(narrowest), (l3 * b).clamp_min(narrowest), l2 * a + l3 * move[:, 3]
     return means, torch.stack([l1, l2, l3], 1), colors + move[:, 5:]
 
 
@@ -126,7 +128,8 @@ def test_adam_in_the_gaussians_frame(settings: OptimiserSettings, values: int) -
             most = RD.newton_steps * newton(factors[rows], colors[rows], unbiased, values)
             assert 0.1 < (most.abs() < move.abs()).double().mean() < 0.9  # both are met
             move = torch.where(most.abs() < move.abs(), most, move)
-        means[rows], factors[rows], colors[rows] = moved(means[rows], factors[rows], colors[rows], move)
+        here = means[rows], factors[rows], colors[rows]
+        means[rows], factors[rows], colors[rows] = moved(*here, move, settings.min_scale_px)
         wanted = means, factors, colors
     for found, value in zip((early.means, early.factors, early.colors), wanted, strict=True):
         torch.testing.assert_close(found.double(), value, rtol=1e-4, atol=1e-4)
