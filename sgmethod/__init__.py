@@ -1,5 +1,8 @@
 """sgmethod: photographs as small sets of 2D Gaussians.
 
+        sgmethod.encode("photo.jpg", bpp=0.3).save("photo.sg")
+        pixels = sgmethod.decode("photo.sg")  # uint8 [H, W, 3]
+
 The rooms and modules, in the order of the pipeline; each imports only from those above it:
 
     errors      the tree of errors
@@ -8,36 +11,48 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     scene       the set of Gaussians
     profiles    every number of the method
     native/     compiled kernels: drawing, gradients, entropy coding
-    io/         image files -> arrays; arrays -> PNG; whole files
+    io/         image files -> arrays; arrays -> image files; whole files
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        any size, any part
-    decode      bytes -> Gaussians -> pixels
+    decoder     bytes -> Gaussians -> pixels
     metrics     PSNR, MS-SSIM
     start/      structure of the picture -> Gaussians to start from
     fitting/    the picture and its loss, the optimiser, its schedule
     paper/      profiles paper and baseline
     rd/         profile rd
     codec       encode(): a profile's pipeline, then the decoded result measured
+    pillow/     .sg files for Pillow
     client/     the same encode by a service elsewhere
     cli/        the command line
 
-Decoding needs numpy and the compiled kernels only; torch is imported by encode() alone.
+Decoding needs numpy and the compiled kernels only; torch is imported by encode() alone. Once this package is imported,
+Pillow opens and saves .sg files.
 """
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
-from sgmethod.bitstream.stream import Info
-from sgmethod.budget import Budget
-from sgmethod.decode import decode, info
-from sgmethod.errors import BitstreamError, BudgetError, ImageError, NativeModuleError, SgError, ViewError
-from sgmethod.native import native as _native
-from sgmethod.trace import TracePoint
-from sgmethod.view import View
+from sgmethod.pillow import plugin
 
 if TYPE_CHECKING:
+    from sgmethod.bitstream.stream import Info
+    from sgmethod.budget import Budget
     from sgmethod.codec import Encoded, Stats, encode
+    from sgmethod.decoder import SgFile, decode, info, open
+    from sgmethod.errors import (
+        BitstreamError,
+        BudgetError,
+        ImageError,
+        ImageWarning,
+        NativeModuleError,
+        ServerError,
+        SgError,
+        ViewError,
+    )
+    from sgmethod.trace import TracePoint
+    from sgmethod.view import View
 
     __version__: str
 
@@ -47,9 +62,12 @@ __all__ = [
     "BudgetError",
     "Encoded",
     "ImageError",
+    "ImageWarning",
     "Info",
     "NativeModuleError",
+    "ServerError",
     "SgError",
+    "SgFile",
     "Stats",
     "TracePoint",
     "View",
@@ -57,24 +75,48 @@ __all__ = [
     "decode",
     "encode",
     "info",
+    "open",
     "set_threads",
 ]
+
+# Each is imported once it is asked for: numpy takes 0.1 s, torch more.
+_HOMES = {
+    "bitstream.stream": ("Info",),
+    "budget": ("Budget",),
+    "codec": ("Encoded", "Stats", "encode"),
+    "decoder": ("SgFile", "decode", "info", "open"),
+    "errors": (
+        *("BitstreamError", "BudgetError", "ImageError", "ImageWarning", "NativeModuleError", "ServerError"),
+        *("SgError", "ViewError"),
+    ),
+    "trace": ("TracePoint",),
+    "view": ("View",),
+}
+_HOME = {name: home for home, names in _HOMES.items() for name in names}
+
+
+plugin.register()
 
 
 def set_threads(count: int) -> None:
     """Threads that rendering and fitting use in this process, 1 to 256. SG_THREADS sets it at the start; else it is the
     number of cores that this process may run on and its control group's quota allows."""
-    _native.set_thread_count(count)
+    from sgmethod.native import native
+
+    native.set_thread_count(count)
 
 
 def __getattr__(name: str) -> Any:
-    """What takes its time to import, once it is asked for."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version("sgmethod")
-    if name in ("encode", "Encoded", "Stats"):
-        from sgmethod import codec
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
 
-        return getattr(codec, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__, "__version__"})

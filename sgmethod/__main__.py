@@ -4,4 +4,5 @@ import sys
 
 from sgmethod.cli.main import main
 
-sys.exit(main())
+if __name__ == "__main__":  # encodes in processes of their own import it under another name
+    sys.exit(main())

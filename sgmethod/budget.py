@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from numbers import Real
 from typing import Literal, get_args
 
 from sgmethod.errors import BudgetError
@@ -34,8 +35,8 @@ class Budget:
     def __post_init__(self) -> None:
         if self.kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {self.kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        if not math.isfinite(self.value) or self.value <= 0:
-            raise BudgetError(f"{self.kind} must be a positive number, got {self.value}")
+        if not isinstance(self.value, Real) or not math.isfinite(self.value) or self.value <= 0:
+            raise BudgetError(f"{self.kind} must be a positive number, got {self.value!r}")
         if self.kind in ("bytes", "gaussians") and self.value != int(self.value):
             raise BudgetError(f"{self.kind} must be a whole number, got {self.value}")
         if self.kind == "quality" and self.value > MAX_QUALITY:
@@ -50,3 +51,6 @@ class Budget:
         if self.kind == "bpp":
             return int(min(self.value, 1e6) * width * height / 8)
         return None
+
+
+DEFAULT_BUDGET = Budget("bpp", 0.3)

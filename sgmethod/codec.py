@@ -6,20 +6,21 @@ decode.py is the way back. An encode goes it once, so that its figures are those
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from numbers import Real
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
-from sgmethod.budget import Budget
-from sgmethod.decode import MAX_PIXELS, decode, info
-from sgmethod.errors import BudgetError, ImageError
+from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind
+from sgmethod.decoder import decode, info
+from sgmethod.errors import BudgetError
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
-from sgmethod.io.image import ImageLimits, to_8_bit
+from sgmethod.io.files import write_atomically
+from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings
@@ -51,34 +52,61 @@ class Stats:
 class Encoded:
     """An .sg file with its figures and the trace of how it came about."""
 
-    data: bytes
+    data: bytes = field(repr=False)
     stats: Stats
-    trace: list[TracePoint]
+    trace: list[TracePoint] = field(repr=False)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the file, whole or, after an OSError, not at all."""
+        write_atomically(path, self.data)
 
 
 def encode(
-    pixels: NDArray[np.float32] | NDArray[np.uint8],
-    budget: Budget,
+    image: Input,
+    budget: Budget | None = None,
     profile: str = DEFAULT_PROFILE,
     *,
+    bpp: float | None = None,
+    bytes: int | None = None,
+    psnr: float | None = None,
+    quality: float | None = None,
+    gaussians: int | None = None,
     seed: int = 0,
     time_limit_s: float | None = None,
     on_progress: Progress | None = None,
 ) -> Encoded:
-    """Encode an image [H, W, 3], of levels in uint8 or of values in [0, 1], within a budget.
+    """Encode a picture within a budget.
 
-    Values are rounded to levels: a decoded picture has no others, and its figures are against them.
+    >>> encoded = sgmethod.encode("photo.jpg", bpp=0.3)
+    >>> encoded.stats.bpp <= 0.3
+    True
+    >>> encoded.save("photo.sg")
+    >>> sgmethod.encode(np.zeros((48, 64), np.uint8), psnr=40).stats.width
+    64
+
+    image: the path or the bytes of an image file, a picture of Pillow's, or an array [H, W], [H, W, 1], [H, W, 3] or
+    [H, W, 4] of levels in uint8 or uint16 or of values in [0, 1], in sRGB. sgmethod/io/image.py has the rules for
+    files and pictures. All is rounded to 8 bits: a decoded picture has no more, and its figures are against them.
+    bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which says what each means; 0.3 bpp if not told.
     profile: one of sgmethod.profiles.PROFILE_NAMES; seed: of everything random, so that the same call gives
     the same file on the same machine unless time_limit_s (seconds, whole encode) cuts it short;
     on_progress: called with each point of the trace, and may raise to abandon the encode.
 
-    Raises ImageError for an array that is no such image, BudgetError for a budget no file can meet, MemoryError.
+    Warns with ImageWarning of what of the picture is left out. Raises ImageError for what is no such picture,
+    BudgetError for a budget no file can meet, OSError for a path that cannot be read, MemoryError.
     """
-    _check_image(pixels)
+    recorder = Recorder(Clock(time_limit_s), on_progress)
+    kinds: dict[BudgetKind, float | None] = {
+        "bpp": bpp,
+        "bytes": bytes,
+        "psnr": psnr,
+        "quality": quality,
+        "gaussians": gaussians,
+    }
+    budget = _only_budget(budget, kinds)
     _check_profile(profile)
     _check_time_limit(time_limit_s)
-    recorder = Recorder(Clock(time_limit_s), on_progress)
-    request = Request(to_8_bit(pixels), budget, profile, seed, recorder)
+    request = Request(read_input(image), budget, profile, seed, recorder)
     settings = PROFILES[profile]
     with _single_torch_thread(), _memory_errors():
         if isinstance(settings, RdSettings):
@@ -86,6 +114,18 @@ def encode(
         else:
             data, steps = paper.encode(request, settings)
     return _measured(request, data, steps)
+
+
+def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
+    """The one that is given."""
+    given = [Budget(kind, value) for kind, value in kinds.items() if value is not None]
+    if budget is not None:
+        if not isinstance(budget, Budget):
+            raise BudgetError(f"a budget must be a sgmethod.Budget, not {type(budget).__name__}: bpp=0.3, for one")
+        given.append(budget)
+    if len(given) > 1:
+        raise BudgetError(f"one budget is needed, not {len(given)}: {', '.join(one.kind for one in given)}")
+    return given[0] if given else DEFAULT_BUDGET
 
 
 @contextmanager
@@ -131,24 +171,11 @@ def _measured(request: Request, data: bytes, steps: int) -> Encoded:
     return Encoded(data, stats, request.recorder.points)
 
 
-def _check_image(pixels: NDArray[np.float32] | NDArray[np.uint8]) -> None:
-    if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
-        raise ImageError(f"an image must be [height, width, 3], got {list(pixels.shape)}")
-    height, width = pixels.shape[:2]
-    ImageLimits(max_pixels=MAX_PIXELS).check(width, height)  # no more than decode() gives back
-    if pixels.dtype == np.uint8:
-        return
-    if not np.issubdtype(pixels.dtype, np.floating):
-        raise ImageError(f"an image must be uint8 or hold floating-point values in [0, 1], got {pixels.dtype}")
-    if not np.isfinite(pixels).all() or pixels.min() < 0 or pixels.max() > 1:
-        raise ImageError("the image's values must lie in [0, 1]")
-
-
 def _check_profile(profile: str) -> None:
     if profile not in PROFILES:
         raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
 
 
 def _check_time_limit(seconds: float | None) -> None:
-    if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
-        raise BudgetError(f"the time limit must be a positive number of seconds, got {seconds}")
+    if seconds is not None and not (isinstance(seconds, Real) and math.isfinite(seconds) and seconds > 0):
+        raise BudgetError(f"the time limit must be a positive number of seconds, got {seconds!r}")

@@ -7,6 +7,8 @@ SgError                 anything this package refuses, with one clear sentence
 ├── BudgetError         a budget that is not a positive number, or too small for any file
 ├── ServerError         a service that cannot be reached, refuses, or fails to encode
 └── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
+
+ImageWarning            what of an image is left out, where the rest of it is used
 """
 
 
@@ -36,3 +38,7 @@ class ServerError(SgError):
 
 class NativeModuleError(SgError):
     """The compiled kernels are not installed."""
+
+
+class ImageWarning(UserWarning):
+    """Something of the image is left out: further pictures, transparency, a damaged profile."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Integral, Real
 
 import numpy as np
 
@@ -35,10 +36,12 @@ class View:
     prefix: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.scale) and MIN_SCALE <= self.scale <= MAX_SCALE):
-            raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {self.scale}")
-        if not 0 < self.prefix <= 1:
-            raise ViewError(f"the prefix must lie above 0 and at most at 1, got {self.prefix}")
+        if not (isinstance(self.scale, Real) and math.isfinite(self.scale) and MIN_SCALE <= self.scale <= MAX_SCALE):
+            raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {self.scale!r}")
+        if not (isinstance(self.prefix, Real) and 0 < self.prefix <= 1):
+            raise ViewError(f"the prefix must lie above 0 and at most at 1, got {self.prefix!r}")
+        if self.region is not None and [isinstance(n, Integral) for n in self.region] != [True] * 4:
+            raise ViewError(f"a region is four whole numbers x, y, width, height, not {self.region!r}")
 
     def area(self, width: int, height: int) -> tuple[int, int, int, int]:
         """x, y, width, height of the part drawn. Raises ViewError unless it lies within the picture."""

@@ -233,9 +233,8 @@ def test_arrays_of_other_types_hold_the_same_picture() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        np.zeros((4, 5)),
-        np.zeros((4, 5, 1)),
-        np.zeros((4, 5, 4)),
+        np.zeros(5),
+        np.zeros((4, 5, 2)),
         np.zeros((2, 4, 5, 3)),
         np.zeros((0, 5, 3)),
         np.zeros((4, 0, 3)),
@@ -245,7 +244,7 @@ def test_arrays_of_other_types_hold_the_same_picture() -> None:
         np.full((4, 5, 3), 1.001),
         np.full((4, 5, 3), np.nan),
         np.full((4, 5, 3), np.inf),
-        np.full((4, 5, 3), 255, np.uint16),
+        np.full((4, 5, 3), 255, np.uint32),
         np.full((4, 5, 3), 0.5 + 0.5j),
         np.full((4, 5, 3), "0.5"),
         np.full((4, 5, 3), None),

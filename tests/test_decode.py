@@ -16,7 +16,7 @@ from PIL import Image
 from sgmethod import BitstreamError, decode, info, set_threads
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
-from sgmethod.decode import draw
+from sgmethod.decoder import draw
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from tests.harness.data import golden, golden_path

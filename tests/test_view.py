@@ -11,7 +11,7 @@ from sgmethod import BitstreamError, ViewError, decode, view
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.decode import draw
+from sgmethod.decoder import draw
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.view import View

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from contextlib import suppress
-from importlib.metadata import version
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from sgmethod.budget import BUDGET_KINDS, Budget, BudgetKind
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, BudgetKind
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 from sgmethod.view import MAX_SCALE, MIN_SCALE
 
-Command = Callable[[argparse.Namespace], None]
-
 BAD_INPUT = 2
-DEFAULT_BUDGET = Budget("bpp", 0.3)
 BUDGET_HELP: dict[BudgetKind, tuple[str, str]] = {
     "bpp": ("F", f"at most so many bits per pixel ({DEFAULT_BUDGET.value} if no budget is given)"),
     "bytes": ("N", "at most so many bytes"),
@@ -24,6 +19,45 @@ BUDGET_HELP: dict[BudgetKind, tuple[str, str]] = {
     "gaussians": ("N", "this number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
+MAX_JOBS = 256
+
+EXAMPLES = """examples:
+  sgmethod encode photo.jpg                        writes photo.sg
+  sgmethod decode photo.sg photo.png
+  sgmethod compare photo.jpg photo.sg
+each command has examples of its own: sgmethod encode --help"""
+ENCODE = (
+    "Encode pictures as .sg files.",
+    """PNG, JPEG, WebP, AVIF, HEIC (with its package), TIFF, BMP, GIF, PPM and QOI are read, and converted to sRGB.
+
+examples:
+  sgmethod encode photo.jpg                        writes photo.sg, of at most 0.3 bits per pixel
+  sgmethod encode photo.jpg small.sg --bytes 20000
+  sgmethod encode - - --psnr 35 <photo.jpg >photo.sg
+  sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each""",
+)
+DECODE = (
+    "Decode an .sg file, or a view of it.",
+    """The suffix of OUT decides the format: .png, .jpg, .webp, .avif or .ppm.
+
+examples:
+  sgmethod decode photo.sg photo.png
+  sgmethod decode photo.sg small.jpg --scale 0.25
+  sgmethod decode photo.sg part.png --region 100,50,320,240 --scale 2
+  sgmethod decode - - <photo.sg >photo.png""",
+)
+INFO = (
+    "Print what an .sg file says of itself, and the bits spent on each part.",
+    """examples:
+  sgmethod info photo.sg
+  sgmethod info photo.sg --json""",
+)
+COMPARE = (
+    "Print how close two pictures are, or a picture and an .sg file.",
+    """examples:
+  sgmethod compare photo.jpg photo.sg
+  sgmethod compare a.png b.png --json""",
+)
 
 
 def one_line(message: str) -> str:
@@ -34,57 +68,84 @@ def one_line(message: str) -> str:
 class _Parser(argparse.ArgumentParser):
     """Wrong usage is one line on stderr, like every other error."""
 
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        named |= {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
+        super().__init__(*arguments, **named)
+
     def error(self, message: str) -> NoReturn:
         self.exit(BAD_INPUT, f"sgmethod: {one_line(message)} (see: {self.prog} --help)\n")
 
 
-def parser_of(encode: Command, decode: Command, info: Command) -> argparse.ArgumentParser:
-    """The parser; what it returns has the command to carry out as `run`."""
-    parser = _Parser(prog="sgmethod", description="Photographs as small sets of 2D Gaussians.", allow_abbrev=False)
-    parser.add_argument("--version", action="version", version=f"sgmethod {version('sgmethod')}")
-    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+class _Version(argparse.Action):
+    """The version, looked for when it is asked for: that takes longer than all of the parser."""
 
-    def command(name: str, run: Command, summary: str) -> argparse.ArgumentParser:
-        found = commands.add_parser(name, help=summary, description=summary, allow_abbrev=False)
-        found.set_defaults(run=run)
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"sgmethod {version('sgmethod')}")
+        parser.exit()
+
+
+def parser() -> argparse.ArgumentParser:
+    """What it returns has the name of the command to carry out as `run`."""
+    whole = _Parser(prog="sgmethod", description="Photographs as small sets of 2D Gaussians.", epilog=EXAMPLES)
+    whole.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    commands = whole.add_subparsers(metavar="COMMAND", required=True)
+
+    def command(name: str, texts: tuple[str, str]) -> argparse.ArgumentParser:
+        found = commands.add_parser(name, help=texts[0], description=texts[0], epilog=texts[1])
+        found.set_defaults(run=name)
         return found
 
-    _add_encode_arguments(command("encode", encode, "Encode an image (PNG, JPEG, WebP, TIFF, BMP) as an .sg file."))
-    _add_decode_arguments(command("decode", decode, "Decode an .sg file, or a view of it, to PNG."))
-    fields = command("info", info, "Print the header fields of an .sg file and the bits spent on each part.")
-    fields.add_argument("input", metavar="IN.sg")
-    fields.add_argument("--json", action="store_true", help="print one JSON object")
-    return parser
+    _add_encode_arguments(command("encode", ENCODE))
+    _add_decode_arguments(command("decode", DECODE))
+    fields = command("info", INFO)
+    fields.add_argument("input", metavar="IN.sg", help="- for standard input")
+    fields.add_argument("--json", action="store_true", help="print one JSON object, with every field")
+    two = command("compare", COMPARE)
+    two.add_argument("first", metavar="A")
+    two.add_argument("second", metavar="B")
+    two.add_argument("--json", action="store_true", help="print one JSON object")
+    return whole
 
 
 def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", metavar="IN")
-    parser.add_argument("output", metavar="OUT.sg")
+    parser.add_argument(
+        "names", nargs="+", metavar="IN [OUT.sg]", help="- for standard input and output; OUT.sg is IN's name otherwise"
+    )
     budget = parser.add_mutually_exclusive_group()
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
         # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
         budget.add_argument(f"--{kind}", type=float, metavar=metavar, help=text)
+    parser.add_argument("--output-dir", metavar="DIR", help="all names are of pictures; write DIR/NAME.sg for each")
+    parser.add_argument("--jobs", type=_jobs, default=1, metavar="N", help="so many pictures at a time (default: 1)")
     parser.add_argument(
         "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
     )
-    parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="be done after so long")
+    parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="be done after so long, for each picture")
     parser.add_argument("--server", metavar="URL", help="have a service encode it; its API key from SG_API_KEY")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of everything random (default: 0)")
-    parser.add_argument("--trace", metavar="FILE.json", help="write error against time of the fit")
-    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar and no summary")
+    parser.add_argument("--trace", metavar="FILE.json", help="write error against time of the fit, of one picture")
+    parser.add_argument("--json", action="store_true", help="print the figures as a JSON object for each picture")
+    _add_common_arguments(parser)
 
 
 def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", metavar="IN.sg")
-    parser.add_argument("output", metavar="OUT.png")
+    parser.add_argument("input", metavar="IN.sg", help="- for standard input")
+    parser.add_argument("output", metavar="OUT", help="- for standard output, as PNG")
     scales = f"{MIN_SCALE} to {MAX_SCALE:g} (default: 1)"
     parser.add_argument("--scale", type=float, default=1.0, metavar="S", help=f"pixels drawn for a pixel, {scales}")
     parser.add_argument("--region", type=_region, metavar="X,Y,W,H", help="this part of the picture, in its own pixels")
     parser.add_argument(
         "--prefix", type=float, default=1.0, metavar="P", help="from this part of the file, of profile rd alone"
     )
+    _add_common_arguments(parser)
+
+
+def _add_common_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--no-clobber", action="store_true", help="skip what would replace a file")
+    parser.add_argument("--quiet", action="store_true", help="print errors alone")
 
 
 def _region(text: str) -> tuple[int, int, int, int]:
@@ -99,3 +160,10 @@ def _seed(text: str) -> int:
         if 0 <= int(text) <= MAX_SEED:
             return int(text)
     raise argparse.ArgumentTypeError(f"a seed is a whole number from 0 to {MAX_SEED}, not {text!r}")
+
+
+def _jobs(text: str) -> int:
+    with suppress(ValueError):
+        if 1 <= int(text) <= MAX_JOBS:
+            return int(text)
+    raise argparse.ArgumentTypeError(f"a number of jobs is a whole number from 1 to {MAX_JOBS}, not {text!r}")

@@ -1,122 +1,121 @@
-"""The three commands. Only `encode` imports torch, and with --server not even that."""
+"""The commands decode, info and compare, none of which imports torch."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-from collections.abc import Callable, Iterator
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sgmethod.budget import BUDGET_KINDS, Budget
 from sgmethod.cli import files
-from sgmethod.cli.arguments import DEFAULT_BUDGET
-from sgmethod.cli.terminal import progress_line, silent_stderr
-from sgmethod.decode import decode, info
-from sgmethod.io.image import read_image_8_bit
-from sgmethod.io.png import encode_png
-from sgmethod.trace import TracePoint
+from sgmethod.cli.files import STREAM, CommandError
+from sgmethod.cli.terminal import silent_stderr
+from sgmethod.decoder import decode, info
+from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.view import View
 
 if TYPE_CHECKING:
-    from sgmethod.codec import Encoded
-
-Result = tuple[bytes, dict[str, Any], list[TracePoint]]  # the file, its figures, the trace
-
-
-def run_encode(arguments: argparse.Namespace) -> None:
-    """sgmethod encode"""
-    given = [Budget(kind, value) for kind in BUDGET_KINDS if (value := getattr(arguments, kind)) is not None]
-    files.check_outputs(arguments.input, [path for path in (arguments.output, arguments.trace) if path is not None])
-    encode = _encode_here if arguments.server is None else _encode_there
-    data, figures, trace = encode(arguments, given[0] if given else DEFAULT_BUDGET, files.read(arguments.input))
-    if arguments.trace is not None:
-        points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
-        files.write(arguments.trace, (json.dumps(points, allow_nan=False) + "\n").encode())
-    files.write(arguments.output, data)
-    if arguments.json:
-        print(json.dumps(figures, allow_nan=False))
-    elif not arguments.quiet:
-        print(_summary(figures))
+    import numpy as np
+    from numpy.typing import NDArray
 
 
-def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes) -> Result:
-    with silent_stderr():  # libtiff prints its own lines about a damaged file
-        pixels = read_image_8_bit(image)
-    del image  # the file: a photograph of some megabytes
-    encode = _load_encoder()
-    with progress_line(not arguments.quiet and os.isatty(2)) as show:
-        encoded = encode(
-            pixels,
-            budget,
-            arguments.profile,
-            seed=arguments.seed,
-            time_limit_s=arguments.time_limit,
-            on_progress=show,
-        )
-    return encoded.data, encoded.stats.to_dict(), encoded.trace
-
-
-def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes) -> Result:
-    try:
-        from sgmethod.client import Client
-    except ImportError as error:
-        raise files.CommandError(f"--server needs another package ({error}): pip install 'sgmethod[client]'") from error
-    if arguments.seed != 0:
-        raise files.CommandError("a server takes no --seed")
-    with (
-        Client(arguments.server, os.environ.get("SG_API_KEY")) as client,
-        progress_line(not arguments.quiet and os.isatty(2)) as show,
-    ):
-        limit = arguments.time_limit
-        encoded = client.encode(image, budget, arguments.profile, time_limit_s=limit, on_progress=show)
-    return encoded.data, encoded.figures, encoded.trace
-
-
-def _load_encoder() -> Callable[..., Encoded]:
-    try:
-        from sgmethod.codec import encode
-    except ImportError as error:
-        raise files.CommandError(
-            f"encoding needs packages that decoding does not ({error}); install them: pip install 'sgmethod[encode]'"
-        ) from error
-    return encode
-
-
-def _summary(figures: dict[str, Any]) -> str:
-    psnr = "no error" if figures["psnr"] is None else f"{figures['psnr']:.2f} dB"
-    ssim = "" if figures["ms_ssim"] is None else f", MS-SSIM {figures['ms_ssim']:.4f}"
-    size = "{width} x {height}: {bytes:,} bytes, {bpp:.4f} bpp".format(**figures)
-    return f"{size}, {psnr}{ssim}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
-
-
-def run_decode(arguments: argparse.Namespace) -> None:
+def run_decode(arguments: argparse.Namespace) -> int:
     """sgmethod decode"""
+    source, target = arguments.input, arguments.output
     view = View(arguments.scale, arguments.region, arguments.prefix)
-    files.check_outputs(arguments.input, [arguments.output])
-    files.write(arguments.output, encode_png(decode(files.read(arguments.input), view=view)))
+    kind = "PNG" if files.is_device(target) else SUFFIXES.get(Path(target).suffix.lower())
+    files.check_outputs([source], [target])
+    if kind is None:
+        raise CommandError(f"cannot write {target}: its name must end in {', '.join(SUFFIXES)}")
+    out = sys.stderr if target == STREAM else sys.stdout
+    if arguments.no_clobber and Path(target).is_file():
+        said = f"{target} is there already: skipped"
+    else:
+        pixels = decode(files.read(source), view=view)
+        data = encode_picture(pixels, kind)
+        files.write(target, data)
+        height, width = pixels.shape[:2]
+        names = f"{files.name_of(source)} -> {files.name_of(target, 'standard output')}"
+        said = f"{names}: {width} x {height} pixels, {kind}, {len(data):,} bytes"
+    if not arguments.quiet:
+        print(said, file=out)
+    return 0
 
 
-def run_info(arguments: argparse.Namespace) -> None:
+def run_info(arguments: argparse.Namespace) -> int:
     """sgmethod info"""
     fields = info(files.read(arguments.input)).to_dict()
     if arguments.json:
         print(json.dumps(fields, allow_nan=False))
-        return
-    for name, value in fields.items():
-        for label, text in _lines(name, value):
-            print(f"{label:<22}{text}")
-
-
-def _lines(name: str, value: object) -> Iterator[tuple[str, str]]:
-    """A field of info() as (label, value) lines: a nested field has a line for each of its parts."""
-    if isinstance(value, dict):
-        for part, inner in value.items():
-            yield from _lines(f"{name}.{part}", inner)
-    elif isinstance(value, list) and value and isinstance(value[0], list | dict):
-        for index, inner in enumerate(value):
-            yield from _lines(f"{name}[{index}]", inner)
-    elif isinstance(value, list):
-        yield name, " ".join(f"{v:.7g}" for v in value)
     else:
-        yield name, f"{value:.4f}" if isinstance(value, float) else str(value)
+        for label, text in _lines(fields):
+            print(f"{label:<16}{text}")
+    return 0
+
+
+def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """What people want to know first, then the fields that fit into a line."""
+    told = {"width", "height", "bytes", "bpp", "version", "checksum", "profile", "gaussians", "bits"}
+    bits = fields["bits"]
+    whole = sum(bits.values())
+    yield "picture", f"{fields['width']} x {fields['height']} pixels"
+    yield "file", f"{fields['bytes']:,} bytes, {fields['bpp']:.4f} bits per pixel"
+    yield "format", f"version {fields['version']}, profile {fields['profile']}, checksum {fields['checksum']}"
+    yield "Gaussians", f"{fields['gaussians']:,}"
+    yield "bits", ", ".join(f"{name} {part:,} ({part / whole:.1%})" for name, part in bits.items())
+    for name, value in fields.items():
+        if name in told or isinstance(value, dict):
+            continue
+        if isinstance(value, list):
+            if all(isinstance(item, int | float) for item in value):
+                yield name.replace("_", " "), " ".join(f"{item:.7g}" for item in value)
+        elif isinstance(value, bool):
+            yield name.replace("_", " "), "yes" if value else "no"
+        else:
+            yield name.replace("_", " "), f"{value:.4f}" if isinstance(value, float) else str(value)
+
+
+def run_compare(arguments: argparse.Namespace) -> int:
+    """sgmethod compare"""
+    from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr
+
+    first, second = _picture(arguments.first), _picture(arguments.second)
+    sizes = [f"{pixels.shape[1]} x {pixels.shape[0]}" for pixels in (first, second)]
+    if sizes[0] != sizes[1]:
+        raise CommandError(f"the pictures are of different sizes: {sizes[0]} and {sizes[1]} pixels")
+    db = psnr(first, second)
+    try:
+        similarity = ms_ssim(first, second)
+        missing = f"not defined for sides below {MIN_SIDE} pixels"
+    except ImportError:
+        similarity, missing = None, "needs another package: pip install 'sgmethod[encode]'"
+    if arguments.json:
+        found = {"psnr": None if db == float("inf") else db, "ms_ssim": similarity}
+        print(json.dumps(found, allow_nan=False))
+        return 0
+    print(f"{'PSNR':<16}{'no error' if db == float('inf') else f'{db:.2f} dB'}")
+    print(f"{'MS-SSIM':<16}{missing if similarity is None else f'{similarity:.4f}'}")
+    return 0
+
+
+def _picture(path: str) -> NDArray[np.uint8]:
+    """Pixels of an image file, or of an .sg file."""
+    from sgmethod.bitstream.stream import MAGIC
+    from sgmethod.errors import ImageError, ImageWarning
+    from sgmethod.io.image import read_image_8_bit
+
+    data = files.read(path)
+    if data.startswith(MAGIC):
+        return decode(data)
+    try:
+        with silent_stderr(), warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ImageWarning)
+            pixels = read_image_8_bit(data)
+    except ImageError as error:
+        raise CommandError(f"{path}: {error}") from error
+    for note in caught:
+        print(f"sgmethod: note: {path}: {note.message}", file=sys.stderr)
+    return pixels

@@ -5,13 +5,16 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from sgmethod.io.files import write_atomically
 
+STREAM = "-"  # standard input, or output
 MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncompressed; a device never ends
 
 
@@ -20,20 +23,40 @@ class CommandError(Exception):
 
 
 def read(path: str) -> bytes:
-    """The bytes of a file, of at most MAX_INPUT_BYTES."""
+    """The bytes of a file, or of standard input, of at most MAX_INPUT_BYTES."""
     data = bytearray()
-    with _saying("read", path), Path(path).open("rb") as file:
+    with _saying("read", path), _opened(path) as file:
         while block := file.read(1 << 20):
             data += block
             if len(data) > MAX_INPUT_BYTES:
-                raise CommandError(f"cannot read {path}: it has more than {MAX_INPUT_BYTES:,} bytes")
+                raise CommandError(f"cannot read {name_of(path)}: it has more than {MAX_INPUT_BYTES:,} bytes")
     return bytes(data)
 
 
+@contextmanager
+def _opened(path: str) -> Iterator[BinaryIO]:
+    if path != STREAM:
+        with Path(path).open("rb") as file:
+            yield file
+    elif sys.stdin is None or sys.stdin.isatty():
+        raise CommandError("standard input is a terminal, or closed: a file was expected there")
+    else:
+        yield sys.stdin.buffer
+
+
 def write(path: str, data: bytes) -> None:
-    """Write a file, whole or not at all."""
+    """Write a file, whole or not at all, or standard output."""
     with _saying("write", path):
-        write_atomically(path, data)
+        if path == STREAM:
+            sys.stdout.buffer.write(data)
+            sys.stdout.buffer.flush()
+        else:
+            write_atomically(path, data)
+
+
+def name_of(path: str, stream: str = "standard input") -> str:
+    """The path as a sentence names it."""
+    return stream if path == STREAM else path
 
 
 @contextmanager
@@ -41,22 +64,40 @@ def _saying(verb: str, path: str) -> Iterator[None]:
     """What the system refuses becomes one sentence with the path as it was given."""
     try:
         yield
+    except BrokenPipeError:  # nobody reads any more, which is no error
+        raise
     except OSError as error:
-        raise CommandError(f"cannot {verb} {path}: {error.strerror or error}") from error
+        stream = "standard input" if verb == "read" else "standard output"
+        raise CommandError(f"cannot {verb} {name_of(path, stream)}: {error.strerror or error}") from error
 
 
-def check_outputs(source: str, outputs: list[str]) -> None:
-    """Raise CommandError if one of the files cannot be written, or would replace the input or each other."""
+def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
+    """Raise CommandError if one of the files cannot be written, or would replace an input or another."""
     for path in outputs:
-        with _saying("write", path):
-            _check_writable(Path(os.path.realpath(path)))
-    files = [os.path.realpath(path) for path in (source, *outputs) if not _is_device(path)]
-    if len(set(files)) < len(files):
-        raise CommandError("the input and what is written must be different files")
+        if path == STREAM:
+            if sys.stdout is None or sys.stdout.isatty():
+                raise CommandError("standard output is a terminal: give a file, or send it on with > or |")
+        else:
+            with _saying("write", path):
+                _check_writable(Path(os.path.realpath(path)))
+    taken: dict[str, str] = {os.path.realpath(path): path for path in sources if not is_device(path)}
+    for path in outputs:
+        if is_device(path):
+            continue
+        if (real := os.path.realpath(path)) in taken:
+            raise CommandError(f"the input and what is written must be different files, which {path} is not")
+        taken[real] = path
 
 
-def _is_device(path: str) -> bool:
-    return Path(path).exists() and not Path(path).is_file()
+def is_device(path: str) -> bool:
+    """Whether it is what data goes to or comes from, and no file with a name to keep."""
+    return path == STREAM or (Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir())
+
+
+def make_folder(path: str) -> None:
+    """Make a folder, and those that it lies in. Raises CommandError."""
+    with _saying("write", path):
+        Path(path).mkdir(parents=True, exist_ok=True)
 
 
 def _check_writable(target: Path) -> None:

@@ -1,20 +1,20 @@
-"""The command line: sgmethod encode, decode and info.
+"""The command line: sgmethod encode, decode, info and compare.
 
-Exit status: 0 when all is done; 2 when it cannot be done as asked, with one line on stderr that says why; 130
-after Ctrl-C; 141 when nobody reads stdout any more. A file is written whole or not at all, and whether it can
-be written is known before the work begins.
+Exit status: 0 when all is done; 1 when some of several pictures could not be encoded; 2 when it cannot be done as
+asked, with one line on stderr that says why; 130 after Ctrl-C; 141 when nobody reads stdout any more. A file is
+written whole or not at all, and whether it can be written is known before the work begins.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from sgmethod.cli.arguments import BAD_INPUT, one_line, parser_of
-from sgmethod.cli.commands import run_decode, run_encode, run_info
+from sgmethod.cli.arguments import BAD_INPUT, one_line, parser
 from sgmethod.cli.files import CommandError
 from sgmethod.errors import SgError
 
@@ -23,9 +23,9 @@ INTERRUPTED, NO_READER = 128 + signal.SIGINT, 128 + signal.SIGPIPE
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status, except for --help, --version and wrong usage, which exit."""
-    arguments = parser_of(run_encode, run_decode, run_info).parse_args(argv)
+    arguments = parser().parse_args(argv)
     try:
-        arguments.run(arguments)
+        status = _run(arguments)
         print(end="", flush=True)
     except BrokenPipeError:
         _abandon_stdout()
@@ -39,7 +39,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         _abandon_stdout()
         return _fail(str(error))
-    return 0
+    return status
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    """Each command imports what it needs, once it is known: most of a short command's time goes there."""
+    if arguments.run == "encode":
+        from sgmethod.cli.encoding import run_encode
+
+        return run_encode(arguments)
+    # One thread is enough for what numpy's linear algebra does here, and starting others takes longer.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from sgmethod.cli import commands
+
+    run = {"decode": commands.run_decode, "info": commands.run_info, "compare": commands.run_compare}
+    return run[arguments.run](arguments)
 
 
 def _abandon_stdout() -> None:

@@ -57,4 +57,10 @@ def bar(point: TracePoint) -> str:
     done = point.step / point.steps if point.steps else 1.0
     filled = round(done * BAR_CELLS)
     bar = "#" * filled + "." * (BAR_CELLS - filled)
-    return f"{point.phase:<5} [{bar}] {done:4.0%}  {point.psnr:.2f} dB  {point.seconds:.1f} s"
+    left = remaining(point.seconds, done)
+    return f"{point.phase:<5} [{bar}] {done:4.0%}  {point.psnr:.2f} dB  {point.seconds:.1f} s{left}"
+
+
+def remaining(seconds: float, done: float) -> str:
+    """How long it will take yet, if it goes on as it did until now."""
+    return f", {seconds * (1 - done) / done:.0f} s left" if 0 < done < 1 else ""

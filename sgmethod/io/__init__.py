@@ -1,7 +1,7 @@
 """Pictures and files, in and out.
 
-Image files of five formats come in, and leave as arrays.
-Decoded pixels leave as PNG, and every file that is written is whole or absent.
+Image files of ten formats come in, pictures of Pillow's and arrays too, and leave as levels of sRGB.
+Decoded pixels leave in five formats, and every file that is written is whole or absent.
 """
 
 from sgmethod.io.files import write_atomically

@@ -9,7 +9,7 @@ import numpy as np
 
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.v1 import StreamV1
-from sgmethod.decode import decode
+from sgmethod.decoder import decode
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.request import Request

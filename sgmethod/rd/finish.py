@@ -11,7 +11,7 @@ import math
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.decode import decode
+from sgmethod.decoder import decode
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
 from sgmethod.metrics import psnr

@@ -15,7 +15,7 @@ from sgmethod import BitstreamError, decode
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.stream import MAGIC, PREFIX_BYTES
 from sgmethod.bitstream.v1 import GROUP, HEADER, Field, StreamV1
-from sgmethod.decode import MAX_PIXELS
+from sgmethod.decoder import MAX_PIXELS
 from sgmethod.native import native
 from tests.bitstream import plain_decoder
 from tests.harness.data import ROOT, golden, with_checksum

@@ -175,4 +175,6 @@ def _checked_header(image: bytes, settings: Settings) -> SourceImage:
         header = read_header(image, ImageLimits(settings.max_pixels, settings.max_side))
     except ImageError as error:
         raise ProblemError(422, str(error)) from error
+    if not header.still:
+        raise ProblemError(422, "the file holds more than one picture; one still picture is needed")
     return SourceImage(header.format, header.width, header.height, len(image))

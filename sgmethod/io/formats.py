@@ -1,0 +1,82 @@
+"""Image formats: known by their first bytes, and each read by the class that Pillow or its plugin has for it.
+
+The classes are called directly: Image.open would try its other formats, follow a JPEG into its second picture, and
+apply a pixel limit of its own through a global and a warning.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import logging
+
+from PIL import ImageFile
+
+from sgmethod.errors import ImageError
+from sgmethod.io import chunks
+from sgmethod.io.chunks import PNG_MAGIC
+
+TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+MAGICS: dict[str, tuple[bytes, ...]] = {
+    "PNG": (PNG_MAGIC,),
+    "JPEG": (b"\xff\xd8\xff",),
+    "TIFF": TIFF_MAGICS,
+    "BMP": (b"BM",),
+    "GIF": (b"GIF87a", b"GIF89a"),
+    "QOI": (b"qoif",),
+    "PPM": tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b" \t\n\r#"),
+}
+HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
+READERS = {
+    "PNG": ("PIL.PngImagePlugin", "PngImageFile"),
+    "JPEG": ("PIL.JpegImagePlugin", "JpegImageFile"),
+    "WebP": ("PIL.WebPImagePlugin", "WebPImageFile"),
+    "TIFF": ("PIL.TiffImagePlugin", "TiffImageFile"),
+    "BMP": ("PIL.BmpImagePlugin", "BmpImageFile"),
+    "GIF": ("PIL.GifImagePlugin", "GifImageFile"),
+    "AVIF": ("PIL.AvifImagePlugin", "AvifImageFile"),
+    "HEIC": ("pillow_heif", "HeifImageFile"),
+    "PPM": ("PIL.PpmImagePlugin", "PpmImageFile"),
+    "QOI": ("PIL.QoiImagePlugin", "QoiImageFile"),
+}
+REFUSED = {
+    "an .sg file already": (b"SGM",),
+    "a JPEG XL": (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n"),
+    "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
+    "a PDF": (b"%PDF",),
+    "a Photoshop file": (b"8BPS",),
+    "an SVG": (b"<svg", b"<?xml"),
+}
+PLUGINS = {"HEIC": "pip install 'sgmethod[heif]'", "AVIF": "pip install 'pillow>=11.3'"}
+
+# Without a handler Python prints what Pillow logs about odd files to stderr.
+logging.getLogger("PIL").addHandler(logging.NullHandler())
+
+
+def name_of(data: bytes) -> str:
+    """One of READERS. Raises ImageError for bytes of no such format."""
+    for name, magics in MAGICS.items():
+        if data.startswith(magics):
+            return name
+    if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+        return "WebP"
+    brands = chunks.brands(data)
+    if {b"avif", b"avis"} & set(brands):
+        return "AVIF"
+    if HEIC_BRANDS & set(brands):
+        return "HEIC"
+    if not data:
+        raise ImageError("the file is empty")
+    kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
+    raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
+
+
+def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
+    """The reader of a file of a format, which has parsed its header. Raises ImageError where its package is missing,
+    and whatever the reader raises."""
+    module, reader = READERS[name]
+    try:
+        found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
+    except ImportError as error:
+        raise ImageError(f"this is a {name} file; to read it: {PLUGINS[name]}") from error
+    return found(io.BytesIO(data))

@@ -1,0 +1,171 @@
+"""What is known of a picture before a pixel of it is decoded, and everything that is refused by then."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from PIL import Image
+
+from sgmethod.errors import ImageError, ImageWarning, SgError
+from sgmethod.io import chunks, formats
+from sgmethod.io.colour import Colour, ProfileError
+from sgmethod.io.levels import BITS_PER_SAMPLE, stated_colour
+from sgmethod.native import native
+
+# TIFF tags, and a value
+NEW_SUBFILE_TYPE, ORIENTATION, PLANAR = 254, 274, 284
+APART = 2
+
+_PILLOW_LOCK = threading.Lock()  # Python's warning filters, silenced below, are one state for all threads
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What a file says of its picture.
+
+    format: as the list above names it; width, height: pixels, after EXIF orientation; mode: Pillow's name of the
+    stored samples, such as "RGB" (8 or 16 bits each), "RGBA", "L", "P", "CMYK" or "I;16"; still: whether it is the
+    only picture, where reading takes the first.
+    """
+
+    format: str
+    width: int
+    height: int
+    mode: str
+    still: bool = True
+
+
+@dataclass(frozen=True)
+class ImageLimits:
+    """The largest picture that is read.
+
+    max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB
+    and needs 2.3 times that while it works (RGBA, the worst kind measured).
+    max_side: pixels of the longer side. The default is what an .sg file has room for; JPEG allows no more.
+    """
+
+    max_pixels: int = 100_000_000
+    max_side: int = field(default_factory=lambda: native.MAX_SIDE)
+
+    def check(self, width: int, height: int) -> None:
+        """Raise ImageError if a picture of width x height pixels is empty or too large."""
+        if width <= 0 or height <= 0:
+            raise ImageError(f"the image is empty: its header says {width} x {height} pixels")
+        if max(width, height) > self.max_side or width * height > self.max_pixels:
+            raise ImageError(
+                f"the image is too large: {width} x {height} pixels, where at most "
+                f"{self.max_pixels:,} in all and {self.max_side:,} a side are read"
+            )
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A reader that has parsed its header, and what is known of its picture without a pixel."""
+
+    reader: Image.Image
+    orientation: int  # still to be undone
+    colour: Colour
+    notes: list[str]  # what is left out
+
+
+@contextmanager
+def only_image_errors() -> Iterator[None]:
+    """Everything that Pillow raises on a bad file leaves as ImageError, and its warnings are not shown."""
+    with _PILLOW_LOCK, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            yield
+        except SgError:  # one of ours already; or the kernels are missing, which have the largest side
+            raise
+        except Image.DecompressionBombError as error:  # Pillow's own limit, for callers who allow more
+            raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error
+        except MemoryError as error:
+            raise ImageError("there is not enough memory to decode the image") from error
+        except Exception as error:
+            reason = str(error).strip().split("\n")[0] or type(error).__name__
+            raise ImageError(f"the image is damaged, cut short or of an unsupported kind ({reason})") from error
+
+
+def warn(notes: list[str]) -> None:
+    """Say what is left out, to the caller of whoever reads."""
+    for note in notes:
+        warnings.warn(note, ImageWarning, stacklevel=3)
+
+
+def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
+    """After every check that needs no pixels."""
+    reader = formats.open_reader(data, kind)
+    (limits or ImageLimits()).check(*reader.size)
+    notes = [] if is_still(reader) else ["it holds more than one picture: the first is taken"]
+    if kind == "TIFF":
+        _check_tiff(reader)
+    _check_tiles(reader, kind)
+    if not (reader.mode == "I" and kind == "PPM"):
+        check_mode(reader)
+    stated, profile_notes = colour_of(reader, data)
+    block = reader.info.get("exif") or (chunks.of_png(data).get(b"eXIf") if kind == "PNG" else None)
+    # Pillow's TIFF reader turns the picture itself, and libheif does.
+    orientation = 1 if kind in ("TIFF", "HEIC") else orientation_of(block)
+    return Opened(reader, orientation, stated, [*notes, *profile_notes])
+
+
+def is_still(reader: Image.Image) -> bool:
+    """Whether a file holds one picture alone."""
+    return not getattr(reader, "is_animated", False)
+
+
+def check_mode(reader: Image.Image) -> None:
+    if reader.mode in ("I", "F"):
+        raise ImageError("samples of more than 16 bits, signed samples and floats are not supported")
+
+
+def _check_tiff(reader: Any) -> None:
+    """Raise ImageError on TIFF files that Pillow would read, but not as the picture they hold."""
+    tags = reader.tag_v2
+    if tags.get(NEW_SUBFILE_TYPE, 0) & 1:
+        raise ImageError("the first picture of the file is only a preview, as in a camera's raw file")
+    if tags.get(PLANAR) == APART and max(tags.get(BITS_PER_SAMPLE, (1,))) > 8:
+        raise ImageError("TIFF files with 16-bit channels stored apart are not supported")
+
+
+def _check_tiles(reader: Any, kind: str) -> None:
+    """Raise ImageError if the file has data for some of its pixels only; Pillow leaves the others black."""
+    # Pillow hands a compressed TIFF to libtiff, which checks this, and lists no tiles for a WebP or HEIC. The first
+    # frame of a GIF may be a part of its screen.
+    if kind in ("WebP", "HEIC", "GIF") or (reader.tile and reader.tile[0][0] == "libtiff"):
+        return
+    apart = kind == "TIFF" and reader.tag_v2.get(PLANAR) == APART
+    planes = len(reader.getbands()) if apart else 1
+    boxes = [tile[1] or (0, 0, *reader.size) for tile in reader.tile]
+    if sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes) < planes * reader.width * reader.height:
+        raise ImageError("the file does not hold all of its pixels")
+
+
+def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str]]:
+    """What is stated of the colours, and what is to be said of it."""
+    if reader.mode == "LAB":  # which says it all
+        return None, []
+    grey = reader.mode in ("1", "L", "LA", "I") or reader.mode.startswith("I;16")
+    mode = "L" if grey else "CMYK" if reader.mode == "CMYK" else "RGB"
+    try:
+        return stated_colour(reader, mode, data), []
+    except ProfileError as error:
+        return None, [f"its colour profile is left out: {error}"]
+
+
+def orientation_of(block: bytes | None) -> int:
+    """EXIF orientation, 1 to 8; 1 where there is none. Never decodes pixels."""
+    if not block:
+        return 1
+    exif = Image.Exif()
+    try:
+        exif.load(block)
+        value = exif.get(ORIENTATION, 1)
+    except Exception:  # the pixels are none the worse for it
+        return 1
+    return value if value in range(1, 9) else 1

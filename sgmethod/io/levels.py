@@ -1,0 +1,129 @@
+"""From a reader of Pillow's to levels of sRGB: whichever samples and colours a file has."""
+
+from __future__ import annotations
+
+import io
+import sys
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageFile
+
+from sgmethod.io import chunks, colour
+from sgmethod.io.colour import Colour, Levels, Transform
+
+Float32Array = npt.NDArray[np.float32]
+
+# TIFF tags, and a value
+BITS_PER_SAMPLE, PHOTOMETRIC = 258, 262
+WHITE_IS_ZERO = 0
+
+
+def with_alpha(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Levels, int, Levels | None, int]:
+    """Decode: levels of sRGB [H, W, 1 or 3] and the one that is white; alpha [H, W, 1] or None, and what is opaque.
+
+    reader: not yet loaded; data: its file, without which 16-bit RGB comes in 8 bits; stated: its colours.
+    """
+    key = reader.info.pop("transparency", None) if reader.mode != "P" else None
+    levels, peak = _stored(reader, data, stated)
+    alpha = None
+    if levels.shape[2] in (2, 4):
+        levels, alpha = levels[..., :-1], levels[..., -1:]
+    elif key is not None:
+        # The transparent colour of a PNG file. Samples of 2 and 4 bits have been stretched to 8, but not the key.
+        stretched = {2: 85, 4: 17}.get(data[24], 1) if data is not None and reader.format == "PNG" else 1
+        alpha = np.any(levels != np.multiply(key, stretched), axis=2, keepdims=True) * levels.dtype.type(peak)
+    opaque = peak
+    if stated is not None and not (isinstance(stated, Transform) and stated.mode == "CMYK"):
+        levels, peak = stated.convert(levels, peak)
+    return levels, peak, alpha, opaque
+
+
+def _stored(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Levels, int]:
+    """Levels [H, W, C] as stored, and the one that is white; C is 1 for grey, 3 for RGB, and one more with alpha."""
+    if data is not None and _rawmode(reader)[:-1] in ("RGB;16", "RGBA;16", "RGBX;16"):
+        return _load_16_bit_rgb(reader, data), 65535
+    if reader.mode == "I":  # of PPM alone, in 16 bits
+        return _load(reader)[..., None].astype(np.uint16), 65535
+    if reader.mode.startswith("I;16"):
+        levels, peak = _load(reader)[..., None], 65535
+        if reader.format == "TIFF" and data is not None:
+            tags: Any = reader.tag_v2  # type: ignore[attr-defined]
+            peak = (1 << tags[BITS_PER_SAMPLE][0]) - 1  # 12 bits are stored as they are
+            levels = peak - levels if tags.get(PHOTOMETRIC, 0) == WHITE_IS_ZERO else levels
+        return levels, peak
+    if reader.mode == "CMYK" and isinstance(stated, Transform):
+        return stated.convert(_load(reader), 255)
+    return _load_8_bit(reader), 255
+
+
+def _rawmode(reader: Image.Image) -> str:
+    """Pillow's name for the order of bits and bytes in the file, "" where it is known only later."""
+    tiles = getattr(reader, "tile", [])
+    arguments = tiles[0][3] if tiles else ""
+    return arguments if isinstance(arguments, str) else str(arguments[0]) if arguments else ""
+
+
+def _load(reader: Image.Image, mode: str | None = None) -> Levels:
+    """Decode, and convert to another of Pillow's modes if asked to."""
+    # Pillow's TIFF reader would take the orientation from XMP where the tag is missing: another rule, and
+    # another size, than the header's.
+    reader.info.pop("xmp", None)
+    reader.load()
+    return np.asarray(reader.convert(mode) if mode else reader)
+
+
+def _load_8_bit(reader: Image.Image) -> Levels:
+    """uint8 [H, W, 1 or 3 or 4]."""
+    if reader.has_transparency_data:
+        return _load(reader, "RGBA")
+    return _load(reader, "L")[..., None] if reader.mode in ("1", "L") else _load(reader, "RGB")
+
+
+def _load_16_bit_rgb(reader: Image.Image, data: bytes) -> Levels:
+    """uint16 [H, W, 3 or 4].
+
+    Pillow keeps only the upper byte of each sample. Reading a second time with the two bytes named in the
+    opposite order makes it keep the lower one.
+    """
+    opposite = {"L": "B", "B": "L", "N": "B" if sys.byteorder == "little" else "L"}
+    rawmode = _rawmode(reader)
+    swapped = rawmode[:-1] + opposite[rawmode[-1]]
+    lower: ImageFile.ImageFile = type(reader)(io.BytesIO(data))  # type: ignore[call-arg, assignment]
+    lower.tile = [
+        tile._replace(args=swapped if isinstance(tile.args, str) else (swapped, *(tile.args or ())[1:]))
+        for tile in lower.tile
+    ]
+    return _load(reader).astype(np.uint16) << 8 | _load(lower)
+
+
+def stated_colour(reader: Image.Image, mode: str, data: bytes | None) -> Colour:
+    """What a file states of its colours, the most exact first (PNG, third edition, 4.3); None for sRGB.
+
+    mode: of the samples once decoded, "L", "RGB" or "CMYK".
+    Raises ProfileError for what cannot be used, ImageError for PQ and HLG.
+    """
+    info, kind = reader.info, reader.format if data is not None else None
+    cicp = chunks.of_png(data).get(b"cICP", b"") if data is not None and kind == "PNG" else b""
+    if len(cicp) == 4:
+        return colour.of_code_points(cicp[0], cicp[1])
+    if "icc_profile" in info:
+        return colour.of_profile(info["icc_profile"] or b"", mode)
+    if data is not None and kind in ("AVIF", "HEIF") and (points := chunks.code_points(data)) is not None:
+        return colour.of_code_points(*points)
+    if data is not None and kind == "QOI":
+        return colour.of_qoi(data)
+    # A picture of Pillow's that was read from a PNG still has what that stated.
+    return None if info.get("srgb") is not None else colour.of_png(info)
+
+
+def over_white(levels: Levels, peak: int, alpha: Levels, opaque: int) -> Float32Array:
+    """Values in [0, 1] of levels laid over white: value * alpha + (1 - alpha)."""
+    part = alpha.astype(np.float32)
+    part /= opaque
+    values = levels.astype(np.float32)
+    values /= peak
+    values *= part
+    values += 1 - part
+    return values

@@ -1,0 +1,87 @@
+""".sg files for Pillow: Image.open("photo.sg") and image.save("photo.sg", bpp=0.3), once sgmethod is imported."""
+
+from __future__ import annotations
+
+import io
+from typing import IO, TYPE_CHECKING, Any
+
+from PIL import Image, ImageFile, UnidentifiedImageError
+
+from sgmethod.errors import SgError
+
+if TYPE_CHECKING:
+    from sgmethod.decoder import SgFile
+
+FORMAT = "SGM"
+OPTIONS = ("bpp", "bytes", "psnr", "quality", "gaussians", "budget", "profile", "seed", "time_limit_s", "on_progress")
+
+
+class SgImageFile(ImageFile.ImageFile):
+    """An .sg file as Pillow reads it: drawn when it is loaded, and for thumbnail() in the size that is needed.
+
+    >>> with Image.open("photo.sg") as photo:
+    ...     photo.thumbnail((64, 64))
+    ...     photo.size
+    (64, 48)
+    """
+
+    format = FORMAT
+    format_description = "Photograph as 2D Gaussians"
+    _file: SgFile
+    _scale = 1.0
+
+    def _open(self) -> None:
+        from sgmethod.decoder import SgFile
+
+        assert self.fp is not None
+        try:
+            self._file = SgFile(self.fp.read())
+        except SgError as error:
+            raise UnidentifiedImageError(str(error)) from error
+        self._mode = "RGB"
+        self._set_size(self._file.size)
+
+    def _set_size(self, size: tuple[int, int]) -> None:
+        self._size = size
+        self.tile = [ImageFile._Tile("raw", (0, 0, *size), 0, "RGB")]
+
+    def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
+        """Have it drawn smaller, but not below size, by Pillow's rules."""
+        from sgmethod.view import MIN_SCALE, View
+
+        del mode  # it is drawn in RGB alone
+        if size is None or not self.tile:
+            return None
+        width, height = self._file.size
+        self._scale = min(max(size[0] / width, size[1] / height, MIN_SCALE), 1.0)
+        self._set_size(View(self._scale).size(width, height))
+        return self.mode, (0, 0, *self.size)
+
+    def load(self) -> Any:
+        """Draw it, once. Raises OSError for a file whose drawing would take unbounded time."""
+        if self.tile:
+            try:
+                pixels = self._file.pixels(self._scale)
+            except SgError as error:
+                raise OSError(str(error)) from error
+            if self.fp is not None and self._exclusive_fp:
+                self.fp.close()
+            self.fp = io.BytesIO(pixels.tobytes())
+        return super().load()
+
+    def load_seek(self, pos: int) -> None:
+        """What load() brings begins where it is."""
+
+
+def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
+    """With the arguments of sgmethod.encode; as other formats do, it lets pass what it does not know."""
+    from sgmethod.codec import encode
+
+    file.write(encode(image, **{name: value for name, value in image.encoderinfo.items() if name in OPTIONS}).data)
+
+
+def register() -> None:
+    """Make .sg files known to Pillow."""
+    Image.register_open(FORMAT, SgImageFile, lambda prefix: prefix.startswith(b"SGM"))
+    Image.register_save(FORMAT, _save)
+    Image.register_extension(FORMAT, ".sg")

@@ -1,0 +1,242 @@
+"""Standard input and output, every format, several pictures, what may not be replaced, and comparing."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sgmethod import decode
+from sgmethod.cli import encoding
+from sgmethod.cli.terminal import remaining
+from sgmethod.io.pictures import SUFFIXES, encode_picture
+from sgmethod.metrics import psnr
+from tests.cli.test_cli import PHOTO, Ran, Run, assert_refused, in_folder, names, rest_of, run, start, terminal_pair
+
+__all__ = ["in_folder", "run"]  # fixtures
+
+GOLDEN = "picture.sg"
+SRGB_ALREADY = (60, 120, 200)
+
+
+def piped(*arguments: str, data: bytes) -> tuple[int, bytes, bytes]:
+    process = start(*arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, binary=True)
+    out, err = process.communicate(data)
+    return process.returncode, out, err
+
+
+def test_standard_input_and_output() -> None:
+    status, data, err = piped("encode", "-", "-", "--gaussians", "9", data=Path("photo.png").read_bytes())
+    assert (status, data[:3]) == (0, b"SGM")
+    assert re.fullmatch(rb"128 x 96: .*\n", err)
+    assert piped("encode", "-", "--gaussians", "9", "--quiet", data=Path("photo.png").read_bytes()) == (0, data, b"")
+    status, picture, err = piped("decode", "-", "-", data=data)
+    assert (status, err.count(b"\n")) == (0, 1)
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(picture))), decode(data))
+    status, out, err = piped("info", "-", data=data)
+    assert (status, err) == (0, b"")
+    assert out.startswith(b"picture         128 x 96 pixels\n")
+    assert names() == {"photo.png", "picture.sg"}  # none called "-"
+
+
+def test_nobody_reads_the_picture() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = start("decode", GOLDEN, "-", stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert process.communicate()[1] == ""
+    assert process.returncode == 141
+
+
+def test_no_bytes_for_a_terminal() -> None:
+    ours, theirs = terminal_pair()
+    process = start("decode", GOLDEN, "-", stdout=theirs, stderr=subprocess.PIPE)
+    os.close(theirs)
+    err = process.communicate()[1]
+    assert process.returncode == 2
+    assert "standard output is a terminal" in err
+    assert rest_of(ours) == b""
+    ours, theirs = terminal_pair()
+    process = start("info", "-", stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    os.close(theirs)
+    assert "standard input is a terminal" in process.communicate()[1]
+    os.close(ours)
+
+
+@pytest.mark.parametrize("suffix", [*SUFFIXES, ".JPG"])
+def test_the_suffix_decides_the_format(run: Run, suffix: str) -> None:
+    ran = run("decode", GOLDEN, f"out{suffix}")
+    assert (ran.status, ran.err) == (0, "")
+    kind = SUFFIXES[suffix.lower()]
+    assert f", {kind}, " in ran.out
+    picture = Image.open(f"out{suffix}")
+    assert picture.format == kind.upper()
+    pixels = decode(Path(GOLDEN).read_bytes())
+    found = np.asarray(picture.convert("RGB"))
+    assert np.array_equal(found, pixels) if kind in ("PNG", "PPM") else psnr(found, pixels) > 35  # seen: 37.6 at least
+
+
+def test_every_format_but_ppm_says_srgb() -> None:
+    pixels = np.full((16, 16, 3), SRGB_ALREADY, np.uint8)
+    for kind in ("JPEG", "WebP"):
+        data = encode_picture(pixels, kind)
+        assert b"sRGB" in Image.open(io.BytesIO(data)).info["icc_profile"].replace(b"\0", b"")
+        assert data == encode_picture(pixels, kind)
+    assert Image.open(io.BytesIO(encode_picture(pixels, "PNG"))).info["srgb"] == 0
+    assert b"colrnclx\0\1\0\r" in encode_picture(pixels, "AVIF")  # the code points of sRGB: 1 and 13
+
+
+def test_a_picture_that_a_format_cannot_hold(run: Run) -> None:
+    ran = run("decode", GOLDEN, "out.webp", "--scale", "64", "--region", "0,0,40,1")
+    assert ran.status == 0
+    ran = run("encode", "photo.png", "wide.sg", "--gaussians", "9")
+    assert ran.status == 0
+    ran = run("decode", "wide.sg", "wide.webp", "--scale", "64", "--region", "0,0,128,1", "--scale", "64")
+    assert ran.status == 0  # 8,192 wide
+    with pytest.raises(Exception, match="cannot be written as WebP"):
+        encode_picture(np.zeros((1, 17_000, 3), np.uint8), "WebP")
+
+
+def test_the_name_left_out(run: Run) -> None:
+    Path("folder").mkdir()
+    PHOTO.save("folder/photo.of.me.jpg")
+    assert run("encode", "folder/photo.of.me.jpg", "--gaussians", "9").status == 0
+    assert run("encode", "photo.png", "--gaussians", "9").status == 0
+    assert names() == {"photo.png", "picture.sg", "photo.sg", "folder"}
+    assert {path.name for path in Path("folder").iterdir()} == {"photo.of.me.jpg", "photo.of.me.sg"}
+    assert encoding._named("IMG.1234") == "IMG.1234.sg"
+
+
+def test_no_clobber(run: Run) -> None:
+    before = Path(GOLDEN).read_bytes()
+    skipped = f"{GOLDEN} is there already: skipped\n"
+    assert run("encode", "photo.png", GOLDEN, "--no-clobber") == Ran(0, skipped, "")
+    assert run("decode", GOLDEN, "photo.png", "--no-clobber").out == "photo.png is there already: skipped\n"
+    assert run("encode", "photo.png", GOLDEN, "--no-clobber", "--quiet") == Ran(0, "", "")
+    assert Path(GOLDEN).read_bytes() == before
+    with Image.open("photo.png") as kept:
+        assert kept.size == (128, 96)
+    assert run("encode", "photo.png", "new.sg", "--no-clobber", "--gaussians", "9").status == 0
+    assert Path("new.sg").exists()
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_several_pictures(run: Run, jobs: str) -> None:
+    for name in ("one.png", "two.png"):
+        PHOTO.save(name)
+    Path("bad.jpg").write_bytes(b"hello")
+    PHOTO.save("moves.gif", save_all=True, append_images=[PHOTO.rotate(180)])
+    Path("out").mkdir()
+    Path("out/two.sg").write_bytes(b"before")
+    pictures = ["bad.jpg", "one.png", "missing.png", "two.png", "moves.gif"]
+    settings = ["--gaussians", "9", "--output-dir", "out", "--jobs", jobs, "--no-clobber"]
+    ran = run("encode", *pictures, *settings)
+    assert ran.status == 1
+    *lines, summary = ran.out.splitlines()
+    assert lines[0] == "out/two.sg is there already: skipped"
+    assert {line.split(": ")[0] for line in lines[1:]} == {"one.png -> out/one.sg", "moves.gif -> out/moves.sg"}
+    size = Path("out/one.sg").stat().st_size + Path("out/moves.sg").stat().st_size
+    assert re.fullmatch(rf"2 encoded, 1 skipped, 2 failed: {size} bytes, \d+\.\d s", summary)
+    note, *errors = ran.err.splitlines()
+    assert note == "sgmethod: note: moves.gif: it holds more than one picture: the first is taken"
+    assert any(line.startswith("sgmethod: bad.jpg: the file is not a PNG") for line in errors)
+    assert any(line.startswith("sgmethod: missing.png: cannot read missing.png: No such file") for line in errors)
+    assert len(errors) == 2
+    assert Path("out/two.sg").read_bytes() == b"before"
+    again = run("encode", "one.png", *settings[:2], "--output-dir", "deeper/still", "--json")
+    assert again.status == 0
+    assert json.loads(again.out).items() >= {"input": "one.png", "output": "deeper/still/one.sg", "width": 128}.items()
+    assert re.fullmatch(r"1 encoded, 0 skipped, 0 failed: .*\n", again.err)
+    if jobs == "1":  # other processes make the steps that this one is spared
+        assert Path("deeper/still/one.sg").read_bytes() == Path("out/one.sg").read_bytes()
+
+
+def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(encoding, "_begin_worker", os.abort)
+    for name in ("one.png", "two.png"):
+        PHOTO.save(name)
+    ran = run("encode", "one.png", "two.png", "--output-dir", "out", "--jobs", "2")
+    assert ran.status == 1
+    assert ran.err.count("was killed\n") == 2
+
+
+def test_interrupted_jobs_end() -> None:
+    """Ctrl-C, while two processes encode; and none is left."""
+    for name in ("one.png", "two.png", "three.png"):
+        PHOTO.resize((512, 384)).save(name)
+    pictures = ["one.png", "two.png", "three.png"]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = start(
+        *("encode", *pictures, "--output-dir", "out", "--jobs", "2", "--profile", "paper", "--time-limit", "60"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+    )
+    signal.signal(signal.SIGINT, before)
+    until = time.monotonic() + 60
+    while len(group(process.pid)) < 4 and time.monotonic() < until:  # us, two jobs, and multiprocessing's tracker
+        time.sleep(0.05)
+    time.sleep(1)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (130, "")
+    assert "Traceback" not in err
+    while group(process.pid) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert group(process.pid) == []
+
+
+def group(leader: int) -> list[str]:
+    """The running processes of a process group."""
+    found = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            _, _, rest = stat.read_text().rpartition(") ")
+        except OSError:
+            continue
+        if rest.split()[2] == str(leader) and rest[0] != "Z":
+            found.append(stat.parent.name)
+    return found
+
+
+def test_seconds_left() -> None:
+    assert remaining(6.0, 0.25) == ", 18 s left"
+    assert (remaining(6.0, 0.0), remaining(6.0, 1.0)) == ("", "")
+
+
+def test_compare(run: Run) -> None:
+    assert run("encode", "photo.png", "out.sg", "--gaussians", "50").status == 0
+    ran = run("compare", "photo.png", "out.sg")
+    db = psnr(decode(Path("out.sg").read_bytes()), np.asarray(PHOTO))
+    assert ran == Ran(0, f"PSNR            {db:.2f} dB\nMS-SSIM         not defined for sides below 161 pixels\n", "")
+    PHOTO.resize((200, 180)).save("large.png")
+    ran = run("compare", "large.png", "large.png", "--json")
+    assert json.loads(ran.out) == {"psnr": None, "ms_ssim": 1.0}
+    Path("bad.png").write_bytes(b"hello")
+    Path("folder").mkdir()
+    ran = run("compare", "large.png", "bad.png")
+    assert ran.status == 2
+    assert ran.err.startswith("sgmethod: bad.png: the file is not a PNG")
+
+
+def test_what_is_left_out_is_said(run: Run) -> None:
+    PHOTO.convert("RGBA").resize((64, 48)).save("input.png")
+    Image.new("RGBA", (64, 48), (10, 200, 30, 99)).save("input.png")
+    ran = run("encode", "input.png", "out.sg", "--gaussians", "9")
+    assert ran.status == 0
+    assert ran.err == "sgmethod: note: input.png: its transparency is laid over white\n"
+    assert run("encode", "input.png", "out.sg", "--gaussians", "9", "--quiet") == Ran(0, "", "")
+
+
+def test_a_read_only_folder(run: Run) -> None:
+    assert_refused(run("encode", "photo.png", "/proc/photo.sg"), "cannot write /proc/photo.sg")
+    assert_refused(run("encode", "photo.png", "--output-dir", "/proc/out"), "cannot write /proc/out")

@@ -1,0 +1,211 @@
+"""The package as a Python program meets it: what it takes, what it gives, Pillow's side of it, the examples."""
+
+from __future__ import annotations
+
+import doctest
+import io
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image, UnidentifiedImageError
+
+import sgmethod
+from sgmethod import Budget, BudgetError, ImageError, ImageWarning, SgError, SgFile, View, ViewError
+from sgmethod.profiles import PROFILES
+from tests.harness import profiles
+from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.io.test_image import exif_with
+
+PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
+PIXELS = np.asarray(PHOTO)
+GOLDEN = golden_path("v4-color.sg").read_bytes()  # 48 x 40
+
+
+@pytest.fixture(autouse=True)
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder with photo.jpg, photo.png and picture.sg in it, and encodes of less than a second."""
+    monkeypatch.chdir(tmp_path)
+    PHOTO.save("photo.png")
+    PHOTO.save("photo.jpg", quality=95)
+    Path("picture.sg").write_bytes(GOLDEN)
+    monkeypatch.setitem(PROFILES, "rd", replace(PROFILES["rd"], steps=60))
+
+
+def encoded(image: Any) -> bytes:
+    return sgmethod.encode(image, bytes=500).data
+
+
+def test_every_form_of_a_picture_is_the_same_picture() -> None:
+    expected = encoded(PIXELS)
+    forms = ["photo.png", Path("photo.png"), Path("photo.png").read_bytes(), bytearray(Path("photo.png").read_bytes())]
+    forms += [PHOTO, Image.open("photo.png"), PIXELS.astype(np.uint16) * 257, PIXELS / 255, PIXELS[::1, :, :]]
+    forms += [(PIXELS / 255).astype(np.float32), np.dstack([PIXELS, np.full(PIXELS.shape[:2], 255, np.uint8)])]
+    for form in forms:
+        assert encoded(form) == expected
+
+
+def test_grey_is_three_equal_channels() -> None:
+    grey = PIXELS[..., 1]
+    expected = encoded(np.repeat(grey[..., None], 3, 2))
+    for form in (grey, grey[..., None], Image.fromarray(grey), Image.fromarray(grey).convert("LA")):
+        assert encoded(form) == expected
+
+
+def test_transparency_is_laid_over_white_and_said() -> None:
+    alpha = np.tile(np.arange(128, dtype=np.uint8) * 2, (96, 1))[..., None]
+    part = (alpha / 255).astype(np.float32)
+    expected = encoded(PIXELS / np.float32(255) * part + (1 - part))
+    both = np.concatenate([PIXELS, alpha], 2)
+    for form in (both, Image.fromarray(both), both / 255):
+        with pytest.warns(ImageWarning, match="over white"):
+            assert encoded(form) == expected
+
+
+def test_pictures_of_pillow_are_taken_as_they_are_seen() -> None:
+    image = Image.open("photo.png")
+    image.info["icc_profile"] = profiles.rgb(profiles.DISPLAY_P3)
+    image.save("p3.png")
+    assert encoded(image) == encoded("p3.png") != encoded(PIXELS)
+    PHOTO.save("turned.png", exif=exif_with(6))
+    assert encoded(Image.open("turned.png")) == encoded("turned.png") == encoded(np.rot90(PIXELS, -1))
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: sgmethod.encode(None), ImageError, "numpy array, not NoneType"),
+        (lambda: sgmethod.encode([[1]]), ImageError, "not list"),
+        (lambda: sgmethod.encode(b""), ImageError, "empty"),
+        (lambda: sgmethod.encode(PIXELS.astype(int)), ImageError, "uint8, uint16 or floating-point"),
+        (lambda: sgmethod.encode(Image.new("F", (4, 4))), ImageError, "floats"),
+        (lambda: sgmethod.encode(Image.new("RGB", (0, 4))), ImageError, "empty"),
+        (lambda: sgmethod.encode(PIXELS, 0.3), BudgetError, "bpp=0.3"),
+        (lambda: sgmethod.encode(PIXELS, bpp="0.3"), BudgetError, "positive number, got '0.3'"),
+        (lambda: sgmethod.encode(PIXELS, bpp=0.3, psnr=30), BudgetError, "one budget is needed, not 2: bpp, psnr"),
+        (lambda: sgmethod.encode(PIXELS, Budget("bpp", 1), bpp=0.3), BudgetError, "not 2"),
+        (lambda: sgmethod.encode(PIXELS, profile="best"), BudgetError, "unknown profile 'best'"),
+        (lambda: sgmethod.encode(PIXELS, time_limit_s="soon"), BudgetError, "time limit"),
+        (lambda: sgmethod.decode(5), SgError, "its path or its bytes, not as int"),
+        (lambda: sgmethod.info(None), SgError, "not as NoneType"),
+        (lambda: sgmethod.open(b"x"), SgError, "too short"),
+        (lambda: sgmethod.open(GOLDEN).pixels(scale="big"), ViewError, "got 'big'"),
+        (lambda: sgmethod.open(GOLDEN).pixels(region=(1, 2, 3)), ViewError, "four whole numbers"),
+        (lambda: sgmethod.open(GOLDEN).pixels(region=(0.5, 0, 3, 3)), ViewError, "four whole numbers"),
+        (lambda: sgmethod.open(GOLDEN).pixels(prefix=None), ViewError, "got None"),
+        (lambda: sgmethod.encode("missing.jpg"), FileNotFoundError, "missing.jpg"),
+        (lambda: sgmethod.decode("missing.sg"), FileNotFoundError, "missing.sg"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_sentence(call: Callable[[], object], error: type[Exception], words: str) -> None:
+    with pytest.raises(error) as caught:
+        call()
+    assert words in str(caught.value)
+
+
+def test_the_budget_is_the_command_lines() -> None:
+    assert sgmethod.encode(PIXELS).data == sgmethod.encode(PIXELS, bpp=0.3).data
+    assert sgmethod.encode(PIXELS, Budget("bytes", 500)).data == encoded(PIXELS)
+    assert sgmethod.encode(PIXELS, gaussians=9).stats.gaussians <= 9
+
+
+def test_paths_and_bytes_are_decoded_alike() -> None:
+    pixels = sgmethod.decode(GOLDEN)
+    for file in ("picture.sg", Path("picture.sg"), bytearray(GOLDEN), memoryview(GOLDEN)):
+        assert np.array_equal(sgmethod.decode(file), pixels)
+        assert sgmethod.info(file) == sgmethod.info(GOLDEN)
+
+
+def test_an_open_file() -> None:
+    picture = sgmethod.open("picture.sg")
+    assert isinstance(picture, SgFile)
+    assert picture.size == (48, 40)
+    assert picture.info == sgmethod.info(GOLDEN)
+    assert np.array_equal(picture.pixels(), sgmethod.decode(GOLDEN))
+    view = View(0.5, (3, 5, 20, 11), 0.7)
+    assert np.array_equal(picture.pixels(0.5, (3, 5, 20, 11), 0.7), sgmethod.decode(GOLDEN, view=view))
+    assert repr(picture) == f"<SgFile 48 x 40 pixels, {len(GOLDEN)} bytes>"
+
+
+def test_what_is_shown_is_short_and_what_is_listed_is_all() -> None:
+    result = sgmethod.encode(PIXELS, bytes=500)
+    assert len(repr(result)) < 300
+    assert set(sgmethod.__all__) <= set(dir(sgmethod))
+    result.save("out.sg")
+    assert Path("out.sg").read_bytes() == result.data
+
+
+def test_importing_takes_neither_numpy_nor_torch() -> None:
+    """They take most of the time of a start."""
+    command = "import sys, sgmethod; print(*{'numpy', 'torch', 'importlib.metadata'} & sys.modules.keys())"
+    ran = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
+    assert ran.stdout == "\n"
+
+
+# --- Pillow
+
+
+def test_pillow_opens_and_saves() -> None:
+    """In a process that has imported the package alone."""
+    command = (
+        "import sgmethod\nfrom PIL import Image\n"
+        "image = Image.open('picture.sg')\nprint(image.format, image.mode, image.size)\nimage.save('picture.png')\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
+    assert ran.stdout == "SGM RGB (48, 40)\n"
+    assert np.array_equal(np.asarray(Image.open("picture.png")), sgmethod.decode(GOLDEN))
+    PHOTO.save("out.sg", bytes=500, compress_level=3)
+    assert Path("out.sg").read_bytes() == encoded(PIXELS)
+    file = io.BytesIO()
+    PHOTO.save(file, "SGM", budget=Budget("bytes", 500))
+    assert file.getvalue() == encoded(PIXELS)
+    with pytest.raises(BudgetError):
+        PHOTO.save("none.sg", bpp=-1)
+    assert not Path("none.sg").exists()
+
+
+def test_pillow_draws_small_pictures_small(monkeypatch: pytest.MonkeyPatch) -> None:
+    scales, real = [], SgFile.pixels
+
+    def spy(self: SgFile, scale: float) -> Any:
+        scales.append(scale)
+        return real(self, scale)
+
+    monkeypatch.setattr(SgFile, "pixels", spy)
+    image = Image.open("picture.sg")
+    image.thumbnail((12, 12))
+    assert image.size == (12, 10)
+    assert scales == [0.6]  # 24 pixels of 40: twice the size that is needed, as Pillow asks
+    whole = Image.open("picture.sg").resize((12, 10))
+    assert np.abs(np.asarray(image).astype(int) - np.asarray(whole)).mean() < 3  # seen: 0.6
+    again = Image.open("picture.sg")
+    assert again.draft("L", (1000, 1000)) == ("RGB", (0, 0, 48, 40))
+    again.load()
+    assert again.draft(None, (1, 1)) is None
+    assert again.size == (48, 40)
+
+
+@pytest.mark.parametrize("damage", ["cut", "changed", "unknown version"])
+def test_pillow_is_told_what_is_wrong(damage: str) -> None:
+    data = {"cut": GOLDEN[:-9], "changed": GOLDEN[:-1] + b"x", "unknown version": b"SGM\x63" + GOLDEN[4:]}[damage]
+    with pytest.raises(UnidentifiedImageError, match=r"checksum|version 99"):
+        Image.open(io.BytesIO(data))
+
+
+# --- Examples
+
+
+@pytest.mark.parametrize("module", ["codec", "decoder", "pillow.plugin"])
+def test_examples_in_docstrings(module: str) -> None:
+    sgmethod.encode("photo.jpg").save("photo.sg")
+    names = {"sgmethod": sgmethod, "np": np, "Image": Image}
+    with warnings.catch_warnings(record=True) as caught:
+        ran = doctest.testmod(__import__(f"sgmethod.{module}", fromlist=["x"]), extraglobs=names)
+    assert ran.attempted > 0
+    assert (ran.failed, caught) == (0, [])
