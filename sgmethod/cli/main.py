@@ -14,8 +14,6 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-from sgmethod.cli.arguments import BAD_INPUT, one_line, parser
-from sgmethod.cli.files import CommandError
 from sgmethod.errors import SgError
 
 INTERRUPTED, NO_READER = 128 + signal.SIGINT, 128 + signal.SIGPIPE
@@ -23,6 +21,13 @@ INTERRUPTED, NO_READER = 128 + signal.SIGINT, 128 + signal.SIGPIPE
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status, except for --help, --version and wrong usage, which exit."""
+    argv = sys.argv[1:] if argv is None else argv
+    if argv[:1] != ["encode"]:
+        # Threads for numpy's linear algebra, of which only encodes have much, take a third of a short command's time.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from sgmethod.cli.arguments import parser
+    from sgmethod.cli.files import CommandError
+
     arguments = parser().parse_args(argv)
     try:
         status = _run(arguments)
@@ -48,8 +53,6 @@ def _run(arguments: argparse.Namespace) -> int:
         from sgmethod.cli.encoding import run_encode
 
         return run_encode(arguments)
-    # One thread is enough for what numpy's linear algebra does here, and starting others takes longer.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from sgmethod.cli import commands
 
     run = {"decode": commands.run_decode, "info": commands.run_info, "compare": commands.run_compare}
@@ -63,5 +66,7 @@ def _abandon_stdout() -> None:
 
 
 def _fail(message: str) -> int:
+    from sgmethod.cli.arguments import BAD_INPUT, one_line
+
     print(f"sgmethod: {one_line(message)}", file=sys.stderr)
     return BAD_INPUT

@@ -4,8 +4,23 @@ Image files of ten formats come in, pictures of Pillow's and arrays too, and lea
 Decoded pixels leave in five formats, and every file that is written is whole or absent.
 """
 
-from sgmethod.io.files import write_atomically
-from sgmethod.io.image import read_image, read_image_8_bit
-from sgmethod.io.png import encode_png
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sgmethod.io.files import write_atomically
+    from sgmethod.io.image import read_image, read_image_8_bit
+    from sgmethod.io.png import encode_png
 
 __all__ = ["encode_png", "read_image", "read_image_8_bit", "write_atomically"]
+
+_HOME = {"encode_png": "png", "read_image": "image", "read_image_8_bit": "image", "write_atomically": "files"}
+
+
+def __getattr__(name: str) -> Any:
+    """Imported once it is asked for: a decode needs nothing of what reads pictures."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -552,7 +552,21 @@ def test_the_readme_names_every_profile() -> None:
 
 def test_the_readme_names_every_argument() -> None:
     text = "\n".join(commands_of_the_readme())
-    for flag in (*BUDGET_KINDS, "profile", "time-limit", "seed", "trace", "json", "quiet", "scale", "region", "prefix"):
+    for flag in (
+        *BUDGET_KINDS,
+        "profile",
+        "time-limit",
+        "seed",
+        "trace",
+        "json",
+        "quiet",
+        "output-dir",
+        "jobs",
+        "no-clobber",
+        "scale",
+        "region",
+        "prefix",
+    ):
         assert f"--{flag}" in text
 
 
@@ -562,7 +576,9 @@ def test_commands_of_the_readme(run: Run, line: str) -> None:
     Image.open("photo.png").save("photo.jpg", quality=95)
     Path("photo.sg").write_bytes(golden_path("v3-color.sg").read_bytes())  # 48 x 40
     line = re.sub(r"#.*", "", line).replace("--gaussians 5000", "--gaussians 50").replace("--psnr 32", "--psnr 12")
-    line = line.replace("--region 100,50,320,240", "--region 8,5,32,24")
+    line = line.replace("--region 100,50,320,240", "--region 8,5,32,24").replace("*.jpg", "photo.jpg")
+    if line.startswith("sgmethod compare"):
+        assert run("encode", "photo.jpg", "--quiet").status == 0
     ran = run(*shlex.split(line)[1:])
     assert (ran.status, ran.err) == (0, "")
 
