@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sgmethod.cli import files
+from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.terminal import silent_stderr
 from sgmethod.decoder import decode, info
@@ -41,7 +42,7 @@ def run_decode(arguments: argparse.Namespace) -> int:
         names = f"{files.name_of(source)} -> {files.name_of(target, 'standard output')}"
         said = f"{names}: {width} x {height} pixels, {kind}, {len(data):,} bytes"
     if not arguments.quiet:
-        print(said, file=out)
+        print(one_line(said), file=out)
     return 0
 
 
@@ -117,5 +118,5 @@ def _picture(path: str) -> NDArray[np.uint8]:
     except ImageError as error:
         raise CommandError(f"{path}: {error}") from error
     for note in caught:
-        print(f"sgmethod: note: {path}: {note.message}", file=sys.stderr)
+        print(f"sgmethod: note: {one_line(path)}: {note.message}", file=sys.stderr)
     return pixels

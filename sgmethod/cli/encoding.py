@@ -64,7 +64,7 @@ def run_encode(arguments: argparse.Namespace) -> int:
     for conversion in conversions:
         if arguments.no_clobber and Path(conversion.target).is_file():
             if not arguments.quiet:
-                print(f"{conversion.target} is there already: skipped", file=out)
+                print(f"{one_line(conversion.target)} is there already: skipped", file=out)
         else:
             wanted.append(conversion)
     if not several:
@@ -83,6 +83,8 @@ def run_encode(arguments: argparse.Namespace) -> int:
 def _conversions(arguments: argparse.Namespace) -> list[Conversion]:
     """What is to become what, by the names that were given. Raises CommandError."""
     names = arguments.names
+    if not all(Path(name).name for name in names):
+        raise CommandError("a name of a file is empty")
     if arguments.output_dir is None:
         if len(names) > 2 or (len(names) == 2 and not _takes_sg(names[1])):
             raise CommandError(
@@ -213,7 +215,7 @@ def _encode_all(conversions: list[Conversion], skipped: int, arguments: argparse
             if arguments.json:
                 print(json.dumps({**names, **outcome.figures}, allow_nan=False), flush=True)
             elif not arguments.quiet:
-                print(f"{names['input']} -> {names['output']}: {_summary(outcome.figures)}", flush=True)
+                print(f"{one_line(' -> '.join(names.values()))}: {_summary(outcome.figures)}", flush=True)
         if shown:
             done, seconds = len(failed) + len(sizes), time.monotonic() - began
             left = remaining(seconds, done / len(conversions))

@@ -28,6 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     from sgmethod.cli.arguments import parser
     from sgmethod.cli.files import CommandError
 
+    with suppress(AttributeError):  # names need not be valid text; stderr writes those so already
+        sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     arguments = parser().parse_args(argv)
     try:
         status = _run(arguments)

@@ -45,9 +45,9 @@ PRIMARIES = {
     12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060), D65),
     22: ((0.630, 0.340), (0.295, 0.605), (0.155, 0.077), D65),
 }
-LINEAR, PQ, HLG = 8, 16, 18
+PQ, HLG = 16, 18
 SRGB_LIKE = (1, 2, 6, 13, 14, 15)
-GAMMAS = {4: 2.2, 5: 2.8, LINEAR: 1.0}
+GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}
 GAMMA_THRESHOLD = 0.05  # libpng's: a gAMA so close to 1 / 2.2 is a writer's word for sRGB
 
 
@@ -202,11 +202,6 @@ def of_png(info: Mapping[Any, Any]) -> Colour:
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         raise ProfileError("its primaries are not those of colours") from error
     return Space.of((curve,) * 3, to_d50)
-
-
-def of_qoi(data: bytes) -> Colour:
-    """By the last byte of the header: 1 means that values are light."""
-    return of_code_points(1, LINEAR) if data[13:14] == b"\1" else None
 
 
 def of_profile(profile: bytes, mode: str) -> Colour:

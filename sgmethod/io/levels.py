@@ -112,8 +112,6 @@ def stated_colour(reader: Image.Image, mode: str, data: bytes | None) -> Colour:
         return colour.of_profile(info["icc_profile"] or b"", mode)
     if data is not None and kind in ("AVIF", "HEIF") and (points := chunks.code_points(data)) is not None:
         return colour.of_code_points(*points)
-    if data is not None and kind == "QOI":
-        return colour.of_qoi(data)
     # A picture of Pillow's that was read from a PNG still has what that stated.
     return None if info.get("srgb") is not None else colour.of_png(info)
 

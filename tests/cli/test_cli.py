@@ -236,6 +236,7 @@ def test_help(run: Run, command: list[str]) -> None:
         ("compress photo.png out.sg", "'compress'"),
         ("encode", "IN [OUT.sg]"),
         ("decode picture.sg", "OUT"),
+        ("encode ''", "a name of a file is empty"),
         ("encode photo.png out.png", "out.png is no name of an .sg file"),
         ("encode photo.png out", "out is no name of an .sg file"),
         ("encode photo.png picture.jpg out.sg", "--output-dir"),

@@ -116,6 +116,15 @@ def test_the_name_left_out(run: Run) -> None:
     assert encoding._named("IMG.1234") == "IMG.1234.sg"
 
 
+def test_odd_names() -> None:
+    """Bytes that are no text, and a line break, each in one line of what is printed."""
+    for name in (b"caf\xe9.png", b"two\nlines.png"):
+        PHOTO.save(os.fsdecode(name))
+        status, out, err = piped("encode", os.fsdecode(name), "--gaussians", "9", "--output-dir", "out", data=b"")
+        assert (status, err, out.count(b"\n")) == (0, b"", 2)
+    assert {os.fsencode(path.name) for path in Path("out").iterdir()} == {b"caf\xe9.sg", b"two\nlines.sg"}
+
+
 def test_no_clobber(run: Run) -> None:
     before = Path(GOLDEN).read_bytes()
     skipped = f"{GOLDEN} is there already: skipped\n"

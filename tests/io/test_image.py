@@ -9,6 +9,7 @@ import zlib
 from itertools import chain
 
 import numpy as np
+import pillow_heif
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -20,6 +21,7 @@ from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image,
 from sgmethod.io.png import encode_png
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
+pillow_heif.register_heif_opener()
 PHOTO = Image.open(PHOTOGRAPHS / "kodim05-crop.png").convert("RGB").crop((20, 30, 68, 62))  # 48 x 32
 PIXELS = np.asarray(PHOTO)
 SEE_THROUGH = pytest.mark.filterwarnings("ignore:its transparency is laid over white:sgmethod.ImageWarning")
@@ -105,6 +107,11 @@ KINDS = {
     "tiff-deflate": saved("TIFF", compression="tiff_adobe_deflate"),
     "tiff-jpeg": saved("TIFF", compression="jpeg"),
     "bmp": saved("BMP"),
+    "gif": saved("GIF", PHOTO.quantize(64)),
+    "avif": saved("AVIF", quality=90),
+    "heic": saved("HEIF", quality=90),
+    "ppm": saved("PPM"),
+    "qoi": saved("QOI"),
     "bmp-palette": saved("BMP", PHOTO.quantize(64)),
 }
 
@@ -117,7 +124,7 @@ def test_reads_every_format(kind: str) -> None:
     assert pixels.shape == (32, 48, 3)
     assert pixels.dtype == np.float32
     assert pixels.flags.c_contiguous
-    tolerance = 0.05 if "jpeg" in kind or kind in ("webp", "webp-exif", "bmp-palette") else 0.002
+    tolerance = 0.05 if "jpeg" in kind or kind in ("webp", "webp-exif", "bmp-palette", "gif", "avif", "heic") else 0.002
     assert np.abs(pixels - PIXELS / 255).mean() < tolerance
 
 

@@ -177,7 +177,7 @@ ODD = {
     "ppm": Odd(ppm(6, 255, bytes(RED) * PIXELS), RED, off=0),
     "ppm in 16 bits": Odd(ppm(6, 65535, RGB16 * PIXELS), RED, off=0),
     "qoi": Odd(qoi(bytes(RED)), RED, off=0),
-    "qoi of light": Odd(qoi(bytes([55, 55, 55]), linear=1), (128, 128, 128)),
+    "qoi that says light": Odd(qoi(bytes(RED), linear=1), RED, off=0),
     "qoi with alpha": Odd(qoi(bytes([0, 0, 0, 128])), (127, 127, 127), ALPHA),
     "gif": Odd(saved("GIF"), RED, off=0),
     "gif with a hole": Odd(saved("GIF", HOLE), (255, 255, 255), ALPHA),
