@@ -15,8 +15,8 @@ both, and whatever they refuse is an ImageError with one clear sentence; what th
                    compensation: PNG's cICP, ICC profile, sRGB, gAMA and cHRM, the first of them that it has; ICC
                    profiles of the others; the code points of AVIF and HEIC. A profile that cannot be used is left
                    out, with a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes are
-                   expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. QOI's word for
-                   light in place of sRGB is not believed: Pillow writes it with every picture.
+                   expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. That a
+                   QOI file holds light is not believed: Pillow writes so into each.
     depth          16-bit grey and 16-bit RGB(A) keep all their bits, through the conversion of colours too unless the
                    profile is one of tables; AVIF, HEIC and rarer 16-bit kinds (grey with alpha, premultiplied alpha,
                    CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are refused, because they do not
