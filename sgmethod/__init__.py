@@ -25,8 +25,8 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     client/     the same encode by a service elsewhere
     cli/        the command line
 
-Decoding needs numpy and the compiled kernels only; torch is imported by encode() alone. Once this package is imported,
-Pillow opens and saves .sg files.
+Decoding needs numpy, Pillow and the compiled kernels only; torch is imported by encode() alone. Once this package is
+imported, Pillow opens and saves .sg files.
 """
 
 from __future__ import annotations
