@@ -17,9 +17,10 @@ from PIL import Image
 
 from sgmethod import decode
 from sgmethod.cli import encoding
-from sgmethod.cli.terminal import remaining
+from sgmethod.cli.terminal import bar, remaining
 from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.metrics import psnr
+from sgmethod.trace import TracePoint
 from tests.cli.test_cli import PHOTO, Ran, Run, assert_refused, in_folder, names, rest_of, run, start, terminal_pair
 
 __all__ = ["in_folder", "run"]  # fixtures
@@ -219,6 +220,7 @@ def group(leader: int) -> list[str]:
 
 def test_seconds_left() -> None:
     assert remaining(6.0, 0.25) == ", 18 s left"
+    assert bar(TracePoint(6.0, 250, 1000, 28.456, 0, 100, "joint")).endswith("  6.0 s, 18 s left")
     assert (remaining(6.0, 0.0), remaining(6.0, 1.0)) == ("", "")
 
 
