@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import sys
 import warnings
 import zlib
 from typing import NamedTuple
@@ -281,3 +282,9 @@ def test_16_bits_are_kept_through_the_conversion() -> None:
     levels = [chunked(iccp(P3), depth=16, sample=(20000 + step, 20000, 20000)) for step in (0, 4)]
     first, second = (read_image(data)[0, 0] for data in levels)
     assert 0 < (second - first)[0] < 0.2 / 255
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(ImageError, match=r"this is a HEIC file; to read it: pip install 'sgmethod\[heif\]'"):
+        read_image(heic())
