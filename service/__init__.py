@@ -4,7 +4,7 @@ The rooms and modules; each imports only from those above it:
 
     keys        API keys, how often each may ask, links that stand in for one
     settings    what the operator may set
-    process/    the processes of a service, and how they end
+    process/    the processes of a service, how they end, and what strangers' pictures cannot reach
     storage/    source images and bitstreams, in a folder or in a bucket
     jobs/       the job table, in SQLite or in PostgreSQL
     opening     opens the job table and the storage that the settings name

@@ -1,4 +1,4 @@
-"""The encoder process, which encodes one image: `python -m service.worker.encoder SPEC`, started by a worker.
+"""The encoder process, which encodes one image: `service.worker.encoder SPEC`, started confined by a worker.
 
 It knows neither the job table nor the storage. SPEC is a JSON object (see Spec). The image comes in as standard
 input, and everything goes out as frames on standard output. When the process ends its memory is free again, and
@@ -38,7 +38,7 @@ NO_MEMORY = b"the encode needs more memory than it may have here"
 class Spec:
     """What to do. job_id and attempt are there for operators, who see them in the process list.
 
-    lifeline: descriptor to watch; memory_bytes: limit of this process.
+    lifeline: descriptor to watch; memory_bytes, cpu_s: limits of this process, the latter in seconds of one core.
     """
 
     job_id: str
@@ -46,6 +46,7 @@ class Spec:
     request: EncodeRequest
     lifeline: int
     memory_bytes: int
+    cpu_s: int
 
     def to_json(self) -> str:
         """The spec as a command-line argument."""
@@ -75,6 +76,11 @@ def limit_memory(limit_bytes: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     limit = limit_bytes if hard == resource.RLIM_INFINITY else min(limit_bytes, hard)
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def limit_time(limit_s: int) -> None:
+    """End this process after so many seconds of a core. The worker ends it before, unless it is stopped itself."""
+    resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
 
 
 def take_standard_output() -> BinaryIO:
@@ -114,6 +120,7 @@ def main() -> None:
     spec = Spec.from_json(sys.argv[1])
     lifeline.watch(spec.lifeline, lambda: os._exit(PARENT_GONE))
     limit_memory(spec.memory_bytes)
+    limit_time(spec.cpu_s)
     os.nice(NICENESS)
     pipe = take_standard_output()
     encode_to(pipe, spec.request, sys.stdin.buffer.read())

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
-import sys
+import tempfile
 import time
 
 from service.jobs.table import Claim, JobTable, JobTableError
+from service.process import confinement
 from service.process.lifeline import Lifeline
 from service.process.stopping import StopSignal
 from service.settings import Settings
@@ -40,7 +42,7 @@ class Worker:
         self._next_sweep = 0.0
         # Libraries read these when they are loaded, so they must be set before the encoder process begins.
         threads = str(settings.encode_threads)
-        self._environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, threads)}
+        self._environment = {**confinement.environment(os.environ), **dict.fromkeys(THREAD_VARIABLES, threads)}
 
     def run(self) -> None:
         """Claim and work until stopping is requested."""
@@ -102,13 +104,18 @@ class Worker:
             claim.request,
             self._lifeline.read_end,
             self._settings.job_memory_bytes,
+            math.ceil(self._settings.job_timeout_s * (self._settings.encode_threads + 1)),
         )
-        command = [sys.executable, "-m", "service.worker.encoder", spec.to_json()]
+        command = confinement.command("service.worker.encoder", spec.to_json())
         try:
             source = self._storage.open(source_key(claim.job_id))
         except FileNotFoundError:
             return Crashed("the source image is gone")
-        with source, EncoderProcess(command, source, self._environment, spec.lifeline) as process:
+        with (
+            source,
+            tempfile.TemporaryDirectory(prefix="sgmethod-", ignore_cleanup_errors=True) as folder,
+            EncoderProcess(command, source, {**self._environment, "TMPDIR": folder}, spec.lifeline) as process,
+        ):
             try:
                 return self._follow(process, heartbeat)
             except ValueError as error:

@@ -17,7 +17,7 @@ POLL_S = 0.05  # seldom enough to take little of a core
 COMMANDS: dict[Kind, str] = {
     "web": "-m service web",
     "worker": "-m service worker",
-    "encoder": "-m service.worker.encoder",
+    "encoder": " service.worker.encoder ",
 }
 
 

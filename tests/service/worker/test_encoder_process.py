@@ -15,6 +15,7 @@ from contextlib import contextmanager
 import pytest
 
 from service.jobs.job import EncodeRequest
+from service.process import confinement
 from service.process.lifeline import Lifeline
 from service.worker.encoder import Spec, send, to_json
 from service.worker.encoder_process import Encoded, EncoderProcess, Message, Refused, TracePoint
@@ -109,8 +110,8 @@ time.sleep(60)
 def test_the_encoder_ends_with_its_parent() -> None:
     """Rule 4: the pipe ends, the encoder ends, even while it waits for its image."""
     lifeline = Lifeline()
-    spec = Spec("0" * 32, 1, EncodeRequest("bpp", 1.0, "paper", 60.0), lifeline.read_end, 2**33)
-    command = [sys.executable, "-m", "service.worker.encoder", spec.to_json()]
+    spec = Spec("0" * 32, 1, EncodeRequest("bpp", 1.0, "paper", 60.0), lifeline.read_end, 2**33, 600)
+    command = confinement.command("service.worker.encoder", spec.to_json())
     with subprocess.Popen(
         command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=(lifeline.read_end,)
     ) as process:
@@ -121,7 +122,7 @@ def test_the_encoder_ends_with_its_parent() -> None:
 
 
 def test_spec_survives_the_command_line() -> None:
-    spec = Spec("0" * 32, 3, EncodeRequest("psnr", 30.5, "baseline", 2.5), 7, 10**9)
+    spec = Spec("0" * 32, 3, EncodeRequest("psnr", 30.5, "baseline", 2.5), 7, 10**9, 600)
     assert Spec.from_json(spec.to_json()) == spec
 
 
