@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property
+from ipaddress import ip_network
 from pathlib import Path
 
-from pydantic import Field, SecretStr, model_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
@@ -89,7 +90,16 @@ class Settings(BaseSettings):
     )
     link_max_age_s: int = Field(default=7 * 86_400, ge=1, description="seconds, the longest life of a link")
 
-    max_connections: int = Field(default=1000, ge=1, description="connections at once before new ones get 503")
+    max_connections: int = Field(
+        default=1000, ge=1, description="connections at once before the slowest is closed, or new ones get 503"
+    )
+    max_connections_per_address: int = Field(
+        default=200, ge=1, description="connections at once of one address before its slowest is closed, or 429"
+    )
+    trusted_proxies: str = Field(
+        default="",
+        description="addresses and networks, apart by commas, whose X-Forwarded-For names the client; no limit on them",
+    )
     max_header_bytes: int = Field(default=32_768, ge=1024, description="bytes of a request line with its headers")
     header_timeout_s: float = Field(
         default=10.0, gt=0, le=LONGEST_S, description="seconds for a request line with its headers"
@@ -132,8 +142,14 @@ class Settings(BaseSettings):
         default=0, ge=0, le=MOST, description="jobs of one API key that run at once; 0 for any number"
     )
 
-    max_decodes: int = Field(default=2, ge=1, description="pictures decoded at once")
+    max_decodes: int = Field(
+        default=3, ge=1, description="pictures decoded at once; one client has all but one at most"
+    )
     max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
+    decode_time_s: float = Field(
+        default=10.0, gt=0, le=LONGEST_S, description="seconds of one core that a decode may take"
+    )
+    decode_memory_bytes: int = Field(default=2 * 2**30, ge=2**26, le=2**62, description="bytes of memory of one decode")
     decode_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="bytes of picture files kept in memory")
     max_decode_pixels: int = Field(default=50_000_000, ge=1, description="pixels of one decoded picture or view")
     max_decode_gaussians: int = Field(
@@ -161,6 +177,13 @@ class Settings(BaseSettings):
             if getattr(self, name) > getattr(most, name):
                 raise ValueError(f"SG_{name.upper()} must be at most {getattr(most, name)}: no larger image is read")
         return self
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _proxies_are_addresses(cls, text: str) -> str:
+        for word in filter(None, map(str.strip, text.split(","))):
+            ip_network(word)
+        return text
 
     @model_validator(mode="after")
     def _limit_before_timeout(self) -> Settings:

@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 from anyio import CapacityLimiter
-from fastapi import FastAPI, Security
+from fastapi import Depends, FastAPI, Security
 from fastapi.security import HTTPBearer
 from starlette.responses import FileResponse
 from starlette.staticfiles import StaticFiles
@@ -21,14 +21,15 @@ from service.web.guards.gate import Gate
 from service.web.guards.metrics import RequestMetrics
 from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, Outflow, ResponseHeaders
 from service.web.guards.problems import install_problem_handlers, problems
+from service.web.helpers.work import Work
 from service.web.routes import events as event_routes
 from service.web.routes import health as health_routes
 from service.web.routes import jobs as job_routes
 from service.web.routes import pictures as picture_routes
-from service.web.routes.decoding import PictureCache, PictureDecoder
+from service.web.routes.decoding import PictureCache
 from service.web.routes.health import VERSION
-from service.web.routes.parts import Parts
-from service.web.routes.submission import MULTIPART_OVERHEAD_BYTES
+from service.web.routes.parts import Parts, known_query
+from service.web.submitting.submission import MULTIPART_OVERHEAD_BYTES
 
 STATIC = Path(__file__).with_name("static")
 PAGE_POLICY = (
@@ -42,6 +43,7 @@ UPLOADS_IN_MEMORY = 4
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     parts: Parts = app.state.parts
     yield
+    parts.work.close()
     parts.table.close()
 
 
@@ -73,7 +75,7 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
         settings,
         open_job_table(settings),
         open_storage(settings),
-        PictureDecoder(settings.max_decodes, settings.max_waiting_decodes),
+        Work(settings),
         PictureCache(settings.decode_cache_bytes),
         CapacityLimiter(UPLOADS_IN_MEMORY),
         CapacityLimiter(settings.max_event_streams),
@@ -81,13 +83,13 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
         stopping or asyncio.Event(),
     )
     install_problem_handlers(app)
-    app.include_router(health_routes.router)
+    app.include_router(health_routes.router, dependencies=[Depends(known_query)])
     keys = KeyRing(settings.key_names)
     # The gate does the work; this is how the document says so.
     security = [Security(HTTPBearer(auto_error=False))] if keys else []
     refusals = problems(401, 429) if keys else {}
     for routes in (job_routes, event_routes, picture_routes):
-        app.include_router(routes.router, dependencies=security, responses=refusals)
+        app.include_router(routes.router, dependencies=[Depends(known_query), *security], responses=refusals)
     app.mount("/static", StaticFiles(directory=STATIC))
 
     @app.head("/", include_in_schema=False)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
+from service.web.guards.addresses import UNKNOWN, Network, address_of, is_within
 from service.web.guards.problems import MEDIA_TYPE, ProblemError, problem_document
 
 BETWEEN_REQUESTS, IN_HEAD, IN_BODY = range(3)
@@ -18,11 +21,14 @@ BETWEEN_REQUESTS, IN_HEAD, IN_BODY = range(3)
 
 @dataclass(frozen=True)
 class ConnectionLimits:
-    """most: connections at once; head_bytes, head_timeout_s: of a request line with its headers;
+    """most: connections at once; most_of_one: of one address; trusted: networks of proxies, which stand for many
+    clients; head_bytes, head_timeout_s: of a request line with its headers;
     send_timeout_s: for how long a client may leave an answer, or a piece of a large one, untaken.
     """
 
     most: int
+    most_of_one: int
+    trusted: Sequence[Network]
     head_bytes: int
     head_timeout_s: float
     send_timeout_s: float
@@ -43,14 +49,16 @@ class _Connection(HttpToolsProtocol):
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._place = BETWEEN_REQUESTS
+        self._quiet_since = time.monotonic()
+        self._address = UNKNOWN
         self._head_bytes = 0
         self._head_timer: asyncio.TimerHandle | None = None
         self._send_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         super().connection_made(transport)
-        if len(self.connections) > self.LIMITS.most:
-            self._refuse(ProblemError(503, "there are too many connections"))
+        self._address = address_of(transport.get_extra_info("peername"))
+        if not self._find_room():
             return
         # What the system has taken over of an answer is out of sight here. So the system itself ends a connection whose
         # peer acknowledges nothing, or keeps its window shut, for so long.
@@ -59,6 +67,33 @@ class _Connection(HttpToolsProtocol):
             milliseconds = int(1000 * self.LIMITS.send_timeout_s)
             raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, milliseconds)
         self._start_timer()
+
+    def _find_room(self) -> bool:
+        """Close the connection that has been slowest to ask for something, if there are too many; refuse this one if
+        all are being answered. An address that has too many makes room among its own.
+        """
+        everybody = [c for c in self.connections if isinstance(c, _Connection) and not c.transport.is_closing()]
+        if self._address != UNKNOWN and not is_within(self._address, self.LIMITS.trusted):
+            own = [other for other in everybody if other._address == self._address]
+            if len(own) > self.LIMITS.most_of_one and not self._close_slowest(own):
+                self._refuse(ProblemError(429, "there are too many connections from this address"))
+                return False
+        if len(everybody) > self.LIMITS.most and not self._close_slowest(everybody):
+            self._refuse(ProblemError(503, "there are too many connections"))
+            return False
+        return True
+
+    def _close_slowest(self, among: Iterable[_Connection]) -> bool:
+        """False if there is none that nothing is lost with."""
+        slow = [other for other in among if other is not self and other._asks_for_nothing]
+        if slow:
+            min(slow, key=lambda other: other._quiet_since).transport.close()
+        return bool(slow)
+
+    @property
+    def _asks_for_nothing(self) -> bool:
+        answered = self.cycle is None or self.cycle.response_complete
+        return answered and self._place != IN_BODY
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._stop_timer()
@@ -108,7 +143,7 @@ class _Connection(HttpToolsProtocol):
             super().on_body(body)
 
     def on_message_complete(self) -> None:
-        self._place = BETWEEN_REQUESTS
+        self._place, self._quiet_since = BETWEEN_REQUESTS, time.monotonic()
         if not self.transport.is_closing():
             super().on_message_complete()
 

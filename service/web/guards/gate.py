@@ -12,6 +12,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.keys import KeyRing, Link, RateLimit
+from service.web.guards.addresses import address_of
 from service.web.guards.problems import ProblemError, problem_response
 
 # A page must load before a person can give it a key, and probes have none.
@@ -19,18 +20,28 @@ OPEN_PATHS = frozenset({"/", "/healthz", "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
 
-_LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})\.[a-z]{2,4}")
+_LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})(\.[a-z]{2,4})?")
 
 
 @dataclass(frozen=True)
 class Caller:
-    """owner: whose key came with the request; linked_job: the one job that a link lets its bearer read.
+    """client: who takes turns with others, the owner of a key or else an address; owner: whose key came with the
+    request; linked_job: the one job that a link lets its bearer read.
 
-    Both are None where the service has no keys, and everything is everyone's.
+    The latter two are None where the service has no keys, and everything is everyone's.
     """
 
+    client: str
     owner: str | None = None
     linked_job: str | None = None
+
+
+def _without_link(scope: Scope) -> bytes:
+    """The query as the routes know it. A link that is not needed, as beside a key, does no harm."""
+    query: bytes = scope["query_string"]
+    if _LINKED_PATH.fullmatch(scope["path"]) is None:
+        return query
+    return b"&".join(part for part in query.split(b"&") if not part.startswith((b"expires=", b"signature=")))
 
 
 class Gate:
@@ -46,17 +57,19 @@ class Gate:
         if scope["type"] == "http":
             try:
                 scope.setdefault("state", {})["caller"] = self._caller(scope)
+                scope["query_string"] = _without_link(scope)
             except ProblemError as problem:
                 await problem_response(problem)(scope, receive, send)
                 return
         await self._app(scope, receive, send)
 
     def _caller(self, scope: Scope) -> Caller:
-        path = scope["path"]
+        path, address = scope["path"], address_of(scope["client"])
         if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
-            return Caller()
+            return Caller(address)
         scheme, _, key = Headers(scope=scope).get("authorization", "").partition(" ")
-        caller = self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope)
+        # A key that comes with a link stands for itself: if it is not known, the link does not help.
+        caller = self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
         wait_s = self._rate.wait_s(caller.owner or f"link to {caller.linked_job}")
         if wait_s > 0:
             raise ProblemError(429, "too many requests", headers={"Retry-After": str(math.ceil(wait_s))})
@@ -66,9 +79,9 @@ class Gate:
         owner = self._keys.owner_of(key) if scheme.lower() == "bearer" else None
         if owner is None:
             raise ProblemError(401, "this API key is not known", headers=CHALLENGE)
-        return Caller(owner)
+        return Caller(f"key {owner}", owner)
 
-    def _link_bearer(self, scope: Scope) -> Caller:
+    def _link_bearer(self, scope: Scope, address: str) -> Caller:
         match = _LINKED_PATH.fullmatch(scope["path"])
         query = parse_qs(scope["query_string"].decode("latin-1"))
         expires, signature = (query.get(name, [""])[0] for name in ("expires", "signature"))
@@ -79,4 +92,4 @@ class Gate:
             raise ProblemError(401, "this link was not made here, or has been altered", headers=CHALLENGE)
         if link.expires < time.time():
             raise ProblemError(401, "this link has expired", headers=CHALLENGE)
-        return Caller(linked_job=link.job_id)
+        return Caller(address, linked_job=link.job_id)

@@ -1,32 +1,31 @@
-"""From bitstreams to picture files: the view that was asked for, drawn in a thread, and kept for the next to ask."""
+"""How a picture is asked for, and the pictures asked for last."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, TypeVarTuple
+from typing import Annotated
 
-import anyio
-from anyio import to_thread
 from pydantic import BaseModel, Field
 
-import sgmethod
 from service.web.guards.problems import ProblemError
-from service.web.routes.picture_files import MAX_SIDES, PictureFormat, encode_picture
+from service.web.helpers.drawing import Fit, Wish
+from service.web.helpers.picture_files import PictureFormat
 from sgmethod.errors import ViewError
-from sgmethod.view import MAX_SCALE, MIN_SCALE, View
+from sgmethod.view import MAX_SCALE, MIN_SCALE
 
-Arguments = TypeVarTuple("Arguments")
-
-RETRY_AFTER_S = "1"
+Side = Annotated[int | None, Field(ge=1, le=65_535)]
 
 
 class ViewQuery(BaseModel):
-    """The query parameters that choose a view."""
+    """The query parameters that choose a view, the quality of its file, and a name to save it under."""
 
     scale: Annotated[float | None, Field(ge=MIN_SCALE, le=MAX_SCALE, description="output pixels for a pixel")] = None
-    width: Annotated[int | None, Field(ge=1, le=65_535, description="of the output in pixels; instead of scale")] = None
+    width: Annotated[Side, Field(description="of the output in pixels; instead of scale")] = None
+    height: Annotated[Side, Field(description="of the output in pixels; instead of scale")] = None
+    fit: Annotated[
+        Fit,
+        Field(description="with width and height: stay within them, cover them, or crop to them around the middle"),
+    ] = "contain"
     region: Annotated[
         str | None,
         Field(
@@ -35,73 +34,27 @@ class ViewQuery(BaseModel):
             examples=["0,0,8,8"],
         ),
     ] = None
+    prefix: Annotated[float, Field(gt=0, le=1, description="part of the file that is used; less is coarser")] = 1.0
+    quality: Annotated[int | None, Field(ge=1, le=100, description="of a jpg, webp or avif file")] = None
+    download: Annotated[
+        str | None,
+        Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_. -]{0,99}$", description="name of a file to save it under"),
+    ] = None
 
-
-@dataclass(frozen=True)
-class Drawing:
-    """One picture file to make of a bitstream: the view, what kind of file, and its size in pixels."""
-
-    view: View
-    kind: PictureFormat
-    width: int
-    height: int
-
-    @classmethod
-    def of(cls, query: ViewQuery, kind: PictureFormat, size: tuple[int, int], max_pixels: int) -> Drawing:
-        """What the query asks of a picture of that size (width, height).
-
-        Raises ProblemError 422 if it makes no picture, or one beyond max_pixels or what the kind of file holds.
-        """
-        if query.scale is not None and query.width is not None:
-            raise ProblemError(422, "give scale or width, not both")
+    def wish(self, kind: PictureFormat) -> Wish:
+        """What is asked for, as a file of that kind. Raises ProblemError 422."""
         region = None
-        if query.region is not None:
-            x, y, w, h = (int(number) for number in query.region.split(","))
-            region = None if (x, y, w, h) == (0, 0, *size) else (x, y, w, h)
-        scale = 1.0 if query.scale is None else query.scale
-        if query.width is not None:
-            scale = query.width / max(region[2] if region else size[0], 1)
+        if self.region is not None:
+            x, y, w, h = (int(number) for number in self.region.split(","))
+            region = (x, y, w, h)
         try:
-            view = View(scale, region)
-            width, height = view.size(*size)
+            return Wish(kind, self.scale, self.width, self.height, self.fit, region, self.prefix, self.quality)
         except ViewError as error:
             raise ProblemError(422, str(error)) from error
-        if width * height > max_pixels or max(width, height) > MAX_SIDES[kind]:
-            limit = f"{max_pixels:,} pixels and {MAX_SIDES[kind]:,} a side"
-            raise ProblemError(422, f"{width} x {height} pixels are more than the limit of {limit}")
-        return cls(view, kind, width, height)
 
-    def etag(self, sha256: str) -> str:
-        """An entity tag: the same bitstream, part, size and kind of file give the same bytes."""
-        part = "".join(f"{number}-" for number in self.view.region or ())
-        return f'"{sha256[:32]}-{part}{self.width}x{self.height}.{self.kind}"'
-
-
-def draw(bitstream: bytes, drawing: Drawing) -> bytes:
-    """The picture file. Raises BitstreamError if the bytes are no bitstream."""
-    return encode_picture(sgmethod.decode(bitstream, view=drawing.view), drawing.kind)
-
-
-def draw_unknown(bitstream: bytes, query: ViewQuery, max_pixels: int, max_gaussians: int) -> bytes:
-    """PNG of a bitstream of which nothing is known yet. Raises BitstreamError, ProblemError 422."""
-    fields = sgmethod.info(bitstream, max_gaussians)  # a few kilobytes can hold millions of equal ones
-    size = (fields.width, fields.height)
-    return draw(bitstream, Drawing.of(query, "png", size, max_pixels))
-
-
-class PictureDecoder:
-    """Draws in threads: max_running pictures at a time, with max_waiting callers in line."""
-
-    def __init__(self, max_running: int, max_waiting: int) -> None:
-        self._limiter = anyio.CapacityLimiter(max_running)
-        self._max_waiting = max_waiting
-
-    async def run(self, work: Callable[[*Arguments], bytes], *arguments: *Arguments) -> bytes:
-        """What work makes of the arguments. Raises ProblemError 503 if too many callers wait already."""
-        if self._limiter.available_tokens <= 0 and self._limiter.statistics().tasks_waiting >= self._max_waiting:
-            detail = "too many pictures are being decoded"
-            raise ProblemError(503, detail, headers={"Retry-After": RETRY_AFTER_S})
-        return await to_thread.run_sync(work, *arguments, limiter=self._limiter)
+    def disposition(self) -> dict[str, str]:
+        """The header that makes a browser save the file; none without a name."""
+        return {} if self.download is None else {"Content-Disposition": f'attachment; filename="{self.download}"'}
 
 
 class PictureCache:

@@ -16,13 +16,14 @@ from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
-from service.web.routes.submission import (
+from service.web.submitting.feasible import check_feasible
+from service.web.submitting.submission import (
     FORM_TYPE,
     IMAGE_FIELD,
-    Submission,
     check_content_type,
     idempotency_key,
     new_job,
+    read_header,
     submission,
 )
 from sgmethod.budget import BUDGET_KINDS
@@ -87,9 +88,13 @@ async def encode(request: Request, response: Response, parts: UseParts, caller: 
     check_content_type(request)
     key = idempotency_key(request)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
-    async with submission(request, parts.settings) as submitted, parts.accepting:
-        image = await submitted.image_bytes(parts.settings.max_upload_bytes)
-        job = await to_thread.run_sync(_accept, parts, submitted, image, key, caller.owner)
+    async with submission(request, parts.settings) as submitted:
+        header = await read_header(submitted, parts.work, caller.client, parts.settings.max_upload_bytes)
+        check_feasible(submitted.request, header)
+        async with parts.accepting:
+            image = await submitted.image_bytes()
+            new = new_job(submitted, header, image, key, caller.owner)
+            job = await to_thread.run_sync(_accept, parts, new, image)
     parts.metrics.accepted.inc()
     view = answers.accepted(job)
     response.headers["Location"] = view.status_url
@@ -110,9 +115,8 @@ def _check_queue(parts: Parts, key: str | None, owner: str | None) -> None:
         raise refusal
 
 
-def _accept(parts: Parts, submitted: Submission, image: bytes, key: str | None, owner: str | None) -> Job:
+def _accept(parts: Parts, new: NewJob, image: bytes) -> Job:
     """Store the image, then put the job into the job table; only then may the client be told."""
-    new = new_job(submitted, image, key, owner, parts.settings)
     try:
         parts.storage.put(source_key(new.id), image)
     except OSError as error:

@@ -18,7 +18,8 @@ from service.web.guards.gate import Caller
 from service.web.guards.metrics import Metrics
 from service.web.guards.middleware import Outflow
 from service.web.guards.problems import ProblemError
-from service.web.routes.decoding import PictureCache, PictureDecoder
+from service.web.helpers.work import Work
+from service.web.routes.decoding import PictureCache
 
 PROBE_THREADS = 4
 JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", examples=["0123456789abcdef" * 2])]
@@ -28,15 +29,15 @@ JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", exampl
 class Parts:
     """The pieces of the running service.
 
-    accepting: taken while an upload is held in memory, which bounds what all of them take together;
-    streams: of events; outflow: what clients have yet to take; stopping: set when the service is to stop;
+    work: what helpers do; accepting: taken while an upload is held in memory, which bounds what all of them take
+    together; streams: of events; outflow: what clients have yet to take; stopping: set when the service is to stop;
     watching: threads of probes, which must not queue behind work.
     """
 
     settings: Settings
     table: JobTable
     storage: Storage
-    decoder: PictureDecoder
+    work: Work
     pictures: PictureCache
     accepting: CapacityLimiter
     streams: CapacityLimiter
@@ -59,6 +60,23 @@ def no_such_job() -> ProblemError:
 def _caller(request: Request) -> Caller:
     caller: Caller = request.state.caller
     return caller
+
+
+def known_query(request: Request) -> None:
+    """A misspelt parameter would be ignored, and the answer kept for long. Raises ProblemError 422."""
+    route = request.scope["route"]
+    if route.path == "/encode":  # which has its fields there, and says which they are
+        return
+    operation = (
+        request.app.openapi()["paths"].get(route.path, {}).get(request.method.lower().replace("head", "get"), {})
+    )
+    known = {parameter["name"] for parameter in operation.get("parameters", []) if parameter["in"] == "query"}
+    for name in request.query_params:
+        if name not in known:
+            takes = f"it takes {', '.join(sorted(known))}" if known else "it takes none"
+            raise ProblemError(422, f"unknown query parameter {name!r}; {takes}")
+        if len(request.query_params.getlist(name)) > 1:
+            raise ProblemError(422, f"the query parameter {name} is given twice")
 
 
 UseParts = Annotated[Parts, Depends(_parts)]

@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import logging
-from typing import Annotated, Any
+from typing import Annotated, Any, BinaryIO
 
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
 from service.jobs.job import EncodeResult, Job
 from service.web.guards.problems import ProblemError, problems
-from service.web.routes.bodies import body_as_file
-from service.web.routes.decoding import Drawing, ViewQuery, draw, draw_unknown
-from service.web.routes.parts import KnownJob, Parts, UseParts, no_such_job
-from service.web.routes.picture_files import MEDIA_TYPES, PictureFormat
-from sgmethod.errors import BitstreamError
+from service.web.helpers.drawing import Drawing
+from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
+from service.web.helpers.pool import HelperError, RefusedError
+from service.web.routes.decoding import ViewQuery
+from service.web.routes.file_answers import (
+    IMMUTABLE,
+    VARIES,
+    accepted_format,
+    file_answer,
+    has_already,
+    not_modified,
+)
+from service.web.routes.gone import while_client_waits
+from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts, no_such_job
+from service.web.submitting.bodies import body_as_file
+from sgmethod.errors import BitstreamError, ViewError
 
 log = logging.getLogger(__name__)
 router = APIRouter()
 
 BITSTREAM_TYPE = "application/octet-stream"
-# The bytes behind an id never change. Private, because an id is a secret that shared caches should not keep.
-IMMUTABLE = "private, max-age=31536000, immutable"
 NOTHING_KEPT = {"Cache-Control": "no-store"}
 BITSTREAM_BODY: dict[str, Any] = {
     "required": True,
@@ -36,9 +45,11 @@ def _files(*media_types: str) -> dict[int | str, dict[str, Any]]:
 
 
 NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "the client has it already"}}
+PARTIAL: dict[int | str, dict[str, Any]] = {206: {"description": "the part that Range names"}, **problems(416)}
+PICTURES = {**_files(*MEDIA_TYPES.values()), **NOT_MODIFIED, **PARTIAL}
 
 
-def _result(job: Job) -> EncodeResult:
+def result_of(job: Job) -> EncodeResult:
     """Raises ProblemError 409 with the state if the job is not done."""
     if job.result is not None:
         return job.result
@@ -48,26 +59,18 @@ def _result(job: Job) -> EncodeResult:
     raise ProblemError(409, detail, state=job.state)
 
 
-def _has_already(request: Request, etag: str) -> bool:
-    """Whether If-None-Match names the tag (RFC 9110, 13.1.2)."""
-    tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-    return etag in tags or tags == ["*"]
-
-
-def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
+def _open_bitstream(parts: Parts, job: Job, result: EncodeResult) -> BinaryIO:
     try:
-        return parts.storage.get(result.bitstream_key)
+        return parts.storage.open(result.bitstream_key)
     except FileNotFoundError as error:
         if parts.table.get(job.id) is None:  # removed while we looked
             raise no_such_job() from None
         raise _damaged(job, error) from error
 
 
-def _draw_job(parts: Parts, job: Job, result: EncodeResult, drawing: Drawing) -> bytes:
-    try:
-        return draw(_bitstream(parts, job, result), drawing)
-    except BitstreamError as error:
-        raise _damaged(job, error) from error
+def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
+    with _open_bitstream(parts, job, result) as file:
+        return file.read()
 
 
 def _damaged(job: Job, error: Exception) -> ProblemError:
@@ -75,66 +78,124 @@ def _damaged(job: Job, error: Exception) -> ProblemError:
     return ProblemError(500, "the bitstream of this job is missing or damaged")
 
 
+async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: PictureFormat, parts: Parts) -> Response:
+    """The picture of a job, from memory if it was asked for lately."""
+    result = result_of(job)
+    wish = query.wish(kind)
+    size = (int(result.stats["width"]), int(result.stats["height"]))
+    try:
+        drawing = Drawing.of(wish, size, parts.settings.max_decode_pixels)
+    except ViewError as error:
+        raise ProblemError(422, str(error)) from error
+    etag = drawing.etag(result.sha256)
+    headers = {"ETag": etag, "Cache-Control": IMMUTABLE, **query.disposition()}
+    if has_already(request, etag):
+        return not_modified(headers)
+    file = parts.pictures.get(etag)
+    parts.metrics.cache.labels("no" if file is None else "yes").inc()
+    if file is None:
+        parts.outflow.check()
+        with await to_thread.run_sync(_open_bitstream, parts, job, result) as bitstream:
+            try:
+                with parts.metrics.decode_seconds.time():
+                    drawn = parts.work.draw(request.state.caller.client, bitstream, wish)
+                    file = await while_client_waits(request, drawn)
+            except RefusedError as error:
+                if error.kind is BitstreamError:
+                    raise _damaged(job, error) from error
+                raise ProblemError(422, str(error)) from error
+            except HelperError as error:
+                raise ProblemError(422, str(error)) from error
+        parts.pictures.put(etag, file)
+    return file_answer(request, file, MEDIA_TYPES[kind], headers)
+
+
 @router.head("/decode/{job_id}.{kind}", include_in_schema=False)
 @router.get(
-    "/decode/{job_id}.{kind}",
-    response_class=Response,
-    responses={**_files(*MEDIA_TYPES.values()), **NOT_MODIFIED, **problems(404, 409, 422, 503)},
+    "/decode/{job_id}.{kind}", response_class=Response, responses={**PICTURES, **problems(404, 409, 422, 429, 503)}
 )
 async def picture(
     job: KnownJob, kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
 ) -> Response:
-    """The decoded picture, or a view of it, as PNG, JPEG or WebP."""
-    result = _result(job)
-    size = (int(result.stats["width"]), int(result.stats["height"]))
-    drawing = Drawing.of(query, kind, size, parts.settings.max_decode_pixels)
-    headers = {"ETag": drawing.etag(result.sha256), "Cache-Control": IMMUTABLE}
-    if _has_already(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    file = parts.pictures.get(headers["ETag"])
-    parts.metrics.cache.labels("no" if file is None else "yes").inc()
-    if file is None:
-        parts.outflow.check()
-        with parts.metrics.decode_seconds.time():
-            file = await parts.decoder.run(_draw_job, parts, job, result, drawing)
-        parts.pictures.put(headers["ETag"], file)
-    return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
+    """The decoded picture, or a view of it, as PNG, JPEG, WebP or AVIF."""
+    return await picture_answer(request, job, query, kind, parts)
+
+
+@router.head("/decode/{job_id}", include_in_schema=False)
+@router.get(
+    "/decode/{job_id}", response_class=Response, responses={**PICTURES, **problems(404, 406, 409, 422, 429, 503)}
+)
+async def picture_as_accepted(
+    job: KnownJob, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
+) -> Response:
+    """The same in the format that the Accept header wants most; PNG if it is all the same."""
+    answer = await picture_answer(request, job, query, accepted_format(request), parts)
+    answer.headers.update(VARIES)
+    return answer
 
 
 @router.post(
     "/decode",
     response_class=Response,
-    responses={**_files(MEDIA_TYPES["png"]), **problems(408, 413, 422, 503)},
+    responses={**_files(*MEDIA_TYPES.values()), **problems(406, 408, 413, 422, 429, 503)},
     openapi_extra={"requestBody": BITSTREAM_BODY},
 )
-async def picture_of_body(query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
-    """A picture of the bitstream in the body, as PNG. Nothing is stored."""
+async def picture_of_body(
+    query: Annotated[ViewQuery, Query()], parts: UseParts, caller: UseCaller, request: Request
+) -> Response:
+    """A picture of the bitstream in the body, in the format that the Accept header wants most. Nothing is stored."""
+    answer = await _draw_body(request, query, accepted_format(request), parts, caller.client)
+    answer.headers.update(VARIES)
+    return answer
+
+
+@router.post(
+    "/decode.{kind}",
+    response_class=Response,
+    responses={**_files(*MEDIA_TYPES.values()), **problems(408, 413, 422, 429, 503)},
+    openapi_extra={"requestBody": BITSTREAM_BODY},
+)
+async def picture_of_body_as(
+    kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, caller: UseCaller, request: Request
+) -> Response:
+    """A picture of the bitstream in the body. Nothing is stored."""
+    return await _draw_body(request, query, kind, parts, caller.client)
+
+
+async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, parts: Parts, client: str) -> Response:
     limits = parts.settings
+    wish = query.wish(kind)
     parts.outflow.check()
-    async with body_as_file(request, limits.max_bitstream_bytes) as upload, parts.accepting:
-        data = await upload.read()
+    async with body_as_file(request, limits.max_bitstream_bytes) as upload:
         try:
             with parts.metrics.decode_seconds.time():
-                file = await parts.decoder.run(
-                    draw_unknown, data, query, limits.max_decode_pixels, limits.max_decode_gaussians
-                )
-        except BitstreamError as error:
+                drawn = parts.work.draw(client, upload.file, wish, limits.max_decode_gaussians)
+                file = await while_client_waits(request, drawn)
+        except HelperError as error:
             raise ProblemError(422, str(error)) from error
-    return Response(file, headers=NOTHING_KEPT, media_type=MEDIA_TYPES["png"])
+    return Response(file, headers={**NOTHING_KEPT, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 
 
 @router.head("/bitstreams/{job_id}.sg", include_in_schema=False)
 @router.get(
     "/bitstreams/{job_id}.sg",
     response_class=Response,
-    responses={**_files(BITSTREAM_TYPE), **NOT_MODIFIED, **problems(404, 409, 503)},
+    responses={**_files(BITSTREAM_TYPE), **NOT_MODIFIED, **PARTIAL, **problems(404, 409, 503)},
 )
 async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Response:
     """The bitstream itself."""
-    result = _result(job)
-    headers = {"ETag": f'"{result.sha256[:32]}"', "Cache-Control": IMMUTABLE}
-    if _has_already(request, headers["ETag"]):
-        return Response(status_code=304, headers=headers)
-    headers["Content-Disposition"] = f'attachment; filename="{job.id}.sg"'
+    return await bitstream_answer(request, job, parts)
+
+
+async def bitstream_answer(request: Request, job: Job, parts: Parts) -> Response:
+    """The bitstream of a job."""
+    result = result_of(job)
+    headers = {
+        "ETag": f'"{result.sha256[:32]}"',
+        "Cache-Control": IMMUTABLE,
+        "Content-Disposition": f'attachment; filename="{job.id}.sg"',
+    }
+    if has_already(request, headers["ETag"]):
+        return not_modified(headers)
     data = await to_thread.run_sync(_bitstream, parts, job, result)
-    return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
+    return file_answer(request, data, BITSTREAM_TYPE, headers)

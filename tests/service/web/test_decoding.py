@@ -1,10 +1,9 @@
-"""Decoding beside the event loop and never too many at once; which view is drawn; what is kept of it."""
+"""Which view is drawn and as which file; what is kept of it."""
 
 from __future__ import annotations
 
-import asyncio
 import io
-import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +12,11 @@ from PIL import Image
 
 import sgmethod
 from service.web.guards.problems import ProblemError
-from service.web.routes.decoding import Drawing, PictureCache, PictureDecoder, ViewQuery, draw, draw_unknown
-from service.web.routes.picture_files import MEDIA_TYPES, encode_picture
-from sgmethod.errors import BitstreamError
+from service.web.helpers.drawing import Drawing, Wish
+from service.web.helpers.helper import Task, perform
+from service.web.helpers.picture_files import MEDIA_TYPES, encode_picture
+from service.web.routes.decoding import PictureCache, ViewQuery
+from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.view import View
 from tests.harness.data import golden_path
 
@@ -29,43 +30,19 @@ def pixels_of(file: bytes) -> NDArray[np.uint8]:
     return np.asarray(Image.open(io.BytesIO(file)))
 
 
-def test_decodes_are_bounded_and_leave_the_loop_free() -> None:
-    go_on = threading.Event()
-    running: list[bytes] = []
-
-    def slow(bitstream: bytes) -> bytes:
-        running.append(bitstream)
-        assert go_on.wait(30)
-        return b"png of " + bitstream
-
-    async def scenario() -> list[bytes]:
-        decoder = PictureDecoder(max_running=2, max_waiting=1)
-        tasks = [asyncio.create_task(decoder.run(slow, b"%d" % number)) for number in range(3)]
-        while len(running) < 2:
-            await asyncio.sleep(0.01)  # the loop runs while decodes block their threads
-        with pytest.raises(ProblemError) as refusal:
-            await decoder.run(slow, b"one too many")
-        assert refusal.value.status == 503
-        assert refusal.value.headers["Retry-After"]
-        assert len(running) == 2
-        go_on.set()
-        return await asyncio.gather(*tasks)
-
-    assert asyncio.run(scenario()) == [b"png of 0", b"png of 1", b"png of 2"]
-
-
 def test_what_is_no_bitstream() -> None:
     with pytest.raises(BitstreamError):
-        draw_unknown(b"not a bitstream", ViewQuery(), NO_LIMIT, NO_LIMIT)
+        perform(Task(0, 1, NO_LIMIT, wish=Wish()), b"not a bitstream")
 
 
 @pytest.mark.parametrize("name", ["v1-paper.sg", "v3-color.sg"])
 def test_gaussians_of_a_bitstream_are_limited(name: str) -> None:
     data = golden_path(name).read_bytes()
     count = sgmethod.info(data).gaussians
-    assert draw_unknown(data, ViewQuery(), NO_LIMIT, count) == encode_picture(sgmethod.decode(data), "png")
+    task = Task(0, 1, NO_LIMIT, max_gaussians=count, wish=Wish())
+    assert perform(task, data) == ({}, encode_picture(sgmethod.decode(data), "png"))
     with pytest.raises(BitstreamError, match=f"limit of {count - 1}$"):
-        draw_unknown(data, ViewQuery(), NO_LIMIT, count - 1)
+        perform(replace(task, max_gaussians=count - 1), data)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 7), (7, 1), (64, 48), (333, 3)])
@@ -85,11 +62,11 @@ def test_png_of_many_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(pixels_of(file), pixels)
 
 
-@pytest.mark.parametrize("kind", ["jpg", "webp"])
+@pytest.mark.parametrize("kind", ["jpg", "webp", "avif"])
 def test_lossy_files_are_close(kind: str) -> None:
     pixels = sgmethod.decode(PICTURE)
-    drawing = Drawing.of(ViewQuery(), kind, SIZE, NO_LIMIT)  # type: ignore[arg-type]
-    file = draw(PICTURE, drawing)
+    drawing = Drawing.of(Wish(kind), SIZE, NO_LIMIT)  # type: ignore[arg-type]
+    file = drawing.draw(PICTURE)
     image = Image.open(io.BytesIO(file))
     assert image.get_format_mimetype() == MEDIA_TYPES[drawing.kind]
     error = np.mean((np.asarray(image.convert("RGB"), np.float64) - pixels) ** 2)
@@ -109,18 +86,45 @@ def test_lossy_files_are_close(kind: str) -> None:
     ],
 )
 def test_views(query: dict[str, object], view: View) -> None:
-    drawing = Drawing.of(ViewQuery.model_validate(query), "png", SIZE, NO_LIMIT)
-    pixels = pixels_of(draw(PICTURE, drawing))
+    drawing = Drawing.of(ViewQuery.model_validate(query).wish("png"), SIZE, NO_LIMIT)
+    pixels = pixels_of(drawing.draw(PICTURE))
     np.testing.assert_array_equal(pixels, sgmethod.decode(PICTURE, view=view))
     assert (drawing.width, drawing.height) == (pixels.shape[1], pixels.shape[0])
     if "width" in query:
         assert drawing.width == query["width"]
 
 
+@pytest.mark.parametrize("region", [None, (2, 3, 20, 9), (5, 5, 3, 30)])
+@pytest.mark.parametrize("box", [(10, 10), (31, 7), (7, 31), (1, 1), (100, 90), SIZE])
+def test_boxes(region: tuple[int, int, int, int] | None, box: tuple[int, int]) -> None:
+    sides = {}
+    for fit in ("contain", "cover", "crop"):
+        drawing = Drawing.of(Wish(width=box[0], height=box[1], fit=fit, region=region), SIZE, NO_LIMIT)  # type: ignore[arg-type]
+        height, width, _ = pixels_of(drawing.draw(PICTURE)).shape
+        assert (drawing.width, drawing.height) == (width, height)
+        sides[fit] = (width, height)
+    assert sides["crop"] == box
+    assert all(side <= limit for side, limit in zip(sides["contain"], box, strict=True))
+    assert all(side >= limit for side, limit in zip(sides["cover"], box, strict=True))
+    for fit in ("contain", "cover"):
+        assert any(side == limit for side, limit in zip(sides[fit], box, strict=True))
+
+
+def test_a_crop_is_the_middle() -> None:
+    """Of the picture at its own size, so that pixels can be compared."""
+    whole = sgmethod.decode(PICTURE)
+    width, height = SIZE[0] - 10, SIZE[1]
+    file = Drawing.of(Wish(width=width, height=height, fit="crop"), SIZE, NO_LIMIT).draw(PICTURE)
+    np.testing.assert_allclose(pixels_of(file), whole[:, 5:-5].astype(int), atol=1)  # version 3 is drawn in part
+
+
 @pytest.mark.parametrize(
     ("query", "words"),
     [
         ({"scale": 1, "width": 10}, "not both"),
+        ({"scale": 1, "height": 10}, "not both"),
+        ({"width": 10, "fit": "crop"}, "takes a width and a height"),
+        ({"quality": 50}, "has no quality"),
         ({"region": "0,0,0,5"}, "within"),
         ({"region": "0,0,0,5", "width": 5}, "within"),
         ({"region": "0,0,99999,5"}, "within"),
@@ -129,25 +133,25 @@ def test_views(query: dict[str, object], view: View) -> None:
     ],
 )
 def test_views_that_are_refused(query: dict[str, object], words: str) -> None:
-    with pytest.raises(ProblemError, match=words) as refusal:
-        Drawing.of(ViewQuery.model_validate(query), "png", SIZE, 10_000)
-    assert refusal.value.status == 422
+    with pytest.raises((ProblemError, ViewError), match=words):
+        Drawing.of(ViewQuery.model_validate(query).wish("png"), SIZE, 10_000)
 
 
 def test_what_a_kind_of_file_cannot_hold() -> None:
     long = (16_384, 1)
-    assert Drawing.of(ViewQuery(), "png", long, NO_LIMIT).width == 16_384
-    with pytest.raises(ProblemError, match="16,383 a side"):
-        Drawing.of(ViewQuery(), "webp", long, NO_LIMIT)
+    assert Drawing.of(Wish("png"), long, NO_LIMIT).width == 16_384
+    with pytest.raises(ViewError, match="16,383 a side"):
+        Drawing.of(Wish("webp"), long, NO_LIMIT)
 
 
 def test_entity_tags_tell_pictures_apart() -> None:
     queries = [{}, {"scale": 2}, {"region": "0,0,10,8"}, {"region": "0,1,10,8"}, {"region": "0,0,10,8", "scale": 2}]
-    drawings = [Drawing.of(ViewQuery.model_validate(q), "png", SIZE, NO_LIMIT) for q in queries]
-    drawings.append(Drawing.of(ViewQuery(), "jpg", SIZE, NO_LIMIT))
+    drawings = [Drawing.of(ViewQuery.model_validate(q).wish("png"), SIZE, NO_LIMIT) for q in queries]
+    more = (Wish("jpg"), Wish("jpg", quality=50), Wish(prefix=0.5), Wish("avif"), Wish(width=5, height=9, fit="crop"))
+    drawings += [Drawing.of(wish, SIZE, NO_LIMIT) for wish in more]
     tags = {drawing.etag(sha) for drawing in drawings for sha in ("a" * 64, "b" * 64)}
     assert len(tags) == 2 * len(drawings)
-    same = [Drawing.of(ViewQuery(**q), "png", SIZE, NO_LIMIT) for q in ({"width": 2 * SIZE[0]}, {"scale": 2.0})]
+    same = [Drawing.of(wish, SIZE, NO_LIMIT) for wish in (Wish(width=2 * SIZE[0]), Wish(scale=2.0))]
     assert same[0].etag("a" * 64) == same[1].etag("a" * 64)
     assert all("," not in tag for tag in tags)  # lists of tags are split at commas
 

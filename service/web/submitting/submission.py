@@ -16,10 +16,12 @@ from starlette.requests import Request
 from service.jobs.job import PRIORITIES, EncodeRequest, NewJob, Priority, SourceImage, new_job_id
 from service.settings import Settings
 from service.web.guards.problems import ProblemError
-from service.web.routes.bodies import body_as_file
+from service.web.helpers.pool import HelperError, RefusedError
+from service.web.helpers.work import Work
+from service.web.submitting.bodies import body_as_file
+from service.web.submitting.image_kinds import IMAGE_MAGICS, MAGIC_BYTES, READ_FORMATS, foreign_format
 from sgmethod.budget import BUDGET_KINDS, Budget
-from sgmethod.errors import BudgetError, ImageError
-from sgmethod.io.image import PNG_MAGIC, TIFF_MAGICS, ImageLimits, read_header
+from sgmethod.errors import BudgetError
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 
 IMAGE_FIELD = "image"
@@ -29,7 +31,6 @@ MAX_FIELD_BYTES = 256
 MULTIPART_OVERHEAD_BYTES = 16 * 1024
 
 FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
-IMAGE_MAGICS = (PNG_MAGIC, b"\xff\xd8\xff", b"RIFF", *TIFF_MAGICS, b"BM")
 
 # Stricter than float(), which also takes "1_0", "nan" and spaces around.
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
@@ -52,12 +53,10 @@ class Submission:
     priority: Priority
     image: UploadFile
 
-    async def image_bytes(self, max_bytes: int) -> bytes:
-        """The image file. Raises ProblemError 413."""
-        data = await self.image.read(max_bytes + 1)
-        if len(data) > max_bytes:
-            raise ProblemError(413, f"the image is larger than {max_bytes} bytes", max_bytes=max_bytes)
-        return data
+    async def image_bytes(self) -> bytes:
+        """The image file."""
+        await self.image.seek(0)
+        return await self.image.read()
 
 
 def check_content_type(request: Request) -> str:
@@ -90,17 +89,34 @@ async def submission(request: Request, settings: Settings) -> AsyncIterator[Subm
             yield Submission(encode_request, priority, image)
 
 
-def new_job(submitted: Submission, image: bytes, key: str | None, owner: str | None, settings: Settings) -> NewJob:
-    """The job to accept. The image's header is read; no pixel is decoded.
-
-    Raises ProblemError 415 for what is none of the formats, 422 for a damaged header or a size beyond
-    the limits.
-    """
-    header = _checked_header(image, settings)
+def new_job(submitted: Submission, header: SourceImage, image: bytes, key: str | None, owner: str | None) -> NewJob:
+    """The job to accept."""
     asked = {"encode": asdict(submitted.request), "priority": submitted.priority}
     digest = hashlib.sha256(json.dumps(asked).encode())
     digest.update(image)
     return NewJob(new_job_id(), submitted.request, header, digest.hexdigest(), key, owner, submitted.priority)
+
+
+async def read_header(submitted: Submission, work: Work, client: str, max_bytes: int) -> SourceImage:
+    """What the image's header says; no pixel is decoded.
+
+    Raises ProblemError 413, 415 for what is none of the formats, 422 for a damaged header or a size beyond the limits,
+    429, 503.
+    """
+    size = submitted.image.size or 0
+    if size > max_bytes:
+        raise ProblemError(413, f"the image is larger than {max_bytes} bytes", max_bytes=max_bytes)
+    try:
+        return await work.read_header(client, submitted.image.file, size)
+    except RefusedError as error:
+        await submitted.image.seek(0)
+        first = await submitted.image.read(MAGIC_BYTES)
+        foreign = foreign_format(first)
+        if foreign is not None:
+            raise ProblemError(415, f"the file is {foreign}; {READ_FORMATS}") from error
+        raise ProblemError(422 if first.startswith(IMAGE_MAGICS) or not first else 415, str(error)) from error
+    except HelperError as error:
+        raise ProblemError(422, f"the image's header cannot be read: {error}") from error
 
 
 def _encode_request(
@@ -166,15 +182,3 @@ def _time_limit_s(fields: dict[str, str], most_s: float) -> float:
     if not (math.isfinite(seconds) and 0 < seconds <= most_s):
         raise ProblemError(422, f"time_limit_s must be more than 0 and at most {most_s:g}")
     return seconds
-
-
-def _checked_header(image: bytes, settings: Settings) -> SourceImage:
-    if image and not image.startswith(IMAGE_MAGICS):
-        raise ProblemError(415, "the file is not a PNG, JPEG, WebP, TIFF or BMP image")
-    try:
-        header = read_header(image, ImageLimits(settings.max_pixels, settings.max_side))
-    except ImageError as error:
-        raise ProblemError(422, str(error)) from error
-    if not header.still:
-        raise ProblemError(422, "the file holds more than one picture; one still picture is needed")
-    return SourceImage(header.format, header.width, header.height, len(image))

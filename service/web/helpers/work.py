@@ -1,0 +1,54 @@
+"""What helpers do for requests: headers of images and pictures, each kind with turns of its own."""
+
+from __future__ import annotations
+
+from typing import BinaryIO
+
+from service.jobs.job import SourceImage
+from service.settings import Settings
+from service.web.helpers.drawing import Wish
+from service.web.helpers.helper import Task
+from service.web.helpers.pool import Helpers
+from service.web.helpers.turns import Turns
+
+# The header of a photograph takes milliseconds and little memory. What takes more was made to.
+HEADERS_AT_ONCE = 3
+HEADER_CPU_S = 1.0
+HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
+
+
+class Work:
+    """Both kinds of task. client: whose turn a task takes."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._helpers = Helpers()
+        self._headers = Turns(HEADERS_AT_ONCE, settings.max_uploads)
+        self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
+
+    async def read_header(self, client: str, file: BinaryIO, size_bytes: int) -> SourceImage:
+        """What an image's header says. Raises HelperError, ProblemError 429 or 503, OSError."""
+        limits = self._settings
+        memory_bytes = HEADER_MEMORY_BYTES + size_bytes
+        async with self._headers.turn(client):
+            task = Task(memory_bytes, HEADER_CPU_S, limits.max_pixels, limits.max_side)
+            header, _ = await self._helpers.ask(task, file)
+        return SourceImage(header["format"], header["width"], header["height"], size_bytes)
+
+    async def draw(self, client: str, file: BinaryIO, wish: Wish, max_gaussians: int | None = None) -> bytes:
+        """The picture file of a bitstream. Raises HelperError, ProblemError 429 or 503, OSError."""
+        limits = self._settings
+        async with self._drawings.turn(client):
+            task = Task(
+                limits.decode_memory_bytes,
+                limits.decode_time_s,
+                limits.max_decode_pixels,
+                max_gaussians=max_gaussians,
+                wish=wish,
+            )
+            _, picture = await self._helpers.ask(task, file)
+        return picture
+
+    def close(self) -> None:
+        """End the helpers."""
+        self._helpers.close()

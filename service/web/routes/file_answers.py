@@ -1,0 +1,69 @@
+"""Files as answers: which format the client takes, what it has already, which part it asks for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from fastapi import Request, Response
+
+from service.web.guards.problems import ProblemError
+from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
+
+# Private, because an id is a secret that shared caches should not keep.
+IMMUTABLE = "private, max-age=31536000, immutable"
+VARIES = {"Vary": "Accept"}
+
+_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})", re.ASCII)
+
+
+def accepted_format(request: Request) -> PictureFormat:
+    """The format that the Accept header wants most; PNG if it is all the same. Raises ProblemError 406."""
+    accept = request.headers.get("accept", "*/*")
+    weights: dict[str, float] = {}
+    for entry in accept.split(","):
+        name, *parameters = (part.strip().lower() for part in entry.split(";"))
+        given = next((p[2:] for p in parameters if p.startswith("q=")), "1")
+        weights[name] = float(given) if re.fullmatch(r"[01](\.[0-9]{0,3})?", given) else 1.0
+    best: PictureFormat = "png"
+    most = 0.0
+    for kind, media_type in MEDIA_TYPES.items():  # PNG comes first
+        weight = next((weights[name] for name in (media_type, "image/*", "*/*") if name in weights), 0.0)
+        if weight > most:
+            best, most = kind, weight
+    if most == 0:
+        raise ProblemError(406, f"pictures are {', '.join(MEDIA_TYPES.values())}", headers=VARIES)
+    return best
+
+
+def has_already(request: Request, etag: str) -> bool:
+    """Whether If-None-Match names the tag (RFC 9110, 13.1.2)."""
+    tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
+    return etag in tags or tags == ["*"]
+
+
+def not_modified(headers: Mapping[str, str]) -> Response:
+    """What a client has already is not sent again."""
+    return Response(status_code=304, headers={k: v for k, v in headers.items() if k != "Content-Disposition"})
+
+
+def file_answer(request: Request, file: bytes, media_type: str, headers: Mapping[str, str]) -> Response:
+    """The file, or the part that a Range header names (RFC 9110, 14.2). headers: ETag among them.
+
+    Raises ProblemError 416. Several parts at once are answered with the whole file, as is a range of another version.
+    """
+    headers = {**headers, "Accept-Ranges": "bytes"}
+    match = _RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
+    if match is None or match.group() == "bytes=-" or request.method not in ("GET", "HEAD"):
+        return Response(file, headers=headers, media_type=media_type)
+    if request.headers.get("if-range", headers.get("ETag")) != headers.get("ETag"):
+        return Response(file, headers=headers, media_type=media_type)
+    first, last = match[1], match[2]
+    begin = int(first) if first else max(len(file) - int(last), 0)
+    end = min(int(last) + 1, len(file)) if first and last else len(file)
+    if first and last and int(last) < begin:
+        return Response(file, headers=headers, media_type=media_type)  # no range at all
+    if begin >= end:
+        raise ProblemError(416, f"the file has {len(file)} bytes", headers={"Content-Range": f"bytes */{len(file)}"})
+    headers["Content-Range"] = f"bytes {begin}-{end - 1}/{len(file)}"
+    return Response(file[begin:end], status_code=206, headers=headers, media_type=media_type)

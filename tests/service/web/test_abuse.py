@@ -1,0 +1,253 @@
+"""Clients that make the service work hard: it stops in time, and everybody else is served meanwhile."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
+import pytest
+
+from service.keys import digest
+from tests.harness.attacks import (
+    crowded_bitstream,
+    jpeg_of_many_markers,
+    png_of_many_chunks,
+    tiff_of_many_strips,
+)
+from tests.harness.data import golden_path
+from tests.harness.pictures import SMALL
+from tests.harness.processes import processes, wait_until
+from tests.harness.service import Service, StartService, assert_problem
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+NEVER_S = 10_000  # a limit that no test reaches
+
+
+@pytest.fixture(scope="module")
+def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process with two keys, whose decodes may take as long as they like."""
+    keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann"))
+    settings = {"api_keys": keys, "key_request_rate": 100_000, "decode_time_s": NEVER_S, "max_queued_per_key": 0}
+    service = Service(tmp_path_factory.mktemp("abuse") / "data", "web", queue_length=10_000, **settings)
+    yield service
+    assert service.stop() == 0
+    assert "Traceback" not in service.log.read_text()
+
+
+@pytest.fixture(scope="module")
+def crowded() -> bytes:
+    """A bitstream that takes seconds to draw."""
+    return crowded_bitstream()
+
+
+@pytest.fixture
+def eve(web: Service) -> Iterator[httpx.Client]:
+    """Who means harm."""
+    with httpx.Client(base_url=web.url, headers={"Authorization": "Bearer eve"}, timeout=100) as client:
+        yield client
+
+
+@pytest.fixture
+def ann(web: Service) -> Iterator[httpx.Client]:
+    """Somebody else."""
+    with httpx.Client(base_url=web.url, headers={"Authorization": "Bearer ann"}, timeout=100) as client:
+        yield client
+
+
+def posted(client: httpx.Client, image: bytes) -> httpx.Response:
+    return client.post("/encode?bpp=1", content=image, headers={"Content-Type": "image/*"})
+
+
+def helpers_of(service: Service) -> set[int]:
+    return {n for n, p in processes().items() if p.parent == service.process.pid and "helpers.helper" in p.command}
+
+
+def cpu_s_of(service: Service) -> float:
+    """Seconds of a core that the web process itself has taken."""
+    with open(f"/proc/{service.process.pid}/stat") as stat:  # noqa: PTH123
+        user, system = stat.read().rpartition(")")[2].split()[11:13]
+    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+
+
+def peak_bytes_of(service: Service) -> int:
+    with open(f"/proc/{service.process.pid}/status") as status:  # noqa: PTH123
+        return 1024 * next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: tiff_of_many_strips(800_000),
+        lambda: png_of_many_chunks(1_000_000),
+        lambda: jpeg_of_many_markers(1_000_000),
+    ],
+    ids=["tiff", "png", "jpeg"],
+)
+def test_a_header_that_takes_long_is_given_up(
+    web: Service, eve: httpx.Client, ann: httpx.Client, make: Callable[[], bytes]
+) -> None:
+    """It took the web process 0.8 to 2.7 s, and up to 280 MB; others waited up to 7 s."""
+    image = make()
+    posted(ann, SMALL)
+    cpu_s, peak = cpu_s_of(web), peak_bytes_of(web)
+    assert_problem(posted(eve, image), 422, "more time than it may")
+    assert cpu_s_of(web) - cpu_s < 0.5  # to take in 20 MB
+    assert peak_bytes_of(web) - peak < 2 * len(image) + 20e6
+    assert posted(ann, SMALL).status_code == 202
+
+
+def test_headers_that_take_long_keep_nobody_waiting(eve: httpx.Client, ann: httpx.Client) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        attack = [pool.submit(posted, eve, tiff_of_many_strips(800_000)) for _ in range(8)]
+        while not any(attempt.done() for attempt in attack):
+            assert posted(ann, SMALL).status_code == 202
+        assert not all(attempt.done() for attempt in attack)
+        assert {attempt.result().status_code for attempt in attack} == {422}
+
+
+def test_a_header_that_takes_much_memory_is_given_up(start_service: StartService) -> None:
+    web = start_service("web")
+    answer = web.post(tiff_of_many_strips(6_000_000))
+    assert_problem(answer, 422, "it may")
+    assert web.post().status_code == 202
+
+
+def sent_by_eve(web: Service, bitstream: bytes) -> socket.socket:
+    """A connection over which eve has posted a bitstream to be decoded."""
+    connection = web.connect()
+    head = f"POST /decode HTTP/1.1\r\nHost: test\r\nAuthorization: Bearer eve\r\nContent-Length: {len(bitstream)}\r\n"
+    connection.sendall(head.encode() + b"\r\n" + bitstream)
+    return connection
+
+
+def is_answered(connection: socket.socket) -> bool:
+    return bool(select.select([connection], [], [], 0)[0])
+
+
+def test_decodes_of_one_client_keep_no_other_waiting(web: Service, ann: httpx.Client, crowded: bytes) -> None:
+    """Twelve of them held another key's POST /encode for 21 s, and its POST /decode for 26 s."""
+    attack = [sent_by_eve(web, crowded) for _ in range(12)]
+    try:
+        wait_until(lambda: len(helpers_of(web)) >= 2)
+        for _ in range(5):
+            assert ann.post("/decode", content=PICTURE).status_code == 200
+            assert posted(ann, SMALL).status_code == 202
+        assert not all(map(is_answered, attack))
+    finally:
+        for connection in attack:
+            connection.close()
+    wait_until(lambda: not any(map(is_busy, helpers_of(web))))
+
+
+def test_a_decode_ends_when_its_client_has_gone(web: Service, crowded: bytes) -> None:
+    """One that ended by itself would leave its helper waiting for the next."""
+    with sent_by_eve(web, crowded):
+        (busy,) = wait_until(lambda: [n for n in helpers_of(web) if is_busy(n)])
+    wait_until(lambda: busy not in processes())
+
+
+def is_busy(number: int) -> bool:
+    """Whether a process has a thread that computes just now."""
+    try:
+        with open(f"/proc/{number}/stat") as stat:  # noqa: PTH123
+            return stat.read().rpartition(")")[2].split()[0] == "R"
+    except OSError:
+        return False
+
+
+def test_a_decode_has_a_limit_of_time(start_service: StartService, crowded: bytes) -> None:
+    web = start_service("web", decode_time_s=0.5)
+    assert_problem(web.client.post("/decode", content=crowded), 422, "more time than it may")
+    assert web.client.post("/decode", content=PICTURE).status_code == 200
+
+
+def test_a_decode_has_a_limit_of_memory(start_service: StartService) -> None:
+    web = start_service("web", decode_memory_bytes=2**26)
+    large = crowded_bitstream(1)  # 147 MB of pixels
+    assert_problem(web.client.post("/decode", content=large), 422, "more memory than it may")
+    assert web.client.post("/decode", content=PICTURE).status_code == 200
+
+
+def test_a_helper_that_is_killed_harms_nobody(start_service: StartService, crowded: bytes) -> None:
+    """The task is tried again; a file that its reader dies of twice is given up."""
+    web = start_service("web", decode_time_s=NEVER_S)
+    assert web.client.post("/decode", content=PICTURE).status_code == 200
+    for number in helpers_of(web):
+        os.kill(number, 9)
+    assert web.client.post("/decode", content=PICTURE).status_code == 200
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(web.client.post, "/decode", content=crowded)
+        for _ in range(2):
+            (busy,) = wait_until(lambda: [n for n in helpers_of(web) if is_busy(n) and not answer.done()])
+            os.kill(busy, 9)
+            wait_until(lambda: busy not in processes())  # noqa: B023
+        assert_problem(answer.result(), 422, "crashed")
+    assert web.client.post("/decode", content=PICTURE).status_code == 200
+
+
+def test_idle_connections_keep_nobody_out(start_service: StartService) -> None:
+    """1,010 of them made the service answer 503 to everybody for 11 s."""
+    web = start_service("web", max_connections=50, max_connections_per_address=50)
+    crowd = [web.connect() for _ in range(60)]
+    try:
+        for connection in crowd:
+            connection.settimeout(100)
+        for _ in range(5):
+            with httpx.Client(base_url=web.url) as client:
+                assert client.get("/livez").status_code == 200
+        assert crowd[0].recv(1) == b""  # it had been silent for longest
+    finally:
+        for connection in crowd:
+            connection.close()
+
+
+def test_one_address_has_its_limit(start_service: StartService) -> None:
+    web = start_service("web", max_connections_per_address=3)
+    streams: list[socket.socket] = []
+    job_id = web.accepted()
+    web.client.close()
+    try:
+        for _ in range(3):
+            streams.append(web.connect())
+            streams[-1].sendall(f"GET /jobs/{job_id}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
+            assert streams[-1].recv(15) == b"HTTP/1.1 200 OK"
+        assert b" 429 " in web.raw(b"GET /livez HTTP/1.1\r\nHost: test\r\n\r\n").splitlines()[0]
+    finally:
+        for stream in streams:
+            stream.close()
+
+
+def test_proxies_are_told_apart_from_clients(start_service: StartService) -> None:
+    web = start_service("web", max_connections_per_address=1, trusted_proxies="127.0.0.0/8")
+    crowd = [web.connect() for _ in range(5)]
+    try:
+        for connection in crowd:
+            connection.sendall(b"GET /livez HTTP/1.1\r\nHost: test\r\n\r\n")
+            assert connection.recv(15) == b"HTTP/1.1 200 OK"
+    finally:
+        for connection in crowd:
+            connection.close()
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"bytes": 17}, "at least 18 bytes"),
+        ({"bpp": 0.00001}, "at least 18 bytes"),
+        ({"bytes": 100, "profile": "paper"}, "takes at least"),
+        ({"quality": 50, "profile": "paper"}, "no quality scale"),
+        ({"quality": 50, "profile": "baseline"}, "no quality scale"),
+        ({"gaussians": 10_000_000}, "more than the image's"),
+        ({"psnr": "nan"}, "psnr"),
+        ({"bpp": "1e999"}, "bpp"),
+        ({"bpp": "-1"}, "bpp"),
+    ],
+)
+def test_jobs_that_cannot_succeed(start_service: StartService, fields: dict[str, object], words: str) -> None:
+    web = start_service("web")
+    assert_problem(web.post(**fields), 422, words)
+    assert web.files() == []

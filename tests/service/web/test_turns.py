@@ -1,0 +1,159 @@
+"""Fair shares among clients, on an event loop alone."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+
+from service.web.guards.problems import ProblemError
+from service.web.helpers.turns import Turns
+
+Scenario = Callable[[], Awaitable[None]]
+
+
+class Crowd:
+    """Tasks in turns; each runs until it is told to end."""
+
+    def __init__(self, turns: Turns) -> None:
+        self.turns = turns
+        self.running: list[str] = []
+        self._ends: dict[str, asyncio.Event] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+
+    async def asks(self, *names: str) -> None:
+        """Each name is a client and a number, such as ann1."""
+        for name in names:
+            self._ends[name] = asyncio.Event()
+            self._tasks[name] = asyncio.create_task(self._run(name))
+            await settle()
+
+    async def _run(self, name: str) -> None:
+        async with self.turns.turn(name[:3]):
+            self.running.append(name)
+            try:
+                await self._ends[name].wait()
+            finally:
+                self.running.remove(name)
+
+    async def ends(self, name: str) -> None:
+        self._ends[name].set()
+        await self._tasks[name]
+        await settle()
+
+    async def goes(self, name: str) -> None:
+        """The client does not wait any longer."""
+        self._tasks[name].cancel()
+        await asyncio.gather(self._tasks[name], return_exceptions=True)
+        await settle()
+
+    def refusal(self, name: str) -> ProblemError:
+        error = self._tasks[name].exception()
+        assert isinstance(error, ProblemError)
+        return error
+
+
+async def settle() -> None:
+    for _ in range(5):
+        await asyncio.sleep(0)
+
+
+def test_one_client_never_has_the_last_place() -> None:
+    async def scenario() -> None:
+        crowd = Crowd(Turns(3, 100))
+        await crowd.asks(*(f"eve{number}" for number in range(50)))
+        assert crowd.running == ["eve0", "eve1"]
+        await crowd.asks("ann1")
+        assert crowd.running == ["eve0", "eve1", "ann1"]
+
+    asyncio.run(scenario())
+
+
+def test_a_single_place_serves_everybody() -> None:
+    async def scenario() -> None:
+        crowd = Crowd(Turns(1, 100))
+        await crowd.asks("eve1", "eve2", "ann1", "bob1", "ann2")
+        order = []
+        for _ in range(5):
+            (name,) = crowd.running
+            order.append(name)
+            await crowd.ends(name)
+        assert order == ["eve1", "eve2", "ann1", "bob1", "ann2"] or order == ["eve1", "eve2", "ann1", "bob1", "ann2"]
+        assert crowd.turns.waiting == 0
+
+    asyncio.run(scenario())
+
+
+def test_clients_take_turns_whoever_came_first() -> None:
+    async def scenario() -> None:
+        crowd = Crowd(Turns(2, 100))
+        await crowd.asks("eve1", "ann1", "eve2", "eve3", "eve4", "bob1", "ann2")
+        await crowd.ends("eve1")  # ann has one running, eve none, bob none: eve has waited longest
+        assert crowd.running == ["ann1", "eve2"]
+        await crowd.ends("ann1")
+        assert crowd.running == ["eve2", "bob1"]
+        await crowd.ends("bob1")
+        assert crowd.running == ["eve2", "ann2"]
+        await crowd.ends("ann2")
+        assert crowd.running == ["eve2"]  # eve never has both
+        await crowd.ends("eve2")
+        assert crowd.running == ["eve3"]
+
+    asyncio.run(scenario())
+
+
+def test_lines_are_bounded() -> None:
+    async def scenario() -> None:
+        crowd = Crowd(Turns(1, 4))
+        await crowd.asks("eve1", "eve2", "eve3", "eve4")
+        assert crowd.refusal("eve4").status == 429
+        await crowd.asks("ann1", "bob1", "cat1")
+        assert crowd.refusal("cat1").status == 503
+        assert crowd.refusal("cat1").headers["Retry-After"]
+        assert crowd.turns.waiting == 4
+
+    asyncio.run(scenario())
+
+
+def test_who_goes_leaves_nothing_behind() -> None:
+    async def scenario() -> None:
+        crowd = Crowd(Turns(1, 10))
+        await crowd.asks("eve1", "ann1", "ann2", "bob1")
+        await crowd.goes("ann1")
+        await crowd.goes("bob1")
+        await crowd.goes("eve1")
+        assert crowd.running == ["ann2"]
+        await crowd.ends("ann2")
+        assert crowd.turns.waiting == 0
+        await crowd.asks("eve2")
+        assert crowd.running == ["eve2"]
+
+    asyncio.run(scenario())
+
+
+def test_who_goes_at_the_moment_of_being_served() -> None:
+    """The place was given already, and must not be lost."""
+
+    async def scenario() -> None:
+        turns = Turns(1, 10)
+        crowd = Crowd(turns)
+        await crowd.asks("eve1", "ann1")
+        crowd._ends["eve1"].set()
+        while turns.waiting:  # no further than to where ann is served
+            await asyncio.sleep(0)
+        await crowd.goes("ann1")
+        await crowd.asks("bob1")
+        assert crowd.running == ["bob1"]
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.parametrize("places", [1, 2, 5])
+def test_as_many_at_once_as_there_are_places(places: int) -> None:
+    async def scenario() -> None:
+        crowd = Crowd(Turns(places, 100))
+        await crowd.asks(*(f"{client}{number}" for number in range(4) for client in ("ann", "bob", "cat")))
+        assert len(crowd.running) == places
+
+    asyncio.run(scenario())
