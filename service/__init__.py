@@ -3,6 +3,7 @@
 The rooms and modules; each imports only from those above it:
 
     keys            API keys, how often each may ask, links that stand in for one
+    logs            what the processes write to standard error
     settings        what the operator may set
     process/        the processes of a service, how they end, and what strangers' pictures cannot reach
     storage/        source images and bitstreams, in a folder or in a bucket

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 import socket
@@ -13,6 +12,7 @@ from collections.abc import Callable
 from pydantic import ValidationError
 
 from service.jobs.table import JobTableError
+from service.logs import set_up_logging
 from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.process import lifeline
 from service.process.listening import is_loopback, listen, url
@@ -31,9 +31,9 @@ def main() -> int:
     nothing runs yet."""
     arguments = _parser().parse_args()
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(name)s: %(message)s")
     try:
         settings = Settings()
+        set_up_logging(settings.log_format)
     except ValidationError as error:
         for fault in error.errors():
             name = f"SG_{fault['loc'][0]}: ".upper() if fault["loc"] else ""
@@ -46,6 +46,9 @@ def main() -> int:
         print(f"{name} is no setting of this service, and does nothing", file=sys.stderr)
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
+    except BrokenPipeError:  # of `check | head`: nobody reads the rest
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return TROUBLE
     except (OSError, JobTableError, MissingPackagesError, SgError) as error:
         verb = "sweep" if arguments.command == "sweep" else "start"
         print(f"cannot {verb}: {' '.join(str(error).split())}", file=sys.stderr)

@@ -1,9 +1,11 @@
-"""Checks of an installation before the service starts: settings, job table, storage, free disk, kernels."""
+"""Checks of an installation before the service starts."""
 
 from __future__ import annotations
 
 import secrets
 import shutil
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -12,6 +14,7 @@ from pathlib import Path
 
 from service.jobs.table import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
+from service.process import confinement
 from service.settings import Settings
 from service.storage.files import PROBE_FOLDER
 from sgmethod.errors import SgError
@@ -41,6 +44,7 @@ def check(settings: Settings) -> Iterator[Check]:
         "storage": _storage,
         "free disk": _free_disk,
         "kernels": _kernels,
+        "confinement": _confinement,
     }
     for name, run in checks.items():
         try:
@@ -88,3 +92,13 @@ def _kernels(_settings: Settings) -> str:
     if find_spec("torch") is None:
         raise CheckError("encoding needs more packages: pip install '.[encode]'")
     return ISA_NAMES[native.best_isa()]
+
+
+def _confinement(_settings: Settings) -> str:
+    """It is no failure where the system offers less, as older ones and some containers do."""
+    ask = f"from {confinement.MODULE} import confine; print(', '.join(confine()))"
+    said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False)
+    if said.returncode != 0:
+        raise CheckError("processes that read strangers' pictures cannot be confined")
+    missing = said.stdout.strip()
+    return f"this system does not offer {missing}" if missing else "Landlock and seccomp"

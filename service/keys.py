@@ -45,6 +45,10 @@ class KeyRing:
     """The keys that are known; with none at all the service is open."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
+        self.replace(names)
+
+    def replace(self, names: Mapping[str, str]) -> None:
+        """Know these keys from now on, and no others. names: by digest."""
         self._names = dict(names)
 
     def __bool__(self) -> bool:

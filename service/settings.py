@@ -10,11 +10,13 @@ from collections.abc import Iterable
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
+from typing import Literal
 
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
+from service.logs import LogFormat
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 
@@ -68,8 +70,18 @@ class Settings(BaseSettings):
         description="sources and bitstreams: empty for the data folder, or s3://bucket/prefix",
     )
     retention_s: float = Field(
-        default=0, ge=0, description="seconds after which finished jobs are removed; 0 for never"
+        default=30 * 86_400, ge=0, description="seconds after which finished jobs are removed; 0 for never"
     )
+    min_free_bytes: int = Field(
+        default=2**28, ge=0, description="bytes free in the data folder, below which new jobs get 503 and /readyz fails"
+    )
+    quota_bytes: int = Field(default=0, ge=0, description="bytes of images and bitstreams in all; 0 for any number")
+    quota_bytes_per_key: int = Field(default=0, ge=0, description="the same of one API key; 0 for any number")
+    quota_full: Literal["refuse", "oldest"] = Field(
+        default="refuse",
+        description="beyond a quota: `refuse` new jobs with 429, or remove the `oldest` that are finished",
+    )
+    log_format: LogFormat = Field(default="text", description="lines of the logs: `text`, or `json` for machines")
 
     workers: int = Field(default_factory=default_workers, ge=1, description="encodes that run at once")
     threads: int = Field(default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers")
@@ -99,6 +111,11 @@ class Settings(BaseSettings):
     trusted_proxies: str = Field(
         default="",
         description="addresses and networks, apart by commas, whose X-Forwarded-For names the client; no limit on them",
+    )
+    cors_origins: str = Field(
+        default="",
+        pattern=r"^(|\*|https?://[^/,\s*]+(,\s*https?://[^/,\s*]+)*)$",
+        description="origins, apart by commas, whose pages may ask from a browser, or `*` for all",
     )
     max_header_bytes: int = Field(default=32_768, ge=1024, description="bytes of a request line with its headers")
     header_timeout_s: float = Field(
@@ -193,7 +210,11 @@ class Settings(BaseSettings):
 
     @cached_property
     def key_names(self) -> dict[str, str]:
-        """Names of API keys by their SHA-256; empty if there are none. Raises ValueError."""
+        """Names of API keys by their SHA-256, as they were at the start; empty if there are none. Raises ValueError."""
+        return self.read_keys()
+
+    def read_keys(self) -> dict[str, str]:
+        """The same as they are now."""
         keys = _named_keys("SG_API_KEYS", self.api_keys)
         if self.api_keys_file is not None:
             try:

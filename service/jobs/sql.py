@@ -13,7 +13,17 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
-from service.jobs.job import JOB_STATES, EncodeRequest, EncodeResult, Job, JobError, JsonObject, NewJob, SourceImage
+from service.jobs.job import (
+    JOB_STATES,
+    EncodeRequest,
+    EncodeResult,
+    Job,
+    JobError,
+    JobState,
+    JsonObject,
+    NewJob,
+    SourceImage,
+)
 from service.jobs.statements import (
     CLAIM,
     CRASH,
@@ -26,7 +36,16 @@ from service.jobs.statements import (
     TRACE_POINT,
     Database,
 )
-from service.jobs.table import Census, Claim, JobRules, KeyReusedError, OwnQueueFullError, QueueFullError
+from service.jobs.table import (
+    Census,
+    Claim,
+    JobRules,
+    KeyReusedError,
+    OwnQueueFullError,
+    QueueFullError,
+    QuotaError,
+    Room,
+)
 from service.storage.files import bitstream_key, source_key
 
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
@@ -70,6 +89,25 @@ def _queued(db: Database, owner: str | None = None) -> int:
     return int(db.execute(query, (owner,)).fetchone()["jobs"])
 
 
+def _stored_bytes(db: Database, owner: str | None = None) -> int:
+    """Bytes kept for the jobs of one owner or of all."""
+    query = "SELECT coalesce(sum(stored_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
+    return int(db.execute(query, (owner,)).fetchone()["bytes"])
+
+
+def _check_room(db: Database, job: NewJob, room: Room) -> None:
+    owner = job.owner or ""
+    if _queued(db) >= room.queue_length:
+        raise QueueFullError
+    if room.own_queue_length and _queued(db, owner) >= room.own_queue_length:
+        raise OwnQueueFullError
+    size = job.image.size_bytes
+    if room.own_quota and _stored_bytes(db, owner) + size > room.own_quota:
+        raise QuotaError(of_owner=True)
+    if room.quota and _stored_bytes(db) + size > room.quota:
+        raise QuotaError(of_owner=False)
+
+
 def _json(value: Any) -> str:
     return json.dumps(asdict(value))
 
@@ -97,7 +135,7 @@ class SqlJobTable(ABC):
     def _wake(self, db: Database) -> None:
         """This transaction puts a job into the queue: let a worker know once it is committed."""
 
-    def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
+    def submit(self, job: NewJob, room: Room) -> tuple[Job, bool]:
         with self._transaction() as db:
             self._alone(db)
             if job.idempotency_key is not None:
@@ -107,16 +145,13 @@ class SqlJobTable(ABC):
                     if first["fingerprint"] != job.fingerprint:
                         raise KeyReusedError(job.idempotency_key)
                     return _job(first), False
-            if _queued(db) >= queue_length:
-                raise QueueFullError
-            if own_queue_length and _queued(db, job.owner or "") >= own_queue_length:
-                raise OwnQueueFullError
+            _check_room(db, job, room)
             db.execute(
-                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, created_at)"
-                " VALUES (?, ?, ?, ?, ?, ?, ?, epoch())",
+                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, stored_bytes,"
+                " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",
                 (
                     *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
-                    *(_json(job.request), _json(job.image)),
+                    *(_json(job.request), _json(job.image), job.image.size_bytes),
                 ),
             )
             self._wake(db)
@@ -137,6 +172,10 @@ class SqlJobTable(ABC):
         with self._connection() as db:
             return _queued(db, owner)
 
+    def stored_bytes(self, owner: str | None = None) -> int:
+        with self._connection() as db:
+            return _stored_bytes(db, owner)
+
     def census(self) -> Census:
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
@@ -145,15 +184,19 @@ class SqlJobTable(ABC):
                 " epoch() - (SELECT max(at) FROM served) AS claimed,"
                 " epoch() - (SELECT max(lease_until) FROM jobs) AS lease_over"
             ).fetchone()
+            stored_bytes = _stored_bytes(db)
         counts = {row["state"]: row["jobs"] for row in rows}
         jobs = {state: counts.get(state, 0) for state in JOB_STATES}
         # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
         lease_over = ages["lease_over"]
         alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
-        return Census(jobs, ages["waiting"], min((age for age in alive if age is not None), default=None))
+        silent_s = min((age for age in alive if age is not None), default=None)
+        return Census(jobs, ages["waiting"], silent_s, stored_bytes)
 
-    def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
-        conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner}
+    def page(
+        self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
+    ) -> list[Job]:
+        conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner, "state = ?": state}
         chosen = {condition: value for condition, value in conditions.items() if value is not None}
         where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
         query = f"{SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
@@ -177,7 +220,7 @@ class SqlJobTable(ABC):
         error, most = _json(WORKER_LOST), self._rules.max_attempts
         statement = f"UPDATE jobs SET {CRASH} {LOST} RETURNING *, NULL AS position"
         with self._transaction() as db:
-            rows = [db.execute(statement, (error, most, most, *claim)).fetchone() for claim in lost]
+            rows = [db.execute(statement, (error, most, most, most, *claim)).fetchone() for claim in lost]
             jobs = [_job(row) for row in rows if row is not None]
             for job in jobs:
                 if job.state == "queued":
@@ -227,7 +270,8 @@ class SqlJobTable(ABC):
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
         text = _json(result)
         with self._transaction() as db:
-            if self._change(db, claim, "state = 'done', result = ?, error = NULL, finished_at = epoch()", text):
+            done = "state = 'done', result = ?, stored_bytes = ?, error = NULL, finished_at = epoch()"
+            if self._change(db, claim, done, text, int(result.stats.get("bytes", 0))):
                 return True
             # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
@@ -236,12 +280,14 @@ class SqlJobTable(ABC):
     def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
         with self._transaction() as db:
             if not retry:
-                return self._change(db, claim, "state = 'failed', error = ?, finished_at = epoch()", _json(error))
+                return self._change(
+                    db, claim, "state = 'failed', error = ?, stored_bytes = 0, finished_at = epoch()", _json(error)
+                )
             return self._crash(db, claim.job_id, claim.attempt, error)
 
     def _crash(self, db: Database, job_id: str, attempt: int, error: JobError) -> bool:
         most = self._rules.max_attempts
-        values = (_json(error), most, most, job_id, attempt)
+        values = (_json(error), most, most, most, job_id, attempt)
         mine = db.execute(f"UPDATE jobs SET {CRASH} {MINE}", values).rowcount == 1
         if mine:
             self._wake(db)  # in vain if the job has failed, which does no harm
@@ -268,7 +314,8 @@ class SqlJobTable(ABC):
         done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
         return waiting | unpublished | done
 
-    def finished(self, older_than_s: float) -> list[Job]:
-        condition = "WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
+    def finished(self, older_than_s: float, owner: str | None = None) -> list[Job]:
+        condition = "WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? AND owner = coalesce(?, owner)"
+        query = f"{SELECT_JOB} {condition} ORDER BY number"
         with self._connection() as db:
-            return [_job(row) for row in db.execute(SELECT_JOB + condition, (older_than_s,)).fetchall()]
+            return [_job(row) for row in db.execute(query, (older_than_s, owner)).fetchall()]

@@ -16,7 +16,7 @@ from service.process.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.2
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
 # From version 1, which knew no owners: new tables, filled from the old ones.
 UPGRADE_FROM_1 = f"""
@@ -32,7 +32,12 @@ INSERT INTO trace SELECT job, place, point FROM trace_1;
 DROP TABLE trace_1;
 DROP TABLE jobs_1;
 """
-SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1}
+COUNT_BYTES = """
+UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN json_extract(result, '$.stats.bytes')
+    WHEN 'failed' THEN 0 ELSE json_extract(image, '$.size_bytes') END, 0);
+"""
+UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;{COUNT_BYTES}"
+SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1 + COUNT_BYTES, 2: UPGRADE_FROM_2}
 
 
 class SqliteJobTable(SqlJobTable):

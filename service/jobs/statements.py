@@ -26,6 +26,7 @@ CREATE TABLE jobs (
     finished_at     DOUBLE PRECISION,
     result          TEXT CHECK ((state = 'done') = (result IS NOT NULL)),
     error           TEXT,
+    stored_bytes    BIGINT NOT NULL DEFAULT 0,
     UNIQUE (owner, idempotency_key)
 );
 CREATE INDEX jobs_by_state ON jobs (state, number);
@@ -77,7 +78,8 @@ ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 CRASH = """
 crashes = crashes + 1, error = ?,
 state = CASE WHEN crashes + 1 < ? THEN 'queued' ELSE 'failed' END,
-finished_at = CASE WHEN crashes + 1 < ? THEN NULL ELSE epoch() END
+finished_at = CASE WHEN crashes + 1 < ? THEN NULL ELSE epoch() END,
+stored_bytes = CASE WHEN crashes + 1 < ? THEN stored_bytes ELSE 0 END
 """
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is longer than any because the clock was put back.

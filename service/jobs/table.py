@@ -31,8 +31,29 @@ class OwnQueueFullError(QueueFullError):
     """As many jobs of this owner wait as the settings allow one owner."""
 
 
+class QuotaError(Exception):
+    """What is stored leaves no room for the job. of_owner: whether it is the owner's quota, or everybody's."""
+
+    def __init__(self, of_owner: bool) -> None:
+        super().__init__()
+        self.of_owner = of_owner
+
+
 class KeyReusedError(Exception):
     """An idempotency key came again with another request."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """How much there is for new jobs; 0 for any number.
+
+    queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: bytes stored, likewise.
+    """
+
+    queue_length: int
+    own_queue_length: int = 0
+    quota: int = 0
+    own_quota: int = 0
 
 
 @dataclass(frozen=True)
@@ -62,12 +83,14 @@ class Census:
     """The table at a glance.
 
     jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
-    any worker was last heard from, None if none ever was. Seconds, by the table's own clock.
+    any worker was last heard from, None if none ever was. Seconds, by the table's own clock. stored_bytes: of images
+    and bitstreams.
     """
 
     jobs: Mapping[JobState, int]
     waiting_s: float | None
     silent_s: float | None
+    stored_bytes: int
 
 
 class JobTable(Protocol):
@@ -76,16 +99,20 @@ class JobTable(Protocol):
     What a method has done is on the disk when it returns.
     """
 
-    def submit(self, job: NewJob, queue_length: int, own_queue_length: int = 0) -> tuple[Job, bool]:
+    def submit(self, job: NewJob, room: Room) -> tuple[Job, bool]:
         """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
 
-        Raises QueueFullError if queue_length jobs wait already, OwnQueueFullError if own_queue_length of
-        the same owner do (0 for any number), KeyReusedError if the key stands for another request.
+        Raises QueueFullError, OwnQueueFullError or QuotaError if there is no room for it, KeyReusedError if the key
+        stands for another request.
         """
         ...
 
     def find_by_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
         """The owner's job that was accepted under the key; each owner has keys of their own."""
+        ...
+
+    def stored_bytes(self, owner: str | None = None) -> int:
+        """Bytes of images and bitstreams that are kept; with an owner, of theirs."""
         ...
 
     def queued(self, owner: str | None = None) -> int:
@@ -100,8 +127,12 @@ class JobTable(Protocol):
         """The job, or None if there is none of that id; with an owner, only if it is theirs."""
         ...
 
-    def page(self, limit: int, before: int | None = None, owner: str | None = None) -> list[Job]:
-        """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs."""
+    def page(
+        self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
+    ) -> list[Job]:
+        """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs; with a
+        state, only those in it.
+        """
         ...
 
     def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
@@ -162,8 +193,8 @@ class JobTable(Protocol):
         """Storage keys of the files that some job still needs."""
         ...
 
-    def finished(self, older_than_s: float) -> list[Job]:
-        """The jobs that have been done or failed for longer than that (seconds)."""
+    def finished(self, older_than_s: float, owner: str | None = None) -> list[Job]:
+        """The jobs, oldest first, that were done or failed for longer than that (seconds); with an owner, theirs."""
         ...
 
     def close(self) -> None:

@@ -4,7 +4,7 @@
 
 The system then refuses it every file but the code it runs and those in its own folder, TMPDIR (Landlock), other
 processes, and whatever makes a connection or a program (seccomp): a picture that takes over its reader finds nothing to
-take away. Its environment is what `environment` leaves of ours. Limits of memory and time depend on the task; the
+take away. Its environment is what `environment` leaves of ours. limits of memory and time depend on the work; the
 module sets them.
 
 Both calls are made here, as no library that is kept up makes them. They stand before any import that starts threads,

@@ -74,6 +74,9 @@ class BucketStorage:
         with _as_os_errors():
             next(iter(obstore.list(self._store, chunk_size=1)), None)
 
+    def free_bytes(self) -> int | None:
+        return None
+
     def old(self, age_s: float) -> Iterator[str]:
         oldest = datetime.now(UTC) - timedelta(seconds=age_s)
         with _as_os_errors():

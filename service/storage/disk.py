@@ -6,6 +6,7 @@ A file appears under its key only when all of its bytes are on the disk: write_a
 from __future__ import annotations
 
 import contextlib
+import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -42,6 +43,9 @@ class DiskStorage:
     def check(self) -> None:
         for folder in (*FOLDERS, UNFINISHED):
             (self._root / folder).stat()
+
+    def free_bytes(self) -> int | None:
+        return shutil.disk_usage(self._root).free
 
     def old(self, age_s: float) -> Iterator[str]:
         oldest = time.time() - age_s

@@ -55,6 +55,10 @@ class Storage(Protocol):
         """Whether the storage can be reached at all. Raises OSError if not."""
         ...
 
+    def free_bytes(self) -> int | None:
+        """Room that is left; None where that cannot be known. Raises OSError."""
+        ...
+
     def old(self, age_s: float) -> Iterator[str]:
         """The keys of what was stored longer ago than that (seconds), and of what was never stored whole."""
         ...

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
-from anyio import CapacityLimiter
+from anyio import CapacityLimiter, to_thread
 from fastapi import Depends, FastAPI, Security
 from fastapi.security import HTTPBearer
+from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import FileResponse
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
@@ -17,9 +19,10 @@ from starlette.types import ASGIApp
 from service.keys import KeyRing, RateLimit
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
+from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
 from service.web.guards.metrics import RequestMetrics
-from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, Outflow, ResponseHeaders
+from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, HeadAsGet, Outflow, ResponseHeaders
 from service.web.guards.problems import install_problem_handlers, problems
 from service.web.helpers.work import Work
 from service.web.routes import events as event_routes
@@ -37,14 +40,46 @@ PAGE_POLICY = (
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 UPLOADS_IN_MEMORY = 4
+KEYS_POLL_S = 1.0
+
+log = logging.getLogger(__name__)
 
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     parts: Parts = app.state.parts
+    reloading = asyncio.create_task(_reload_keys(parts))
     yield
+    reloading.cancel()
     parts.work.close()
     parts.table.close()
+
+
+async def _reload_keys(parts: Parts) -> None:
+    """Follow the file of keys. What cannot be read leaves the keys as they were: nobody is let in by a mistake."""
+    path = parts.settings.api_keys_file
+    if path is None:
+        return
+    seen = await to_thread.run_sync(_version_of, path)
+    while True:
+        await asyncio.sleep(KEYS_POLL_S)
+        version = await to_thread.run_sync(_version_of, path)
+        if version == seen:
+            continue
+        seen = version
+        try:
+            parts.keys.replace(await to_thread.run_sync(parts.settings.read_keys))
+            log.info("the API keys were read anew")
+        except ValueError as error:
+            log.error("the API keys stay as they were: %s", error)
+
+
+def _version_of(path: Path) -> tuple[int, int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_ino, found.st_size
 
 
 def _body_limits(settings: Settings) -> BodyLimits:
@@ -81,31 +116,38 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
         CapacityLimiter(settings.max_event_streams),
         Outflow(settings.max_answer_bytes),
         stopping or asyncio.Event(),
+        KeyRing(settings.key_names),
     )
     install_problem_handlers(app)
     app.include_router(health_routes.router, dependencies=[Depends(known_query)])
-    keys = KeyRing(settings.key_names)
     # The gate does the work; this is how the document says so.
-    security = [Security(HTTPBearer(auto_error=False))] if keys else []
-    refusals = problems(401, 429) if keys else {}
+    security = [Security(HTTPBearer(auto_error=False))] if settings.key_names else []
+    refusals = problems(401, 429) if settings.key_names else {}
     for routes in (job_routes, event_routes, picture_routes):
         app.include_router(routes.router, dependencies=[Depends(known_query), *security], responses=refusals)
     app.mount("/static", StaticFiles(directory=STATIC))
 
-    @app.head("/", include_in_schema=False)
     @app.get("/", include_in_schema=False)
     async def page() -> FileResponse:
         """The page on which a person can try the service."""
         return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": PAGE_POLICY})
 
-    return _guarded(app, keys, parts)
+    return _guarded(app, parts)
 
 
-def _guarded(app: FastAPI, keys: KeyRing, parts: Parts) -> ASGIApp:
+def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
     """The application with its middleware around it."""
     settings = parts.settings
     # From the inside out. They stand outside FastAPI: its answer to an unexpected error skips its own middleware.
     secret = settings.link_secret.get_secret_value()
-    gate = Gate(app, keys, RateLimit(settings.key_request_rate), secret)
-    guarded = BodyGuard(gate, _body_limits(settings))
-    return AnswerGuard(ResponseHeaders(RequestMetrics(guarded, parts.metrics)), parts.outflow)
+    gate = Gate(HeadAsGet(app), parts.keys, RateLimit(settings.key_request_rate), secret)
+    guarded: ASGIApp = BodyGuard(gate, _body_limits(settings))
+    if settings.cors_origins:
+        guarded = CORSMiddleware(
+            guarded,
+            allow_origins=[origin.strip() for origin in settings.cors_origins.split(",")],
+            allow_methods=["GET", "HEAD", "POST", "DELETE"],
+            allow_headers=["Authorization", "Idempotency-Key", "Prefer", "Range", "X-Request-Id"],
+            expose_headers=["ETag", "Location", "Content-Range", "Preference-Applied", "Retry-After", "X-Request-Id"],
+        )
+    return AccessLog(AnswerGuard(ResponseHeaders(RequestMetrics(guarded, parts.metrics)), parts.outflow))

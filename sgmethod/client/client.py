@@ -116,7 +116,10 @@ class Client:
         return self._connection.ask("GET", f"/bitstreams/{job_id}.sg").content
 
     def picture(self, job_id: str, kind: str = "png", **view: float | str) -> bytes:
-        """The picture of a job that is done, as "png", "jpg" or "webp"; view: scale, width, region="x,y,w,h"."""
+        """The picture of a job that is done, as "png", "jpg", "webp" or "avif".
+
+        view: as in the service's requests, such as width=320, height=240, fit="crop" or region="x,y,w,h".
+        """
         return self._connection.ask("GET", f"/decode/{job_id}.{kind}", params=view).content
 
     def remove(self, job_id: str) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
 import httpx
+from httpx_sse import EventSource
 
 from sgmethod.errors import ServerError
 
@@ -63,13 +63,8 @@ class Connection:
             if not answer.is_success:
                 answer.read()
                 raise _refusal(answer)
-            name = ""
-            for line in answer.iter_lines():
-                field, _, value = line.partition(": ")
-                if field == "event":
-                    name = value
-                elif field == "data":
-                    yield name, json.loads(value)
+            for event in EventSource(answer).iter_sse():
+                yield event.event, event.json()
 
     def out_of_reach(self, error: httpx.TransportError) -> ServerError:
         """What to say when trying again has not helped."""

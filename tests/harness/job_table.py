@@ -10,7 +10,7 @@ from typing import Any
 from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTable
+from service.jobs.table import Claim, JobRules, JobTable, Room
 
 REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
@@ -29,7 +29,7 @@ def new(key: str | None = None, fingerprint: str = "f", **more: Any) -> NewJob:
 
 def submitted(table: JobTable, **more: Any) -> str:
     """The id of a new job."""
-    return table.submit(new(**more), 100)[0].id
+    return table.submit(new(**more), Room(100))[0].id
 
 
 def claimed(table: JobTable) -> Claim:

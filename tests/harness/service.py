@@ -18,7 +18,7 @@ import httpx
 
 import sgmethod
 from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
-from service.jobs.table import Claim, JobTable
+from service.jobs.table import Claim, JobTable, Room
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key
@@ -153,7 +153,7 @@ class Service(ServiceProcess):
         info = sgmethod.info(bitstream)
         request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", info.width, info.height, 10)
         table = self._open_table()
-        job, _ = table.submit(NewJob(new_job_id(), request, image, "f", owner=owner), 10_000)
+        job, _ = table.submit(NewJob(new_job_id(), request, image, "f", owner=owner), Room(10_000))
         table.close()
         self.publish(job.id, bitstream)
         return job.id

@@ -37,6 +37,8 @@ class Metrics:
         )
         self.cache = Counter("sgmethod_decode_cache", "Pictures looked for in memory.", ("found",), registry=registry)
         self.cache_bytes = Gauge("sgmethod_decode_cache_bytes", "Bytes of pictures in memory.", registry=registry)
+        self.free_bytes = Gauge("sgmethod_free_bytes", "Room that is left in the data folder.", registry=registry)
+        self._stored = Gauge("sgmethod_stored_bytes", "Bytes of images and bitstreams.", registry=registry)
         self._jobs = Gauge("sgmethod_jobs", "Jobs in the table.", ("state",), registry=registry)
         self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
@@ -49,6 +51,7 @@ class Metrics:
             return
         for state, count in census.jobs.items():
             self._jobs.labels(state).set(count)
+        self._stored.set(census.stored_bytes)
         self._waiting.set(census.waiting_s or 0.0)
         self._silence.set(max(0.0, census.silent_s or 0.0))
 

@@ -138,6 +138,19 @@ class _Exchange:
             return
 
 
+class HeadAsGet:
+    """Middleware: whatever can be got answers HEAD too; the server sends no body. Streams of events do not end, so not
+    they."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["method"] == "HEAD" and not scope["path"].endswith("/events"):
+            scope = {**scope, "method": "GET"}
+        await self._app(scope, receive, send)
+
+
 class Outflow:
     """What is on its way to clients, in bytes, and how much that may be before there are no more pictures."""
 

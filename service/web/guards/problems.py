@@ -19,7 +19,7 @@ from service.jobs.table import JobTableError
 log = logging.getLogger(__name__)
 
 MEDIA_TYPE = "application/problem+json"
-METHODS = ("DELETE", "GET", "HEAD", "POST")  # that any route has
+METHODS = ("DELETE", "GET", "POST")  # that any route has
 PROBLEM: dict[str, Any] = {
     "schema": {
         "type": "object",
@@ -89,6 +89,8 @@ def _allowed_methods(request: Request) -> set[str]:
         scope = {**request.scope, "method": method}
         if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
             methods.add(method)
+    if "GET" in methods and not request.url.path.endswith("/events"):
+        methods.add("HEAD")
     return methods
 
 

@@ -1,8 +1,8 @@
 """A helper process: `service.web.helpers.helper DESCRIPTOR`, started confined by the web process.
 
-Over the socket of that descriptor comes a task, one line of JSON with an open file beside it (see Task). The answer is
-the lengths of the two parts that follow, some JSON and the bytes of a picture file. Then comes the next task. A task
-that takes more time than it may is the end of the process, which its parent sees.
+Over the socket of that descriptor comes an errand, one line of JSON with an open file beside it (see Errand). The
+answer is the lengths of the two parts that follow, some JSON and the bytes of a picture file. Then comes the next
+errand. One that takes more time than it may is the end of the process, which its parent sees.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
 
 
 @dataclass(frozen=True)
-class Task:
+class Errand:
     """What to do with a file, and what it may take.
 
     memory_bytes, cpu_s: more than the process has already, and seconds of one core; max_pixels, max_side,
@@ -55,7 +55,7 @@ class Task:
         return json.dumps(asdict(self)).encode() + b"\n"
 
     @classmethod
-    def from_json(cls, line: bytes) -> Task:
+    def from_json(cls, line: bytes) -> Errand:
         """The inverse of to_json."""
         given = json.loads(line)
         if given["wish"] is not None:
@@ -64,23 +64,23 @@ class Task:
         return cls(**{field.name: given[field.name] for field in fields(cls)})
 
 
-def perform(task: Task, file: bytes) -> tuple[dict[str, Any], bytes]:
+def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     """The answer: figures, and the bytes of a picture file. Raises SgError, MemoryError."""
-    if task.wish is None:
-        header = read_header(file, ImageLimits(task.max_pixels, task.max_side))
+    if errand.wish is None:
+        header = read_header(file, ImageLimits(errand.max_pixels, errand.max_side))
         return {"format": header.format, "width": header.width, "height": header.height}, b""
-    info = sgmethod.info(file, task.max_gaussians)  # a few kilobytes can hold millions of equal ones
-    drawing = Drawing.of(task.wish, (info.width, info.height), task.max_pixels)
+    info = sgmethod.info(file, errand.max_gaussians)  # a few kilobytes can hold millions of equal ones
+    drawing = Drawing.of(errand.wish, (info.width, info.height), errand.max_pixels)
     return {}, drawing.draw(file)
 
 
-def _answer(task: Task, descriptor: int) -> tuple[dict[str, Any], bytes]:
-    _limit_memory(task.memory_bytes)
-    signal.setitimer(signal.ITIMER_PROF, task.cpu_s)  # whose signal ends the process
+def _answer(errand: Errand, descriptor: int) -> tuple[dict[str, Any], bytes]:
+    _limit_memory(errand.memory_bytes)
+    signal.setitimer(signal.ITIMER_PROF, errand.cpu_s)  # whose signal ends the process
     try:
         with os.fdopen(descriptor, "rb") as file:
             file.seek(0)
-            return perform(task, file.read())
+            return perform(errand, file.read())
     except SgError as error:
         return {"refused": type(error).__name__, "detail": str(error)}, b""
     except MemoryError:
@@ -97,7 +97,7 @@ def _limit_memory(more_bytes: int) -> None:
 
 
 def _keep_freed_memory() -> None:
-    """Keep what a task has freed for the next one.
+    """Keep what an errand has freed for the next one.
 
     Each takes a few megabytes. To get them from the system each time took 2.4 of the 6.0 ms of the PNG of 768x512.
     """
@@ -108,7 +108,7 @@ def _keep_freed_memory() -> None:
 
 
 def main() -> None:
-    """Perform tasks until the other side closes the socket."""
+    """Perform errands until the other side closes the socket."""
     sgmethod.set_threads(min(THREADS, len(os.sched_getaffinity(0))))
     _keep_freed_memory()
     connection = socket.socket(fileno=int(sys.argv[1]))
@@ -116,7 +116,7 @@ def main() -> None:
         line, descriptors, _, _ = socket.recv_fds(connection, TASK_BYTES, 1)
         if not line:
             return
-        figures, picture = _answer(Task.from_json(line), descriptors[0])
+        figures, picture = _answer(Errand.from_json(line), descriptors[0])
         text = json.dumps(figures).encode()
         connection.sendall(ANSWER_HEADER.pack(len(text), len(picture)) + text)
         connection.sendall(picture)

@@ -1,4 +1,4 @@
-"""The web process's side of helper processes: started when needed, kept for the next task, ended with their task."""
+"""The web process's side of helper processes: started when needed, kept for the next errand, ended with one."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from typing import Any, BinaryIO
 from anyio import CapacityLimiter, to_thread
 
 from service.process import confinement
-from service.web.helpers.helper import ANSWER_HEADER, Task
+from service.web.helpers.helper import ANSWER_HEADER, Errand
 from sgmethod import errors
 
 PROGRAM = "service.web.helpers.helper"
-# A task ends its process by itself when it has had its seconds of a core. This is for a machine that has none to spare.
+# An errand ends its process when it has had its seconds of a core. This is for a machine without any to spare.
 PATIENCE_S = 60.0
 Json = dict[str, Any]
-TRIES = 2  # a helper may have died of something else than its task
+TRIES = 2  # a helper may have died of something else than its errand
 
 
 class HelperError(Exception):
-    """A task came to nothing through no fault of the service: one sentence."""
+    """An errand came to nothing through no fault of the service: one sentence."""
 
 
 class TooMuchError(HelperError):
-    """The task takes more memory or time than it may."""
+    """The errand takes more memory or time than it may."""
 
 
 class RefusedError(HelperError):
@@ -58,10 +58,10 @@ class _Helper:
                 process_group=0,
             )
 
-    def ask(self, task: Task, file: BinaryIO) -> tuple[Json, bytes]:
+    def ask(self, errand: Errand, file: BinaryIO) -> tuple[Json, bytes]:
         """Figures and a picture file. Raises _EndedError."""
         try:
-            socket.send_fds(self._ours, [task.to_json()], [file.fileno()])
+            socket.send_fds(self._ours, [errand.to_json()], [file.fileno()])
             with self._ours.makefile("rb") as answer:
                 head = answer.read(ANSWER_HEADER.size)
                 if len(head) < ANSWER_HEADER.size:
@@ -83,18 +83,18 @@ class _Helper:
 
     @property
     def alive(self) -> bool:
-        """Whether it can take a task."""
+        """Whether it can take an errand."""
         return self._process.poll() is None
 
 
 class Helpers:
-    """Helper processes, as many as there are tasks at once. Whoever asks limits that, by turns."""
+    """Helper processes, as many as there are errands at once. Whoever asks limits that, by turns."""
 
     def __init__(self) -> None:
         self._idle: list[_Helper] = []
         self._threads = CapacityLimiter(math.inf)
 
-    async def ask(self, task: Task, file: BinaryIO) -> tuple[Json, bytes]:
+    async def ask(self, errand: Errand, file: BinaryIO) -> tuple[Json, bytes]:
         """Figures and a picture file. When the caller is cancelled, its helper ends with it.
 
         Raises RefusedError, TooMuchError, HelperError.
@@ -102,7 +102,7 @@ class Helpers:
         for _ in range(TRIES):
             helper = await self._take()
             try:
-                answer = await asyncio.wait_for(self._asked(helper, task, file), PATIENCE_S)
+                answer = await asyncio.wait_for(self._asked(helper, errand, file), PATIENCE_S)
             except _EndedError:
                 if await self._end(helper) == -signal.SIGPROF:
                     raise TooMuchError("it takes more time than it may") from None
@@ -116,8 +116,8 @@ class Helpers:
             return _judged(*answer)
         raise HelperError("what reads it crashed")
 
-    async def _asked(self, helper: _Helper, task: Task, file: BinaryIO) -> tuple[Json, bytes]:
-        return await to_thread.run_sync(helper.ask, task, file, abandon_on_cancel=True, limiter=self._threads)
+    async def _asked(self, helper: _Helper, errand: Errand, file: BinaryIO) -> tuple[Json, bytes]:
+        return await to_thread.run_sync(helper.ask, errand, file, abandon_on_cancel=True, limiter=self._threads)
 
     async def _take(self) -> _Helper:
         while self._idle:

@@ -13,10 +13,10 @@ RETRY_AFTER = {"Retry-After": "1"}
 
 
 class Turns:
-    """Places for tasks. Next is a task of the client with the fewest running ones, of those the one served longest ago.
+    """Places for errands. Next is one of the client with the fewest running, of those the one served longest ago.
 
-    places: tasks at once, of which one client never has the last; max_waiting: tasks in line, of which one client has
-    half at most. For the event loop alone.
+    places: errands at once, of which one client never has the last; max_waiting: errands in line, of which one client
+    has half at most. For the event loop alone.
     """
 
     def __init__(self, places: int, max_waiting: int) -> None:
@@ -29,7 +29,7 @@ class Turns:
 
     @property
     def waiting(self) -> int:
-        """Tasks in line."""
+        """Errands in line."""
         return sum(map(len, self._lines.values()))
 
     @asynccontextmanager

@@ -7,7 +7,7 @@ from typing import BinaryIO
 from service.jobs.job import SourceImage
 from service.settings import Settings
 from service.web.helpers.drawing import Wish
-from service.web.helpers.helper import Task
+from service.web.helpers.helper import Errand
 from service.web.helpers.pool import Helpers
 from service.web.helpers.turns import Turns
 
@@ -18,7 +18,7 @@ HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
 
 
 class Work:
-    """Both kinds of task. client: whose turn a task takes."""
+    """Both kinds of errand. client: whose turn an errand takes."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -31,22 +31,22 @@ class Work:
         limits = self._settings
         memory_bytes = HEADER_MEMORY_BYTES + size_bytes
         async with self._headers.turn(client):
-            task = Task(memory_bytes, HEADER_CPU_S, limits.max_pixels, limits.max_side)
-            header, _ = await self._helpers.ask(task, file)
+            errand = Errand(memory_bytes, HEADER_CPU_S, limits.max_pixels, limits.max_side)
+            header, _ = await self._helpers.ask(errand, file)
         return SourceImage(header["format"], header["width"], header["height"], size_bytes)
 
     async def draw(self, client: str, file: BinaryIO, wish: Wish, max_gaussians: int | None = None) -> bytes:
         """The picture file of a bitstream. Raises HelperError, ProblemError 429 or 503, OSError."""
         limits = self._settings
         async with self._drawings.turn(client):
-            task = Task(
+            errand = Errand(
                 limits.decode_memory_bytes,
                 limits.decode_time_s,
                 limits.max_decode_pixels,
                 max_gaussians=max_gaussians,
                 wish=wish,
             )
-            _, picture = await self._helpers.ask(task, file)
+            _, picture = await self._helpers.ask(errand, file)
         return picture
 
     def close(self) -> None:

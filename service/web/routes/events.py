@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections.abc import AsyncIterator
 from typing import Annotated
@@ -15,6 +14,7 @@ from service.jobs.job import FINAL_STATES, Job
 from service.jobs.table import JobTableError
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
+from service.web.routes.gone import set_within
 from service.web.routes.parts import KnownJob, Parts, UseParts
 
 log = logging.getLogger(__name__)
@@ -55,7 +55,7 @@ async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:
     last: answers.JobSummary | None = None
     attempt, sent, progress = 0, 0, 0.0
     while True:
-        summary = answers.summary(job)
+        summary = answers.summary(job, parts.settings.retention_s)
         if summary != last:
             yield ServerSentEvent(event="state", data=summary)
             last = summary
@@ -69,18 +69,10 @@ async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:
         if job.state in FINAL_STATES:
             yield ServerSentEvent(event=job.state, data=summary)
             return
-        if await _set_within(parts.stopping, POLL_S):
+        if await set_within(parts.stopping, POLL_S):
             return
         seen = await to_thread.run_sync(parts.table.get, job.id)
         if seen is None:
             yield ServerSentEvent(event="removed", data={})
             return
         job = seen
-
-
-async def _set_within(event: asyncio.Event, seconds: float) -> bool:
-    try:
-        await asyncio.wait_for(event.wait(), seconds)
-    except TimeoutError:
-        return False
-    return True

@@ -38,6 +38,8 @@ def accepted_format(request: Request) -> PictureFormat:
 
 def has_already(request: Request, etag: str) -> bool:
     """Whether If-None-Match names the tag (RFC 9110, 13.1.2)."""
+    if request.method != "GET":
+        return False
     tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
     return etag in tags or tags == ["*"]
 
@@ -54,7 +56,7 @@ def file_answer(request: Request, file: bytes, media_type: str, headers: Mapping
     """
     headers = {**headers, "Accept-Ranges": "bytes"}
     match = _RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
-    if match is None or match.group() == "bytes=-" or request.method not in ("GET", "HEAD"):
+    if match is None or match.group() == "bytes=-" or request.method != "GET":
         return Response(file, headers=headers, media_type=media_type)
     if request.headers.get("if-range", headers.get("ETag")) != headers.get("ETag"):
         return Response(file, headers=headers, media_type=media_type)

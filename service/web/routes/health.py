@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import math
+from contextlib import suppress
 from importlib.metadata import version
 
 from anyio import fail_after, to_thread
@@ -21,24 +23,22 @@ VERSION = version("sgmethod")
 PATIENCE_S = 2.0  # a table that takes longer is no better than none
 
 
-@router.head("/healthz", include_in_schema=False)
 @router.get("/healthz", include_in_schema=False)  # the name before there was /readyz
-@router.head("/livez", include_in_schema=False)
 @router.get("/livez")
 async def live() -> answers.HealthView:
     """Whether the web process answers; waits for nothing."""
     return answers.HealthView(status="ok", version=VERSION)
 
 
-@router.head("/readyz", include_in_schema=False)
 @router.get("/readyz", responses=problems(503))
 async def ready(parts: UseParts) -> answers.HealthView:
     """Whether jobs are accepted and worked on: table and storage answer, and the queue does not stall."""
     census = await _census(parts)
     if census is None:
         raise ProblemError(503, "the job table does not answer")
-    if not await _storage_answers(parts):
-        raise ProblemError(503, "the storage does not answer")
+    free_bytes = await _free_bytes(parts)
+    if free_bytes < parts.settings.min_free_bytes:
+        raise ProblemError(503, f"the disk is full: {free_bytes:,.0f} bytes are free")
     if census.waiting_s is not None:
         stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
         if stalled_s > parts.settings.stall_s:
@@ -50,6 +50,8 @@ async def ready(parts: UseParts) -> answers.HealthView:
 async def metrics(parts: UseParts) -> Response:
     """Figures for Prometheus."""
     parts.metrics.observe(await _census(parts))
+    with suppress(ProblemError):
+        parts.metrics.free_bytes.set(await _free_bytes(parts))
     parts.metrics.cache_bytes.set(parts.pictures.bytes)
     return Response(parts.metrics.text(), media_type=CONTENT_TYPE_LATEST)
 
@@ -63,11 +65,17 @@ async def _census(parts: Parts) -> Census | None:
         return None
 
 
-async def _storage_answers(parts: Parts) -> bool:
+async def _free_bytes(parts: Parts) -> float:
+    """Room that is left in the storage. Raises ProblemError 503 if it does not answer."""
     try:
         with fail_after(PATIENCE_S):
-            await to_thread.run_sync(parts.storage.check, limiter=parts.watching, abandon_on_cancel=True)
+            return await to_thread.run_sync(_room, parts, limiter=parts.watching, abandon_on_cancel=True)
     except (OSError, TimeoutError) as error:
         log.error("the storage does not answer: %r", error)
-        return False
-    return True
+        raise ProblemError(503, "the storage does not answer") from error
+
+
+def _room(parts: Parts) -> float:
+    parts.storage.check()
+    free_bytes = parts.storage.free_bytes()
+    return math.inf if free_bytes is None else free_bytes

@@ -9,13 +9,14 @@ from typing import Annotated, Any
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
-from service.jobs.job import PRIORITIES, Job, NewJob
-from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError
+from service.jobs.job import PRIORITIES, Job, JobState, NewJob
+from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
 from service.keys import Link
 from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
+from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
 from service.web.submitting.feasible import check_feasible
 from service.web.submitting.submission import (
     FORM_TYPE,
@@ -33,6 +34,7 @@ log = logging.getLogger(__name__)
 router = APIRouter()
 
 RETRY_AFTER_QUEUE_S = "5"
+JUST_FINISHED_S = 600.0
 NEVER_STORED = {"Cache-Control": "no-store"}
 
 FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
@@ -47,7 +49,6 @@ FORM: dict[str, Any] = {
     "required": [IMAGE_FIELD],
     "additionalProperties": False,
     "properties": {IMAGE_FIELD: BINARY, **FIELD_SCHEMAS},
-    "oneOf": [{"required": [kind]} for kind in BUDGET_KINDS],
 }
 IDEMPOTENCY_KEY: dict[str, Any] = {
     "name": "Idempotency-Key",
@@ -63,6 +64,7 @@ ENCODE_EXTRA: dict[str, Any] = {
     },
     "parameters": [
         IDEMPOTENCY_KEY,
+        *WAIT_PARAMETERS,
         *({"name": name, "in": "query", "schema": schema} for name, schema in FIELD_SCHEMAS.items()),
     ],
 }
@@ -80,12 +82,18 @@ def _own_queue_full(limit: int) -> ProblemError:
 @router.post(
     "/encode",
     status_code=202,
-    responses=problems(400, 408, 413, 415, 422, 429, 503),
+    response_model=answers.AcceptedView,
+    responses={**ENCODED, **problems(400, 406, 408, 409, 413, 415, 422, 429, 500, 503)},
     openapi_extra=ENCODE_EXTRA,
 )
-async def encode(request: Request, response: Response, parts: UseParts, caller: UseCaller) -> answers.AcceptedView:
-    """Accept an image to be encoded, with exactly one budget."""
+async def encode(
+    request: Request, response: Response, parts: UseParts, caller: UseCaller
+) -> answers.AcceptedView | Response:
+    """Accept an image to be encoded, within one budget at most. With `wait` the answer is the file itself, or the
+    decoded picture if the Accept header wants one, when the job is done in time.
+    """
     check_content_type(request)
+    wait_s = wished_wait_s(request)
     key = idempotency_key(request)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
     async with submission(request, parts.settings) as submitted:
@@ -97,8 +105,13 @@ async def encode(request: Request, response: Response, parts: UseParts, caller: 
             job = await to_thread.run_sync(_accept, parts, new, image)
     parts.metrics.accepted.inc()
     view = answers.accepted(job)
-    response.headers["Location"] = view.status_url
-    response.headers.update(NEVER_STORED)
+    headers = {"Location": view.status_url, **NEVER_STORED}
+    if wait_s:
+        headers["Preference-Applied"] = f"wait={wait_s}"
+        done = await job_within(request, job, wait_s, parts)
+        if done is not None:
+            return await outcome(request, done, parts, headers)
+    response.headers.update(headers)
     return view
 
 
@@ -117,6 +130,9 @@ def _check_queue(parts: Parts, key: str | None, owner: str | None) -> None:
 
 def _accept(parts: Parts, new: NewJob, image: bytes) -> Job:
     """Store the image, then put the job into the job table; only then may the client be told."""
+    free_bytes = parts.storage.free_bytes()
+    if free_bytes is not None and free_bytes - len(image) < parts.settings.min_free_bytes:
+        raise ProblemError(503, "the disk is full", headers={"Retry-After": RETRY_AFTER_QUEUE_S})
     try:
         parts.storage.put(source_key(new.id), image)
     except OSError as error:
@@ -139,9 +155,21 @@ def _discard(parts: Parts, key: str) -> None:
 
 def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
     # If the table fails, the image stays for the sweep: the row may have been written all the same.
+    limits = parts.settings
+    own_limit, own_quota = (limits.max_queued_per_key, limits.quota_bytes_per_key) if new.owner is not None else (0, 0)
+    room = Room(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
     try:
-        own_limit = parts.settings.max_queued_per_key if new.owner is not None else 0
-        return parts.table.submit(new, parts.settings.queue_length, own_limit)
+        try:
+            return parts.table.submit(new, room)
+        except QuotaError as error:
+            if limits.quota_full == "refuse":
+                raise
+            _make_room(parts, new, error.of_owner)
+            return parts.table.submit(new, room)
+    except QuotaError as error:
+        whose = "this API key" if error.of_owner else "the service"
+        retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
+        refusal = ProblemError(429, f"{whose} stores as much as it may; remove jobs first", headers=retry)
     except OwnQueueFullError:
         refusal = _own_queue_full(own_limit)
     except QueueFullError:
@@ -152,11 +180,25 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
     raise refusal
 
 
+def _make_room(parts: Parts, new: NewJob, of_owner: bool) -> None:
+    """Remove the oldest finished jobs, until the new one fits; not those that somebody may be about to fetch."""
+    owner = new.owner if of_owner else None
+    quota = parts.settings.quota_bytes_per_key if of_owner else parts.settings.quota_bytes
+    if new.image.size_bytes > quota:
+        return  # nothing would help
+    surplus = parts.table.stored_bytes(owner) + new.image.size_bytes - quota
+    for job in parts.table.finished(JUST_FINISHED_S, owner):
+        if surplus <= 0:
+            return
+        _forget(parts, job.id)
+        surplus -= 0 if job.result is None else int(job.result.stats.get("bytes", 0))
+
+
 @router.get("/jobs/{job_id}", responses=problems(404, 503))
 def status(job: KnownJob, parts: UseParts, response: Response) -> answers.JobView:
     """State, place in the queue, progress, trace so far, and result or error."""
     response.headers.update(NEVER_STORED)
-    return answers.with_trace(job, parts.table.trace(job.id))
+    return answers.with_trace(job, parts.table.trace(job.id), parts.settings.retention_s)
 
 
 @router.get("/jobs", responses=problems(422, 503))
@@ -166,12 +208,14 @@ def jobs(
     response: Response,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[int | None, Query(ge=1, le=2**53)] = None,
+    state: Annotated[JobState | None, Query(description="those in this state alone")] = None,
 ) -> answers.JobPage:
     """All jobs, or the key's own where there are keys, newest first, a page at a time."""
     response.headers.update(NEVER_STORED)
-    page = parts.table.page(limit + 1, before, caller.owner)
-    older = f"/jobs?limit={limit}&before={page[limit - 1].number}" if len(page) > limit else None
-    return answers.JobPage(jobs=[answers.summary(job) for job in page[:limit]], next=older)
+    page = parts.table.page(limit + 1, before, caller.owner, state)
+    chosen = "" if state is None else f"&state={state}"
+    older = f"/jobs?limit={limit}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
+    return answers.JobPage(jobs=[answers.summary(job, parts.settings.retention_s) for job in page[:limit]], next=older)
 
 
 @router.post("/jobs/{job_id}/links", responses=problems(404, 422, 503))
@@ -196,7 +240,11 @@ def links(
 @router.delete("/jobs/{job_id}", status_code=204, responses=problems(404, 503))
 def remove(job: KnownJob, parts: UseParts) -> None:
     """Cancel the job if it is not done, and remove all that is kept of it."""
-    removed = parts.table.remove(job.id)
+    _forget(parts, job.id)
+
+
+def _forget(parts: Parts, job_id: str) -> None:
+    removed = parts.table.remove(job_id)
     if removed is None:
         return
     # A worker that runs it finds its claim gone at the next heartbeat, and cleans up behind itself.

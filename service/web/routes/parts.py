@@ -12,6 +12,7 @@ from fastapi import Path as PathParameter
 
 from service.jobs.job import Job, is_job_id
 from service.jobs.table import JobTable
+from service.keys import KeyRing
 from service.settings import Settings
 from service.storage.files import Storage
 from service.web.guards.gate import Caller
@@ -43,6 +44,7 @@ class Parts:
     streams: CapacityLimiter
     outflow: Outflow
     stopping: asyncio.Event
+    keys: KeyRing
     metrics: Metrics = field(default_factory=Metrics)
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
 

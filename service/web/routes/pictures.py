@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from email.utils import format_datetime
 from typing import Annotated, Any, BinaryIO
 
 from anyio import to_thread
@@ -13,6 +14,7 @@ from service.web.guards.problems import ProblemError, problems
 from service.web.helpers.drawing import Drawing
 from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
 from service.web.helpers.pool import HelperError, RefusedError
+from service.web.routes import answers
 from service.web.routes.decoding import ViewQuery
 from service.web.routes.file_answers import (
     IMMUTABLE,
@@ -73,6 +75,12 @@ def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
         return file.read()
 
 
+def _kept(job: Job, parts: Parts) -> dict[str, str]:
+    """For how long the file may be kept by whoever has it, and is kept here."""
+    expires = answers.expires_at(job, parts.settings.retention_s)
+    return {"Cache-Control": IMMUTABLE, **({} if expires is None else {"Expires": format_datetime(expires, True)})}
+
+
 def _damaged(job: Job, error: Exception) -> ProblemError:
     log.error("job %s: its bitstream is not as it was: %s", job.id, error)
     return ProblemError(500, "the bitstream of this job is missing or damaged")
@@ -88,7 +96,7 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
     except ViewError as error:
         raise ProblemError(422, str(error)) from error
     etag = drawing.etag(result.sha256)
-    headers = {"ETag": etag, "Cache-Control": IMMUTABLE, **query.disposition()}
+    headers = {"ETag": etag, **_kept(job, parts), **query.disposition()}
     if has_already(request, etag):
         return not_modified(headers)
     file = parts.pictures.get(etag)
@@ -110,7 +118,6 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
     return file_answer(request, file, MEDIA_TYPES[kind], headers)
 
 
-@router.head("/decode/{job_id}.{kind}", include_in_schema=False)
 @router.get(
     "/decode/{job_id}.{kind}", response_class=Response, responses={**PICTURES, **problems(404, 409, 422, 429, 503)}
 )
@@ -121,7 +128,6 @@ async def picture(
     return await picture_answer(request, job, query, kind, parts)
 
 
-@router.head("/decode/{job_id}", include_in_schema=False)
 @router.get(
     "/decode/{job_id}", response_class=Response, responses={**PICTURES, **problems(404, 406, 409, 422, 429, 503)}
 )
@@ -176,7 +182,6 @@ async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, pa
     return Response(file, headers={**NOTHING_KEPT, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 
 
-@router.head("/bitstreams/{job_id}.sg", include_in_schema=False)
 @router.get(
     "/bitstreams/{job_id}.sg",
     response_class=Response,
@@ -192,7 +197,7 @@ async def bitstream_answer(request: Request, job: Job, parts: Parts) -> Response
     result = result_of(job)
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
-        "Cache-Control": IMMUTABLE,
+        **_kept(job, parts),
         "Content-Disposition": f'attachment; filename="{job.id}.sg"',
     }
     if has_already(request, headers["ETag"]):

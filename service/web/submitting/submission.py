@@ -25,6 +25,8 @@ from sgmethod.errors import BudgetError
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 
 IMAGE_FIELD = "image"
+WAIT_FIELD = "wait"  # of the query alone
+DEFAULT_BUDGET = Budget("bpp", 0.3)  # as in the command line
 FIELDS = (*BUDGET_KINDS, "profile", "time_limit_s", "priority")
 MAX_FIELD_BYTES = 256
 # What multipart adds to the image itself: boundaries, part headers, the other fields.
@@ -74,7 +76,7 @@ async def submission(request: Request, settings: Settings) -> AsyncIterator[Subm
 
     Entering raises ProblemError 408, 413, 415 or 422, or HTTPException 400 on what is no form.
     """
-    query = request.query_params.multi_items()
+    query = [(name, value) for name, value in request.query_params.multi_items() if name != WAIT_FIELD]
     if check_content_type(request) == FORM_TYPE:
         limits = {"max_files": 1, "max_fields": len(FIELDS), "max_part_size": MAX_FIELD_BYTES}
         async with request.form(**limits) as form:
@@ -152,8 +154,10 @@ def _number(name: str, text: str) -> float:
 
 def _budget(fields: dict[str, str]) -> Budget:
     kinds = [kind for kind in BUDGET_KINDS if kind in fields]
-    if len(kinds) != 1:
-        raise ProblemError(422, f"give exactly one of {', '.join(BUDGET_KINDS)}; got {len(kinds)}")
+    if len(kinds) > 1:
+        raise ProblemError(422, f"give one of {', '.join(BUDGET_KINDS)}; got {len(kinds)}")
+    if not kinds:
+        return DEFAULT_BUDGET
     try:
         return Budget(kinds[0], _number(kinds[0], fields[kinds[0]]))
     except BudgetError as error:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs.job import JobError, new_job_id
+from service.jobs.job import EncodeResult, JobError, new_job_id
 from service.jobs.sql import SqlJobTable
-from service.jobs.table import Census, JobTable, KeyReusedError, OwnQueueFullError, QueueFullError
+from service.jobs.table import Census, JobTable, KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
 from service.storage.files import bitstream_key, source_key
 from tests.harness.job_table import (
     CRASH,
@@ -27,7 +27,7 @@ from tests.harness.job_table import (
 
 def test_a_job_is_what_was_submitted(table: JobTable) -> None:
     wanted = new("key")
-    job, accepted = table.submit(wanted, 100)
+    job, accepted = table.submit(wanted, Room(100))
     assert accepted
     assert (job.id, job.request, job.image, job.state, job.attempt) == (
         wanted.id,
@@ -42,30 +42,30 @@ def test_a_job_is_what_was_submitted(table: JobTable) -> None:
 
 
 def test_queue_length_counts_waiting_jobs_only(table: JobTable) -> None:
-    table.submit(new(), 1)
+    table.submit(new(), Room(1))
     with pytest.raises(QueueFullError):
-        table.submit(new(), 1)
+        table.submit(new(), Room(1))
     claimed(table)
-    table.submit(new(), 1)
+    table.submit(new(), Room(1))
     assert table.queued() == 1
 
 
 def test_one_owner_cannot_fill_the_queue(table: JobTable) -> None:
     first = submitted(table, owner="ann")
     with pytest.raises(OwnQueueFullError):
-        table.submit(new(owner="ann"), 100, 1)
+        table.submit(new(owner="ann"), Room(100, 1))
     submitted(table, owner="bob")
     assert (table.queued(), table.queued("ann"), table.queued("eve")) == (2, 1, 0)
     with pytest.raises(OwnQueueFullError):
-        table.submit(new(owner="bob"), 100, 1)
+        table.submit(new(owner="bob"), Room(100, 1))
     table.remove(first)
-    table.submit(new(owner="ann"), 100, 1)
-    table.submit(new(owner="ann"), 100, 0)  # no limit
+    table.submit(new(owner="ann"), Room(100, 1))
+    table.submit(new(owner="ann"), Room(100, 0))  # no limit
 
 
 def test_census(table: JobTable) -> None:
     nothing = {"queued": 0, "running": 0, "done": 0, "failed": 0}
-    assert table.census() == Census(nothing, None, None)
+    assert table.census() == Census(nothing, None, None, 0)
     submitted(table)
     submitted(table)
     submitted(table)
@@ -94,16 +94,16 @@ def grow_older(table: JobTable, seconds: float) -> None:
 
 
 def test_idempotency_key(table: JobTable) -> None:
-    first, accepted = table.submit(new("key"), 1)
+    first, accepted = table.submit(new("key"), Room(1))
     assert accepted
-    assert table.submit(new("key"), 1) == (first, False)  # though the queue is full
+    assert table.submit(new("key"), Room(1)) == (first, False)  # though the queue is full
     with pytest.raises(KeyReusedError):
-        table.submit(new("key", fingerprint="other"), 100)
+        table.submit(new("key", fingerprint="other"), Room(100))
 
 
 def test_idempotency_keys_are_their_owners_alone(table: JobTable) -> None:
-    mine, _ = table.submit(new("key", owner="anna"), 100)
-    theirs, accepted = table.submit(new("key", owner="bert"), 100)
+    mine, _ = table.submit(new("key", owner="anna"), Room(100))
+    theirs, accepted = table.submit(new("key", owner="bert"), Room(100))
     assert accepted
     assert table.find_by_key("key", "anna") == mine
     assert table.get(theirs.id) == theirs
@@ -166,7 +166,7 @@ def test_finished_jobs(table: JobTable) -> None:
 
 def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
     table = open_table(database_url, folder, LONG_S)
-    ids.put(table.submit(new("the same key"), 100)[0].id)
+    ids.put(table.submit(new("the same key"), Room(100))[0].id)
     table.close()
 
 
@@ -174,3 +174,33 @@ def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_pa
     """And all submit under one key: one job comes of it."""
     ids = what_all_say(_submit_and_close, 4, database_url, tmp_path)
     assert (len(ids), len(set(ids))) == (4, 1)
+
+
+def test_bytes_are_counted_as_long_as_they_are_kept(table: JobTable) -> None:
+    done, failed, crashing = (table.submit(new(owner="ann"), Room(10))[0] for _ in range(3))
+    size = done.image.size_bytes
+    assert (table.stored_bytes(), table.stored_bytes("ann"), table.stored_bytes("bob")) == (3 * size, 3 * size, 0)
+    claims = {claim.job_id: claim for claim in (table.claim("w"), table.claim("w"), table.claim("w")) if claim}
+    table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
+    table.fail(claims[failed.id], JobError("refused", "no"), retry=False)
+    assert table.stored_bytes() == size + 7
+    table.fail(claims[crashing.id], JobError("crashed", "no"), retry=True)
+    assert table.stored_bytes() == size + 7  # it is tried again
+    while (claim := table.claim("w")) is not None:
+        table.fail(claim, JobError("crashed", "no"), retry=True)
+    assert table.stored_bytes() == table.census().stored_bytes == 7
+    table.remove(done.id)
+    assert table.stored_bytes() == 0
+
+
+def test_quotas(table: JobTable) -> None:
+    size = new().image.size_bytes
+    table.submit(new(owner="ann"), Room(10, own_quota=size))
+    with pytest.raises(QuotaError) as refusal:
+        table.submit(new(owner="ann"), Room(10, own_quota=2 * size - 1))
+    assert refusal.value.of_owner
+    table.submit(new(owner="bob"), Room(10, own_quota=size))
+    with pytest.raises(QuotaError) as refusal:
+        table.submit(new(owner="cat"), Room(10, quota=3 * size - 1, own_quota=size))
+    assert not refusal.value.of_owner
+    table.submit(new(owner="cat"), Room(10, quota=3 * size, own_quota=size))

@@ -99,3 +99,20 @@ def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobTable) -> No
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert jobs.census().jobs["running"] == 3
+
+
+def test_a_table_of_version_1_is_brought_up_to_date(url: str, jobs: PostgresJobTable) -> None:
+    """Version 1 did not count bytes."""
+    waiting = submitted(jobs)
+    size = jobs.stored_bytes()
+    jobs.close()
+    with psycopg.connect(url) as db:
+        db.execute("ALTER TABLE sgmethod.jobs DROP COLUMN stored_bytes")
+        db.execute("UPDATE sgmethod.version SET version = '1' WHERE part = 'jobs'")
+    again = PostgresJobTable(url, RULES)
+    try:
+        job = again.get(waiting)
+        assert job is not None
+        assert again.stored_bytes() == size == job.image.size_bytes > 0
+    finally:
+        again.close()

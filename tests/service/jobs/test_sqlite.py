@@ -83,3 +83,19 @@ def test_rule_6_durability_settings(tmp_path: Path) -> None:
         }
     assert values == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 30_000}
     table.close()
+
+
+def test_a_table_of_version_2_is_brought_up_to_date(tmp_path: Path) -> None:
+    """Version 2 did not count bytes."""
+    path = tmp_path / "jobs.sqlite3"
+    table = SqliteJobTable(path, RULES)
+    waiting = submitted(table)
+    table.close()
+    with sqlite3.connect(path) as db:
+        db.execute("ALTER TABLE jobs DROP COLUMN stored_bytes")
+        db.execute("PRAGMA user_version = 2")
+    table = SqliteJobTable(path, RULES)
+    job = table.get(waiting)
+    assert job is not None
+    assert table.stored_bytes() == job.image.size_bytes > 0
+    table.close()

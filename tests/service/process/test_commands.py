@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
+from service.jobs.table import Room
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import source_key
@@ -25,7 +27,7 @@ def verdicts(result: Outcome) -> dict[str, str]:
 
 def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
     result = run_command("check", data_dir=tmp_path / "data", database_url=database_url)
-    names = ("settings", "database", "storage", "free disk", "kernels")
+    names = ("settings", "database", "storage", "free disk", "kernels", "confinement")
     assert verdicts(result) == dict.fromkeys(names, "ok"), result
     assert result.status == 0
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
@@ -40,6 +42,7 @@ def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> N
         "storage": "ok",
         "free disk": "FAILED",
         "kernels": "ok",
+        "confinement": "ok",
     }
     assert result.status == 1
     assert "secret" not in result.stdout + result.stderr
@@ -49,7 +52,7 @@ def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path / "data")
     table, storage = open_job_table(settings), open_storage(settings)
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), 10)
+    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), Room(10))
     table.close()
     needed, orphan = source_key(job.id), source_key(new_job_id())
     for key in (needed, orphan):
@@ -62,6 +65,20 @@ def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
         result = run_command("sweep", *arguments, data_dir=settings.data_dir)
         assert (result.status, result.stdout) == (0, f"{verb} finished jobs: 0, files that no job needs: {files}\n")
     assert set(storage.old(-5)) == {needed}
+
+
+def test_a_check_that_nobody_reads_to_its_end(tmp_path: Path) -> None:
+    """As `python -m service check | head -1` does it."""
+    command = [sys.executable, "-m", "service", "check"]
+    environment = {**os.environ, "SG_DATA_DIR": str(tmp_path)}
+    with subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr.read() == ""
 
 
 def test_a_database_out_of_reach_is_one_clear_line(

@@ -115,6 +115,13 @@ def test_missing_kernels_are_one_clear_line(command: str) -> None:
         ("SG_API_KEYS", "ann:secret"),
         ("SG_API_KEYS_FILE", "/dev/null/keys"),
         ("SG_MAX_SIDE", "-1"),
+        ("SG_TRUSTED_PROXIES", "proxy.example"),
+        ("SG_TRUSTED_PROXIES", "10.0.0.1/8"),
+        ("SG_CORS_ORIGINS", "a.example"),
+        ("SG_CORS_ORIGINS", "*,https://a.example"),
+        ("SG_QUOTA_FULL", "newest"),
+        ("SG_LOG_FORMAT", "xml"),
+        ("SG_DECODE_TIME_S", "0"),
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(run_command: RunCommand, name: str, value: str) -> None:

@@ -13,7 +13,7 @@ from PIL import Image
 import sgmethod
 from service.web.guards.problems import ProblemError
 from service.web.helpers.drawing import Drawing, Wish
-from service.web.helpers.helper import Task, perform
+from service.web.helpers.helper import Errand, perform
 from service.web.helpers.picture_files import MEDIA_TYPES, encode_picture
 from service.web.routes.decoding import PictureCache, ViewQuery
 from sgmethod.errors import BitstreamError, ViewError
@@ -32,17 +32,17 @@ def pixels_of(file: bytes) -> NDArray[np.uint8]:
 
 def test_what_is_no_bitstream() -> None:
     with pytest.raises(BitstreamError):
-        perform(Task(0, 1, NO_LIMIT, wish=Wish()), b"not a bitstream")
+        perform(Errand(0, 1, NO_LIMIT, wish=Wish()), b"not a bitstream")
 
 
 @pytest.mark.parametrize("name", ["v1-paper.sg", "v3-color.sg"])
 def test_gaussians_of_a_bitstream_are_limited(name: str) -> None:
     data = golden_path(name).read_bytes()
     count = sgmethod.info(data).gaussians
-    task = Task(0, 1, NO_LIMIT, max_gaussians=count, wish=Wish())
-    assert perform(task, data) == ({}, encode_picture(sgmethod.decode(data), "png"))
+    errand = Errand(0, 1, NO_LIMIT, max_gaussians=count, wish=Wish())
+    assert perform(errand, data) == ({}, encode_picture(sgmethod.decode(data), "png"))
     with pytest.raises(BitstreamError, match=f"limit of {count - 1}$"):
-        perform(replace(task, max_gaussians=count - 1), data)
+        perform(replace(errand, max_gaussians=count - 1), data)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 7), (7, 1), (64, 48), (333, 3)])

@@ -11,7 +11,7 @@ import pytest
 
 from service.jobs.job import EncodeRequest, EncodeResult, JsonObject, NewJob, SourceImage, new_job_id
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTableError
+from service.jobs.table import Claim, JobRules, JobTableError, Room
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.disk import DiskStorage
@@ -90,7 +90,7 @@ def publisher(table: Unsteady, storage: Full, stop: StopSignal, monkeypatch: pyt
 @pytest.fixture
 def claim(table: Unsteady, storage: DiskStorage) -> Claim:
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), 10)
+    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), Room(10))
     storage.put(source_key(job.id), b"image")
     claim = table.claim("w")
     assert claim is not None

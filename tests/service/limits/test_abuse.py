@@ -173,7 +173,7 @@ def test_a_decode_has_a_limit_of_memory(start_service: StartService) -> None:
 
 
 def test_a_helper_that_is_killed_harms_nobody(start_service: StartService, crowded: bytes) -> None:
-    """The task is tried again; a file that its reader dies of twice is given up."""
+    """The errand is tried again; a file that its reader dies of twice is given up."""
     web = start_service("web", decode_time_s=NEVER_S)
     assert web.client.post("/decode", content=PICTURE).status_code == 200
     for number in helpers_of(web):

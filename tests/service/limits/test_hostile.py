@@ -235,13 +235,21 @@ def test_few_descriptors_are_no_limit(start_service: StartService) -> None:
 
 def test_connections_are_limited_and_made_free(start_service: StartService) -> None:
     web = start_service("web", max_connections=5)
+    job_id = web.accepted()
+    web.client.close()
     crowd = [web.connect() for _ in range(8)]
     try:
-        assert [status_of(closes(connection)) for connection in crowd[5:]] == [503, 503, 503]
+        assert [closes(connection) for connection in crowd[:3]] == [b"", b"", b""]  # the slowest
+        for connection in crowd[3:]:
+            connection.sendall(f"GET /jobs/{job_id}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
+            assert connection.recv(15) == b"HTTP/1.1 200 OK"
+        with web.connect() as one_too_many:
+            assert status_of(closes(one_too_many)) == 503
     finally:
         for connection in crowd:
             connection.close()
-    assert wait_until(lambda: web.client.get("/livez").status_code == 200)
+    with httpx.Client(base_url=web.url) as client:
+        assert wait_until(lambda: client.get("/livez").status_code == 200)
 
 
 def png(width: int, height: int, data: bytes) -> bytes:

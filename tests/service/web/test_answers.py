@@ -1,0 +1,304 @@
+"""What every answer has: an id, a line in the log, a HEAD; what files have: parts, formats, an end."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sqlite3
+from email.utils import parsedate_to_datetime
+from pathlib import Path
+
+import httpx
+import pytest
+from PIL import Image
+
+from service.keys import digest
+from tests.harness.data import golden_path
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService, assert_problem
+
+PICTURE = golden_path("v3-color.sg").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def done(web: Service) -> str:
+    """The id of a job that is done."""
+    return web.published(PICTURE)
+
+
+@pytest.mark.parametrize(
+    ("asked", "part"),
+    [
+        ("bytes=0-3", slice(0, 4)),
+        ("bytes=4-", slice(4, None)),
+        ("bytes=-5", slice(-5, None)),
+        ("bytes=-99999", slice(None)),
+        ("bytes=10-99999", slice(10, None)),
+        ("bytes = 1 - 2", slice(1, 3)),
+    ],
+)
+@pytest.mark.parametrize("path", ["/bitstreams/{}.sg", "/decode/{}.png"])
+def test_parts_of_files(web: Service, done: str, path: str, asked: str, part: slice) -> None:
+    url = path.format(done)
+    whole = web.client.get(url)
+    assert whole.headers["accept-ranges"] == "bytes"
+    answer = web.client.get(url, headers={"Range": asked})
+    assert answer.status_code == 206
+    assert answer.content == whole.content[part]
+    first, last, size = map(int, re.fullmatch(r"bytes (\d+)-(\d+)/(\d+)", answer.headers["content-range"]).groups())  # type: ignore[union-attr]
+    assert whole.content[first : last + 1] == answer.content
+    assert size == len(whole.content)
+    assert answer.headers["etag"] == whole.headers["etag"]
+
+
+@pytest.mark.parametrize("asked", ["bytes=5-2", "bytes=-", "bytes=a-b", "lines=1-2", "bytes=0-1,3-4", "bytes=²-3"])
+def test_ranges_that_are_none_are_ignored(web: Service, done: str, asked: str) -> None:
+    answer = web.client.get(f"/bitstreams/{done}.sg", headers={"Range": asked.encode()})
+    assert (answer.status_code, answer.content) == (200, PICTURE)
+
+
+def test_ranges_beyond_the_file_or_of_another_version(web: Service, done: str) -> None:
+    url = f"/bitstreams/{done}.sg"
+    for asked in (f"bytes={len(PICTURE)}-", "bytes=-0"):
+        answer = web.client.get(url, headers={"Range": asked})
+        assert_problem(answer, 416)
+        assert answer.headers["content-range"] == f"bytes */{len(PICTURE)}"
+    assert web.client.get(url, headers={"Range": "bytes=0-3", "If-Range": '"other"'}).status_code == 200
+    etag = web.client.head(url).headers["etag"]
+    assert web.client.get(url, headers={"Range": "bytes=0-3", "If-Range": etag}).status_code == 206
+
+
+@pytest.mark.parametrize(
+    ("accept", "kind"),
+    [
+        ("*/*", "png"),
+        ("image/*", "png"),
+        ("image/avif,image/webp,image/apng,image/svg+xml,image/*,*/*;q=0.8", "png"),
+        ("image/avif,image/webp,*/*;q=0.8", "webp"),
+        ("image/jpeg", "jpeg"),
+        ("IMAGE/AVIF", "avif"),
+        ("image/png;q=0, image/*", "jpeg"),
+        ("image/webp;q=x", "webp"),
+    ],
+)
+def test_formats_as_accepted(web: Service, done: str, accept: str, kind: str) -> None:
+    for answer in (
+        web.client.get(f"/decode/{done}", headers={"Accept": accept}),
+        web.client.post("/decode", content=PICTURE, headers={"Accept": accept}),
+    ):
+        assert answer.headers["content-type"] == f"image/{kind}"
+        assert answer.headers["vary"] == "Accept"
+        assert (Image.open(io.BytesIO(answer.content)).format or "").lower() == kind
+
+
+def test_formats_that_are_not_made(web: Service, done: str) -> None:
+    assert_problem(web.client.get(f"/decode/{done}", headers={"Accept": "image/gif"}), 406, "image/png")
+    assert_problem(web.client.post("/decode", content=PICTURE, headers={"Accept": "text/html"}), 406)
+    assert_problem(web.client.post("/decode.gif", content=PICTURE), 404)
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg", "webp", "avif"])
+@pytest.mark.parametrize("query", ["", "width=20&height=20&fit=crop", "region=2,3,10,8&scale=2", "prefix=0.3"])
+def test_both_ways_of_decoding_agree(web: Service, done: str, kind: str, query: str) -> None:
+    stored = web.client.get(f"/decode/{done}.{kind}?{query}")
+    posted = web.client.post(f"/decode.{kind}?{query}", content=PICTURE)
+    assert (stored.status_code, posted.status_code) == (200, 200)
+    assert stored.content == posted.content
+
+
+def test_names_to_save_under(web: Service, done: str) -> None:
+    answer = web.client.get(f"/decode/{done}.jpg?download=my photo.jpg")
+    assert answer.headers["content-disposition"] == 'attachment; filename="my photo.jpg"'
+    for name in ('a"b', "../x", ".x", "a\r\nb", "é", ""):
+        assert_problem(web.client.get(f"/decode/{done}.jpg", params={"download": name}), 422)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *(
+            "/jobs?offset=1",
+            "/jobs/{}?x=",
+            "/decode/{}.png?wdith=10",
+            "/bitstreams/{}.sg?v=1",
+            "/livez?a",
+            "/metrics?a",
+        ),
+        *("/decode/{}.png?width=1&width=2", "/decode/{}?wait=1"),
+    ],
+)
+def test_unknown_parameters(web: Service, done: str, path: str) -> None:
+    """They were ignored, and the answer kept for a year."""
+    assert_problem(web.client.get(path.format(done)), 422, "query parameter" if "?a" not in path else "'a'")
+
+
+def test_head_of_everything(web: Service, done: str) -> None:
+    document = web.client.get("/openapi.json").json()
+    paths = [path for path, methods in document["paths"].items() if "get" in methods and "events" not in path]
+    assert len(paths) >= 8
+    for path in (*paths, "/", "/openapi.json", "/static/app.js"):
+        url = path.format(job_id=done, kind="png")
+        head, get = web.client.head(url), web.client.get(url)
+        assert (head.status_code, head.content) == (200, b""), url
+        assert head.headers["content-type"] == get.headers["content-type"]
+    answer = web.client.head(f"/jobs/{done}/events")
+    assert (answer.status_code, answer.headers["allow"]) == (405, "GET")
+    assert web.client.put(f"/jobs/{done}").headers["allow"] == "DELETE, GET, HEAD"
+
+
+def test_requests_have_ids_and_lines(start_service: StartService) -> None:
+    web = start_service("web", log_format="json", api_keys=f"ann:{digest('k')}", link_secret="s" * 32)
+    given = web.client.get("/livez", headers={"X-Request-Id": "mine-1"})
+    assert given.headers["x-request-id"] == "mine-1"
+    forged = web.client.get("/jobs", headers={"X-Request-Id": 'a"b c'})
+    assert re.fullmatch("[0-9a-f]{16}", forged.headers["x-request-id"])
+    assert forged.status_code == 401
+    web.client.get("/jobs?signature=not-for-the-log", headers={"Authorization": "Bearer k"})
+
+    def lines() -> list[dict[str, object]]:
+        text = web.log.read_text()
+        found = [json.loads(line) for line in text.splitlines()]
+        return [line for line in found if line["logger"] == "access"]
+
+    wait_until(lambda: len(lines()) >= 3)
+    by_id = {line["request_id"]: line for line in lines()}
+    assert by_id["mine-1"]["status"] == 200
+    assert by_id[forged.headers["x-request-id"]]["status"] == 401
+    assert [line["client"] for line in lines()][-1] == "key ann"
+    assert "not-for-the-log" not in web.log.read_text()
+    assert "Bearer" not in web.log.read_text()
+
+
+def test_finished_jobs_say_when_they_go(start_service: StartService) -> None:
+    web = start_service("web", retention_s=1000)
+    done = web.published(PICTURE)
+    job = web.job(done)
+    assert job["expires_at"] > job["finished_at"]
+    expires = {web.client.get(job[url]).headers["expires"] for url in ("decode_url", "bitstream_url")}
+    assert {parsedate_to_datetime(text).isoformat()[:19] for text in expires} == {job["expires_at"][:19]}
+    assert web.job(web.accepted())["expires_at"] is None
+    forever = start_service("web", retention_s=0)
+    done = forever.published(PICTURE)
+    assert forever.job(done)["expires_at"] is None
+    assert "expires" not in forever.client.get(f"/decode/{done}.png").headers
+
+
+def test_keys_are_read_anew(start_service: StartService, tmp_path: Path) -> None:
+    file = tmp_path / "keys"
+    file.write_text(f"ann:{digest('old')}\n")
+    web = start_service("web", api_keys_file=file)
+
+    def status(key: str) -> int:
+        return web.client.get("/jobs", headers={"Authorization": f"Bearer {key}"}).status_code
+
+    assert (status("old"), status("new")) == (200, 401)
+    file.write_text(f"bob:{digest('new')}\n")
+    wait_until(lambda: status("new") == 200)
+    assert status("old") == 401
+    for damaged in ("nonsense", ""):
+        file.write_text(damaged)
+        wait_until(lambda: "stay as they were" in web.log.read_text())
+        assert status("new") == 200
+        assert web.client.get("/jobs").status_code == 401  # never open to all
+    file.unlink()
+    file.write_text(f"cat:{digest('third')}\n")
+    wait_until(lambda: status("third") == 200)
+
+
+def test_a_full_disk_shows_and_takes_no_jobs(start_service: StartService) -> None:
+    web = start_service("web", min_free_bytes=2**60)
+    assert_problem(web.client.get("/readyz"), 503, "disk is full")
+    assert web.client.get("/livez").status_code == 200
+    answer = web.post()
+    assert_problem(answer, 503, "disk is full")
+    assert answer.headers["retry-after"]
+    assert web.files() == []
+    done = web.published(PICTURE)
+    assert web.client.get(f"/decode/{done}.png").status_code == 200
+    assert re.search(r"^sgmethod_free_bytes [1-9]", web.client.get("/metrics").text, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("first", "name"),
+    [
+        (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "HEIC"),
+        (b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf", "AVIF"),
+        (b"\0\0\0\x1cftypmif1\0\0\0\0mif1avif", "AVIF"),
+        (b"GIF89a", "GIF"),
+        (b"%PDF-1.7", "PDF"),
+        (b"<svg xmlns=", "SVG"),
+        (b"SGM\x04", ".sg"),
+    ],
+)
+def test_refusals_name_what_came(web: Service, first: bytes, name: str) -> None:
+    assert_problem(web.post(first + bytes(100)), 415, name, "PNG, JPEG")
+
+
+@pytest.mark.parametrize("setting", ["quota_bytes", "quota_bytes_per_key"])
+def test_a_quota_refuses(start_service: StartService, setting: str) -> None:
+    keys = ",".join(f"{name}:{digest(name)}" for name in ("ann", "bob"))
+    web = start_service("web", api_keys=keys, **{setting: len(SMALL)})
+
+    def post(name: str) -> httpx.Response:
+        headers = {"Authorization": f"Bearer {name}", "Content-Type": "image/png"}
+        return web.client.post("/encode", content=SMALL, headers=headers)
+
+    assert post("ann").status_code == 202
+    assert_problem(post("ann"), 429, "stores as much as it may")
+    assert post("bob").status_code == (429 if setting == "quota_bytes" else 202)
+    assert len(web.files()) == (1 if setting == "quota_bytes" else 2)
+
+
+def test_a_quota_that_makes_room(start_service: StartService) -> None:
+    """The oldest go, but none that waits or has just finished."""
+    web = start_service("web", quota_bytes=len(SMALL) + len(PICTURE), quota_full="oldest")
+    old, fresh = web.published(PICTURE), web.published(PICTURE)
+    with sqlite3.connect(web.data_dir / "jobs.sqlite3") as db:
+        db.execute("UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", (old,))
+    waiting = web.accepted()
+    assert web.client.get(f"/jobs/{old}").status_code == 404
+    assert not any(old in name for name in web.files())
+    assert (web.job(fresh)["state"], web.job(waiting)["state"]) == ("done", "queued")
+    assert_problem(web.post(), 429, "stores as much as it may")
+    assert (web.job(fresh)["state"], web.job(waiting)["state"]) == ("done", "queued")
+    assert f"sgmethod_stored_bytes {len(SMALL) + len(PICTURE)}" in web.client.get("/metrics").text.replace(".0\n", "\n")
+
+
+def test_pages_of_other_origins(start_service: StartService) -> None:
+    """The browser asks first, without a key."""
+    settings = {"api_keys": f"ann:{digest('k')}", "cors_origins": "https://a.example, https://b.example"}
+    web = start_service("web", **settings)
+    ask = {"Access-Control-Request-Method": "POST", "Access-Control-Request-Headers": "authorization"}
+    for origin, allowed in (("https://b.example", True), ("https://c.example", False)):
+        answer = web.client.options("/encode", headers={"Origin": origin, **ask})
+        assert (answer.status_code == 200) == allowed
+        answer = web.client.get("/jobs", headers={"Origin": origin, "Authorization": "Bearer k"})
+        assert answer.headers.get("access-control-allow-origin") == (origin if allowed else None)
+        refused = web.client.get("/jobs", headers={"Origin": origin})
+        assert refused.status_code == 401
+        assert ("access-control-allow-origin" in refused.headers) == allowed
+
+
+def test_no_other_origin_unasked(web: Service) -> None:
+    answer = web.client.get("/livez", headers={"Origin": "https://a.example"})
+    assert "access-control-allow-origin" not in answer.headers
+
+
+def test_jobs_of_a_state(start_service: StartService) -> None:
+    web = start_service("web")
+    done = [web.published(PICTURE) for _ in range(3)]
+    waiting = web.accepted()
+
+    def listed(query: str) -> tuple[list[str], str | None]:
+        page = web.client.get(query).json()
+        return [job["id"] for job in page["jobs"]], page["next"]
+
+    first, older = listed("/jobs?state=done&limit=2")
+    assert first == done[:0:-1]
+    assert older is not None
+    assert listed(older) == (done[:1], None)
+    assert listed("/jobs?state=queued") == ([waiting], None)
+    assert listed("/jobs?state=failed") == ([], None)
+    assert_problem(web.client.get("/jobs?state=lost"), 422, "state")

@@ -1,0 +1,118 @@
+"""One request is enough: POST /encode that waits for its file."""
+
+from __future__ import annotations
+
+import io
+from concurrent.futures import ThreadPoolExecutor
+
+import httpx
+import pytest
+from PIL import Image
+
+import sgmethod
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService, assert_problem
+
+BODY = {"Content-Type": "image/png"}
+QUICK = "time_limit_s=0.1"
+
+
+def test_a_photograph_becomes_a_file(service: Service) -> None:
+    """As `curl -F image=@photo.jpg 'http://HOST/encode?wait=60' -o photo.sg` does it: no budget, no second request."""
+    answer = service.client.post("/encode?wait=100", files={"image": ("photo.png", SMALL)}, data={"time_limit_s": "1"})
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/octet-stream")
+    assert (sgmethod.info(answer.content).width, sgmethod.info(answer.content).height) == (64, 48)
+    assert 8 * len(answer.content) <= 0.3 * 64 * 48  # the budget unasked
+    job = service.client.get(answer.headers["location"]).json()
+    assert job["budget"] == {"kind": "bpp", "value": 0.3}
+    assert service.client.get(job["bitstream_url"]).content == answer.content
+
+
+@pytest.mark.parametrize("accept", ["image/webp", "image/webp;q=0.9, image/png;q=0.2", "text/html, image/webp"])
+def test_or_a_picture(service: Service, accept: str) -> None:
+    answer = service.client.post(
+        f"/encode?wait=100&{QUICK}", content=SMALL, headers={**BODY, "Accept": accept, "If-None-Match": "*"}
+    )
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "image/webp")
+    assert Image.open(io.BytesIO(answer.content)).size == (64, 48)
+    assert answer.headers["vary"] == "Accept"
+    assert answer.headers["cache-control"] == "no-store"
+
+
+@pytest.mark.parametrize("prefer", ["wait=100", "respond-async, wait=100", "WAIT=100;x=y", "wait=999999"])
+def test_a_preference(service: Service, prefer: str) -> None:
+    answer = service.client.post(f"/encode?{QUICK}", content=SMALL, headers={**BODY, "Prefer": prefer})
+    assert answer.status_code == 200
+    assert answer.headers["preference-applied"] in ("wait=100", "wait=300")
+
+
+def test_what_is_not_done_in_time_is_a_job(web: Service) -> None:
+    """Here it never is."""
+    answer = web.client.post("/encode?wait=1", content=SMALL, headers=BODY)
+    assert answer.status_code == 202
+    assert web.job(answer.json()["id"])["state"] == "queued"
+    for prefer in ("wait=", "wait=x", "await=5", "wait=-1"):
+        assert web.client.post("/encode", content=SMALL, headers={**BODY, "Prefer": prefer}).status_code == 202
+
+
+@pytest.mark.parametrize("query", ["wait=x", "wait=-1", "wait=301", "wait=1.5", "wait=1&wait=1", "wait=", "wiat=1"])
+def test_waits_that_are_refused(web: Service, query: str) -> None:
+    assert_problem(web.client.post(f"/encode?{query}", content=SMALL, headers=BODY), 422)
+
+
+def test_a_job_that_fails_or_is_removed_meanwhile(start_service: StartService) -> None:
+    web = start_service("web")
+
+    def ask() -> httpx.Response:
+        return httpx.post(f"{web.url}/encode?wait=100", content=SMALL, headers=BODY, timeout=200)
+
+    def only_job() -> str:
+        jobs = wait_until(lambda: web.client.get("/jobs?limit=1").json()["jobs"])
+        return str(jobs[0]["id"])
+
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(ask)
+        job_id = only_job()
+        web.refuse(job_id)
+        problem = assert_problem(waiting.result(), 422, "it is refused")
+        assert (problem["id"], problem["code"]) == (job_id, "refused")
+        web.client.delete(f"/jobs/{job_id}")
+        waiting = pool.submit(ask)
+        web.client.delete(f"/jobs/{only_job()}")
+        assert_problem(waiting.result(), 409, "removed")
+
+
+def test_who_waits_is_told_when_the_service_stops(start_service: StartService) -> None:
+    web = start_service("web")
+    with ThreadPoolExecutor(1) as pool:
+        url = f"{web.url}/encode?wait=300"
+        waiting = pool.submit(lambda: httpx.post(url, content=SMALL, headers=BODY, timeout=400))
+        wait_until(lambda: web.client.get("/jobs").json()["jobs"])
+        assert web.stop() == 0
+        assert waiting.result().status_code == 202
+
+
+def test_too_many_that_wait_get_a_job_at_once(start_service: StartService) -> None:
+    web = start_service("web", max_event_streams=1)
+    with web.connect() as stream:
+        stream.sendall(f"GET /jobs/{web.accepted()}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
+        assert stream.recv(15) == b"HTTP/1.1 200 OK"
+        assert web.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
+
+
+def test_who_goes_leaves_a_job_and_no_place_taken(start_service: StartService) -> None:
+    web = start_service("web", max_event_streams=1)
+    with web.connect() as gone:
+        head = (
+            f"POST /encode?wait=300 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}"
+        )
+        gone.sendall(head.encode() + b"\r\n\r\n" + SMALL)
+        wait_until(lambda: web.client.get("/jobs").json()["jobs"])
+    job_id = web.client.get("/jobs").json()["jobs"][0]["id"]
+
+    def has_a_place() -> bool:
+        with httpx.stream("GET", f"{web.url}/jobs/{job_id}/events") as answer:
+            return answer.status_code == 200
+
+    assert wait_until(has_a_place)
