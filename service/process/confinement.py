@@ -82,6 +82,7 @@ def _readable() -> Iterator[Path]:
     yield Path(__file__).parents[1]  # the service
     for name in ("stdlib", "platstdlib", "purelib", "platlib"):
         yield Path(sysconfig.get_path(name))
+    yield from (Path(entry) for entry in sys.path if Path(entry).name in ("site-packages", "dist-packages"))
     # Installed for editing, packages lie elsewhere.
     yield from (Path(entry) / name for entry in sys.path for name in ("sgmethod", "service") if entry)
     yield from (Path(base) / "bin" for base in (sys.prefix, sys.base_prefix))

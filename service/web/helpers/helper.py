@@ -7,6 +7,7 @@ errand. One that takes more time than it may is the end of the process, which it
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import json
 import os
@@ -118,8 +119,9 @@ def main() -> None:
             return
         figures, picture = _answer(Errand.from_json(line), descriptors[0])
         text = json.dumps(figures).encode()
-        connection.sendall(ANSWER_HEADER.pack(len(text), len(picture)) + text)
-        connection.sendall(picture)
+        with contextlib.suppress(ConnectionError):  # nobody is there any more, which the next errand will say
+            connection.sendall(ANSWER_HEADER.pack(len(text), len(picture)) + text)
+            connection.sendall(picture)
 
 
 if __name__ == "__main__":
