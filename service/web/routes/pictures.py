@@ -158,7 +158,7 @@ async def picture_of_body(
 @router.post(
     "/decode.{kind}",
     response_class=Response,
-    responses={**_files(*MEDIA_TYPES.values()), **problems(408, 413, 422, 429, 503)},
+    responses={**_files(*MEDIA_TYPES.values()), **problems(404, 408, 413, 422, 429, 503)},
     openapi_extra={"requestBody": BITSTREAM_BODY},
 )
 async def picture_of_body_as(

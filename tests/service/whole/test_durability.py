@@ -15,7 +15,7 @@ from functools import partial
 import httpx
 import pytest
 
-from tests.harness.pictures import SLOW
+from tests.harness.pictures import SLOW, SMALL
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, processes, wait_until
 from tests.harness.service import Service, StartService
@@ -175,7 +175,7 @@ def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
     """DELETE of a running job ends its encoder; in any state nothing remains of the job."""
     service = solo
     done = service.accepted()
-    failed = service.accepted(bytes=1)
+    failed = service.accepted(SMALL[: len(SMALL) // 2])
     assert [service.wait(job_id)["state"] for job_id in (done, failed)] == ["done", "failed"]
     current, waiting, last = service.accepted_slow(), service.accepted(), service.accepted()
     encoder = running(current)

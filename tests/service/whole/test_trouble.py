@@ -51,7 +51,7 @@ def fill(disk: Path) -> Path:
 
 def test_full_disk_while_accepting(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """Rule 1: what cannot be kept is not accepted, and nothing of it stays."""
-    web = start_service("web", database_url=database_url)
+    web = start_service("web", database_url=database_url, min_free_bytes=0)
     done = web.published(PICTURE)
     before = web.files()
     ballast = fill(small_disk)
@@ -66,7 +66,7 @@ def test_full_disk_while_accepting(small_disk: Path, start_service: StartService
 
 def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """A result waits for room; the encode is not done again."""
-    service = start_service(database_url=database_url, lease_s=30)
+    service = start_service(database_url=database_url, lease_s=30, min_free_bytes=0)
     job_id = service.accepted()
     wait_until(lambda: encoder_of(job_id))
     ballast = fill(small_disk)
