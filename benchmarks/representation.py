@@ -37,8 +37,8 @@ FREE_FROM = 0.82  # bits are free
 
 
 def lengthened(steps: int) -> RdSettings:
-    """The profile with more steps, of which more are spent on what comes and goes: with 4,000 steps, 60 growths are worth
-    0.2 dB more than ten and a longer rest."""
+    """The profile with more steps. Gaussians come and go for longer too: in 4,000 steps, 60 growths make 0.2 dB more
+    than ten growths and a longer rest."""
     if steps == RD.steps:
         return RD
     growths = max(round(GROWTH_UNTIL * steps / STEPS_OF_GROWTH), len(RD.growth_at))

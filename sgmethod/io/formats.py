@@ -7,6 +7,7 @@ apply a pixel limit of its own through a global and a warning.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import io
 import logging
 
@@ -46,7 +47,10 @@ REFUSED = {
     "a PDF": (b"%PDF",),
     "a Photoshop file": (b"8BPS",),
     "an SVG": (b"<svg", b"<?xml"),
+    "a web page": (b"<!DOCTYPE", b"<html"),
+    "an icon": (b"\0\0\1\0",),
 }
+FILM_BRANDS = {b"isom", b"mp41", b"mp42", b"qt  "}
 PLUGINS = {"HEIC": "pip install 'sgmethod[heif]'", "AVIF": "pip install 'pillow>=11.3'"}
 
 # Without a handler Python prints what Pillow logs about odd files to stderr.
@@ -68,7 +72,17 @@ def name_of(data: bytes) -> str:
     if not data:
         raise ImageError("the file is empty")
     kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
+    kind = "a film, " if FILM_BRANDS & set(brands) else kind
     raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
+
+
+def is_read(first: bytes) -> bool:
+    """Whether a file is in a format that is read here; its first 256 bytes tell."""
+    try:
+        name = name_of(first)
+    except ImageError:
+        return False
+    return importlib.util.find_spec(READERS[name][0]) is not None
 
 
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:

@@ -22,7 +22,7 @@ from typing import Any
 
 import sgmethod
 from service.web.helpers.drawing import Drawing, Wish
-from sgmethod.errors import SgError
+from sgmethod.errors import ImageError, SgError
 from sgmethod.io.image import ImageLimits, read_header
 
 ANSWER_HEADER = struct.Struct(">IQ")
@@ -69,6 +69,8 @@ def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     """The answer: figures, and the bytes of a picture file. Raises SgError, MemoryError."""
     if errand.wish is None:
         header = read_header(file, ImageLimits(errand.max_pixels, errand.max_side))
+        if not header.still:
+            raise ImageError("the file holds more than one picture; one still picture is needed")
         return {"format": header.format, "width": header.width, "height": header.height}, b""
     info = sgmethod.info(file, errand.max_gaussians)  # a few kilobytes can hold millions of equal ones
     drawing = Drawing.of(errand.wish, (info.width, info.height), errand.max_pixels)

@@ -19,12 +19,13 @@ from service.web.guards.problems import ProblemError
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.helpers.work import Work
 from service.web.submitting.bodies import body_as_file
-from service.web.submitting.image_kinds import IMAGE_MAGICS, MAGIC_BYTES, READ_FORMATS, foreign_format
 from sgmethod.budget import BUDGET_KINDS, Budget
 from sgmethod.errors import BudgetError
+from sgmethod.io.formats import is_read
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 
 IMAGE_FIELD = "image"
+FORMAT_BYTES = 256  # of a file, which tell its format
 WAIT_FIELD = "wait"  # of the query alone
 DEFAULT_BUDGET = Budget("bpp", 0.3)  # as in the command line
 FIELDS = (*BUDGET_KINDS, "profile", "time_limit_s", "priority")
@@ -112,11 +113,8 @@ async def read_header(submitted: Submission, work: Work, client: str, max_bytes:
         return await work.read_header(client, submitted.image.file, size)
     except RefusedError as error:
         await submitted.image.seek(0)
-        first = await submitted.image.read(MAGIC_BYTES)
-        foreign = foreign_format(first)
-        if foreign is not None:
-            raise ProblemError(415, f"the file is {foreign}; {READ_FORMATS}") from error
-        raise ProblemError(422 if first.startswith(IMAGE_MAGICS) or not first else 415, str(error)) from error
+        first = await submitted.image.read(FORMAT_BYTES)
+        raise ProblemError(422 if is_read(first) or not first else 415, str(error)) from error
     except HelperError as error:
         raise ProblemError(422, f"the image's header cannot be read: {error}") from error
 

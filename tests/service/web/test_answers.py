@@ -223,10 +223,8 @@ def test_a_full_disk_shows_and_takes_no_jobs(start_service: StartService) -> Non
 @pytest.mark.parametrize(
     ("first", "name"),
     [
-        (b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "HEIC"),
-        (b"\0\0\0\x1cftypavif\0\0\0\0avifmif1miaf", "AVIF"),
-        (b"\0\0\0\x1cftypmif1\0\0\0\0mif1avif", "AVIF"),
-        (b"GIF89a", "GIF"),
+        (b"\xff\x0a\xfa\x1f", "JPEG XL"),
+        (b"\0\0\0\x18ftypisom\0\0\0\0mp41isom", "film"),
         (b"%PDF-1.7", "PDF"),
         (b"<svg xmlns=", "SVG"),
         (b"SGM\x04", ".sg"),

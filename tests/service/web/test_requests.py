@@ -214,7 +214,7 @@ def test_priority(web: Service) -> None:
     assert web.job(web.accepted(SMALL, bpp=1, priority="bulk"))["priority"] == "bulk"
 
 
-@pytest.mark.parametrize("image", [b"hello", b"GIF89a" + b"0" * 40, b"%PDF-1.7", b"<svg/>"])
+@pytest.mark.parametrize("image", [b"hello", b"GIF88a" + b"0" * 40, b"%PDF-1.7", b"<svg/>"])
 def test_what_is_no_image_of_ours(web: Service, image: bytes) -> None:
     assert_problem(web.post(image), 415, "PNG")
 
