@@ -28,7 +28,8 @@ template <int W>
 SG_INLINE typename Simd<W>::F load_target(const int16_t* in) {
   typename Shorts<W>::S values;
   std::memcpy(&values, in, sizeof values);
-  return __builtin_convertvector(values, typename Simd<W>::F);
+  // By way of integers as wide as floats: GCC takes more instructions for both at once.
+  return __builtin_convertvector(__builtin_convertvector(values, typename Simd<W>::I), typename Simd<W>::F);
 }
 
 // Puts the gradient of the squared error in the place of the tile's picture, and returns the squared error.
@@ -36,27 +37,32 @@ template <int W>
 SG_INLINE double difference_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
   constexpr float kStep = 1.0f / kTargetWhite;
-  typename V::F sum{};
-  for (int row = 0; row < target.rows; ++row)
-    for (int k = 0; k < 3; ++k, values += kTileWidth) {
-      const int16_t* wanted = target.first + k * target.plane + row * target.stride;
-      __builtin_prefetch(wanted + target.ahead);
-      if (target.columns == kTileWidth) {
-        for (int lane = 0; lane < kTileWidth; lane += W) {
-          const typename V::F difference = V::load(values + lane) - load_target<W>(wanted + lane) * kStep;
-          sum += difference * difference;
-          V::store(values + lane, difference * target.scale);
+  constexpr int kVectors = kTileWidth / W;
+  const TileTarget t = target;  // a copy, which no store may change
+  typename V::F sums[3 * kVectors] = {};  // several, because each addition waits for the one before
+  for (int row = 0; row < t.rows; ++row, values += 3 * kTileWidth)
+    for (int k = 0; k < 3; ++k) {
+      const int16_t* wanted = t.first + k * t.plane + row * t.stride;
+      float* here = values + k * kTileWidth;
+      __builtin_prefetch(wanted + t.ahead);
+      if (t.columns == kTileWidth) {
+        for (int i = 0; i < kVectors; ++i) {
+          const typename V::F difference = V::load(here + i * W) - load_target<W>(wanted + i * W) * kStep;
+          sums[k * kVectors + i] += difference * difference;
+          V::store(here + i * W, difference * t.scale);
         }
       } else {
-        for (int column = 0; column < target.columns; ++column) {
-          const float difference = values[column] - static_cast<float>(wanted[column]) * kStep;
-          sum[0] += difference * difference;
-          values[column] = difference * target.scale;
+        for (int column = 0; column < t.columns; ++column) {
+          const float difference = here[column] - static_cast<float>(wanted[column]) * kStep;
+          sums[0][0] += difference * difference;
+          here[column] = difference * t.scale;
         }
-        std::fill(values + target.columns, values + kTileWidth, 0.0f);
+        std::fill(here + t.columns, here + kTileWidth, 0.0f);
       }
     }
-  std::fill(values, values + (kTileHeight - target.rows) * 3 * kTileWidth, 0.0f);
+  std::fill(values, values + (kTileHeight - t.rows) * 3 * kTileWidth, 0.0f);
+  typename V::F sum{};
+  for (const typename V::F& part : sums) sum += part;
   return V::sum(sum);
 }
 
@@ -141,51 +147,30 @@ SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const
 
 // Enlarging transposed, of a tile [kTileHeight][3][kTileWidth]: along y, and then along x. Along an axis, sample w of the
 // result is (t[2w - 3] + 3 t[2w - 2] + 3 t[2w - 1] + t[2w]) / 4 of the tile's samples t.
-template <int W>
-SG_INLINE void reduce_body(const float* gradient, float* reduced) {
+SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* aside, int64_t stride) {
+  constexpr int W = kTileWidth / 2;
   using V = Simd<W>;
-  using F = typename V::F;
-  constexpr int kVectors = kTileWidth / W, kTaps = 4;
-  constexpr float kWeights[kTaps] = {0.25f, 0.75f, 0.75f, 0.25f};  // of t[2w - tap]
-  // All samples that W results along x need lie in two neighbouring vectors, or are none.
-  typename V::I places[kVectors][kTaps];
-  F weights[kVectors][kTaps];
-  for (int i = 0; i < kVectors; ++i)
-    for (int tap = 0; tap < kTaps; ++tap)
-      for (int lane = 0; lane < W; ++lane) {
-        const int t = 2 * (i * W + lane) - tap;
-        const bool there = t >= 0 && t < kTileWidth;
-        places[i][tap][lane] = there ? t : 0;
-        weights[i][tap][lane] = there ? kWeights[tap] : 0.0f;
+  using F = V::F;
+  constexpr V::I kEven = {0, 2, 4, 6, 8, 10, 12, 14}, kOdd = {1, 3, 5, 7, 9, 11, 13, 15};
+  constexpr V::I kTurned = {7, 0, 1, 2, 3, 4, 5, 6}, kFirst = {-1};
+  const auto reduced_row = [&](int w, float* out) SG_INLINE_LAMBDA {
+    for (int k = 0; k < 3; ++k, out += stride) {
+      F half[2];
+      for (int i = 0; i < 2; ++i) {
+        const auto row_of = [&](int t) SG_INLINE_LAMBDA { return V::load(gradient + (3 * t + k) * kTileWidth + i * W); };
+        half[i] = (row_of(2 * w - 3) + row_of(2 * w)) * 0.25f + (row_of(2 * w - 2) + row_of(2 * w - 1)) * 0.75f;
       }
-  const auto row_of = [&](int t, int at) SG_INLINE_LAMBDA {
-    return t >= 0 && t < kTileHeight ? V::load(gradient + t * (3 * kTileWidth) + at) : F{};
-  };
-  for (int w = 0; w < kReducedRows; ++w, reduced += 3 * kTileWidth)
-    for (int k = 0; k < 3; ++k) {
-      F half[kVectors];
-      for (int i = 0; i < kVectors; ++i) {
-        const int at = k * kTileWidth + i * W;
-        half[i] = (row_of(2 * w - 3, at) + row_of(2 * w, at)) * 0.25f + (row_of(2 * w - 2, at) + row_of(2 * w - 1, at)) * 0.75f;
-      }
-      for (int i = 0; i < kVectors; ++i) {
-        F sum{};
-        for (int tap = 0; tap < kTaps; ++tap) sum += shuffle(half[0], half[kVectors - 1], places[i][tap]) * weights[i][tap];
-        V::store(reduced + k * kTileWidth + i * W, sum);
-      }
+      // Moved on by one sample: of a turned vector the first lane goes to the next one.
+      const F even = shuffle(half[0], half[1], kEven) * 0.25f, odd = shuffle(half[0], half[1], kOdd) * 0.25f;
+      const F odd_turned = shuffle(odd, odd, kTurned);
+      const F other = (even + odd) * 3.0f + (kFirst ? F{} : odd_turned), other_turned = shuffle(other, other, kTurned);
+      V::store(out, V::load(out) + (even + (kFirst ? F{} : other_turned)));
+      out[W] += other_turned[0];
+      out[W + 1] += odd_turned[0];
     }
-}
-
-// Adds rows of three colours, kTileWidth long.
-template <int W>
-SG_INLINE void add_rows_body(const float* from, int rows, float* to, int64_t stride) {
-  using V = Simd<W>;
-  for (int row = 0; row < rows; ++row, to += 3 * stride)
-    for (int k = 0; k < 3; ++k, from += kTileWidth)
-      for (int lane = 0; lane < kTileWidth; lane += W) {
-        float* out = to + k * stride + lane;
-        V::store(out, V::load(out) + V::load(from + lane));
-      }
+  };
+  for (int w = 0; w < std::min(rows, kReducedRows - kOverRows); ++w) reduced_row(w, to + w * 3 * stride);
+  for (int w = 0; w < kOverRows; ++w) reduced_row(kReducedRows - kOverRows + w, aside + w * 3 * stride);
 }
 
 // Calls visit(weights, pointer to the picture's values) for each row and vector of lanes that one Gaussian touches.
@@ -276,11 +261,8 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
       pair_gradients += (batch.end - batch.begin) * kPairGradients;                                                  \
     });                                                                                                              \
   }                                                                                                                  \
-  attribute void reduce_##name(const float* gradient, float* reduced) {                                              \
-    reduce_body<(width < 8 ? 8 : width)>(gradient, reduced);                                                         \
-  }                                                                                                                  \
-  attribute void add_rows_##name(const float* from, int rows, float* to, int64_t stride) {                           \
-    add_rows_body<width>(from, rows, to, stride);                                                                    \
+  attribute void reduce_##name(const float* gradient, int rows, float* to, float* aside, int64_t stride) {           \
+    reduce_body(gradient, rows, to, aside, stride);                                                                  \
   }                                                                                                                  \
   attribute void weights_##name(const Footprint& f, float floor, const Span* spans, int count, int first_row,        \
                                 int64_t stride, float* patch) {                                                      \
@@ -294,8 +276,8 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
                                 const Strips& picture, float* products) {                                            \
     project_body<width>(f, floor, spans, count, picture, products);                                                  \
   }                                                                                                                  \
-  constexpr FitKernels k_##name = {squared_error_##name, difference_##name, backward_##name, reduce_##name,    \
-                                   add_rows_##name,      weights_##name,    add_##name,      project_##name};
+  constexpr FitKernels k_##name = {squared_error_##name, difference_##name, backward_##name, reduce_##name,        \
+                                   weights_##name,       add_##name,        project_##name};
 
 SG_FIT_KERNELS(baseline, 4, )
 SG_FIT_KERNELS(avx2, 8, [[gnu::target("avx2,fma")]])

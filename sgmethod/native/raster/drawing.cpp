@@ -211,7 +211,7 @@ void Rasterization::reduce_all(const Each& each, Planes& planes) const {
 // processor's cache. Those of neighbouring rows of tiles overlap by two rows, which are kept aside and added at the end.
 template <typename Load>
 void Rasterization::reduce(int level, Planes& planes, const Load& load_tile) const {
-  constexpr int kRows = kTileHeight / 2, kColumns = kTileWidth / 2, kOver = kReducedRows - kRows;
+  constexpr int kRows = kTileHeight / 2, kColumns = kTileWidth / 2, kOver = kOverRows;
   const Grid& grid = grids_[level];
   if (level == top()) {
     parallel_for(grid.tiles(), [&](int k) {
@@ -231,14 +231,12 @@ void Rasterization::reduce(int level, Planes& planes, const Load& load_tile) con
     float* aside = over.get() + block * kOver * row_floats;
     planes.clear(level + 1, y, block + 1 == grid.blocks() ? below.y + below.height : y + rows);
     std::fill_n(aside, kOver * row_floats, 0.0f);
+    alignas(64) float padded[kMarginFloats + kTileFloats + kMarginFloats] = {};
+    float* values = padded + kMarginFloats;
     for (int strip = 0; strip < grid.strips(); ++strip) {
-      alignas(64) float values[kTileFloats];
-      alignas(64) float reduced[kReducedFloats];
       load_tile(first_tile_[level] + block * grid.strips() + strip, values);
-      fit_kernels(isa_).reduce(values, reduced);
       const int x = x0 + strip * kColumns;
-      fit_kernels(isa_).add_rows(reduced, rows, planes.at(level + 1, x, y), stride);
-      fit_kernels(isa_).add_rows(reduced + kRows * 3 * kTileWidth, kOver, aside + (x - below.x), stride);
+      fit_kernels(isa_).reduce(values, rows, planes.at(level + 1, x, y), aside + (x - below.x), stride);
     }
   });
   for (int block = 0; block < grid.blocks(); ++block)
@@ -255,10 +253,10 @@ void Rasterization::reduce(int level, Planes& planes, const Load& load_tile) con
 void Rasterization::load(Planes& planes, int tile, float* values) const {
   const auto [x, y] = corner(tile);
   const int level = level_of_tile(tile), rows = rows_of(tile);
-  for (int row = 0; row < rows; ++row)
-    for (int k = 0; k < 3; ++k)
-      std::memcpy(values + (3 * row + k) * kTileWidth, planes.at(level, x, y + row) + k * planes.stride(level),
-                  kTileWidth * sizeof(float));
+  const int64_t stride = planes.stride(level);
+  const float* from = planes.at(level, x, y);
+  for (int row = 0; row < 3 * rows; ++row, from += stride)
+    std::memcpy(values + row * kTileWidth, from, kTileWidth * sizeof(float));
   std::fill(values + rows * 3 * kTileWidth, values + kTileFloats, 0.0f);
 }
 

@@ -7,7 +7,8 @@
 namespace sg {
 
 constexpr int kReducedRows = kTileHeight / 2 + 2;  // of a tile, on the next level
-constexpr int kReducedFloats = 3 * kTileWidth * kReducedRows;  // rows of kTileWidth, of which kTileWidth / 2 + 2 are set
+constexpr int kOverRows = 2;  // of these, which overlap with the tile below
+constexpr int kMarginFloats = 3 * 3 * kTileWidth;  // three rows: so many samples beyond a tile count in what it reduces to
 constexpr int kPairGradients = 8;  // mean x, y; l1, l2, l3; colour r, g, b
 
 // A picture of strips: [strips][height][3][kTileWidth].
@@ -53,10 +54,10 @@ struct FitKernels {
   double (*difference)(float* values, const TileTarget&);
   // pair_gradients from the gradient by the tile's picture, which is laid out as accumulators are.
   void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
-  // reduced [kReducedRows][3][kTileWidth]: what a gradient by the tile's picture comes to on the next level.
-  void (*reduce)(const float* gradient, float* reduced);
-  // to += from [rows][3][kTileWidth]; rows of three colours `stride` floats long.
-  void (*add_rows)(const float* from, int rows, float* to, int64_t stride);
+  // Adds what a gradient by the tile's picture comes to on the next level: kReducedRows, of kTileWidth / 2 + 2 samples (what
+  // follows up to kTileWidth stays). The first of them, no more than `rows`, to `to`; the last kOverRows to `aside`. There
+  // rows have three colours, each `stride` floats long. Before and after the tile lie kMarginFloats zeros.
+  void (*reduce)(const float* gradient, int rows, float* to, float* aside, int64_t stride);
   // patch [rows][stride] = the weights of one Gaussian, from the span's first strip on; values between spans stay.
   void (*weights)(const Footprint&, float floor, const Span* spans, int count, int first_row, int64_t stride, float* patch);
   // picture += color [3] times the weights of one Gaussian.
