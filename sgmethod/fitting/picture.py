@@ -91,7 +91,7 @@ class Picture:
 
     def error(self, p: Parameters) -> float:
         """Mean squared error."""
-        return self._squared_error(p)[0]
+        return self.rasterise(p.means, p.factors).error(p.colors.contiguous().numpy(), self.target)
 
     def _squared_error(self, p: Parameters) -> tuple[float, Parameters]:
         """The mean, and its gradients in this picture's pixels."""

@@ -73,6 +73,9 @@ class Rasterization:
     ) -> float:
         """The mean squared error against a target; fills its gradients as backward does."""
 
+    def error(self, colors: FloatArray, target: NDArray[np.int16]) -> float:
+        """The mean squared error against a target."""
+
     def gram(self, colors: FloatArray, out_colors: FloatArray) -> None:
         """Fill out_colors [N, 3]: each Gaussian's product with the picture that all draw."""
 

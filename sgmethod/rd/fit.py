@@ -29,6 +29,7 @@ from sgmethod.rd.rate_control import RateControl
 from sgmethod.start.placement import place
 
 FEWEST_AT_START = 4
+MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
 GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 
 
@@ -155,7 +156,8 @@ class RdFit:
         self.size = self.size * len(self.p.means) // max(n, 1)
         self.adam.extend(len(means))
         self._sort()
-        native.release_memory()
+        if self.picture.values > MANY_VALUES:
+            native.release_memory()
 
     def _sort(self) -> None:
         """By place, along bands as high as a tile: what a tile needs then lies together in memory."""

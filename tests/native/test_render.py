@@ -412,6 +412,7 @@ def test_squared_error_is_render_loss_and_backward(size: tuple[int, int]) -> Non
         difference = picture - target / np.float32(native.TARGET_WHITE)
         raster.backward(colors, 2 * difference / difference.size, *wanted)
         assert mse == pytest.approx(float(np.square(difference, dtype=np.float64).mean()), rel=1e-6)
+        assert raster.error(colors, target) == pytest.approx(mse, rel=1e-6)
         for a, b in zip(found, wanted, strict=True):
             assert np.allclose(a, b, rtol=1e-5, atol=1e-7)
     with pytest.raises(ValueError, match="size"):

@@ -55,6 +55,13 @@ double squared_error(const sg::Rasterization& r, Rows<3> colors, Target target, 
   return r.squared_error(colors.data(), target.data(), out);
 }
 
+double error(const sg::Rasterization& r, Rows<3> colors, Target target) {
+  require_colors(r, colors);
+  require_size(target, r.width(), r.height());
+  nb::gil_scoped_release release;
+  return r.squared_error(colors.data(), target.data());
+}
+
 void gram(const sg::Rasterization& r, Rows<3> colors, RowsOut<3> out_colors) {
   require(gaussians(colors, out_colors) == r.gaussians(), "one row per Gaussian");
   nb::gil_scoped_release release;
@@ -79,6 +86,7 @@ void bind_raster(nb::module_& m) {
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
       .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(), "factors"_a.noconvert(),
            "out_colors"_a.noconvert())
+      .def("error", &error, "colors"_a, "target"_a.noconvert())
       .def("gram", &gram, "colors"_a, "out_colors"_a.noconvert())
       .def("backward", &backward, "colors"_a, "grad"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
            "out_colors"_a.noconvert());

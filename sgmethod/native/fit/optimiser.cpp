@@ -3,20 +3,68 @@
 #include <algorithm>
 #include <cmath>
 
+#include "core/clones.h"
 #include "core/constants.h"
 #include "core/thread_pool.h"
 
 namespace sg {
 namespace {
 
-constexpr int kBlock = 512;  // Gaussians of a task
+constexpr int kBlock = 512;    // Gaussians of a task
+constexpr int kTogether = 32;  // whose values stay in the nearest cache
 
-// Half the second derivative of the squared error by d, S and the colour, where a Gaussian lies alone: integrals over
-// pi l1 l3 of the squared derivative of w = exp(-sigma), as in rd/symbols.h. Those of d and S count |colour|^2 times.
-constexpr float kCurvature[kAdamValues] = {0.5f, 0.5f, 0.75f, 0.25f, 0.75f, 1.0f, 1.0f, 1.0f};
+// One over half the second derivative of the squared error by d, S and the colour, where a Gaussian lies alone: integrals
+// over pi l1 l3 of the squared derivative of w = exp(-sigma), as in rd/symbols.h. Those of d and S count |colour|^2 times.
+constexpr float kInverseCurvature[kAdamValues] = {2.0f, 2.0f, 4.0f / 3.0f, 4.0f, 4.0f / 3.0f, 1.0f, 1.0f, 1.0f};
 constexpr int kOfShape = 5;  // the first values, of d and S
 constexpr float kFaint = 0.03f * 0.03f;  // |colour|^2 counts as at least this: a fainter Gaussian's shape would jump
 constexpr double kPi = 3.14159265358979;
+
+// Of up to kTogether Gaussians. What is computed for one value of them is a loop of its own, of which vectors are made.
+SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const MutableGaussians& p,
+                             const ConstGaussians& grad, float* first, float* second, float* bias) {
+  float gradients[kTogether * kAdamValues], most[kTogether * kAdamValues], unbias[kTogether * 2];
+  for (int j = 0; j < count; ++j) {
+    const int i = begin + j;
+    const float *l = p.factors + 3 * i, *color = p.colors + 3 * i;
+    const float *gm = grad.means + 2 * i, *gl = grad.factors + 3 * i, *gc = grad.colors + 3 * i;
+    // By d, S and the colour.
+    const float g[kAdamValues] = {l[0] * gm[0] + l[1] * gm[1], l[2] * gm[1], l[0] * gl[0] + l[1] * gl[1], l[2] * gl[1],
+                                  l[2] * gl[2], gc[0], gc[1], gc[2]};
+    const float square = std::max(color[0] * color[0] + color[1] * color[1] + color[2] * color[2], kFaint);
+    const float of_color = s.newton / (l[0] * l[2]), of_shape = of_color / square;
+    for (int k = 0; k < kAdamValues; ++k) {
+      gradients[kAdamValues * j + k] = g[k];
+      most[kAdamValues * j + k] = (k < kOfShape ? of_shape : of_color) * kInverseCurvature[k];
+    }
+    bias[2 * i] *= s.beta1;
+    bias[2 * i + 1] *= s.beta2;
+    unbias[2 * j] = 1 / (1 - bias[2 * i]);
+    unbias[2 * j + 1] = 1 / (1 - bias[2 * i + 1]);
+  }
+  float* moves = gradients;  // in their place
+  for (int j = 0; j < count; ++j)
+    for (int k = 0; k < kAdamValues; ++k) {
+      const int at = kAdamValues * j + k;
+      float &m1 = first[kAdamValues * begin + at], &m2 = second[kAdamValues * begin + at];
+      const float g = gradients[at];
+      m1 = s.beta1 * m1 + (1 - s.beta1) * g;
+      m2 = s.beta2 * m2 + (1 - s.beta2) * g * g;
+      const float adam = s.rates[k] / (std::sqrt(m2 * unbias[2 * j + 1]) + 1e-15f);
+      moves[at] = -(adam < most[at] ? adam : most[at]) * m1 * unbias[2 * j];
+    }
+  for (int j = 0; j < count; ++j) {
+    float *mean = p.means + 2 * (begin + j), *l = p.factors + 3 * (begin + j), *color = p.colors + 3 * (begin + j);
+    const float* move = moves + kAdamValues * j;
+    mean[0] += l[0] * move[0];
+    mean[1] += l[1] * move[0] + l[2] * move[1];
+    const float grow1 = std::exp(move[2]), grow3 = std::exp(move[4]);
+    l[1] = l[1] * grow1 + l[2] * move[3];
+    l[0] = std::max(l[0] * grow1, s.min_scale);
+    l[2] = std::max(l[2] * grow3, s.min_scale);
+    for (int k = 0; k < 3; ++k) color[k] += move[5 + k];
+  }
+}
 
 }  // namespace
 
@@ -30,33 +78,9 @@ void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGa
                 float* first, float* second, float* bias) {
   AdamSettings s = settings;
   for (float& r : s.rates) r *= rate;
-  parallel_each(n, kBlock, [&](int i) {
-    float *mean = p.means + 2 * i, *l = p.factors + 3 * i, *color = p.colors + 3 * i;
-    const float *gm = grad.means + 2 * i, *gl = grad.factors + 3 * i, *gc = grad.colors + 3 * i;
-    // By d, S and the colour.
-    const float g[kAdamValues] = {l[0] * gm[0] + l[1] * gm[1], l[2] * gm[1], l[0] * gl[0] + l[1] * gl[1], l[2] * gl[1],
-                                  l[2] * gl[2], gc[0], gc[1], gc[2]};
-    bias[2 * i] *= s.beta1;
-    bias[2 * i + 1] *= s.beta2;
-    const float unbias1 = 1 / (1 - bias[2 * i]), unbias2 = 1 / (1 - bias[2 * i + 1]);
-    const float square = std::max(color[0] * color[0] + color[1] * color[1] + color[2] * color[2], kFaint);
-    const float newton = s.newton / (l[0] * l[2]);
-    float move[kAdamValues];
-    for (int k = 0; k < kAdamValues; ++k) {
-      float &m1 = first[kAdamValues * i + k], &m2 = second[kAdamValues * i + k];
-      m1 = s.beta1 * m1 + (1 - s.beta1) * g[k];
-      m2 = s.beta2 * m2 + (1 - s.beta2) * g[k] * g[k];
-      const float adam = s.rates[k] / (std::sqrt(m2 * unbias2) + 1e-15f);
-      const float most = newton / (k < kOfShape ? kCurvature[k] * square : kCurvature[k]);
-      move[k] = -std::min(adam, most) * m1 * unbias1;
-    }
-    mean[0] += l[0] * move[0];
-    mean[1] += l[1] * move[0] + l[2] * move[1];
-    const float grow1 = std::exp(move[2]), grow3 = std::exp(move[4]);
-    l[1] = l[1] * grow1 + l[2] * move[3];
-    l[0] = std::max(l[0] * grow1, s.min_scale);
-    l[2] = std::max(l[2] * grow3, s.min_scale);
-    for (int k = 0; k < 3; ++k) color[k] += move[5 + k];
+  parallel_chunks(n, kBlock, [&](int begin, int end, int) {
+    for (int i = begin; i < end; i += kTogether)
+      step_together(s, i, std::min(kTogether, end - i), p, grad, first, second, bias);
   });
 }
 

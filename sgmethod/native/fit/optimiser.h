@@ -14,7 +14,7 @@ struct AdamSettings {
   float rates[kAdamValues];  // relative change of each value in a step
   float beta1, beta2;
   float min_scale;  // l1, l3 at least this
-  float newton;     // a step may be so many times its gradient, divided by l1 l3 and the share of kCurvature
+  float newton;     // a step may be so many times its gradient, divided by l1 l3 and by the curvature
 };
 
 // Rows of 2, 3, 3 values a Gaussian; grad_* likewise.

@@ -323,4 +323,19 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);
 }
 
+double Rasterization::squared_error(const float* colors, const int16_t* target) const {
+  const int64_t plane = static_cast<int64_t>(width()) * height();
+  Planes coarse(grids_, Planes::Rows::kWhole);
+  draw_coarse(colors, 1, coarse);
+  std::vector<double> errors(tiles(0));
+  parallel_for(tiles(0), [&](int tile) {
+    alignas(64) float values[kTileFloats];
+    draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
+    const Area a = area(tile);
+    const TileTarget wanted{target + static_cast<int64_t>(a.y) * width() + a.x, plane, width(), 0, a.columns, a.rows, 0.0f};
+    errors[tile] = fit_kernels(isa_).difference(values, wanted);
+  });
+  return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);
+}
+
 }  // namespace sg

@@ -60,6 +60,8 @@ class Rasterization {
   // The mean squared error against target [3, height, width], in which white is kTargetWhite, and its gradients: render, loss and backward at once, so
   // that no picture goes through memory.
   double squared_error(const float* colors, const int16_t* target, const Gradients& out) const;
+  // The same without gradients.
+  double squared_error(const float* colors, const int16_t* target) const;
 
   // left = target [3, height, width] less the picture; reduced: what that comes to on the coarse levels of grids().
   void leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const;
