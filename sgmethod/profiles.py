@@ -76,11 +76,15 @@ class RdSettings(OptimiserSettings):
     docs/notebook.md has the measurement behind each number.
     """
 
-    final_rate: float = 0.5  # steps become short by newton_steps
+    # Steps become short by newton_steps, so that rates may be high and fall little.
+    mean_rate: float = 0.14
+    factor_rate: float = 0.14
+    color_rate: float = 0.14
+    final_rate: float = 0.5
     newton_steps: float = 2.0
     min_scale_px: float = 0.5  # below it a Gaussian jumps from pixel to pixel
-    steps: int = 450
-    dense_steps: float = 1.5  # times the steps where many Gaussians a pixel are expected: they come to rest later
+    steps: int = 300
+    dense_steps: float = 2.25  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
     dense: float = 0.035  # and from which there are `dense_steps` times as many
     color_solve_steps: int = 4  # conjugate-gradient steps for the colours of the start and of new Gaussians
@@ -96,7 +100,7 @@ class RdSettings(OptimiserSettings):
     bits_of_nothing: float = 4.3  # while Gaussians are added: what is worth less rounds to nothing in the file
     bits_of_dropped: float = 25.0  # from the last growth on
     missed_db: float = 0.1  # nothing is dropped that would take a PSNR so far below the one asked for
-    rate_weight: float = 2.0  # price of a bit in the fit, in multiples of its theoretical price
+    rate_weight: float = 1.7  # price of a bit in the fit, in multiples of its theoretical price
 
     # Size of the picture that is fitted: while Gaussians are few, half the size or less serves as well.
     halvings: int = 3
@@ -118,7 +122,7 @@ class RdSettings(OptimiserSettings):
     excess: float = 0.5  # a budget of 100 bytes, or Gaussians, allows 150 at first
     finer_early: float = 4.0  # a quantum that the budget gives is so many times finer at first
     excess_from: float = 0.45
-    excess_until: float = 0.97
+    excess_until: float = 0.88
 
     # The end: one quantum for all, then integers are refined.
     fit_share: float = 0.9  # of a time limit; the rest is for the end
