@@ -32,7 +32,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check test measured unmeasured versions sanitize fuzz
+.PHONY: serve check test measured measured-service unmeasured versions sanitize fuzz
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -51,13 +51,16 @@ ifeq ($(COVERAGE),)
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(MAKE) --jobs 2 measured unmeasured
+	$(MAKE) --jobs 2 measured-service measured unmeasured
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif
 
 measured: $(STAMP)
-	$(BIN)/python -m coverage run -m pytest $(TESTS) $(addprefix --ignore=,$(UNMEASURED))
+	$(BIN)/python -m coverage run -m pytest $(filter-out tests/service,$(TESTS)) $(addprefix --ignore=,$(UNMEASURED))
+
+measured-service: $(STAMP)
+	$(BIN)/python -m coverage run -m pytest --quiet $(filter tests/service,$(TESTS))
 
 unmeasured: $(STAMP)
 	$(BIN)/python -m pytest --quiet $(UNMEASURED)

@@ -15,6 +15,7 @@ import pytest
 from PIL import Image, ImageCms
 
 from sgmethod.errors import ImageError, ImageWarning
+from sgmethod.io import chunks
 from sgmethod.io.image import read_header, read_image, read_image_8_bit
 from tests.harness import profiles
 from tests.harness.data import PHOTOGRAPHS, golden_path
@@ -275,6 +276,13 @@ CURVES = {
     3: (2.0, 0.95, 0.05, 0.2, 0.1),
     4: (2.0, 0.9, 0.05, 0.3, 0.1, 0.01, 0.0),
 }
+
+
+def test_code_points_of_a_file_cut_anywhere() -> None:
+    data = pointed(saved("AVIF"), 12, 13)
+    assert chunks.code_points(data) == (12, 13)
+    for end in range(len(data)):
+        assert chunks.code_points(data[:end]) in (None, (12, 13))
 
 
 def test_16_bits_are_kept_through_the_conversion() -> None:
