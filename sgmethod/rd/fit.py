@@ -30,6 +30,7 @@ from sgmethod.start.placement import place
 
 FEWEST_AT_START = 4
 MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
+FEW = 0.001  # new Gaussians, as a part of those that there are
 GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 
 
@@ -48,6 +49,7 @@ class RdFit:
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
         self.due = sorted([*settings.growth_at, *settings.trim_at])
+        self.price_of_none = math.inf  # at which growth found next to nothing
         self.p = self._place(np.random.default_rng(seed))
         self.adam = FrameAdam(len(self.p.means), settings, self.picture.values)
 
@@ -142,12 +144,16 @@ class RdFit:
 
     def _grow(self, most: int) -> None:
         """Add Gaussians where they gain more than their bits are worth, so many in all at most."""
+        if self._price() >= self.price_of_none:
+            return  # the error has not grown since, nor will what pays
         n = len(self.p.means)
         picture = self.pyramid.finest
         room = min(self.control.new_gaussians(n), most - n)
         least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
         found = growth.candidates(picture.residual(self.p), (picture.height, picture.width), room, least_gain)
         means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
+        if len(means) < min(room, FEW * n):
+            self.price_of_none = self._price()
         if len(means) == 0:
             return
         # Neighbours overlap: their colours are solved together, or they would overshoot.
