@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
+from service.web.guards.addresses import UNKNOWN, address_of
 from service.web.guards.problems import ProblemError
 from service.web.helpers.turns import Turns
 
@@ -157,3 +158,18 @@ def test_as_many_at_once_as_there_are_places(places: int) -> None:
         assert len(crowd.running) == places
 
     asyncio.run(scenario())
+
+
+@pytest.mark.parametrize(
+    ("peer", "client"),
+    [
+        (("192.0.2.1", 80), "192.0.2.1"),
+        (("::ffff:192.0.2.1", 80), "192.0.2.1"),
+        (("2001:db8:1:2:3:4:5:6", 80), "2001:db8:1:2::"),
+        (("2001:db8:1:2::9", 80), "2001:db8:1:2::"),
+        (("socket", 0), UNKNOWN),
+        (None, UNKNOWN),
+    ],
+)
+def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | None, client: str) -> None:
+    assert address_of(peer) == client
