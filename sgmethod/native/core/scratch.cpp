@@ -62,7 +62,7 @@ void release_memory() {
     const std::lock_guard<std::mutex> hold(kept->lock);
     kept->blocks.clear();
   }
-#ifdef __GLIBC__
+#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)  // whose allocator leaves glibc's without an arena
   malloc_trim(0);
 #endif
 }

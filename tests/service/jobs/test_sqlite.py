@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import sqlite3
 from pathlib import Path
@@ -91,7 +92,7 @@ def test_a_table_of_version_2_is_brought_up_to_date(tmp_path: Path) -> None:
     table = SqliteJobTable(path, RULES)
     waiting = submitted(table)
     table.close()
-    with sqlite3.connect(path) as db:
+    with contextlib.closing(sqlite3.connect(path)) as connection, connection as db:
         db.execute("ALTER TABLE jobs DROP COLUMN stored_bytes")
         db.execute("PRAGMA user_version = 2")
     table = SqliteJobTable(path, RULES)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import re
@@ -253,7 +254,7 @@ def test_a_quota_that_makes_room(start_service: StartService) -> None:
     """The oldest go, but none that waits or has just finished."""
     web = start_service("web", quota_bytes=len(SMALL) + len(PICTURE), quota_full="oldest")
     old, fresh = web.published(PICTURE), web.published(PICTURE)
-    with sqlite3.connect(web.data_dir / "jobs.sqlite3") as db:
+    with contextlib.closing(sqlite3.connect(web.data_dir / "jobs.sqlite3")) as connection, connection as db:
         db.execute("UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", (old,))
     waiting = web.accepted()
     assert web.client.get(f"/jobs/{old}").status_code == 404
