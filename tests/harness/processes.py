@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -46,9 +47,10 @@ def processes() -> dict[int, Process]:
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
             with contextlib.suppress(OSError):
-                state, parent = (entry / "stat").read_text().rpartition(")")[2].split()[:2]
-                if state != "Z":
-                    command = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                # Names of others' programs and files are bytes, not always UTF-8.
+                state, parent = (entry / "stat").read_bytes().rpartition(b")")[2].split()[:2]
+                if state != b"Z":
+                    command = os.fsdecode((entry / "cmdline").read_bytes().replace(b"\0", b" "))
                     found[int(entry.name)] = Process(int(parent), command)
     return found
 
