@@ -15,7 +15,7 @@ from numbers import Real
 import torch
 
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind
-from sgmethod.decoder import decode, info
+from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
@@ -152,9 +152,10 @@ def _memory_errors() -> Iterator[None]:
 
 def _measured(request: Request, data: bytes, steps: int) -> Encoded:
     """Decode the very bytes and measure them."""
-    decoded, source = decode(data), request.pixels
+    file, source = SgFile(data), request.pixels
+    decoded = file.pixels()
     height, width = source.shape[:2]
-    db, gaussians = psnr(decoded, source), info(data).gaussians
+    db, gaussians = psnr(decoded, source), file.info.gaussians
     request.recorder.report("done", steps, steps, 10 ** (-db / 10), (gaussians, 8 * len(data)))
     stats = Stats(
         bytes=len(data),

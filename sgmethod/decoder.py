@@ -76,7 +76,7 @@ class SgFile:
     @property
     def info(self) -> Info:
         """What the file says of itself."""
-        return container.info(self._data)
+        return self._stream.info(len(self._data), container.checksum(self._data))
 
     def pixels(
         self, scale: float = 1.0, region: tuple[int, int, int, int] | None = None, prefix: float = 1.0

@@ -46,6 +46,11 @@ def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
     return version.parse(body, limits)
 
 
+def checksum(data: bytes) -> str:
+    """Of a file, as hexadecimal digits."""
+    return data[4:PREFIX_BYTES].hex()
+
+
 def info(data: bytes, limits: Limits = NO_LIMITS) -> Info:
     """What a file says of itself. Raises BitstreamError."""
-    return parse(data, limits).info(len(data), data[4:PREFIX_BYTES].hex(), limits)
+    return parse(data, limits).info(len(data), checksum(data), limits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, NoReturn
 
@@ -119,13 +120,25 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
         budget.add_argument(f"--{kind}", type=float, metavar=metavar, help=text)
     parser.add_argument("--output-dir", metavar="DIR", help="all names are of pictures; write DIR/NAME.sg for each")
-    parser.add_argument("--jobs", type=_jobs, default=1, metavar="N", help="so many pictures at a time (default: 1)")
+    parser.add_argument(
+        "--jobs",
+        type=_whole_number("a number of jobs", 1, MAX_JOBS),
+        default=1,
+        metavar="N",
+        help="so many pictures at a time (default: 1)",
+    )
     parser.add_argument(
         "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
     )
     parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="be done after so long, for each picture")
     parser.add_argument("--server", metavar="URL", help="have a service encode it; its API key from SG_API_KEY")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of everything random (default: 0)")
+    parser.add_argument(
+        "--seed",
+        type=_whole_number("a seed", 0, MAX_SEED),
+        default=0,
+        metavar="N",
+        help="of everything random (default: 0)",
+    )
     parser.add_argument("--trace", metavar="FILE.json", help="write error against time of the fit, of one picture")
     parser.add_argument("--json", action="store_true", help="print the figures as a JSON object for each picture")
     _add_common_arguments(parser)
@@ -155,15 +168,11 @@ def _region(text: str) -> tuple[int, int, int, int]:
     raise argparse.ArgumentTypeError(f"a region is four whole numbers X,Y,W,H, not {text!r}")
 
 
-def _seed(text: str) -> int:
-    with suppress(ValueError):
-        if 0 <= int(text) <= MAX_SEED:
-            return int(text)
-    raise argparse.ArgumentTypeError(f"a seed is a whole number from 0 to {MAX_SEED}, not {text!r}")
+def _whole_number(name: str, least: int, most: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        with suppress(ValueError):
+            if least <= int(text) <= most:
+                return int(text)
+        raise argparse.ArgumentTypeError(f"{name} is a whole number from {least} to {most}, not {text!r}")
 
-
-def _jobs(text: str) -> int:
-    with suppress(ValueError):
-        if 1 <= int(text) <= MAX_JOBS:
-            return int(text)
-    raise argparse.ArgumentTypeError(f"a number of jobs is a whole number from 1 to {MAX_JOBS}, not {text!r}")
+    return read

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from sgmethod.cli import files
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
-from sgmethod.cli.terminal import silent_stderr
 from sgmethod.decoder import decode, info
 from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.view import View
@@ -105,18 +103,14 @@ def run_compare(arguments: argparse.Namespace) -> int:
 def _picture(path: str) -> NDArray[np.uint8]:
     """Pixels of an image file, or of an .sg file."""
     from sgmethod.bitstream.stream import MAGIC
-    from sgmethod.errors import ImageError, ImageWarning
-    from sgmethod.io.image import read_image_8_bit
+    from sgmethod.errors import ImageError
 
     data = files.read(path)
     if data.startswith(MAGIC):
         return decode(data)
     try:
-        with silent_stderr(), warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", ImageWarning)
-            pixels = read_image_8_bit(data)
+        pixels, notes = files.read_pixels(data)
     except ImageError as error:
         raise CommandError(f"{path}: {error}") from error
-    for note in caught:
-        print(f"sgmethod: note: {one_line(path)}: {note.message}", file=sys.stderr)
+    files.print_notes(path, notes)
     return pixels

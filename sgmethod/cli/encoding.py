@@ -7,7 +7,6 @@ import json
 import os
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -19,8 +18,8 @@ from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
 from sgmethod.cli import files
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
-from sgmethod.cli.terminal import progress_line, redraw, remaining, silent_stderr
-from sgmethod.errors import ImageWarning, SgError
+from sgmethod.cli.terminal import progress_line, redraw, remaining
+from sgmethod.errors import SgError
 from sgmethod.io.pictures import SUFFIXES
 from sgmethod.trace import TracePoint
 
@@ -122,9 +121,8 @@ def _only_budget(arguments: argparse.Namespace) -> Budget:
 
 
 def _say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
-    for note in () if arguments.quiet else outcome.notes:
-        name = files.name_of(outcome.conversion.source)
-        print(f"sgmethod: note: {one_line(name)}: {one_line(note)}", file=sys.stderr)
+    if not arguments.quiet:
+        files.print_notes(outcome.conversion.source, outcome.notes)
 
 
 def _summary(figures: Figures) -> str:
@@ -154,11 +152,7 @@ Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # the file, its fig
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, shown: bool) -> Result:
     encode = _load_encoder()
-    from sgmethod.io.image import read_image_8_bit
-
-    with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
-        warnings.simplefilter("always", ImageWarning)
-        pixels = read_image_8_bit(image)
+    pixels, notes = files.read_pixels(image)
     del image  # the file: a photograph of some megabytes
     with progress_line(shown) as show:
         encoded = encode(
@@ -169,7 +163,7 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
             time_limit_s=arguments.time_limit,
             on_progress=show,
         )
-    return encoded.data, encoded.stats.to_dict(), encoded.trace, [str(warning.message) for warning in caught]
+    return encoded.data, encoded.stats.to_dict(), encoded.trace, notes
 
 
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, shown: bool) -> Result:

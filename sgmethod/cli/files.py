@@ -7,12 +7,20 @@ import os
 import stat
 import sys
 import tempfile
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
+from sgmethod.cli.arguments import one_line
+from sgmethod.cli.terminal import silent_stderr
+from sgmethod.errors import ImageWarning
 from sgmethod.io.files import write_atomically
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 STREAM = "-"  # standard input, or output
 MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncompressed; a device never ends
@@ -31,6 +39,22 @@ def read(path: str) -> bytes:
             if len(data) > MAX_INPUT_BYTES:
                 raise CommandError(f"cannot read {name_of(path)}: it has more than {MAX_INPUT_BYTES:,} bytes")
     return bytes(data)
+
+
+def read_pixels(image: bytes) -> tuple[NDArray[np.uint8], list[str]]:
+    """Pixels [H, W, 3] of an image file, and what is left out of it. Raises ImageError."""
+    from sgmethod.io.image import read_image_8_bit
+
+    with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
+        warnings.simplefilter("always", ImageWarning)
+        pixels = read_image_8_bit(image)
+    return pixels, [str(warning.message) for warning in caught]
+
+
+def print_notes(path: str, notes: Sequence[str]) -> None:
+    """Say on stderr what is left out of a picture."""
+    for note in notes:
+        print(f"sgmethod: note: {one_line(name_of(path))}: {one_line(note)}", file=sys.stderr)
 
 
 @contextmanager

@@ -34,12 +34,10 @@ import numpy.typing as npt
 from PIL import ImageFile
 
 from sgmethod.io import formats
-from sgmethod.io.chunks import PNG_MAGIC
-from sgmethod.io.formats import TIFF_MAGICS
 from sgmethod.io.header import ImageHeader, ImageLimits, Opened, is_still, only_image_errors, open_file, warn
 from sgmethod.io.levels import over_white, with_alpha
 
-__all__ = ["PNG_MAGIC", "TIFF_MAGICS", "ImageHeader", "ImageLimits", "read_header", "read_image", "read_image_8_bit"]
+__all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image", "read_image_8_bit"]
 
 Float32Array = npt.NDArray[np.float32]
 Uint8Array = npt.NDArray[np.uint8]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import takewhile
+
 import cv2
 import numpy as np
 
@@ -15,21 +17,19 @@ class Pyramid:
     """The levels of one picture, each half the size of the one before.
 
     whole: the picture itself; finest: the level that Gaussians are fitted to for most of the schedule. That is the
-    whole picture, unless there is too little time for it. showing_enough: levels beyond the whole that keep most of
-    its contrast. On the others, thin lines and checkerboards have gone, and Gaussians would unlearn them.
+    whole picture, unless there is too little time for it. detailed: the levels that keep most of its contrast. On the
+    others, thin lines and checkerboards have gone, and Gaussians would unlearn them.
     """
 
     def __init__(self, whole: Picture, settings: RdSettings) -> None:
         self.settings = settings
         self.whole = self.finest = whole
         self.levels = [whole]
-        self.showing_enough = 0
-        least = settings.contrast_kept * _contrast(whole.target)
         for _ in range(settings.halvings):
             if min(self.levels[-1].height, self.levels[-1].width) >= SMALLEST_SIDE:
                 self.levels.append(self.levels[-1].halved())
-                if self.showing_enough == len(self.levels) - 2 and _contrast(self.levels[-1].target) >= least:
-                    self.showing_enough += 1
+        least = settings.contrast_kept * _contrast(whole.target)
+        self.detailed = list(takewhile(lambda level: _contrast(level.target) >= least, self.levels))
 
     def choose_finest(self, seconds: float, needed: float) -> None:
         """Take a smaller level for the finest where all steps would need more seconds than there are. Each level takes
@@ -42,8 +42,7 @@ class Pyramid:
     def smallest(self, gaussians: int) -> Picture:
         """The smallest level that tells so many Gaussians what they need; none finer than the finest."""
         enough = self.settings.pixels_per_gaussian * gaussians
-        levels = self.levels[: self.showing_enough + 1]
-        coarser = [p for p in levels if p.spacing > self.finest.spacing and p.height * p.width >= enough]
+        coarser = [p for p in self.detailed if p.spacing > self.finest.spacing and p.height * p.width >= enough]
         return [self.finest, *coarser][-1]
 
     def at(self, progress: float, gaussians: int) -> Picture:

@@ -60,24 +60,27 @@ class Drawing:
 
         Raises ViewError if that is no picture, or one beyond max_pixels or what the kind of file holds.
         """
-        region = None if wish.region == (0, 0, *size) else wish.region
-        part = View(1.0, region).area(*size)
+        part = View(1.0, wish.region).area(*size)
         scale = wish.scale or 1.0
         wanted = (wish.width, wish.height)
         ratios = [want / have for want, have in zip(wanted, part[2:], strict=True) if want is not None]
         if ratios:
             scale = min(ratios) if wish.fit == "contain" else max(ratios)
-        if wish.fit == "crop" and wish.width is not None and wish.height is not None:
-            region = _middle(part, wish.width / scale, wish.height / scale)
-            region = None if region == (0, 0, *size) else region
-        view = View(scale, region, wish.prefix)
+        crop = (wish.width, wish.height) if wish.fit == "crop" else (None, None)
+        if crop[0] is not None and crop[1] is not None:
+            part = _middle(part, crop[0] / scale, crop[1] / scale)
+        view = View(scale, None if part == (0, 0, *size) else part, wish.prefix)
         width, height = view.size(*size)
         if width * height > max_pixels or max(width, height) > MAX_SIDES[wish.kind]:
             limit = f"{max_pixels:,} pixels and {MAX_SIDES[wish.kind]:,} a side"
             raise ViewError(f"{width} x {height} pixels are more than the limit of {limit}")
-        if wish.fit == "crop" and wish.width is not None and wish.height is not None:
-            width, height = min(width, wish.width), min(height, wish.height)
-        return cls(wish.kind, view, width, height, wish.quality or DEFAULT_QUALITY.get(wish.kind))
+        return cls(
+            wish.kind,
+            view,
+            min(width, crop[0] or width),
+            min(height, crop[1] or height),
+            wish.quality or DEFAULT_QUALITY.get(wish.kind),
+        )
 
     def etag(self, sha256: str) -> str:
         """An entity tag: the same bitstream and the same drawing give the same bytes."""

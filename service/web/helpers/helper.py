@@ -26,7 +26,7 @@ from sgmethod.errors import ImageError, SgError
 from sgmethod.io.image import ImageLimits, read_header
 
 ANSWER_HEADER = struct.Struct(">IQ")
-TASK_BYTES = 1 << 16
+ERRAND_BYTES = 1 << 16
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
 # other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
 THREADS = 2
@@ -116,7 +116,7 @@ def main() -> None:
     _keep_freed_memory()
     connection = socket.socket(fileno=int(sys.argv[1]))
     while True:
-        line, descriptors, _, _ = socket.recv_fds(connection, TASK_BYTES, 1)
+        line, descriptors, _, _ = socket.recv_fds(connection, ERRAND_BYTES, 1)
         if not line:
             return
         figures, picture = _answer(Errand.from_json(line), descriptors[0])

@@ -69,9 +69,7 @@ def known_query(request: Request) -> None:
     route = request.scope["route"]
     if route.path == "/encode":  # which has its fields there, and says which they are
         return
-    operation = (
-        request.app.openapi()["paths"].get(route.path, {}).get(request.method.lower().replace("head", "get"), {})
-    )
+    operation = request.app.openapi()["paths"].get(route.path, {}).get(request.method.lower(), {})
     known = {parameter["name"] for parameter in operation.get("parameters", []) if parameter["in"] == "query"}
     for name in request.query_params:
         if name not in known:

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from service.jobs.job import EncodeResult, Job
 from service.web.guards.problems import ProblemError, problems
-from service.web.helpers.drawing import Drawing
+from service.web.helpers.drawing import Drawing, Wish
 from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.routes import answers
@@ -25,7 +25,7 @@ from service.web.routes.file_answers import (
     not_modified,
 )
 from service.web.routes.gone import while_client_waits
-from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts, no_such_job
+from service.web.routes.parts import KnownJob, Parts, UseParts, no_such_job
 from service.web.submitting.bodies import body_as_file
 from sgmethod.errors import BitstreamError, ViewError
 
@@ -105,17 +105,27 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
         parts.outflow.check()
         with await to_thread.run_sync(_open_bitstream, parts, job, result) as bitstream:
             try:
-                with parts.metrics.decode_seconds.time():
-                    drawn = parts.work.draw(request.state.caller.client, bitstream, wish)
-                    file = await while_client_waits(request, drawn)
-            except RefusedError as error:
-                if error.kind is BitstreamError:
-                    raise _damaged(job, error) from error
-                raise ProblemError(422, str(error)) from error
-            except HelperError as error:
-                raise ProblemError(422, str(error)) from error
+                file = await _drawn(request, parts, bitstream, wish)
+            except BitstreamError as error:
+                raise _damaged(job, error) from error
         parts.pictures.put(etag, file)
     return file_answer(request, file, MEDIA_TYPES[kind], headers)
+
+
+async def _drawn(
+    request: Request, parts: Parts, bitstream: BinaryIO, wish: Wish, max_gaussians: int | None = None
+) -> bytes:
+    """The picture file. Raises BitstreamError, ProblemError 422, 429 or 503."""
+    try:
+        with parts.metrics.decode_seconds.time():
+            drawn = parts.work.draw(request.state.caller.client, bitstream, wish, max_gaussians)
+            return await while_client_waits(request, drawn)
+    except RefusedError as error:
+        if error.kind is BitstreamError:
+            raise BitstreamError(str(error)) from error
+        raise ProblemError(422, str(error)) from error
+    except HelperError as error:
+        raise ProblemError(422, str(error)) from error
 
 
 @router.get(
@@ -146,11 +156,9 @@ async def picture_as_accepted(
     responses={**_files(*MEDIA_TYPES.values()), **problems(406, 408, 413, 422, 429, 503)},
     openapi_extra={"requestBody": BITSTREAM_BODY},
 )
-async def picture_of_body(
-    query: Annotated[ViewQuery, Query()], parts: UseParts, caller: UseCaller, request: Request
-) -> Response:
+async def picture_of_body(query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
     """A picture of the bitstream in the body, in the format that the Accept header wants most. Nothing is stored."""
-    answer = await _draw_body(request, query, accepted_format(request), parts, caller.client)
+    answer = await _draw_body(request, query, accepted_format(request), parts)
     answer.headers.update(VARIES)
     return answer
 
@@ -162,22 +170,19 @@ async def picture_of_body(
     openapi_extra={"requestBody": BITSTREAM_BODY},
 )
 async def picture_of_body_as(
-    kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, caller: UseCaller, request: Request
+    kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
 ) -> Response:
     """A picture of the bitstream in the body. Nothing is stored."""
-    return await _draw_body(request, query, kind, parts, caller.client)
+    return await _draw_body(request, query, kind, parts)
 
 
-async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, parts: Parts, client: str) -> Response:
-    limits = parts.settings
+async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, parts: Parts) -> Response:
     wish = query.wish(kind)
     parts.outflow.check()
-    async with body_as_file(request, limits.max_bitstream_bytes) as upload:
+    async with body_as_file(request, parts.settings.max_bitstream_bytes) as upload:
         try:
-            with parts.metrics.decode_seconds.time():
-                drawn = parts.work.draw(client, upload.file, wish, limits.max_decode_gaussians)
-                file = await while_client_waits(request, drawn)
-        except HelperError as error:
+            file = await _drawn(request, parts, upload.file, wish, parts.settings.max_decode_gaussians)
+        except BitstreamError as error:
             raise ProblemError(422, str(error)) from error
     return Response(file, headers={**NOTHING_KEPT, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 

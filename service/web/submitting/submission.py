@@ -19,7 +19,7 @@ from service.web.guards.problems import ProblemError
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.helpers.work import Work
 from service.web.submitting.bodies import body_as_file
-from sgmethod.budget import BUDGET_KINDS, Budget
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
 from sgmethod.errors import BudgetError
 from sgmethod.io.formats import is_read
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
@@ -27,7 +27,6 @@ from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
 IMAGE_FIELD = "image"
 FORMAT_BYTES = 256  # of a file, which tell its format
 WAIT_FIELD = "wait"  # of the query alone
-DEFAULT_BUDGET = Budget("bpp", 0.3)  # as in the command line
 FIELDS = (*BUDGET_KINDS, "profile", "time_limit_s", "priority")
 MAX_FIELD_BYTES = 256
 # What multipart adds to the image itself: boundaries, part headers, the other fields.

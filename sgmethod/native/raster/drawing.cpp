@@ -287,16 +287,25 @@ void Rasterization::gram(const float* colors, float* out_colors) const {
   gradients(colors, fill, {means.data(), factors.data(), out_colors});
 }
 
+int64_t Rasterization::samples() const { return 3 * static_cast<int64_t>(width()) * height(); }
+
+TileTarget Rasterization::part(const int16_t* target, int tile, int64_t ahead, float scale) const {
+  const Area a = area(tile);
+  return {target + static_cast<int64_t>(a.y) * width() + a.x, samples() / 3, width(), ahead, a.columns, a.rows, scale};
+}
+
+double Rasterization::mean(const std::vector<double>& errors) const {
+  return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(samples());
+}
+
 void Rasterization::leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const {
-  const int64_t plane = static_cast<int64_t>(width()) * height();
   Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, 1, coarse);
   const auto each = [&](int tile, float* values) {
     if (tile >= tiles(0)) return;
     draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
+    fit_kernels(isa_).difference(values, part(target, tile, 0, -1.0f));
     const Area a = area(tile);
-    const TileTarget wanted{target + static_cast<int64_t>(a.y) * width() + a.x, plane, width(), 0, a.columns, a.rows, -1.0f};
-    fit_kernels(isa_).difference(values, wanted);
     std::memcpy(left.row(a.x / kTileWidth, a.y), values, static_cast<size_t>(a.rows) * 3 * kTileWidth * sizeof(float));
   };
   reduce_all(each, reduced);
@@ -304,8 +313,7 @@ void Rasterization::leave(const float* colors, const int16_t* target, const Stri
 
 double Rasterization::squared_error(const float* colors, const int16_t* target, const Gradients& out) const {
   if (canvas_.x != 0 || canvas_.y != 0) throw std::invalid_argument("a fit is of the whole picture");
-  const int64_t plane = static_cast<int64_t>(width()) * height();
-  const float scale = 2.0f / static_cast<float>(3 * plane);
+  const float scale = 2.0f / static_cast<float>(samples());
   Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, 1, coarse);
   std::vector<double> errors(tiles(0));
@@ -313,29 +321,25 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
   // those of the next tile.
   constexpr int ahead = 2 * kTileWidth - 1;
   const auto fill = [&](int tile, float* gradient, float* pair_gradients) {
-    const Area a = area(tile);
-    const TileTarget wanted{target + static_cast<int64_t>(a.y) * width() + a.x, plane, width(), ahead, a.columns, a.rows, scale};
     const std::unique_ptr<float[]> first(new float[first_value_count(*this, tile)]);  // all written by the kernel
     begin_tile({0, rows_of(tile)}, below(coarse, tile), kBlack, gradient);
-    errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, wanted, first.get(), gradient, pair_gradients);
+    const TileTarget here = part(target, tile, ahead, scale);
+    errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, here, first.get(), gradient, pair_gradients);
   };
   gradients(colors, fill, out);
-  return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);
+  return mean(errors);
 }
 
 double Rasterization::squared_error(const float* colors, const int16_t* target) const {
-  const int64_t plane = static_cast<int64_t>(width()) * height();
   Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, 1, coarse);
   std::vector<double> errors(tiles(0));
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float values[kTileFloats];
     draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
-    const Area a = area(tile);
-    const TileTarget wanted{target + static_cast<int64_t>(a.y) * width() + a.x, plane, width(), 0, a.columns, a.rows, 0.0f};
-    errors[tile] = fit_kernels(isa_).difference(values, wanted);
+    errors[tile] = fit_kernels(isa_).difference(values, part(target, tile, 0, 0.0f));
   });
-  return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(3 * plane);
+  return mean(errors);
 }
 
 }  // namespace sg

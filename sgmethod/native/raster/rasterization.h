@@ -40,6 +40,7 @@ struct Canvas {
 
 class Planes;
 struct Strips;
+struct TileTarget;
 
 class Rasterization {
  public:
@@ -130,6 +131,9 @@ class Rasterization {
   void write_bytes(int tile, const float* accumulators, uint8_t* image) const;
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
+  int64_t samples() const;  // of the picture, in all channels
+  TileTarget part(const int16_t* target, int tile, int64_t ahead, float scale) const;
+  double mean(const std::vector<double>& errors) const;
   void load(Planes& planes, int tile, float* values) const;
   template <typename Each>
   void reduce_all(const Each& each, Planes& planes) const;
