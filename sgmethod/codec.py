@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from numbers import Real
 
 import torch
@@ -23,7 +23,7 @@ from sgmethod.io.files import write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper import encode as paper
-from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings
+from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings, tuning
 from sgmethod.rd import encode as rd
 from sgmethod.trace import Progress, TracePoint
 
@@ -42,6 +42,7 @@ class Stats:
     width: int
     height: int
     profile: str
+    tune: str
 
     def to_dict(self) -> dict[str, object]:
         """Plain JSON types; a lossless result has psnr None."""
@@ -71,6 +72,7 @@ def encode(
     psnr: float | None = None,
     quality: float | None = None,
     gaussians: int | None = None,
+    tune: str | None = None,
     seed: int = 0,
     time_limit_s: float | None = None,
     on_progress: Progress | None = None,
@@ -88,8 +90,9 @@ def encode(
     [H, W, 4] of levels in uint8 or uint16 or of values in [0, 1], in sRGB. sgmethod/io/image.py has the rules for
     files and pictures. All is rounded to 8 bits: a decoded picture has no more, and its figures are against them.
     bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which says what each means; 0.3 bpp if not told.
-    profile: one of sgmethod.profiles.PROFILE_NAMES; seed: of everything random, so that the same call gives
-    the same file on the same machine unless time_limit_s (seconds, whole encode) cuts it short;
+    profile: one of sgmethod.profiles.PROFILE_NAMES; tune: what the file is to be good for, "psnr" (squared error) or
+    "visual" (the eye; with profile rd, and no budget in dB), "psnr" if not told; seed: of everything random, so that
+    the same call gives the same file on the same machine unless time_limit_s (seconds, whole encode) cuts it short;
     on_progress: called with each point of the trace, and may raise to abandon the encode.
 
     Warns with ImageWarning of what of the picture is left out. Raises ImageError for what is no such picture,
@@ -106,11 +109,12 @@ def encode(
     budget = _only_budget(budget, kinds)
     _check_profile(profile)
     _check_time_limit(time_limit_s)
-    request = Request(read_input(image), budget, profile, seed, recorder)
+    tuned_for = tuning(tune, profile, budget)
+    request = Request(read_input(image), budget, profile, tuned_for, seed, recorder)
     settings = PROFILES[profile]
     with _single_torch_thread(), _memory_errors():
         if isinstance(settings, RdSettings):
-            data, steps = rd.encode(request, settings)
+            data, steps = rd.encode(request, replace(settings, tune=tuned_for))
         else:
             data, steps = paper.encode(request, settings)
     return _measured(request, data, steps)
@@ -168,6 +172,7 @@ def _measured(request: Request, data: bytes, steps: int) -> Encoded:
         width=width,
         height=height,
         profile=request.profile,
+        tune=request.tune,
     )
     return Encoded(data, stats, request.recorder.points)
 

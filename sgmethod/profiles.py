@@ -9,6 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from sgmethod.budget import Budget
+from sgmethod.errors import BudgetError
+
+Tune = Literal["psnr", "visual"]
+TUNES: tuple[Tune, ...] = get_args(Tune)
+DEFAULT_TUNE: Tune = "psnr"  # where a profile and a budget leave the choice
 
 
 @dataclass(frozen=True)
@@ -75,6 +83,8 @@ class RdSettings(OptimiserSettings):
 
     docs/notebook.md has the measurement behind each number.
     """
+
+    tune: Tune = "psnr"  # what the file is to be good for: squared error, or the eye
 
     # Steps become short by newton_steps, so that rates may be high and fall little.
     mean_rate: float = 0.14
@@ -151,3 +161,20 @@ RD = RdSettings()
 PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
 PROFILE_NAMES = tuple(PROFILES)
 DEFAULT_PROFILE = "rd"
+
+
+def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
+    """What an encode is tuned for: what is asked for, or what goes with profile and budget.
+
+    Raises BudgetError for an unknown one, and for "visual" where there is only "psnr": with a budget in dB, and with
+    profiles other than rd.
+    """
+    psnr_alone = budget.kind == "psnr" or not isinstance(PROFILES[profile], RdSettings)
+    if tune is None:
+        return "psnr" if psnr_alone else DEFAULT_TUNE
+    if tune not in TUNES:
+        raise BudgetError(f"unknown tuning {tune!r}; use one of {', '.join(TUNES)}")
+    if tune == "visual" and psnr_alone:
+        what = "a budget in dB" if budget.kind == "psnr" else f"profile {profile}"
+        raise BudgetError(f"{what} goes with tuning for psnr alone")
+    return TUNES[TUNES.index(tune)]

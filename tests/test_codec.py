@@ -21,7 +21,7 @@ from sgmethod import Budget, BudgetError, Encoded, ImageError, TracePoint, codec
 from sgmethod.budget import BudgetKind
 from sgmethod.fitting.recorder import Clock
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.profiles import BASELINE, PAPER, PROFILES, RD
+from sgmethod.profiles import BASELINE, DEFAULT_TUNE, PAPER, PROFILES, RD, TUNES, tuning
 from tests.harness.data import PHOTOGRAPHS
 
 FloatArray = NDArray[np.float32]
@@ -172,6 +172,19 @@ def test_other_bad_arguments() -> None:
             encode(small(), Budget("bpp", 1), "paper", time_limit_s=limit)
     with pytest.raises(BudgetError, match="unknown profile"):
         encode(small(), Budget("bpp", 1), "poster")
+    with pytest.raises(BudgetError, match="unknown tuning"):
+        encode(small(), Budget("bpp", 1), tune="best")
+
+
+def test_what_an_encode_is_tuned_for() -> None:
+    assert [tuning(None, profile, Budget("bpp", 1)) for profile in PROFILES] == [DEFAULT_TUNE, "psnr", "psnr"]
+    assert tuning(None, "rd", Budget("psnr", 30)) == "psnr"
+    for tune in TUNES:
+        assert encode(small(), Budget("bpp", 4), tune=tune).stats.tune == tune
+    with pytest.raises(BudgetError, match="a budget in dB"):
+        encode(small(), Budget("psnr", 20), tune="visual")
+    with pytest.raises(BudgetError, match="profile paper"):
+        encode(small(), Budget("bpp", 4), "paper", tune="visual")
 
 
 # --- pictures

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from sgmethod.budget import BudgetKind
+from sgmethod.profiles import Tune
 
 JobState = Literal["queued", "running", "done", "failed"]
 JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
@@ -32,12 +33,13 @@ def is_job_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's."""
+    """What the client asked for; the names are sgmethod's. Jobs of releases that had no choice were tuned for PSNR."""
 
     budget_kind: BudgetKind
     budget_value: float
     profile: str
     time_limit_s: float
+    tune: Tune = "psnr"
 
 
 @dataclass(frozen=True)

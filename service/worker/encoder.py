@@ -102,6 +102,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
             read_image_8_bit(source),
             Budget(request.budget_kind, request.budget_value),
             request.profile,
+            tune=request.tune,
             time_limit_s=request.time_limit_s,
             on_progress=lambda point: send(pipe, TRACE, to_json(point.to_dict())),
         )

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, BudgetKind
-from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
+from sgmethod.profiles import DEFAULT_PROFILE, DEFAULT_TUNE, PROFILE_NAMES, TUNES
 from sgmethod.view import MAX_SCALE, MIN_SCALE
 
 BAD_INPUT = 2
@@ -129,6 +129,9 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
+    )
+    parser.add_argument(
+        "--tune", choices=TUNES, help=f"for squared error, or for the eye (default: {DEFAULT_TUNE}; with --psnr: psnr)"
     )
     parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="be done after so long, for each picture")
     parser.add_argument("--server", metavar="URL", help="have a service encode it; its API key from SG_API_KEY")

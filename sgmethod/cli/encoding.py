@@ -159,6 +159,7 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
             pixels,
             budget,
             arguments.profile,
+            tune=arguments.tune,
             seed=arguments.seed,
             time_limit_s=arguments.time_limit,
             on_progress=show,
@@ -174,8 +175,8 @@ def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, s
     if arguments.seed != 0:
         raise CommandError("a server takes no --seed")
     with Client(arguments.server, os.environ.get("SG_API_KEY")) as client, progress_line(shown) as show:
-        limit = arguments.time_limit
-        encoded = client.encode(image, budget, arguments.profile, time_limit_s=limit, on_progress=show)
+        limit, tune = arguments.time_limit, arguments.tune
+        encoded = client.encode(image, budget, arguments.profile, tune=tune, time_limit_s=limit, on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, []
 
 

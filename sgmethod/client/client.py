@@ -58,11 +58,12 @@ class Client:
         budget: Budget,
         profile: str = DEFAULT_PROFILE,
         *,
+        tune: str | None = None,
         time_limit_s: float | None = None,
         on_progress: Progress | None = None,
     ) -> RemoteEncoded:
         """Submit an image file, wait for the job, fetch its bitstream, and remove the job, whatever happens."""
-        job_id = self.submit(image, budget, profile, time_limit_s=time_limit_s)
+        job_id = self.submit(image, budget, profile, tune=tune, time_limit_s=time_limit_s)
         try:
             job = self.wait(job_id, on_progress)
             return RemoteEncoded(self.bitstream(job_id), job["result"], [_point(point) for point in job["trace"]])
@@ -76,11 +77,13 @@ class Client:
         budget: Budget,
         profile: str = DEFAULT_PROFILE,
         *,
+        tune: str | None = None,
         time_limit_s: float | None = None,
         priority: Literal["interactive", "bulk"] = "interactive",
     ) -> str:
         """The id of a new job. Tried again where that helps; the image is never accepted twice."""
-        wanted = {budget.kind: budget.value, "profile": profile, "priority": priority, "time_limit_s": time_limit_s}
+        wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
+        wanted |= {"priority": priority, "time_limit_s": time_limit_s}
         query = {name: value for name, value in wanted.items() if value is not None}
         headers = {"Content-Type": "image/*", "Idempotency-Key": secrets.token_hex(16)}
         return str(self._connection.ask("POST", "/encode", params=query, content=image, headers=headers).json()["id"])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sgmethod.budget import Budget
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.recorder import Recorder
+from sgmethod.profiles import Tune
 
 # Kept back of a time limit, for writing and measuring the file.
 RESERVE_S = 0.15
@@ -23,6 +24,7 @@ class Request:
     pixels: NDArray[np.uint8]
     budget: Budget
     profile: str
+    tune: Tune
     seed: int
     recorder: Recorder
 

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from sgmethod.decoder import SgFile
 
 FORMAT = "SGM"
-OPTIONS = ("bpp", "bytes", "psnr", "quality", "gaussians", "budget", "profile", "seed", "time_limit_s", "on_progress")
+OPTIONS = (
+    *("bpp", "bytes", "psnr", "quality", "gaussians", "budget"),
+    *("profile", "tune", "seed", "time_limit_s", "on_progress"),
+)
 
 
 class SgImageFile(ImageFile.ImageFile):

@@ -179,7 +179,9 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
         given = ["--profile", "baseline", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
-        assert calls.pop() == ((budget, "baseline"), {"seed": 7, "time_limit_s": 5.0})
+        assert calls.pop() == ((budget, "baseline"), {"tune": None, "seed": 7, "time_limit_s": 5.0})
+    assert run("encode", "photo.png", "out.sg", "--quiet", "--tune", "visual") == Ran(0, "", "")
+    assert calls.pop()[1]["tune"] == "visual"
 
 
 def test_summary_and_trace(run: Run) -> None:
@@ -270,6 +272,8 @@ def test_help(run: Run, command: list[str]) -> None:
         (ENCODE + "--gaussians 0", "positive"),
         (ENCODE + "--gaussians 99999", "more than the image's 12288 pixels"),
         (ENCODE + "--profile best", "'best'"),
+        (ENCODE + "--tune best", "'best'"),
+        (ENCODE + "--tune visual --psnr 30", "a budget in dB goes with tuning for psnr alone"),
         (ENCODE + "--seed -1", "whole number"),
         (ENCODE + "--seed 1e3", "whole number"),
         (ENCODE + "--time-limit 0", "time limit"),
@@ -555,6 +559,7 @@ def test_the_readme_names_every_argument() -> None:
     for flag in (
         *BUDGET_KINDS,
         "profile",
+        "tune",
         "time-limit",
         "seed",
         "trace",

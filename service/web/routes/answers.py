@@ -36,6 +36,7 @@ EXAMPLE_SUMMARY = {
     "position": None,
     "budget": {"kind": "bpp", "value": 0.3},
     "profile": "rd",
+    "tune": "psnr",
     "time_limit_s": 60.0,
     "priority": "interactive",
     "image": {"format": "JPEG", "width": 768, "height": 512, "bytes": 91235},
@@ -97,6 +98,7 @@ class JobSummary(AcceptedView):
     position: int | None = Field(description="place in the queue from 1, while queued")
     budget: BudgetView
     profile: str
+    tune: str = Field(description='"psnr" or "visual"')
     time_limit_s: float
     priority: Priority
     image: ImageView
@@ -182,6 +184,7 @@ def summary(job: Job, retention_s: float) -> JobSummary:
         position=job.position,
         budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
         profile=request.profile,
+        tune=request.tune,
         time_limit_s=request.time_limit_s,
         priority=job.priority,
         image=ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),

@@ -28,7 +28,7 @@ from service.web.submitting.submission import (
     submission,
 )
 from sgmethod.budget import BUDGET_KINDS
-from sgmethod.profiles import PROFILE_NAMES
+from sgmethod.profiles import PROFILE_NAMES, TUNES
 
 log = logging.getLogger(__name__)
 router = APIRouter()
@@ -40,6 +40,7 @@ NEVER_STORED = {"Cache-Control": "no-store"}
 FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
     **{kind: {"type": "number", "exclusiveMinimum": 0} for kind in BUDGET_KINDS},
     "profile": {"type": "string", "enum": list(PROFILE_NAMES)},
+    "tune": {"type": "string", "enum": list(TUNES)},
     "time_limit_s": {"type": "number", "exclusiveMinimum": 0},
     "priority": {"type": "string", "enum": list(PRIORITIES)},
 }

@@ -22,12 +22,12 @@ from service.web.submitting.bodies import body_as_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
 from sgmethod.errors import BudgetError
 from sgmethod.io.formats import is_read
-from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES
+from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, Tune, tuning
 
 IMAGE_FIELD = "image"
 FORMAT_BYTES = 256  # of a file, which tell its format
 WAIT_FIELD = "wait"  # of the query alone
-FIELDS = (*BUDGET_KINDS, "profile", "time_limit_s", "priority")
+FIELDS = (*BUDGET_KINDS, "profile", "tune", "time_limit_s", "priority")
 MAX_FIELD_BYTES = 256
 # What multipart adds to the image itself: boundaries, part headers, the other fields.
 MULTIPART_OVERHEAD_BYTES = 16 * 1024
@@ -125,7 +125,9 @@ def _encode_request(
     fields = _text_fields(given)
     budget = _budget(fields)
     time_limit_s = _time_limit_s(fields, settings.max_time_limit_s)
-    return EncodeRequest(budget.kind, budget.value, _profile(fields), time_limit_s), _priority(fields)
+    profile = _profile(fields)
+    tune = _tune(fields, profile, budget)
+    return EncodeRequest(budget.kind, budget.value, profile, time_limit_s, tune), _priority(fields)
 
 
 def _text_fields(given: Sequence[tuple[str, UploadFile | str]]) -> dict[str, str]:
@@ -166,6 +168,13 @@ def _profile(fields: dict[str, str]) -> str:
     if profile not in PROFILE_NAMES:
         raise ProblemError(422, f"unknown profile {profile!r}; use one of {', '.join(PROFILE_NAMES)}")
     return profile
+
+
+def _tune(fields: dict[str, str], profile: str, budget: Budget) -> Tune:
+    try:
+        return tuning(fields.get("tune"), profile, budget)
+    except BudgetError as error:
+        raise ProblemError(422, str(error)) from error
 
 
 def _priority(fields: dict[str, str]) -> Priority:

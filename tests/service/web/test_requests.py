@@ -147,6 +147,9 @@ def test_jobs_are_listed_newest_first_in_pages(start_service: StartService) -> N
         ({"gaussians": "0"}, "positive"),
         ({"psnr": "99"}, "at most 60"),
         ({"bpp": "1", "profile": "best"}, "unknown profile"),
+        ({"bpp": "1", "tune": "best"}, "unknown tuning"),
+        ({"psnr": "30", "tune": "visual"}, "tuning for psnr alone"),
+        ({"bpp": "1", "profile": "paper", "tune": "visual"}, "tuning for psnr alone"),
         ({"bpp": "1", "time_limit_s": "0"}, "time_limit_s"),
         ({"bpp": "1", "time_limit_s": "1e9"}, "time_limit_s"),
         ({"bpp": "1", "time_limit_s": "soon"}, "time_limit_s"),
@@ -190,7 +193,8 @@ def test_an_image_as_the_body(web: Service) -> None:
     assert answer.status_code == 202, answer.text
     job = web.job(answer.json()["id"])
     assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30}, "paper")
-    assert (job["time_limit_s"], job["priority"]) == (2, "bulk")
+    assert (job["time_limit_s"], job["priority"], job["tune"]) == (2, "bulk", "psnr")
+    assert web.job(post("?bpp=1&tune=visual").json()["id"])["tune"] == "visual"
     assert (web.data_dir / "sources" / job["id"]).read_bytes() == SMALL
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)})
     assert web.job(form.json()["id"])["budget"] == {"kind": "bpp", "value": 1}
@@ -261,7 +265,7 @@ def test_image_larger_than_the_limit(web: Service) -> None:
 
 @hypothesis_settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
-    name=st.sampled_from(["bpp", "bytes", "psnr", "quality", "gaussians", "profile", "time_limit_s", "x"]),
+    name=st.sampled_from(["bpp", "bytes", "psnr", "quality", "gaussians", "profile", "tune", "time_limit_s", "x"]),
     value=st.text(max_size=20) | st.floats().map(str) | st.integers().map(str),
     image=st.binary(max_size=60) | st.binary(max_size=20).map(lambda junk: SMALL[:60] + junk),
 )
