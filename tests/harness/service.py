@@ -26,6 +26,11 @@ from tests.harness.data import ROOT
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import COMMANDS, PATIENCE_S, Kind, processes, wait_until
 
+SMALL_QUEUE = 5
+# The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
+_FOLDERS = (str(ROOT / "tests" / "harness" / "stand_in"), os.environ.get("PYTHONPATH", ""))
+STAND_IN = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
+
 
 class ServiceProcess:
     """One `python -m service`, started at once, and a client of it.

@@ -18,7 +18,7 @@ from tests.harness.browser import Browser, find_driver
 from tests.harness.job_table import LONG_S, OpenTable, open_table
 from tests.harness.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
 from tests.harness.s3_server import S3Server
-from tests.harness.service import Outcome, RunCommand, Service, StartService
+from tests.harness.service import SMALL_QUEUE, STAND_IN, Outcome, RunCommand, Service, StartService
 
 
 @pytest.fixture(scope="session")
@@ -131,6 +131,29 @@ def service(shared_service: Service) -> Iterator[Service]:
     """A whole service with its defaults, which has no jobs when a module's tests begin."""
     yield shared_service
     shared_service.clear()
+
+
+@pytest.fixture(scope="session")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """The same with a stand-in for the codec."""
+    service = Service(tmp_path_factory.mktemp("quick") / "data", extra=STAND_IN)
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.fixture(scope="session")
+def small_queue(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process without any worker, whose queue is soon full."""
+    service = Service(tmp_path_factory.mktemp("small") / "data", "web", queue_length=SMALL_QUEUE)
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.fixture
+def empty(small_queue: Service) -> Service:
+    """The same, with no job left of other tests."""
+    small_queue.clear()
+    return small_queue
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ import pytest
 
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 BOUNDARY = "frontier"
 HEAD = (
@@ -166,10 +166,10 @@ def test_uploads_at_once_are_limited(start_service: StartService) -> None:
     assert wait_until(lambda: web.post().status_code == 202)
 
 
-def test_a_full_queue_refuses_a_body_unread(start_service: StartService) -> None:
-    web = start_service("web", queue_length=1)
-    web.accepted()
-    with connect(web, "Content-Length: 5000") as connection:
+def test_a_full_queue_refuses_a_body_unread(empty: Service) -> None:
+    for _ in range(SMALL_QUEUE):
+        empty.accepted()
+    with connect(empty, "Content-Length: 5000") as connection:
         problem_from(connection, 429)
 
 

@@ -285,8 +285,8 @@ def test_no_other_origin_unasked(web: Service) -> None:
     assert "access-control-allow-origin" not in answer.headers
 
 
-def test_jobs_of_a_state(start_service: StartService) -> None:
-    web = start_service("web")
+def test_jobs_of_a_state(empty: Service) -> None:
+    web = empty
     done = [web.published(PICTURE) for _ in range(3)]
     waiting = web.accepted()
 

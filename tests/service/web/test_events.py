@@ -36,9 +36,9 @@ def stream(service: Service, job_id: str) -> Iterator[Iterator[Event]]:
         yield read(answer)
 
 
-def test_a_job_from_the_queue_to_its_result(service: Service) -> None:
-    job_id = service.accepted(SMALL, bpp=2, time_limit_s=2)
-    with stream(service, job_id) as events:
+def test_a_job_from_the_queue_to_its_result(quick: Service) -> None:
+    job_id = quick.accepted(SMALL, bpp=2, time_limit_s=2)
+    with stream(quick, job_id) as events:
         seen = list(events)
     names = [name for name, _ in seen]
     assert (names[0], names[-1]) == ("state", "done")
@@ -47,7 +47,7 @@ def test_a_job_from_the_queue_to_its_result(service: Service) -> None:
     assert states == sorted(states, key=["queued", "running", "done"].index)
     progress = [data["progress"] for name, data in seen if name == "trace"]
     assert progress == sorted(progress)
-    job = service.job(job_id)
+    job = quick.job(job_id)
     assert seen[-1][1] == {name: value for name, value in job.items() if name not in ("progress", "trace")}
     points = [point for name, data in seen if name == "trace" for point in data["trace"]]
     assert points == job["trace"]

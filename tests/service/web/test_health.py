@@ -10,7 +10,7 @@ import pytest
 
 from tests.harness.data import golden_path
 from tests.harness.processes import wait_until
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import STAND_IN, Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 
@@ -47,11 +47,11 @@ def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> No
 
 
 def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
-    service = start_service(stall_s=2)
+    service = start_service(stall_s=1, extra=STAND_IN)
     service.wait(service.accepted_slow(), "running")
     service.accepted()
     started = figures(service)["process_start_time_seconds"]
-    wait_until(lambda: figures(service)["sgmethod_oldest_job_waits_seconds"] > 3)
+    wait_until(lambda: figures(service)["sgmethod_oldest_job_waits_seconds"] > 2)
     assert service.client.get("/readyz").status_code == 200
     assert figures(service)["process_start_time_seconds"] == started
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 
 import httpx
 import numpy as np
@@ -14,7 +15,7 @@ import sgmethod
 from sgmethod.view import View
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import Service, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()
@@ -23,6 +24,15 @@ OTHER = golden_path("v1-paper.sg").read_bytes()
 @pytest.fixture(scope="module")
 def done(web: Service) -> str:
     return web.published(PICTURE)
+
+
+@pytest.fixture(scope="module")
+def tight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process that draws and takes no more than it must."""
+    folder = tmp_path_factory.mktemp("tight") / "data"
+    service = Service(folder, "web", max_decode_pixels=10_000, max_bitstream_bytes=len(PICTURE))
+    yield service
+    assert service.stop() == 0
 
 
 def pixels_of(answer: httpx.Response) -> NDArray[np.uint8]:
@@ -78,10 +88,8 @@ def test_kinds_of_file(web: Service, done: str, kind: str, media_type: str) -> N
         *("region=1,2,3", "region=-1,0,5,5", "region=0,0,0,0", "region=0,0,99999,1", "region=a,b,c,d", "scale=64"),
     ],
 )
-def test_views_that_are_refused(start_service: StartService, query: str, web: Service, done: str) -> None:
-    if query == "scale=64":
-        web = start_service("web", max_decode_pixels=10_000)
-        done = web.published(PICTURE)
+def test_views_that_are_refused(tight: Service, query: str) -> None:
+    web, done = tight, tight.published(PICTURE)
     assert_problem(web.client.get(f"/decode/{done}.png?{query}"), 422)
     assert_problem(web.client.post(f"/decode?{query}", content=PICTURE), 422)
 
@@ -91,8 +99,9 @@ def test_files_that_do_not_exist(web: Service, done: str, name: str) -> None:
     assert_problem(web.client.get("/decode/" + name.format(done)), 404)
 
 
-def test_bodies_that_are_no_bitstream(start_service: StartService) -> None:
-    web = start_service("web", max_bitstream_bytes=len(PICTURE))
+def test_bodies_that_are_no_bitstream(tight: Service) -> None:
+    web = tight
+    before = web.files()
     flipped = bytes([*PICTURE[:-1], PICTURE[-1] ^ 1])
     for body in (b"", b"SG", SMALL[: len(PICTURE)], PICTURE[:-1], flipped):
         assert_problem(web.client.post("/decode", content=body), 422)
@@ -100,7 +109,7 @@ def test_bodies_that_are_no_bitstream(start_service: StartService) -> None:
     too_large = PICTURE + b"x"
     assert assert_problem(web.client.post("/decode", content=too_large), 413)["max_bytes"] == len(PICTURE)
     assert_problem(web.client.post("/decode", content=iter([PICTURE, b"x"])), 413)
-    assert web.files() == []
+    assert web.files() == before
 
 
 def test_a_removed_job_is_gone_from_memory_too(web: Service) -> None:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tests.harness.pictures import SMALL, png
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import SMALL_QUEUE, Service, assert_problem
 
 GOOD_ID = "0123456789abcdef" * 2
 
@@ -103,8 +103,8 @@ def test_ids_that_lead_nowhere(web: Service, job_id: str) -> None:
     assert_problem(web.client.delete(f"/jobs/{job_id}"), 404)
 
 
-def test_a_waiting_job_has_a_place_and_no_picture_yet(start_service: StartService) -> None:
-    web = start_service("web")
+def test_a_waiting_job_has_a_place_and_no_picture_yet(empty: Service) -> None:
+    web = empty
     first, second = web.accepted(), web.accepted()
     assert (web.job(first)["position"], web.job(second)["position"]) == (1, 2)
     job = web.job(second)
@@ -116,8 +116,8 @@ def test_a_waiting_job_has_a_place_and_no_picture_yet(start_service: StartServic
     assert web.files() == [f"sources/{second}"]
 
 
-def test_jobs_are_listed_newest_first_in_pages(start_service: StartService) -> None:
-    web = start_service("web")
+def test_jobs_are_listed_newest_first_in_pages(empty: Service) -> None:
+    web = empty
     assert web.client.get("/jobs").json() == {"jobs": [], "next": None}
     ids = [web.accepted() for _ in range(5)]
     seen, url = [], "/jobs?limit=2"
@@ -291,23 +291,24 @@ def test_one_key_makes_one_job(web: Service) -> None:
     assert web.files() == files
 
 
-def test_full_queue(start_service: StartService) -> None:
-    web = start_service("web", queue_length=2)
+def test_full_queue(empty: Service) -> None:
+    web = empty
     first = web.post(key="first")
-    web.accepted()
+    for _ in range(SMALL_QUEUE - 1):
+        web.accepted()
     answer = web.post()
     assert_problem(answer, 429, "full")
     assert int(answer.headers["retry-after"]) > 0
-    assert len(web.files()) == 2
+    assert len(web.files()) == SMALL_QUEUE
     assert web.post(key="first").json() == first.json()
     assert_problem(web.post(key="new"), 429)
     assert web.client.delete(first.json()["status_url"]).status_code == 204
     assert web.post(key="new").status_code == 202
 
 
-def test_full_queue_holds_when_many_post_at_once(start_service: StartService) -> None:
-    web = start_service("web", queue_length=3)
+def test_full_queue_holds_when_many_post_at_once(empty: Service) -> None:
+    web = empty
     with ThreadPoolExecutor(10) as clients:
         statuses = sorted(clients.map(lambda _: web.post().status_code, range(10)))
-    assert statuses == [202] * 3 + [429] * 7
-    assert len(web.files()) == 3
+    assert statuses == [202] * SMALL_QUEUE + [429] * (10 - SMALL_QUEUE)
+    assert len(web.files()) == SMALL_QUEUE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import httpx
@@ -30,8 +31,8 @@ def test_a_photograph_becomes_a_file(service: Service) -> None:
 
 
 @pytest.mark.parametrize("accept", ["image/webp", "image/webp;q=0.9, image/png;q=0.2", "text/html, image/webp"])
-def test_or_a_picture(service: Service, accept: str) -> None:
-    answer = service.client.post(
+def test_or_a_picture(quick: Service, accept: str) -> None:
+    answer = quick.client.post(
         f"/encode?wait=100&{QUICK}", content=SMALL, headers={**BODY, "Accept": accept, "If-None-Match": "*"}
     )
     assert (answer.status_code, answer.headers["content-type"]) == (200, "image/webp")
@@ -41,8 +42,8 @@ def test_or_a_picture(service: Service, accept: str) -> None:
 
 
 @pytest.mark.parametrize("prefer", ["wait=100", "respond-async, wait=100", "WAIT=100;x=y", "wait=999999"])
-def test_a_preference(service: Service, prefer: str) -> None:
-    answer = service.client.post(f"/encode?{QUICK}", content=SMALL, headers={**BODY, "Prefer": prefer})
+def test_a_preference(quick: Service, prefer: str) -> None:
+    answer = quick.client.post(f"/encode?{QUICK}", content=SMALL, headers={**BODY, "Prefer": prefer})
     assert answer.status_code == 200
     assert answer.headers["preference-applied"] in ("wait=100", "wait=300")
 
@@ -61,8 +62,8 @@ def test_waits_that_are_refused(web: Service, query: str) -> None:
     assert_problem(web.client.post(f"/encode?{query}", content=SMALL, headers=BODY), 422)
 
 
-def test_a_job_that_fails_or_is_removed_meanwhile(start_service: StartService) -> None:
-    web = start_service("web")
+def test_a_job_that_fails_or_is_removed_meanwhile(empty: Service) -> None:
+    web = empty
 
     def ask() -> httpx.Response:
         return httpx.post(f"{web.url}/encode?wait=100", content=SMALL, headers=BODY, timeout=200)
@@ -93,26 +94,36 @@ def test_who_waits_is_told_when_the_service_stops(start_service: StartService) -
         assert waiting.result().status_code == 202
 
 
-def test_too_many_that_wait_get_a_job_at_once(start_service: StartService) -> None:
-    web = start_service("web", max_event_streams=1)
-    with web.connect() as stream:
-        stream.sendall(f"GET /jobs/{web.accepted()}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
+@pytest.fixture(scope="module")
+def one_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process where one alone may wait or watch."""
+    service = Service(tmp_path_factory.mktemp("one") / "data", "web", max_event_streams=1)
+    yield service
+    assert service.stop() == 0
+
+
+def test_too_many_that_wait_get_a_job_at_once(one_place: Service) -> None:
+    with one_place.connect() as stream:
+        stream.sendall(f"GET /jobs/{one_place.accepted()}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
         assert stream.recv(15) == b"HTTP/1.1 200 OK"
-        assert web.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
+        assert one_place.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
 
 
-def test_who_goes_leaves_a_job_and_no_place_taken(start_service: StartService) -> None:
-    web = start_service("web", max_event_streams=1)
-    with web.connect() as gone:
-        head = (
-            f"POST /encode?wait=300 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}"
-        )
-        gone.sendall(head.encode() + b"\r\n\r\n" + SMALL)
-        wait_until(lambda: web.client.get("/jobs").json()["jobs"])
-    job_id = web.client.get("/jobs").json()["jobs"][0]["id"]
+def test_who_goes_leaves_a_job_and_no_place_taken(one_place: Service) -> None:
+    web = one_place
+    web.clear()
+    job_id = web.accepted()
 
     def has_a_place() -> bool:
         with httpx.stream("GET", f"{web.url}/jobs/{job_id}/events") as answer:
             return answer.status_code == 200
 
+    assert wait_until(has_a_place)  # which the test before has given back
+    with web.connect() as gone:
+        head = (
+            f"POST /encode?wait=300 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}"
+        )
+        gone.sendall(head.encode() + b"\r\n\r\n" + SMALL)
+        wait_until(lambda: not has_a_place())
+    assert len(web.client.get("/jobs").json()["jobs"]) == 2
     assert wait_until(has_a_place)

@@ -21,7 +21,7 @@ from sgmethod.trace import TracePoint
 from tests.harness.data import ROOT, golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
-from tests.harness.service import Service, StartService
+from tests.harness.service import SMALL_QUEUE, STAND_IN, Service, StartService
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 
@@ -96,9 +96,9 @@ def test_a_server_that_is_not_there() -> None:
             client.job("0" * 32)
 
 
-def test_a_full_queue_is_waited_for(start_service: StartService) -> None:
-    web = start_service("web", queue_length=1)
-    first = web.accepted()
+def test_a_full_queue_is_waited_for(empty: Service) -> None:
+    web = empty
+    first, *_ = [web.accepted() for _ in range(SMALL_QUEUE)]
     with Client(web.url, patience_s=0) as hasty, pytest.raises(ServerError, match="full"):
         hasty.submit(SMALL, Budget("bpp", 1))
     threading.Timer(0.5, lambda: web.client.delete(f"/jobs/{first}")).start()
@@ -127,7 +127,7 @@ def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
 
 
 def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
-    service = start_service(api_keys=f"ann:{digest('secret')}")
+    service = start_service(api_keys=f"ann:{digest('secret')}", extra=STAND_IN)
     (tmp_path / "in.png").write_bytes(SMALL)
 
     def encode(*arguments: str, key: str = "secret") -> subprocess.CompletedProcess[str]:

@@ -1,4 +1,6 @@
-"""The rules of durability, each under fire: real processes, real encodes, either database.
+"""The rules of durability, each under fire: real processes, either database.
+
+A stand-in takes the codec's place, but where an encode takes too long: it is the processes around it that are tested.
 
 After everything that happens here, each accepted job has ended, none was published twice, and nothing is
 left over but the bitstreams of those that are done.
@@ -18,7 +20,7 @@ import pytest
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, processes, wait_until
-from tests.harness.service import Service, StartService
+from tests.harness.service import STAND_IN, Service, StartService
 
 
 @pytest.fixture
@@ -39,7 +41,7 @@ def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
 @pytest.fixture(scope="module")
 def one_worker(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service for all tests that leave it as they found it."""
-    service = Service(tmp_path_factory.mktemp("one") / "data", database_url=new_table())
+    service = Service(tmp_path_factory.mktemp("one") / "data", database_url=new_table(), extra=STAND_IN)
     yield service
     assert service.stop() == 0
 
@@ -47,7 +49,8 @@ def one_worker(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFa
 @pytest.fixture(scope="module")
 def two_workers(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """The same with two workers, and leases long enough that a worker on a busy machine is not taken for lost."""
-    service = Service(tmp_path_factory.mktemp("two") / "data", database_url=new_table(), workers=2, lease_s=2)
+    settings = {"database_url": new_table(), "workers": 2, "lease_s": 2}
+    service = Service(tmp_path_factory.mktemp("two") / "data", extra=STAND_IN, **settings)
     yield service
     assert service.stop() == 0
 
@@ -86,7 +89,7 @@ def assert_settled(service: Service, *done: str) -> None:
 def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     """The web process is killed right after its 202: the encode goes on, and requests find its successor."""
     service = solo
-    job_id = service.accepted()
+    job_id = service.accepted_long(1)
     (web,) = service.ours("web")
     os.kill(web, signal.SIGKILL)
     service.client.close()
@@ -98,8 +101,8 @@ def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
 
 def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) -> None:
     """All processes are killed, one job being encoded and one just accepted: both are done after the next start."""
-    service = start_service()
-    first = service.accepted()
+    service = start_service(extra=STAND_IN)
+    first = service.accepted_long(1)
     running(first)
     second = service.accepted()
     service.kill_all()
@@ -143,7 +146,7 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
 def test_rule_3_published_once(duo: Service) -> None:
     """A worker sleeps while its encoder finishes; another publishes; the first wakes up with a result in hand."""
     service = duo
-    job_id = service.accepted()
+    job_id = service.accepted_long(1)
     encoder = running(job_id)
     sleeper = processes()[encoder].parent
     os.kill(sleeper, signal.SIGSTOP)
@@ -161,7 +164,7 @@ def test_rule_3_published_once(duo: Service) -> None:
 def test_rule_4_the_encoder_ends_with_its_worker(solo: Service) -> None:
     """The worker is killed: its encoder ends too, and the job goes to the next worker when the lease is over."""
     service = solo
-    job_id = service.accepted()
+    job_id = service.accepted_long(1)
     encoder = running(job_id)
     (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGKILL)
@@ -200,7 +203,7 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
 def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
     """The encoder process alone dies: its worker starts the job again at once."""
     service = solo
-    job_id = service.accepted()
+    job_id = service.accepted_long(1)
     os.kill(running(job_id), signal.SIGKILL)
     job = service.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
@@ -210,7 +213,7 @@ def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
 def test_rule_5_poison(solo: Service) -> None:
     """A job whose encoder always dies fails after four attempts, with its last error."""
     service = solo
-    job_id = service.accepted()
+    job_id = service.accepted_long(1)
     killed: set[int] = set()
     while len(killed) < 4:
         encoder = wait_until(lambda: (number := encoder_of(job_id)) not in killed and number)
@@ -226,7 +229,7 @@ def test_rule_5_poison(solo: Service) -> None:
 
 def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
-    service = start_service(max_attempts=1)
+    service = start_service(max_attempts=1, extra=STAND_IN)
     job_id = service.accepted_slow()
     encoder = running(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}

@@ -107,7 +107,8 @@ def test_what_the_codec_refuses_fails_at_once(service: Service) -> None:
     wait_until(lambda: not [name for name in service.files() if job["id"] in name])
 
 
-def test_a_job_is_removed_with_its_files(service: Service) -> None:
+def test_a_job_is_removed_with_its_files(quick: Service) -> None:
+    service = quick
     job = service.wait(service.accepted())
     assert service.client.delete(job["status_url"]).status_code == 204
     for url in ("status_url", "decode_url", "bitstream_url"):

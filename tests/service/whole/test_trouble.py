@@ -18,7 +18,7 @@ from tests.harness.data import ROOT, golden_path
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, processes, wait_until
 from tests.harness.s3_server import S3Server
-from tests.harness.service import StartService, assert_problem
+from tests.harness.service import STAND_IN, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
@@ -66,8 +66,8 @@ def test_full_disk_while_accepting(small_disk: Path, start_service: StartService
 
 def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """A result waits for room; the encode is not done again."""
-    service = start_service(database_url=database_url, lease_s=30, min_free_bytes=0)
-    job_id = service.accepted()
+    service = start_service(database_url=database_url, lease_s=30, min_free_bytes=0, extra=STAND_IN)
+    job_id = service.accepted_long(1)
     wait_until(lambda: encoder_of(job_id))
     ballast = fill(small_disk)
     wait_until(lambda: "cannot be stored yet" in service.log.read_text())
@@ -81,7 +81,7 @@ def test_full_disk_while_finishing(small_disk: Path, start_service: StartService
 def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgres: PostgresServer) -> None:
     """A row without a job of the engine gets one."""
     database_url = postgres.new_database()
-    service = start_service(database_url=database_url)
+    service = start_service(database_url=database_url, extra=STAND_IN)
     (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGSTOP)
     job_id = service.accepted()
@@ -93,7 +93,7 @@ def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgr
 
 def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: PostgresServer) -> None:
     """An encode goes on meanwhile, its result is published afterwards, and new jobs find their workers."""
-    service = start_service(database_url=postgres.new_database(), lease_s=20)
+    service = start_service(database_url=postgres.new_database(), lease_s=20, extra=STAND_IN)
     job_id = service.accepted_long(3)
     wait_until(lambda: encoder_of(job_id))
     postgres.stop("immediate")
@@ -148,14 +148,14 @@ def test_workers_that_share_only_a_database_and_a_bucket(
 ) -> None:
     """As on several machines: no common folder. One is killed in the middle; the others do its work."""
     shared = {"database_url": postgres.new_database(), "storage_url": s3.new_storage(), "lease_s": 2}
-    web = start_service("web", **shared, extra=s3.environment)
+    web = start_service("web", **shared, extra={**s3.environment, **STAND_IN})
     workers = []
     for name in ("a", "b"):
         environment = {**web.environment, "SG_DATA_DIR": str(tmp_path / name)}
         with (tmp_path / f"{name}.log").open("w") as log:
             command = [sys.executable, "-m", "service", "worker"]
             workers.append(subprocess.Popen(command, cwd=ROOT, env=environment, stderr=log))
-    jobs = [web.accepted() for _ in range(3)]
+    jobs = [web.accepted_long(1) for _ in range(3)]
     victim = wait_until(lambda: [process.parent for job in jobs if (process := processes().get(encoder_of(job) or 0))])[
         0
     ]
@@ -173,7 +173,7 @@ def test_workers_that_share_only_a_database_and_a_bucket(
 
 def test_a_worker_by_itself(start_service: StartService) -> None:
     """A worker started by hand takes jobs from the same folder, and stops with exit status 0."""
-    web = start_service("web")
+    web = start_service("web", extra=STAND_IN)
     command = [sys.executable, "-m", "service", "worker"]
     with web.log.open("a") as log:
         worker = subprocess.Popen(command, cwd=ROOT, env=web.environment, stderr=log)
@@ -184,7 +184,7 @@ def test_a_worker_by_itself(start_service: StartService) -> None:
 
 def test_supervisor_killed_alone(start_service: StartService) -> None:
     """Without their supervisor the other processes end by themselves, so that a new one finds free ground."""
-    service = start_service()
+    service = start_service(extra=STAND_IN)
     job_id = service.accepted_slow()
     encoder = wait_until(lambda: encoder_of(job_id))
     orphans = {encoder, *service.ours("web"), *service.ours("worker")}
