@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
 from sgmethod.errors import SgError
 
-INTERRUPTED, NO_READER = 128 + signal.SIGINT, 128 + signal.SIGPIPE
+INTERRUPTED, NO_READER = 130, 141  # 128 and the number of SIGINT, and of SIGPIPE, which not every system has
 
 
 def main(argv: Sequence[str] | None = None) -> int:

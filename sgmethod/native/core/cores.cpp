@@ -1,17 +1,18 @@
 #include "core/cores.h"
 
-#include <sched.h>
-
 #include <algorithm>
 #include <cerrno>
 #include <climits>
 #include <fstream>
+#include <thread>
 #include <vector>
+
+#ifdef __linux__
+#include <sched.h>
+#endif
 
 namespace sg {
 namespace {
-
-constexpr int kMostCpus = 1 << 20;  // far beyond any machine: a mask that large is refused for another reason
 
 int whole_cores(long long quota, long long period) {
   if (quota <= 0 || period <= 0) return INT_MAX;
@@ -45,8 +46,10 @@ bool lists_cpu(const std::string& controllers) { return ("," + controllers + ","
 
 }  // namespace
 
+#ifdef __linux__
 // The kernel refuses a mask that is smaller than its own, so the mask grows until it fits.
 int affinity_cores() {
+  constexpr int kMostCpus = 1 << 20;  // far beyond any machine: a mask that large is refused for another reason
   for (int cpus = CPU_SETSIZE; cpus <= kMostCpus; cpus *= 2) {
     std::vector<unsigned long> mask(CPU_ALLOC_SIZE(cpus) / sizeof(unsigned long));
     auto* set = reinterpret_cast<cpu_set_t*>(mask.data());
@@ -55,6 +58,9 @@ int affinity_cores() {
   }
   return 1;
 }
+#else
+int affinity_cores() { return std::max(1, static_cast<int>(std::thread::hardware_concurrency())); }
+#endif
 
 int quota_cores(const std::string& root) {
   std::string v2, v1;  // the paths of the process's groups

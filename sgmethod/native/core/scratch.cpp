@@ -1,12 +1,15 @@
 #include "core/scratch.h"
 
-#include <malloc.h>
-#include <pthread.h>
-
 #include <algorithm>
 #include <mutex>
 #include <new>
 #include <utility>
+
+#include "core/platform.h"
+
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 
 namespace sg {
 namespace {
@@ -24,7 +27,7 @@ struct Kept {
 Kept* const kept = new Kept;
 
 // Another thread may have been at it when a child was forked.
-[[maybe_unused]] const int watched = pthread_atfork(nullptr, nullptr, [] { new (kept) Kept; });
+[[maybe_unused]] const int watched = in_children([] { new (kept) Kept; });
 
 size_t floats_of(const std::vector<std::vector<float>>& blocks) {
   size_t sum = 0;

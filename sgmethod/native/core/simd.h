@@ -1,11 +1,28 @@
-// Portable vectors of W floats (compiler vector extensions) and the few functions the kernels need.
+// Vectors of W floats and the few functions the kernels need, in the vector extensions of GCC and Clang, which both have
+// for every processor. What a compiler makes worse than the processor can stands here too, and nowhere else.
 #pragma once
 
 #include <cstdint>
 #include <cstring>
 
+#include "core/platform.h"
+
+#if SG_X86
+#include <emmintrin.h>
+#elif defined(__ARM_NEON)
+#include <arm_neon.h>
+#elif defined(__wasm_simd128__)
+#include <wasm_simd128.h>
+#endif
+
 #define SG_INLINE inline __attribute__((always_inline))
 #define SG_INLINE_LAMBDA __attribute__((always_inline))
+
+#if SG_X86 && !defined(__clang__)
+#define SG_GCC_ON_X86 1
+#else
+#define SG_GCC_ON_X86 0
+#endif
 
 // GCC takes vectors of half the width of AVX-512 unless it is told to prefer the whole. Clang has no such option.
 #ifdef __clang__
@@ -60,7 +77,7 @@ struct Simd {
   static SG_INLINE void store(float* p, F v) { std::memcpy(p, &v, sizeof v); }
   static SG_INLINE F all(float x) { return x - F{}; }
   static SG_INLINE F max0(F v) { return max(v, F{}); }
-#ifdef __clang__
+#if !SG_GCC_ON_X86
   static SG_INLINE F min(F a, F b) { return a < b ? a : b; }
   static SG_INLINE F max(F a, F b) { return a > b ? a : b; }
 #else
@@ -83,7 +100,7 @@ struct Simd {
   }
 #endif
   static SG_INLINE F sqrt(F v) {
-#ifdef __clang__
+#if !SG_GCC_ON_X86
     for (int i = 0; i < W; ++i) v[i] = __builtin_sqrtf(v[i]);
 #else
     if constexpr (W == 4) {
@@ -104,7 +121,7 @@ struct Simd {
   static SG_INLINE F halves(const float* low, const float* high) {
     static_assert(W == 8);
     F v;
-#ifdef __clang__
+#if !SG_GCC_ON_X86
     std::memcpy(&v, low, sizeof v / 2);
     std::memcpy(reinterpret_cast<char*>(&v) + sizeof v / 2, high, sizeof v / 2);
 #else
@@ -120,7 +137,7 @@ struct Simd {
     static_assert(W == 8);
     typedef uint8_t Bytes __attribute__((vector_size(32)));
     Bytes out;
-#ifdef __clang__
+#if !SG_GCC_ON_X86
     const I in[4] = {a, b, c, c};
     for (int i = 0; i < 32; ++i) {
       const int32_t v = in[i / 4 % 4][i / 16 * 4 + i % 4];
@@ -181,5 +198,31 @@ struct Simd {
     }
   }
 };
+
+// How many of 16 ascending numbers are no greater than a place. kSome: at least one is greater, which spares a step. p lies
+// at a multiple of 16 bytes.
+template <bool kSome>
+SG_INLINE uint32_t count_until(const int16_t* p, int place) {
+#if SG_X86
+  __m128i at = _mm_shufflelo_epi16(_mm_cvtsi32_si128(place), 0);
+  at = _mm_unpacklo_epi64(at, at);
+  const auto* v = reinterpret_cast<const __m128i*>(p);
+  const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(_mm_load_si128(v), at), _mm_cmpgt_epi16(_mm_load_si128(v + 1), at));
+  return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above)) | (kSome ? 0u : 1u << 16)));
+#elif defined(__ARM_NEON) && defined(__aarch64__)
+  const int16x8_t at = vdupq_n_s16(static_cast<int16_t>(place));  // a comparison that holds is -1
+  const uint16x8_t within = vaddq_u16(vcleq_s16(vld1q_s16(p), at), vcleq_s16(vld1q_s16(p + 8), at));
+  return static_cast<uint32_t>(-vaddvq_s16(vreinterpretq_s16_u16(within)));
+#elif defined(__wasm_simd128__)
+  const v128_t at = wasm_i16x8_splat(static_cast<int16_t>(place));
+  const v128_t low = wasm_i16x8_gt(wasm_v128_load(p), at), high = wasm_i16x8_gt(wasm_v128_load(p + 8), at);
+  const unsigned above = wasm_i8x16_bitmask(wasm_i8x16_narrow_i16x8(low, high));
+  return static_cast<uint32_t>(__builtin_ctz(above | (kSome ? 0u : 1u << 16)));
+#else
+  uint32_t count = 0;
+  for (int i = 0; i < 16; ++i) count += p[i] <= static_cast<int16_t>(place);
+  return count;
+#endif
+}
 
 }  // namespace sg

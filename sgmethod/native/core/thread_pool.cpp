@@ -1,8 +1,5 @@
 #include "core/thread_pool.h"
 
-#include <pthread.h>
-#include <xmmintrin.h>
-
 #include <algorithm>
 #include <atomic>
 #include <condition_variable>
@@ -17,6 +14,7 @@
 #include <vector>
 
 #include "core/cores.h"
+#include "core/platform.h"
 
 namespace sg {
 namespace {
@@ -26,27 +24,25 @@ namespace {
 constexpr int kSpins = 10000;
 constexpr int kMaxThreads = 256;
 
-// Whether this thread is within a task. The model of storage that needs no memory at the first use: there the system
-// ends the process if it has none.
-__attribute__((tls_model("initial-exec"))) thread_local bool inside_task = false;
+SG_STORED_AT_START thread_local bool inside_task = false;  // whether this thread is within a task
 
-// Results far below one grey level need no subnormal numbers, and some processors are slow with them.
-// Flush-to-zero is the same in every instruction set used here, so pixels stay identical.
+// Results far below one grey level need no subnormal numbers, and some processors are slow with them. No pixel depends on
+// them, so machines that keep them draw the same.
 class TaskMode {
  public:
-  TaskMode() : saved_(_mm_getcsr()) {
-    _mm_setcsr(saved_ | 0x8040);
+  TaskMode() : saved_(float_mode()) {
+    set_float_mode(saved_ | kFlushMode);
     inside_task = true;
   }
   ~TaskMode() {
     inside_task = false;
-    _mm_setcsr(saved_);
+    set_float_mode(saved_);
   }
   TaskMode(const TaskMode&) = delete;
   TaskMode& operator=(const TaskMode&) = delete;
 
  private:
-  unsigned saved_;
+  FloatMode saved_;
 };
 
 int initial_thread_count() {
@@ -99,7 +95,7 @@ class Pool {
       open_ = false;  // a worker that wakes only now is not waited for: its core may be busy elsewhere
     }
     for (int spin = 0; active_.load(std::memory_order_acquire) != 0;) {
-      if (++spin < kSpins) _mm_pause();
+      if (++spin < kSpins) wait_a_moment();
       else std::this_thread::yield();
     }
     if (error_) std::rethrow_exception(std::exchange(error_, nullptr));
@@ -138,7 +134,7 @@ class Pool {
     static_cast<void>(std::current_exception());
     unsigned seen = 0;
     while (true) {
-      for (int spin = 0; spin < kSpins && generation_.load(std::memory_order_acquire) == seen; ++spin) _mm_pause();
+      for (int spin = 0; spin < kSpins && generation_.load(std::memory_order_acquire) == seen; ++spin) wait_a_moment();
       if (generation_.load(std::memory_order_acquire) == seen) {
         std::unique_lock<std::mutex> lock(mutex_);
         wake_.wait(lock, [&] { return stop_ || generation_.load(std::memory_order_relaxed) != seen; });
@@ -181,7 +177,7 @@ void start_afresh() {
 }
 
 // At load: there is no moment at which a kernel could run and a fork go unnoticed.
-[[maybe_unused]] const int watched = pthread_atfork(nullptr, nullptr, start_afresh);
+[[maybe_unused]] const int watched = in_children(start_afresh);
 
 }  // namespace
 

@@ -280,8 +280,10 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
                                    weights_##name,       add_##name,        project_##name};
 
 SG_FIT_KERNELS(baseline, 4, )
+#if SG_X86
 SG_FIT_KERNELS(avx2, 8, [[gnu::target("avx2,fma")]])
 SG_FIT_KERNELS(avx512, 16, [[gnu::target(SG_AVX512 ",fma")]])
+#endif
 
 }  // namespace
 
@@ -292,8 +294,13 @@ int64_t first_value_count(const Rasterization& raster, int tile) {
 }
 
 const FitKernels& fit_kernels(int isa) {
+#if SG_X86
   static const FitKernels* const table[] = {&k_baseline, &k_avx2, &k_avx512};
   return *table[isa];
+#else
+  static_cast<void>(isa);
+  return k_baseline;
+#endif
 }
 
 }  // namespace sg

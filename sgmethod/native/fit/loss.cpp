@@ -8,7 +8,7 @@
 #include <cmath>
 #include <cstring>
 
-#include "core/clones.h"
+#include "core/platform.h"
 #include "core/thread_pool.h"
 
 namespace sg {

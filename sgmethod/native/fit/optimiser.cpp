@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/clones.h"
 #include "core/constants.h"
+#include "core/platform.h"
 #include "core/thread_pool.h"
 
 namespace sg {

@@ -7,8 +7,8 @@
 #include <cstring>
 #include <memory>
 #include <numeric>
-#include <stdexcept>
 
+#include "core/errors.h"
 #include "core/thread_pool.h"
 #include "raster/kernels.h"
 #include "raster/levels.h"
@@ -312,7 +312,7 @@ void Rasterization::leave(const float* colors, const int16_t* target, const Stri
 }
 
 double Rasterization::squared_error(const float* colors, const int16_t* target, const Gradients& out) const {
-  if (canvas_.x != 0 || canvas_.y != 0) throw std::invalid_argument("a fit is of the whole picture");
+  if (canvas_.x != 0 || canvas_.y != 0) refuse<std::invalid_argument>("a fit is of the whole picture");
   const float scale = 2.0f / static_cast<float>(samples());
   Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, 1, coarse);

@@ -1,7 +1,8 @@
 #include "raster/footprint.h"
 
-#include "core/clones.h"
+#include <limits>
 
+#include "core/platform.h"
 
 namespace sg {
 namespace {
@@ -16,9 +17,11 @@ int segment_rows(float l3) {
   return std::clamp(static_cast<int>(std::min(9.0f * l3, static_cast<float>(kMaxSegment))), 1, kMaxSegment);
 }
 
+// A subnormal scale is none, whether or not the processor makes it zero.
 bool drawable(const float* mean, const float* factor) {
-  return std::isfinite(mean[0]) && std::isfinite(mean[1]) && std::isfinite(factor[1]) && factor[0] > 0.0f &&
-         factor[2] > 0.0f && std::isfinite(factor[0]) && std::isfinite(factor[2]) && std::isfinite(1.0f / factor[0]) &&
+  constexpr float kLeast = std::numeric_limits<float>::min();
+  return std::isfinite(mean[0]) && std::isfinite(mean[1]) && std::isfinite(factor[1]) && factor[0] >= kLeast &&
+         factor[2] >= kLeast && std::isfinite(factor[0]) && std::isfinite(factor[2]) && std::isfinite(1.0f / factor[0]) &&
          std::isfinite(1.0f / (factor[2] * factor[2])) && std::isfinite(factor[1] / factor[0]);
 }
 

@@ -1,7 +1,5 @@
 #include "raster/kernels.h"
 
-#include <emmintrin.h>
-
 #include "raster/columns.h"
 
 namespace sg {
@@ -10,18 +8,21 @@ namespace {
 // One colour's levels of 16 columns.
 typedef uint8_t Bytes __attribute__((vector_size(16)));
 
-SG_INLINE __m128i levels_of_4(const float* in) {
-  const __m128 clamped = _mm_min_ps(_mm_max_ps(_mm_load_ps(in), _mm_setzero_ps()), _mm_set1_ps(1.0f));
-  return _mm_cvttps_epi32(_mm_add_ps(_mm_mul_ps(clamped, _mm_set1_ps(255.0f)), _mm_set1_ps(0.5f)));
-}
-
+// Each is the lowest byte of an integer: its lower half, and of that the lower half.
 SG_INLINE Bytes levels(const float* in) {
-  const __m128i low = _mm_packs_epi32(levels_of_4(in), levels_of_4(in + 4));
-  const __m128i high = _mm_packs_epi32(levels_of_4(in + 8), levels_of_4(in + 12));
-  return reinterpret_cast<Bytes>(_mm_packus_epi16(low, high));
+  using V = Simd<4>;
+  typedef int16_t Shorts __attribute__((vector_size(16)));
+  const auto four = [&](int i) SG_INLINE_LAMBDA {
+    const V::F clamped = V::min(V::max0(V::load(in + 4 * i)), V::all(1.0f));
+    return reinterpret_cast<Shorts>(__builtin_convertvector(clamped * 255.0f + 0.5f, V::I));
+  };
+  const auto eight = [&](int i) SG_INLINE_LAMBDA {
+    return reinterpret_cast<Bytes>(shuffle(four(i), four(i + 1), Shorts{0, 2, 4, 6, 8, 10, 12, 14}));
+  };
+  return shuffle(eight(0), eight(2), Bytes{0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30});
 }
 
-// For the baseline, which has no byte shuffle.
+// For the baseline, which has no byte shuffle on x86-64.
 SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
     const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth), b = levels(accumulators + 2 * kTileWidth);
@@ -40,7 +41,8 @@ SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, ui
 
 // Where byte shuffles are quick: clamping is the processor's when it narrows, and then colours are mixed. What is not a
 // number becomes black, here as there.
-SG_INLINE void shuffled_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
+[[maybe_unused]] SG_INLINE void shuffled_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels,
+                                              int64_t stride) {
   using V = Simd<8>;
   typedef uint8_t Bytes32 __attribute__((vector_size(32)));
   constexpr Bytes32 kMixed = {0,  4,  8,  1,  5,  9,  2,  6,  10, 3,  7,  11, 12, 12, 12, 12,
@@ -153,14 +155,21 @@ SG_INLINE void sixteenth_body(const float* accumulators, int columns, int rows, 
   constexpr TileKernels k_##name = {cross_##name, forward_##name, enlarge_##name, sixteenth_##name, bytes_##name};
 
 SG_KERNELS(baseline, 4, )
+#if SG_X86
 SG_KERNELS(avx2, 8, [[gnu::target("avx2")]])
 SG_KERNELS(avx512, 16, [[gnu::target(SG_AVX512)]])
+#endif
 
 }  // namespace
 
 const TileKernels& kernels(int isa) {
+#if SG_X86
   static const TileKernels* const table[] = {&k_baseline, &k_avx2, &k_avx512};
   return *table[isa];
+#else
+  static_cast<void>(isa);
+  return k_baseline;
+#endif
 }
 
 }  // namespace sg

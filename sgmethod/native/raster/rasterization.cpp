@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <stdexcept>
 
+#include "core/errors.h"
 #include "core/isa.h"
 #include "core/thread_pool.h"
 #include "raster/crossings.h"
@@ -28,7 +28,7 @@ int bin_size(int n, int tiles) {
 }
 
 void require(bool condition, const char* message) {
-  if (!condition) throw std::invalid_argument(message);
+  if (!condition) refuse<std::invalid_argument>(message);
 }
 
 const Canvas& checked(const Canvas& canvas) {
@@ -53,7 +53,7 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, co
       floor_(exp_minus(canvas.cutoff)), footprints_(n), factors_(factors, factors + 3 * static_cast<int64_t>(n)), levels_(n) {
   max_pairs = std::min(max_pairs, kMaxPairs);
   const int64_t pairs = find_pairs(means, max_pairs, std::min(max_pairs, kPairsAtOnce));
-  if (pairs > max_pairs) throw std::overflow_error("too many pairs of Gaussian and tile");
+  if (pairs > max_pairs) refuse<std::overflow_error>("too many pairs of Gaussian and tile");
   if (pairs > kPairsAtOnce) find_pairs(means, max_pairs, max_pairs);
   sort_pairs();
 }

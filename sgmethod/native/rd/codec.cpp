@@ -12,8 +12,8 @@
 #include <algorithm>
 #include <atomic>
 #include <memory>
-#include <stdexcept>
 
+#include "core/errors.h"
 #include "core/isa.h"
 #include "core/thread_pool.h"
 #include "rd/models.h"
@@ -125,7 +125,7 @@ struct Decoding {
   // False if a prefix has ended.
   bool whole(const Decoder& now) const {
     if (!overrun(now)) return true;
-    if (!prefix) throw std::runtime_error("the data end too early");
+    if (!prefix) refuse<std::runtime_error>("the data end too early");
     return false;
   }
   // Room for more Gaussians; returns the first of them.
@@ -136,9 +136,19 @@ struct Decoding {
     out.colors.resize(3 * (n + more));
     return n;
   }
-  // Within a catch: what stands past the end of a prefix means nothing.
-  void rethrow_unless_overrun(const Decoder& now) const {
-    if (!prefix || !overrun(now)) throw;
+  // Runs a loop that decodes by `now`. What is refused past the end of a prefix means nothing.
+  template <typename Loop>
+  SG_INLINE void attempt(const Decoder& now, const Loop& loop) const {
+#ifdef __cpp_exceptions
+    try {
+      loop();
+    } catch (const std::runtime_error&) {
+      if (!prefix || !overrun(now)) throw;
+    }
+#else
+    static_cast<void>(now);
+    loop();
+#endif
   }
 };
 
@@ -153,18 +163,16 @@ class ClassesV3 {
     s.size_class = size_class;
     const int raw_bits = raw_distance_bits(d_.p, size_class, count);
     size_t found = 0;
-    try {
+    d_.attempt(d_.coder, [&] {
       for (; found < room; ++found) {
         s.cell = d_.models.cell(d_.coder, raw_bits, s.cell);
-        if (!in_grid(d_.p, cell_bits(size_class), s.cell)) throw std::runtime_error("a position is out of range");
+        if (!in_grid(d_.p, cell_bits(size_class), s.cell)) refuse<std::runtime_error>("a position is out of range");
         const Geometry geometry = d_.models.gaussian(d_.coder, d_.p, s);
         if (!d_.whole(d_.coder)) break;
         const size_t at = d_.add(1);
         dequantise(d_.p, s, geometry, &d_.out.means[2 * at], &d_.out.factors[3 * at], &d_.out.colors[3 * at]);
       }
-    } catch (const std::runtime_error&) {
-      d_.rethrow_unless_overrun(d_.coder);
-    }
+    });
     return found;
   }
   void finish() {}
@@ -195,7 +203,7 @@ SG_INLINE void decode_batch_body(Decoding<Version4>& d, Batch& batch, const Size
   Symbols* s = &batch.symbols[batch.n];
   Parts* parts = &batch.parts[batch.n];
   int found = 0;
-  try {
+  d.attempt(coder, [&]() SG_INLINE_LAMBDA {
     s->size_class = by.number;
     if (begin) models.pair<true, false>(coder, p, by, 0, size, *s, *s);
     for (const int pairs = more ? wanted : wanted - 1; found < pairs; ++found, ++s) {
@@ -207,9 +215,7 @@ SG_INLINE void decode_batch_body(Decoding<Version4>& d, Batch& batch, const Size
       parts[found] = models.pair<false, true>(coder, p, by, s->cell, size, *s, *s);
       found += d.whole(coder);
     }
-  } catch (const std::runtime_error&) {
-    d.rethrow_unless_overrun(coder);
-  }
+  });
   batch.n += found;
   batch.size = size;
   d.coder = coder;
@@ -217,10 +223,19 @@ SG_INLINE void decode_batch_body(Decoding<Version4>& d, Batch& batch, const Size
 void decode_batch_baseline(Decoding<Version4>& d, Batch& batch, const SizeClass& c, int wanted, bool begin, bool more) {
   decode_batch_body(d, batch, c, wanted, begin, more);
 }
+#if SG_X86
 __attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<Version4>& d, Batch& batch,
                                                                       const SizeClass& c, int wanted, bool begin,
                                                                       bool more) {
   decode_batch_body(d, batch, c, wanted, begin, more);
+}
+#endif
+
+auto best_decode_batch() {
+#if SG_X86
+  if (best_isa() >= kAvx2 && has_bit_operations()) return decode_batch_avx2;
+#endif
+  return decode_batch_baseline;
 }
 
 class ClassesV4 {
@@ -228,8 +243,7 @@ class ClassesV4 {
   explicit ClassesV4(Decoding<Version4>& d) : d_(d) {}
 
   size_t read(int size_class, uint32_t count, size_t room) {
-    static const auto decode_batch =
-        best_isa() >= kAvx2 && has_bit_operations() ? decode_batch_avx2 : decode_batch_baseline;
+    static const auto decode_batch = best_decode_batch();
     const SizeClass c = class_of(d_.p, size_class, count);
     size_t found = 0;
     while (found < room) {
@@ -267,27 +281,28 @@ bool decode_payload(Decoding<Version>& d, Classes& classes, uint64_t limit) {
   const int first = kMaxClass - static_cast<int>(Version::class_number(d.coder, 0));
   const int last = first - static_cast<int>(Version::class_number(d.coder, 0));
   if (d.prefix && d.overrun(d.coder)) return false;
-  if (!begun || last < kMinClass) throw std::runtime_error("no encoder begins like this");
+  if (!begun || last < kMinClass) refuse<std::runtime_error>("no encoder begins like this");
   size_t done = 0;
   for (int c = first; c >= last; --c) {
     const uint32_t count = Version::count(d.coder, d.models, 0);
     if (!d.whole(d.coder)) return false;
-    if (!d.prefix && count > most - done) throw std::runtime_error("more Gaussians than the data can hold");
+    if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
-    if (done + room > limit) throw std::overflow_error("more Gaussians than the limit");
+    if (done + room > limit) refuse<std::overflow_error>("more Gaussians than the limit");
     const size_t found = classes.read(c, count, room);
     done += found;
     if (found < count) return false;
   }
-  if (!d.prefix && !d.coder.ends()) throw std::runtime_error("the last Gaussian does not end as it should");
+  if (!d.prefix && !d.coder.ends()) refuse<std::runtime_error>("the last Gaussian does not end as it should");
   return true;
 }
 
 template <typename Version, typename Classes>
-GaussianArrays decoded(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
+GaussianArrays decoded(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians,
+                       size_t behind) {
   GaussianArrays out;
   std::vector<uint8_t> padded(size + Version::Decoder::kSlack);
-  std::copy_n(data, size, padded.begin());
+  std::copy_n(data, size + std::min(behind, Version::Decoder::kSlack), padded.begin());
   Decoding<Version> d{p, size, prefix, out, typename Version::Decoder(padded.data())};
   const size_t expected = std::min<uint64_t>(most_in(p, size), size / 2);  // in 16 bits each
   out.means.reserve(2 * expected);
@@ -297,7 +312,7 @@ GaussianArrays decoded(const RdParameters& p, const uint8_t* data, size_t size, 
   const bool ended = decode_payload(d, classes, max_gaussians);
   const size_t read = std::min(d.coder.read(), size);
   if (ended && !prefix && std::any_of(data + read, data + size, [](uint8_t byte) { return byte != 0; }))
-    throw std::runtime_error("there are bytes behind the last Gaussian");
+    refuse<std::runtime_error>("there are bytes behind the last Gaussian");
   classes.finish();
   return out;
 }
@@ -324,9 +339,9 @@ std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, t
 
 RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, int version)
     : width(width), height(height), quantum(quantum), grey(grey), upright(upright), version(version) {
-  if (version != 3 && version != 4) throw std::invalid_argument("no such version of profile rd");
-  if (!(width > 0 && height > 0 && quantum > 0)) throw std::invalid_argument("parameters must be positive");
-  if (width > kMaxSide || height > kMaxSide) throw std::invalid_argument("a side is more than 65535 pixels");
+  if (version != 3 && version != 4) refuse<std::invalid_argument>("no such version of profile rd");
+  if (!(width > 0 && height > 0 && quantum > 0)) refuse<std::invalid_argument>("parameters must be positive");
+  if (width > kMaxSide || height > kMaxSide) refuse<std::invalid_argument>("a side is more than 65535 pixels");
 }
 
 int64_t clipped_values() { return clipped.load(std::memory_order_relaxed); }
@@ -356,7 +371,7 @@ void rd_quantise(const RdParameters& p, const float* means, const float* factors
 
 std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
   if (all.empty()) return {};
-  if (all.size() > most_in(p, SIZE_MAX / 16)) throw std::invalid_argument("more Gaussians than pixels, or than 2^24");
+  if (all.size() > most_in(p, SIZE_MAX / 16)) refuse<std::invalid_argument>("more Gaussians than pixels, or than 2^24");
   std::stable_sort(all.begin(), all.end(), [](const Symbols& a, const Symbols& b) {
     return a.size_class != b.size_class ? a.size_class > b.size_class : a.cell < b.cell;
   });
@@ -380,10 +395,11 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
   return encode_symbols(p, all, models);
 }
 
-GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
+GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians,
+                         size_t behind) {
   if (size == 0) return {};
   const auto decode = p.version == 3 ? decoded<Version3, ClassesV3> : decoded<Version4, ClassesV4>;
-  return decode(p, data, size, prefix, max_gaussians);
+  return decode(p, data, size, prefix, max_gaussians, behind);
 }
 
 }  // namespace sg

@@ -39,8 +39,9 @@ std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* mean
 
 // Throws std::runtime_error on data that no encoder writes. With prefix = true, data may be cut anywhere: the
 // Gaussians up to there are returned, at most 8 for each byte and 64. Throws std::overflow_error for more than
-// max_gaussians, before memory is taken for them.
+// max_gaussians, before memory is taken for them. Where there are no exceptions, a prefix needs what follows it in the
+// payload, `behind` bytes: they do not change what is returned, but nothing in them is refused then.
 GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
-                         uint64_t max_gaussians = kMaxGaussians);
+                         uint64_t max_gaussians = kMaxGaussians, size_t behind = 0);
 
 }  // namespace sg

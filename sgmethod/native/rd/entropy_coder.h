@@ -9,8 +9,6 @@
 // take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
 #pragma once
 
-#include <emmintrin.h>
-
 #include <algorithm>
 #include <array>
 #include <cstddef>
@@ -80,12 +78,7 @@ class Model {
   uint32_t edge(int i) const { return static_cast<uint32_t>(kOne + ends()[i - 1]); }
 
   // The symbol within whose share a place lies, which is given less kProbabilityOne.
-  SG_INLINE uint32_t find(int place) const {
-    __m128i p = _mm_shufflelo_epi16(_mm_cvtsi32_si128(place), 0);
-    p = _mm_unpacklo_epi64(p, p);
-    const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(at(ends()), p), _mm_cmpgt_epi16(at(ends() + 8), p));
-    return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above))));
-  }
+  SG_INLINE uint32_t find(int place) const { return count_until<true>(ends(), place); }
   struct Share {
     int low, size;  // low less kProbabilityOne
   };
@@ -109,7 +102,6 @@ class Model {
   // Vectors of the compiler, which makes one or two registers of each.
   typedef int16_t Lanes __attribute__((vector_size(32), may_alias));
 
-  static SG_INLINE __m128i at(const int16_t* p) { return _mm_load_si128(reinterpret_cast<const __m128i*>(p)); }
   static SG_INLINE Lanes& lanes(int16_t* p) { return *reinterpret_cast<Lanes*>(p); }
   static SG_INLINE const Lanes& lanes(const int16_t* p) { return *reinterpret_cast<const Lanes*>(p); }
 
@@ -213,10 +205,15 @@ class Decoder {
         static_cast<uint32_t>(share.size) * (state >> kProbabilityBits) + static_cast<uint32_t>(place - share.low);
     uint16_t word;
     std::memcpy(&word, next_, sizeof word);
+#if SG_X86
     // The compiler would make a branch of the condition, and that would be wrong half of the time.
     uint32_t filled = left;
     bool refill;
     asm("cmp %3, %0\n\tcmovb %2, %0" : "+r"(filled), "=@ccb"(refill) : "r"(left << 16 | word), "i"(kStateLow));
+#else
+    const bool refill = left < kStateLow;
+    const uint32_t filled = refill ? left << 16 | word : left;
+#endif
     states_[lane] = filled;
     next_ += refill * kWordBytes;
     model.update(symbol);

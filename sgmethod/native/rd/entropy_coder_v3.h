@@ -3,8 +3,6 @@
 // symbol has no division and no branch that depends on the data.
 #pragma once
 
-#include <emmintrin.h>
-
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -31,42 +29,38 @@ class alignas(16) ModelV3 {
 
   // The symbol within whose share `place` lies.
   int find(uint32_t place) const {
-    const __m128i p = _mm_set1_epi16(static_cast<int16_t>(place));
-    const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(at(edges_), p), _mm_cmpgt_epi16(at(edges_ + 8), p));
-    return __builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above)) | 1u << kSymbols) - 1;
+    return static_cast<int>(count_until<false>(reinterpret_cast<const int16_t*>(edges_), static_cast<int>(place))) - 1;
   }
 
   void update(int symbol) {
     const int shift = 31 - __builtin_clz(seen_ + kStartSeen);
     if (seen_ < kMostSeen) ++seen_;
-    const __m128i fast = _mm_cvtsi32_si128(std::min(shift, kFastShift));
-    const __m128i slow = _mm_cvtsi32_si128(std::min(shift, kSlowShift));
-    const __m128i s = _mm_set1_epi16(static_cast<int16_t>(symbol));
-    const __m128i low = _mm_setr_epi16(0, 1, 2, 3, 4, 5, 6, 7), high = _mm_setr_epi16(8, 9, 10, 11, 12, 13, 14, 15);
-    const __m128i up_low = _mm_cmpgt_epi16(low, s), up_high = _mm_cmpgt_epi16(high, s);
-    move(fast_, up_low, fast);
-    move(fast_ + 8, up_high, fast);
-    move(slow_, up_low, slow);
-    move(slow_ + 8, up_high, slow);
+    constexpr Lanes kEach[2] = {{0, 1, 2, 3, 4, 5, 6, 7}, {8, 9, 10, 11, 12, 13, 14, 15}};
+    for (int half = 0; half < 2; ++half) {
+      const auto up = reinterpret_cast<Lanes>(kEach[half] > static_cast<uint16_t>(symbol));
+      move(fast_ + 8 * half, up, std::min(shift, kFastShift));
+      move(slow_ + 8 * half, up, std::min(shift, kSlowShift));
+    }
     set_edges();
   }
 
  private:
   static constexpr int kFastShift = 5, kSlowShift = 7, kStartSeen = 16, kMostSeen = 128;
 
-  static __m128i at(const uint16_t* p) { return _mm_load_si128(reinterpret_cast<const __m128i*>(p)); }
+  typedef uint16_t Lanes __attribute__((vector_size(16), may_alias));
+
+  static Lanes& lanes(uint16_t* p) { return *reinterpret_cast<Lanes*>(p); }
   // Towards 65535 where `up` is all ones, towards 0 elsewhere, by 1 / 2^shift of the way.
-  static void move(uint16_t* p, __m128i up, __m128i shift) {
-    const __m128i v = _mm_xor_si128(at(p), up);
-    _mm_store_si128(reinterpret_cast<__m128i*>(p), _mm_xor_si128(_mm_sub_epi16(v, _mm_srl_epi16(v, shift)), up));
+  static void move(uint16_t* p, Lanes up, int shift) {
+    const Lanes v = lanes(p) ^ up;
+    lanes(p) = (v - (v >> shift)) ^ up;
   }
   void set_edges() {
+    constexpr Lanes kLeast = {0, 4, 8, 12, 16, 20, 24, 28};
     for (int i = 0; i < kSymbols; i += 8) {
-      const __m128i mean = _mm_avg_epu16(at(fast_ + i), at(slow_ + i));
-      const __m128i room = _mm_sub_epi16(_mm_srli_epi16(mean, 1), _mm_srli_epi16(mean, 10));
-      const __m128i first = _mm_set1_epi16(static_cast<int16_t>(4 * i));
-      const __m128i least = _mm_add_epi16(_mm_setr_epi16(0, 4, 8, 12, 16, 20, 24, 28), first);
-      _mm_store_si128(reinterpret_cast<__m128i*>(edges_ + i), _mm_add_epi16(room, least));
+      const Lanes f = lanes(fast_ + i), s = lanes(slow_ + i);
+      const Lanes mean = (f | s) - ((f ^ s) >> 1);  // rounded up, without a seventeenth bit
+      lanes(edges_ + i) = (mean >> 1) - (mean >> 10) + (kLeast + static_cast<uint16_t>(4 * i));
     }
   }
 

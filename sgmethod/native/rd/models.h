@@ -4,9 +4,9 @@
 
 #include <algorithm>
 #include <array>
-#include <stdexcept>
 #include <utility>
 
+#include "core/errors.h"
 #include "core/simd.h"
 #include "rd/entropy_coder.h"
 #include "rd/start_tables.h"
@@ -96,12 +96,12 @@ inline uint32_t color_sign_bits(const Symbols& s) { return (s.y < 0) << 2 | (s.a
 inline uint32_t shape_sign_bits(const Symbols& s) { return (s.v < 0) << 1 | (s.r < 0); }
 
 SG_INLINE void check_color(const RdParameters& p, uint32_t y, uint32_t a, uint32_t b) {
-  if ((y | a | b) == 0) throw std::runtime_error("a Gaussian has no colour");
+  if ((y | a | b) == 0) refuse<std::runtime_error>("a Gaussian has no colour");
   if ((y | a | b) >= kFirstEscaped && std::max({y, a, b}) > static_cast<uint32_t>(limits_of(p).color))
-    throw std::runtime_error("a colour is out of range");
+    refuse<std::runtime_error>("a colour is out of range");
 }
 SG_INLINE void check_shape(const Steps& steps, uint32_t v, uint32_t r) {
-  if (!steps.allow(v, r)) throw std::runtime_error("a shape is out of range");
+  if (!steps.allow(v, r)) refuse<std::runtime_error>("a shape is out of range");
 }
 
 // What of a colour is known before its signs.
@@ -170,7 +170,7 @@ struct Models : ModelTables<Model> {
       code_rest(coder, distance, by >> c.raw_bits);
       const uint64_t cell = from + (uint64_t{distance.value} << c.raw_bits) + low;
       if ((cell & ~uint64_t{kRowBits}) > c.last_column || (cell & kRowBits) > c.last_row)
-        throw std::runtime_error("a position is out of range");
+        refuse<std::runtime_error>("a position is out of range");
       next.cell = static_cast<uint32_t>(cell);
     }
     if (kNow) {

@@ -35,7 +35,7 @@ struct ModelsV3 : ModelTables<ModelV3> {
     const uint32_t by = cell - from;
     const uint64_t high = code_number_v3(coder, distance, by >> raw_bits);
     const uint64_t next = from + (high << raw_bits) + code_bits_v3(coder, by & ((1u << raw_bits) - 1), raw_bits);
-    if (next > 0xFFFFFFFFull) throw std::runtime_error("a position is out of range");
+    if (next > 0xFFFFFFFFull) refuse<std::runtime_error>("a position is out of range");
     return static_cast<uint32_t>(next);
   }
 

@@ -228,17 +228,21 @@ void dequantise_baseline(const RdParameters& p, const Symbols* s, const Parts* p
                          float* colors) {
   dequantise_body(p, s, parts, n, means, factors, colors);
 }
+#if SG_X86
 __attribute__((target("avx2"))) void dequantise_avx2(const RdParameters& p, const Symbols* s, const Parts* parts, int n,
                                                      float* means, float* factors, float* colors) {
   dequantise_body(p, s, parts, n, means, factors, colors);
 }
+#endif
 
 }  // namespace
 
 void dequantise(const RdParameters& p, const Symbols* s, const Parts* parts, int n, float* means, float* factors,
                 float* colors) {
-  const auto run = best_isa() >= kAvx2 ? dequantise_avx2 : dequantise_baseline;
-  run(p, s, parts, n, means, factors, colors);
+#if SG_X86
+  if (best_isa() >= kAvx2) return dequantise_avx2(p, s, parts, n, means, factors, colors);
+#endif
+  dequantise_baseline(p, s, parts, n, means, factors, colors);
 }
 
 }  // namespace sg

@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
-#include "core/clones.h"
 #include "core/isa.h"
+#include "core/platform.h"
 #include "raster/levels.h"
 
 namespace sg {

@@ -18,10 +18,10 @@
 #include <cmath>
 #include <memory>
 #include <numeric>
-#include <stdexcept>
 
-#include "refine/visitor.h"
+#include "core/errors.h"
 #include "core/thread_pool.h"
+#include "refine/visitor.h"
 
 namespace sg {
 namespace {
@@ -208,7 +208,7 @@ class Refinement {
 
 std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
                                const int16_t* target, const RefineSettings& settings) {
-  if (p.version != 4) throw std::invalid_argument("only version 4 is refined");
+  if (p.version != 4) refuse<std::invalid_argument>("only version 4 is refined");
   return Refinement(p, quantised(p, means, factors, colors, n), target, settings).run();
 }
 

@@ -48,8 +48,14 @@ class System {
 
 }  // namespace
 
+#ifdef __GLIBC__
+#define SG_DECLARED noexcept
+#else
+#define SG_DECLARED
+#endif
+
 // Takes the place of the C library's: a machine of many processors refuses a mask that is too small for them.
-extern "C" int sched_getaffinity(pid_t process, size_t size, cpu_set_t* mask) noexcept {
+extern "C" int sched_getaffinity(pid_t process, size_t size, cpu_set_t* mask) SG_DECLARED {
   if (pretended_cpus == 0) return syscall(SYS_sched_getaffinity, process, size, mask) < 0 ? -1 : 0;
   if (8 * size < static_cast<size_t>(pretended_cpus)) {
     errno = EINVAL;

@@ -1,11 +1,11 @@
 // The thread pool: every task once, exceptions, nested calls, subnormal numbers, forks, several callers. Memory that calls
 // hand on.
+#include "core/platform.h"
 #include "core/scratch.h"
 #include "core/thread_pool.h"
 
 #include <sys/wait.h>
 #include <unistd.h>
-#include <xmmintrin.h>
 
 #include <algorithm>
 #include <atomic>
@@ -21,7 +21,7 @@ namespace {
 
 constexpr int kThreads[] = {1, 2, 5, 40};
 
-unsigned mode() { return _mm_getcsr() & 0x8040; }
+sg::FloatMode mode() { return sg::float_mode() & sg::kFlushMode; }
 
 // Runs tasks of which each counts its calls; returns whether every one ran once.
 bool all_run_once(int count) {
@@ -99,11 +99,11 @@ TEST(pool_flushes_subnormal_numbers_within_tasks_alone) {
     sg::set_thread_count(threads);
     CHECK(mode() == 0);
     sg::parallel_for(100, [](int) {
-      CHECK(mode() == 0x8040);
-      sg::parallel_for(2, [](int) { CHECK(mode() == 0x8040); });
-      CHECK(mode() == 0x8040);
+      CHECK(mode() == sg::kFlushMode);
+      sg::parallel_for(2, [](int) { CHECK(mode() == sg::kFlushMode); });
+      CHECK(mode() == sg::kFlushMode);
       CHECK(check::throws<int>([] { sg::parallel_for(2, [](int i) { throw i; }); }));
-      CHECK(mode() == 0x8040);
+      CHECK(mode() == sg::kFlushMode);
     });
     CHECK(mode() == 0);
     CHECK(check::throws<int>([] { sg::parallel_for(100, [](int i) { throw i; }); }));

@@ -1,0 +1,186 @@
+#include "file/file.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "core/constants.h"
+#include "core/errors.h"
+
+namespace sg {
+namespace {
+
+constexpr size_t kPrefixBytes = 8, kHeaderBytesV1 = 15, kHeaderBytesV3 = 18;
+constexpr size_t kTableBytes = 136, kGroupBytes = 4;
+constexpr int kMostBits = 16, kColorBits = 3, kCodebook = 48;  // of a code; of an entry; values of both codebooks
+constexpr double kMinQuantum = 1.0 / 1024, kMaxQuantum = 16.0;
+
+void require(bool condition, const char* message) {
+  if (!condition) refuse<std::runtime_error>(message);
+}
+
+uint32_t number(const uint8_t* p, int bytes) {
+  uint32_t value = 0;
+  for (int i = 0; i < bytes; ++i) value = value << 8 | p[i];
+  return value;
+}
+
+// CRC-32 of zlib, four bits at a time.
+uint32_t checksum_of(const uint8_t* p, size_t size) {
+  uint32_t table[16];
+  for (uint32_t i = 0; i < 16; ++i) {
+    table[i] = i;
+    for (int k = 0; k < 4; ++k) table[i] = table[i] >> 1 ^ (table[i] & 1 ? 0xEDB88320 : 0);
+  }
+  uint32_t crc = ~0u;
+  for (const uint8_t* end = p + size; p != end; ++p) {
+    crc ^= *p;
+    crc = crc >> 4 ^ table[crc & 15];
+    crc = crc >> 4 ^ table[crc & 15];
+  }
+  return ~crc;
+}
+
+// Of binary32, and of binary16.
+float float_of(const uint8_t* p) {
+  const uint32_t bits = number(p, 4);
+  float value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+float half_of(const uint8_t* p) {
+  const uint32_t bits = number(p, 2), exponent = bits >> 10 & 31, fraction = bits & 1023;
+  require(exponent != 31, "a table of the file holds a value that is not finite");
+  const float size = std::ldexp(static_cast<float>(exponent == 0 ? fraction : 1024 + fraction),
+                                static_cast<int>(std::max(exponent, 1u)) - 25);
+  return bits >> 15 ? -size : size;
+}
+
+// Codes bit by bit, the most significant first.
+class Bits {
+ public:
+  explicit Bits(const uint8_t* p) : next_(p) {}
+  uint32_t take(int count) {
+    for (; left_ < count; left_ += 8) word_ = word_ << 8 | *next_++;
+    left_ -= count;
+    return static_cast<uint32_t>(word_ >> left_ & ((uint64_t{1} << count) - 1));
+  }
+
+ private:
+  const uint8_t* next_;
+  uint64_t word_ = 0;
+  int left_ = 0;
+};
+
+struct Range {
+  double low, high;
+  float value(uint32_t code, int bits) const {
+    return static_cast<float>(low + code * ((high - low) / static_cast<double>((1u << bits) - 1)));
+  }
+};
+
+int record_bits(int position_bits, int bitwidth) { return 2 * position_bits + 3 * bitwidth + 2 * kColorBits; }
+
+void read_v1(Header& h, const uint8_t* p) {
+  h.profile = p[8];
+  h.width = static_cast<int>(number(p + 9, 2));
+  h.height = static_cast<int>(number(p + 11, 2));
+  h.position_bits = p[13];
+  h.groups = p[14];
+  h.cutoff = kCutoffV1;
+  require(h.profile <= 1 && h.position_bits >= 1 && h.position_bits <= kMostBits && h.groups <= kMostBits,
+          "a header field is out of range");
+}
+
+void read_v3(Header& h, const uint8_t* p) {
+  const int flags = p[8], code = static_cast<int>(number(p + 13, 2));
+  h.profile = 2;
+  h.width = static_cast<int>(number(p + 9, 2));
+  h.height = static_cast<int>(number(p + 11, 2));
+  h.quantum = std::ldexp(1.0 + (code & 0xFF) / 256.0, 4 - (code >> 8));
+  std::copy_n(p + 15, 3, h.background);
+  h.grey = flags & 1;
+  h.upright = flags & 2;
+  h.cutoff = kCutoffV3;
+  h.pyramid = h.version == 4;
+  require(flags <= 3, "the header has flags that this version does not know");
+  require(h.quantum >= kMinQuantum && h.quantum <= kMaxQuantum, "a header field is out of range");
+}
+
+// The groups of version 1, their records checked to be all there.
+void check_v1(const Header& h, const uint8_t* p, size_t size) {
+  const size_t lists = kTableBytes + kGroupBytes * static_cast<size_t>(h.groups);
+  require(h.groups == 0 ? size == 0 : size >= lists, "the file's size is not what its header says");
+  if (h.groups == 0) return;
+  uint64_t gaussians = 0, bits = 0;
+  for (const uint8_t* group = p + kTableBytes; group != p + lists; group += kGroupBytes) {
+    const uint64_t n = number(group + 1, 3);
+    require(group[0] >= 1 && group[0] <= kMostBits && n != 0, "a group of the file is out of range");
+    gaussians += n;
+    bits += n * static_cast<uint64_t>(record_bits(h.position_bits, group[0]));
+  }
+  require(gaussians <= static_cast<uint64_t>(h.width) * static_cast<uint64_t>(h.height), "more Gaussians than pixels");
+  require(size - lists == (bits + 7) / 8, "the file's size is not what its header says");
+  require(bits % 8 == 0 || (p[size - 1] & 0xFF >> bits % 8) == 0, "the file's padding is not zero");
+  for (int i = 0; i < 10; ++i)
+    require(std::isfinite(float_of(p + 4 * i)), "a table of the file holds a value that is not finite");
+  for (int i = 0; i < kCodebook; ++i) half_of(p + 40 + 2 * i);
+}
+
+}  // namespace
+
+File::File(const uint8_t* data, size_t size) {
+  require(size >= kPrefixBytes, "the file is too short");
+  require(std::memcmp(data, "SGM", 3) == 0, "this is not an .sg file");
+  const int version = data[3];
+  require(version == 1 || version == 3 || version == 4, "this version of the format is not known to this decoder");
+  const size_t header_bytes = version == 1 ? kHeaderBytesV1 : kHeaderBytesV3;
+  require(size >= header_bytes, "the file is too short");
+  header_.version = version;
+  header_.checksum = number(data + 4, 4);
+  require(checksum_of(data + kPrefixBytes, size - kPrefixBytes) == header_.checksum,
+          "the file is damaged: its checksum does not match");
+  if (version == 1) read_v1(header_, data);
+  else read_v3(header_, data);
+  require(header_.width > 0 && header_.height > 0, "the picture has no pixels");
+  require(int64_t{header_.width} * header_.height <= kMaxPixels, "the picture has too many pixels");
+  begin_ = data + header_bytes;
+  size_ = size - header_bytes;
+  if (version == 1) check_v1(header_, begin_, size_);
+}
+
+GaussianArrays File::gaussians(double prefix) const {
+  if (!(prefix > 0 && prefix <= 1)) refuse<std::invalid_argument>("the prefix must lie above 0 and at most at 1");
+  if (header_.version == 1) {
+    if (prefix < 1) refuse<std::invalid_argument>("version 1 has no order that a prefix could follow");
+    return gaussians_v1();
+  }
+  const Header& h = header_;
+  const auto used = static_cast<size_t>(std::ceil(prefix * static_cast<double>(size_)));
+  return rd_decode({h.width, h.height, h.quantum, h.grey, h.upright, h.version}, begin_, used, prefix < 1, kMaxGaussians,
+                   size_ - used);
+}
+
+GaussianArrays File::gaussians_v1() const {
+  GaussianArrays out;
+  if (header_.groups == 0) return out;
+  Range ranges[5];  // x, y, l1, l2, l3
+  for (int i = 0; i < 5; ++i) ranges[i] = {float_of(begin_ + 8 * i), float_of(begin_ + 8 * i + 4)};
+  float entries[kCodebook];
+  for (int i = 0; i < kCodebook; ++i) entries[i] = half_of(begin_ + 40 + 2 * i);
+  const uint8_t *group = begin_ + kTableBytes, *const end = group + kGroupBytes * static_cast<size_t>(header_.groups);
+  Bits bits(end);
+  for (; group != end; group += kGroupBytes)
+    for (uint32_t n = number(group + 1, 3); n > 0; --n) {
+      for (int i = 0; i < 5; ++i) {
+        const int width = i < 2 ? header_.position_bits : group[0];
+        (i < 2 ? out.means : out.factors).push_back(ranges[i].value(bits.take(width), width));
+      }
+      const float* first = entries + 3 * bits.take(kColorBits);
+      const float* second = entries + kCodebook / 2 + 3 * bits.take(kColorBits);
+      for (int k = 0; k < 3; ++k) out.colors.push_back(first[k] + second[k]);
+    }
+  return out;
+}
+
+}  // namespace sg

@@ -1,0 +1,68 @@
+// A whole .sg file (docs/format.md), read and drawn without Python: what sgmethod/bitstream/ does of it for decoding, for
+// machines that have the kernels alone.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "rd/codec.h"
+
+namespace sg {
+
+constexpr int64_t kMaxPixels = 100'000'000;  // of a picture or a view: a file may claim any size
+
+// What a file says of itself.
+struct Header {
+  int version;
+  uint32_t checksum;
+  int width, height;         // pixels
+  int profile;               // 0 baseline, 1 paper, 2 rd
+  uint8_t background[3];     // red, green, blue
+  float cutoff;              // sigma at which a Gaussian ends
+  bool pyramid;              // whether wide Gaussians are drawn on coarser levels
+  // Of version 1.
+  int position_bits, groups;
+  // Of the others.
+  double quantum;
+  bool grey, upright;
+};
+
+// A part of a picture, at any size (docs/format.md, Views).
+struct View {
+  double scale = 1.0;            // output pixels for a pixel of the picture, 1/64 to 64
+  double prefix = 1.0;           // the part of the payload that is used, above 0 to 1
+  bool whole = true;             // or a region, in pixels of the picture
+  int x = 0, y = 0, width = 0, height = 0;
+};
+
+// A file in memory, which must outlive it.
+class File {
+ public:
+  // Throws std::runtime_error for anything but a whole, intact file of at most kMaxPixels; of versions 3 and 4 the payload
+  // is not looked at.
+  File(const uint8_t* data, size_t size);
+
+  const Header& header() const { return header_; }
+  // Throws std::runtime_error for a payload that no encoder writes, std::invalid_argument for a prefix of version 1 or one
+  // that is out of its range.
+  GaussianArrays gaussians(double prefix = 1.0) const;
+
+ private:
+  GaussianArrays gaussians_v1() const;
+  const uint8_t* begin_;  // of what follows the header
+  size_t size_;
+  Header header_{};
+};
+
+// Output pixels of a view. Throws std::invalid_argument for one that makes no picture, std::runtime_error for too many.
+struct Size {
+  int width, height;
+};
+Size size_of(const Header& header, const View& view);
+
+// pixels [height, width, 3] of 8 bits. Throws as the above do, and std::overflow_error for Gaussians that overlap beyond
+// what a picture needs.
+void draw(const File& file, const View& view, uint8_t* pixels);
+
+}  // namespace sg
