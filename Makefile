@@ -7,9 +7,8 @@
 #              the native code under sanitizers: its own tests, golden files, n damaged files
 # make fuzz [MINUTES=n]
 #              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
-# make cross   compile the kernels for other machines, and run what can be run here
-# make wasm    the decoder in WebAssembly, in build/wasm, and its tests
-# make wheel   a wheel in dist/, tried in an environment of its own
+# make cross   compile the kernels for other machines, and run what can be run here; takes what compilers there are
+# make wasm    the decoder in WebAssembly, in build/wasm, and its tests; needs Clang and Debian's libraries for it
 #
 # The set-up is done again only when pyproject.toml or a source of the compiled part changes. Edits to Python
 # files take effect at once.
@@ -32,14 +31,10 @@ COVERAGE ?=
 VERSIONS ?= 3.12 3.13 3.14
 # The fuzzer of Python code.
 ATHERIS := atheris>=3
-# The interpreters of `make wheel`: the first of 3.12 or later gives a wheel that is tried on those behind it.
-WHEEL_PYTHONS ?= $(PYTHON) $(shell ls -d $$HOME/.pyenv/versions/3.1[2-9].*/bin/python 2>/dev/null)
-# A C++ compiler for other systems, with their C++ libraries.
-ZIGLANG := ziglang>=0.14
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check test measured measured-service unmeasured versions sanitize fuzz cross wasm wheel ziglang
+.PHONY: serve check test measured measured-service unmeasured versions sanitize fuzz cross wasm
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -82,27 +77,26 @@ fuzz: $(STAMP)
 	$(BIN)/python -m pip show --quiet atheris || $(BIN)/python -m pip install '$(ATHERIS)'
 	$(BIN)/python -m tests.native.fuzz --minutes $(MINUTES)
 
-ziglang: $(STAMP)
-	$(BIN)/python -m pip show --quiet ziglang || $(BIN)/python -m pip install '$(ZIGLANG)'
-
-cross: ziglang
+# Other systems' libraries come with zig, a C++ compiler; without it they are left out, and said to be.
+cross: $(STAMP)
 	$(BIN)/python -m tests.native.cross
 
+WASM_CLANG ?= clang++
 WASM_SOURCES := $(wildcard $(addprefix sgmethod/native/,core/isa.cpp raster/*.cpp rd/codec.cpp rd/symbols.cpp file/*.cpp \
                 wasm/*.cpp))
-WASM_FLAGS := -target wasm32-wasi -mexec-model=reactor -msimd128 -std=c++17 -O2 -ffp-contract=off -fno-math-errno \
-              -fno-trapping-math -fno-exceptions -fno-rtti -ffunction-sections -fdata-sections -DNDEBUG -Isgmethod/native -s
+WASM_FLAGS := --target=wasm32-wasi -mexec-model=reactor -msimd128 -std=c++17 -stdlib=libc++ -O2 -ffp-contract=off \
+              -fno-math-errno -fno-trapping-math -fno-exceptions -fno-rtti -ffunction-sections -fdata-sections -DNDEBUG \
+              -Wall -Wextra -Isgmethod/native -Wl,-z,stack-size=1048576 -s
 
-wasm: ziglang build/wasm/decoder.wasm
-	$(BIN)/python -m pytest --quiet tests/native/test_wasm.py
+wasm: $(STAMP) build/wasm/decoder.wasm
+	$(BIN)/python -m pytest --quiet tests/native/decoder/test_wasm.py
 
-build/wasm/decoder.wasm: $(COMPILED) sgmethod/native/wasm/decoder.js Makefile
+build/wasm/decoder.wasm: $(COMPILED) sgmethod/native/wasm/decoder.js
+	@ls /usr/include/wasm32-wasi/c++ >/dev/null 2>&1 && command -v $(WASM_CLANG) wasm-ld >/dev/null || { echo "WebAssembly" \
+	  "needs packages: sudo apt install clang lld wasi-libc libc++-dev-wasm32 libclang-rt-dev-wasm32" >&2; exit 1; }
 	mkdir -p build/wasm
+	$(WASM_CLANG) $(WASM_FLAGS) $(WASM_SOURCES) -o $@
 	cp sgmethod/native/wasm/decoder.js build/wasm/
-	$(BIN)/python -m ziglang c++ $(WASM_FLAGS) $(WASM_SOURCES) -o $@
-
-wheel: $(STAMP)
-	.ci/wheel $(WHEEL_PYTHONS)
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 $(STAMP): pyproject.toml $(COMPILED)

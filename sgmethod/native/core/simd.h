@@ -51,12 +51,14 @@ struct Lanes<16> {
   typedef int32_t I __attribute__((vector_size(64)));
 };
 
-// Lanes of a and b, numbered as one, at the given places. Clang has this function for constant places alone.
+// Lanes of a and b, numbered as one, at the given places. Clang has this function for constant places alone, and finds it
+// in a loop that is unrolled.
 template <typename V, typename Places>
 SG_INLINE V shuffle(V a, V b, Places places) {
 #ifdef __clang__
   constexpr int kLanes = sizeof a / sizeof a[0];
   V picked{};
+#pragma clang loop unroll(full)
   for (int i = 0; i < kLanes; ++i) picked[i] = places[i] < kLanes ? a[places[i]] : b[places[i] - kLanes];
   return picked;
 #else

@@ -20,8 +20,10 @@ def decoder() -> list[str]:
     node = shutil.which("node")
     if node is None:
         pytest.skip("Node is missing, so the decoder in WebAssembly is not tested: sudo apt install nodejs")
-    if not DECODER.with_suffix(".wasm").exists():
-        pytest.skip("the decoder in WebAssembly is not built, and so not tested: make wasm")
+    module = DECODER.with_suffix(".wasm")
+    sources = [path for path in (ROOT / "sgmethod" / "native").rglob("*") if path.suffix in (".cpp", ".h", ".js")]
+    if not module.exists() or module.stat().st_mtime < max(path.stat().st_mtime for path in sources):
+        pytest.skip("the decoder in WebAssembly is not built, or older than its sources, and so not tested: make wasm")
     return [node, str(SCRIPT), str(DECODER)]
 
 
