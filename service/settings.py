@@ -97,6 +97,9 @@ class Settings(BaseSettings):
     max_queued_per_key: int = Field(
         default=50, ge=0, description="jobs of one API key waiting before new ones get 429; 0 for any number"
     )
+    metrics_key: str = Field(
+        default="", description="name of the API key that alone may read /metrics, which names all; empty for any key"
+    )
     link_secret: SecretStr = Field(
         default=SecretStr(""), description="32 characters or more that sign links; without it there are none"
     )

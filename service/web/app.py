@@ -21,7 +21,7 @@ from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
-from service.web.guards.metrics import RequestMetrics
+from service.web.guards.metrics import Metrics, RequestMetrics
 from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, HeadAsGet, Outflow, ResponseHeaders
 from service.web.guards.problems import install_problem_handlers, problems
 from service.web.helpers.work import Work
@@ -92,7 +92,7 @@ def _body_limits(settings: Settings) -> BodyLimits:
     )
 
 
-def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASGIApp:
+def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) -> ASGIApp:
     """The application with its middleware, ready for a server; stopping tells it that the server is to stop.
 
     Raises JobTableError, MissingPackagesError, OSError.
@@ -115,8 +115,9 @@ def create_app(settings: Settings, stopping: asyncio.Event | None = None) -> ASG
         CapacityLimiter(UPLOADS_IN_MEMORY),
         CapacityLimiter(settings.max_event_streams),
         Outflow(settings.max_answer_bytes),
-        stopping or asyncio.Event(),
+        stopping,
         KeyRing(settings.key_names),
+        metrics,
     )
     install_problem_handlers(app)
     app.include_router(health_routes.router, dependencies=[Depends(known_query)])

@@ -14,6 +14,7 @@ from service.settings import Settings
 from service.web.app import create_app
 from service.web.guards.addresses import networks
 from service.web.guards.connections import ConnectionLimits, limited_connections
+from service.web.guards.metrics import Metrics
 
 KEEP_ALIVE_S = 10
 
@@ -28,10 +29,10 @@ def run_web(settings: Settings, listener: socket.socket) -> None:
         settings.header_timeout_s,
         settings.send_timeout_s,
     )
-    stopping = asyncio.Event()
+    stopping, metrics = asyncio.Event(), Metrics()
     config = uvicorn.Config(
-        create_app(settings, stopping),
-        http=limited_connections(limits),
+        create_app(settings, metrics, stopping),
+        http=limited_connections(limits, metrics),
         ws="none",
         log_config=None,
         access_log=False,

@@ -11,11 +11,25 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.logs import FIGURES, request_id
+from service.web.guards.problems import REFUSAL
 
 log = logging.getLogger("access")
 
 HEADER = "X-Request-Id"
 _GIVEN = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+
+def new_id() -> str:
+    """An id for a request that came without one."""
+    return secrets.token_hex(8)
+
+
+def log_refusal(name: str, status: int, client: str, refusal: str) -> None:
+    """The line of a request that never was one: its connection was refused, or its head. name: its id."""
+    token = request_id.set(name)
+    figures = {"status": status, "client": client, "refusal": refusal}
+    log.info("%s", "- {status}, {client} {refusal}".format(**figures), extra={FIGURES: figures})
+    request_id.reset(token)
 
 
 class AccessLog:
@@ -32,7 +46,7 @@ class AccessLog:
             await self._app(scope, receive, send)
             return
         given = Headers(scope=scope).get(HEADER, "")
-        name = given if _GIVEN.fullmatch(given) else secrets.token_hex(8)
+        name = given if _GIVEN.fullmatch(given) else new_id()
         status, size, started = 0, 0, time.monotonic()
 
         async def note(message: Message) -> None:
@@ -49,7 +63,8 @@ class AccessLog:
         try:
             await self._app(scope, receive, note)
         finally:
-            caller = scope.get("state", {}).get("caller")
+            state = scope.get("state", {})
+            caller = state.get("caller")
             figures = {
                 "method": scope["method"],
                 "path": scope["path"],
@@ -57,7 +72,8 @@ class AccessLog:
                 "ms": round(1000 * (time.monotonic() - started), 1),
                 "bytes": size,
                 "client": caller.client if caller else "",
+                "refusal": state.get(REFUSAL, ""),
             }
-            words = "{method} {path!a} {status} {ms} ms {bytes} bytes, {client}".format(**figures)
-            log.info("%s", words, extra={FIGURES: figures})
+            words = "{method} {path!a} {status} {ms} ms {bytes} bytes, {client} {refusal}".format(**figures)
+            log.info("%s", words.rstrip(), extra={FIGURES: figures})
             request_id.reset(token)

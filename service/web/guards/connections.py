@@ -13,7 +13,9 @@ from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
+from service.web.guards import access
 from service.web.guards.addresses import UNKNOWN, Network, address_of, is_within
+from service.web.guards.metrics import Metrics
 from service.web.guards.problems import MEDIA_TYPE, ProblemError, problem_document
 
 BETWEEN_REQUESTS, IN_HEAD, IN_BODY = range(3)
@@ -34,17 +36,19 @@ class ConnectionLimits:
     send_timeout_s: float
 
 
-def limited_connections(limits: ConnectionLimits) -> type[asyncio.Protocol]:
-    """The protocol for uvicorn."""
+def limited_connections(limits: ConnectionLimits, metrics: Metrics) -> type[asyncio.Protocol]:
+    """The protocol for uvicorn; metrics: count what is refused here, before the application knows of it."""
 
     class LimitedConnection(_Connection):
         LIMITS = limits
+        METRICS = metrics
 
     return LimitedConnection
 
 
 class _Connection(HttpToolsProtocol):
     LIMITS: ConnectionLimits
+    METRICS: Metrics
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
@@ -76,10 +80,11 @@ class _Connection(HttpToolsProtocol):
         if self._address != UNKNOWN and not is_within(self._address, self.LIMITS.trusted):
             own = [other for other in everybody if other._address == self._address]
             if len(own) > self.LIMITS.most_of_one and not self._close_slowest(own):
-                self._refuse(ProblemError(429, "there are too many connections from this address"))
+                detail = "there are too many connections from this address"
+                self._refuse(ProblemError(429, detail, reason="own_connections"))
                 return False
         if len(everybody) > self.LIMITS.most and not self._close_slowest(everybody):
-            self._refuse(ProblemError(503, "there are too many connections"))
+            self._refuse(ProblemError(503, "there are too many connections", reason="connections"))
             return False
         return True
 
@@ -149,14 +154,13 @@ class _Connection(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:
         del msg
-        if not self.transport.is_closing():
-            self._refuse(ProblemError(400, "this is not HTTP/1.1"))
+        self._refuse_unless_closing(ProblemError(400, "this is not HTTP/1.1"))
 
     def _count(self, head_bytes: int) -> None:
         self._head_bytes += head_bytes
-        if self._head_bytes > self.LIMITS.head_bytes and not self.transport.is_closing():
+        if self._head_bytes > self.LIMITS.head_bytes:
             limit = f"the request line and headers are larger than {self.LIMITS.head_bytes} bytes"
-            self._refuse(ProblemError(431, limit))
+            self._refuse_unless_closing(ProblemError(431, limit))
 
     def _start_timer(self) -> None:
         self._head_timer = self.loop.call_later(self.LIMITS.head_timeout_s, self._head_is_late)
@@ -173,15 +177,23 @@ class _Connection(HttpToolsProtocol):
         else:
             self.transport.close()
 
+    def _refuse_unless_closing(self, problem: ProblemError) -> None:
+        if not self.transport.is_closing():
+            self._refuse(problem)
+
     def _refuse(self, problem: ProblemError) -> None:
         """Close, with an answer unless one to an earlier request is still on its way."""
+        self.METRICS.refusals.labels(problem.reason).inc()
         if self.cycle is not None and not self.cycle.response_complete:
             self.transport.close()
             return
+        name = access.new_id()
+        access.log_refusal(name, problem.status, self._address, problem.reason)
         body = json.dumps(problem_document(problem)).encode()
         head = (
             f"HTTP/1.1 {problem.status} {HTTPStatus(problem.status).phrase}\r\nContent-Type: {MEDIA_TYPE}\r\n"
-            f"Content-Length: {len(body)}\r\nX-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n"
+            f"Content-Length: {len(body)}\r\n{access.HEADER}: {name}\r\n"
+            "X-Content-Type-Options: nosniff\r\nConnection: close\r\n\r\n"
         )
         self.transport.write(head.encode() + body)
         self.transport.close()

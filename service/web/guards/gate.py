@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers
+from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.keys import KeyRing, Link, RateLimit
 from service.web.guards.addresses import address_of
-from service.web.guards.problems import ProblemError, problem_response
+from service.web.guards.problems import ProblemError, refused
 
 # A page must load before a person can give it a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/healthz", "/livez", "/readyz", "/openapi.json"})
@@ -59,7 +60,7 @@ class Gate:
                 scope.setdefault("state", {})["caller"] = self._caller(scope)
                 scope["query_string"] = _without_link(scope)
             except ProblemError as problem:
-                await problem_response(problem)(scope, receive, send)
+                await refused(Request(scope), problem)(scope, receive, send)
                 return
         await self._app(scope, receive, send)
 
@@ -72,7 +73,8 @@ class Gate:
         caller = self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
         wait_s = self._rate.wait_s(caller.owner or f"link to {caller.linked_job}")
         if wait_s > 0:
-            raise ProblemError(429, "too many requests", headers={"Retry-After": str(math.ceil(wait_s))})
+            retry = {"Retry-After": str(math.ceil(wait_s))}
+            raise ProblemError(429, "too many requests", reason="rate", headers=retry)
         return caller
 
     def _key_bearer(self, scheme: str, key: str) -> Caller:

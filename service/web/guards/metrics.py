@@ -8,6 +8,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Proc
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.jobs.table import Census
+from service.web.guards.problems import REFUSAL
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
@@ -28,7 +29,10 @@ class Metrics:
             buckets=BUCKETS_S,
             registry=registry,
         )
+        self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
+        self.key_requests = Counter("sgmethod_key_requests", "Requests of an API key.", ("key",), registry=registry)
+        self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)
         self.decode_seconds = Histogram(
             "sgmethod_decode_seconds",
             "Drawing a picture, with the wait for a thread.",
@@ -43,6 +47,12 @@ class Metrics:
         self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
+
+    def accept(self, owner: str | None) -> None:
+        """Count a job that was accepted, and whose API key it came with."""
+        self.accepted.inc()
+        if owner is not None:
+            self.key_jobs.labels(owner).inc()
 
     def observe(self, census: Census | None) -> None:
         """Take over the job table's figures; None if it does not answer."""
@@ -80,6 +90,11 @@ class RequestMetrics:
                 method = scope["method"] if scope["method"] in METHODS else "other"
                 self._metrics.requests.labels(method, route, message["status"]).inc()
                 self._metrics.seconds.labels(route).observe(time.perf_counter() - started)
+                state = scope.get("state", {})
+                if REFUSAL in state:
+                    self._metrics.refusals.labels(state[REFUSAL]).inc()
+                if "caller" in state and state["caller"].owner is not None:
+                    self._metrics.key_requests.labels(state["caller"].owner).inc()
             await send(message)
 
         await self._app(scope, receive, note)

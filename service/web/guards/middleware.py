@@ -86,7 +86,8 @@ class _Exchange:
         if self._declared > self._limits.max_bytes:
             raise self._too_large()
         if self not in self._coming_in and len(self._coming_in) >= self._limits.most:
-            raise ProblemError(503, "too many uploads are under way", headers={"Retry-After": RETRY_AFTER_S})
+            retry = {"Retry-After": RETRY_AFTER_S}
+            raise ProblemError(503, "too many uploads are under way", reason="uploads", headers=retry)
         self._coming_in.add(self)
         message = await self._in_time()
         self._bytes += len(message.get("body", b""))
@@ -162,7 +163,7 @@ class Outflow:
         """Raises ProblemError 503 if clients have too much to take already."""
         if self.bytes > self._max_bytes:
             detail = "too many pictures are on their way to clients"
-            raise ProblemError(503, detail, headers={"Retry-After": RETRY_AFTER_S})
+            raise ProblemError(503, detail, reason="answers", headers={"Retry-After": RETRY_AFTER_S})
 
 
 class AnswerGuard:

@@ -34,15 +34,34 @@ PROBLEM: dict[str, Any] = {
     "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
 RETRY_SOON_S = "5"
+# What figures and logs call a refusal, unless it has a word of its own.
+REASONS = {
+    **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
+    **{409: "state", 410: "gone", 413: "large", 415: "type", 416: "range", 422: "invalid", 431: "head", 500: "fault"},
+}
+REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
 
 
 class ProblemError(Exception):
-    """An answer that refuses: HTTP status, one sentence, extra members and headers."""
+    """An answer that refuses: HTTP status, one sentence, extra members and headers.
 
-    def __init__(self, status: int, detail: str, *, headers: Mapping[str, str] | None = None, **members: Any) -> None:
+    reason: one word of those that the code holds, and nothing that a client has chosen: there is a figure for each.
+    429 and 503 have many causes, and name theirs.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        detail: str,
+        *,
+        reason: str = "",
+        headers: Mapping[str, str] | None = None,
+        **members: Any,
+    ) -> None:
         super().__init__(detail)
         self.status = status
         self.detail = detail
+        self.reason = reason or REASONS[status]
         self.headers = dict(headers or {})
         self.members = members
 
@@ -69,9 +88,15 @@ def problem_response(problem: ProblemError) -> JSONResponse:
     return JSONResponse(problem_document(problem), problem.status, headers, media_type=MEDIA_TYPE)
 
 
-async def _on_problem(_request: Request, error: Exception) -> Response:
+def refused(request: Request, problem: ProblemError) -> Response:
+    """The problem as the answer to a request, whose state then holds the reason."""
+    setattr(request.state, REFUSAL, problem.reason)
+    return problem_response(problem)
+
+
+async def _on_problem(request: Request, error: Exception) -> Response:
     assert isinstance(error, ProblemError)
-    return problem_response(error)
+    return refused(request, error)
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:
@@ -79,7 +104,7 @@ async def _on_http_exception(request: Request, error: Exception) -> Response:
     headers = dict(error.headers or {})
     if error.status_code == 405:
         headers["Allow"] = ", ".join(sorted(_allowed_methods(request)))
-    return problem_response(ProblemError(error.status_code, error.detail, headers=headers))
+    return refused(request, ProblemError(error.status_code, error.detail, headers=headers))
 
 
 def _allowed_methods(request: Request) -> set[str]:
@@ -94,34 +119,34 @@ def _allowed_methods(request: Request) -> set[str]:
     return methods
 
 
-async def _on_invalid_parameters(_request: Request, error: Exception) -> Response:
+async def _on_invalid_parameters(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     if any(e["loc"][0] == "path" for e in error.errors()):
-        return problem_response(ProblemError(404, "there is nothing at this address"))
+        return refused(request, ProblemError(404, "there is nothing at this address"))
     errors = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
     detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
-    return problem_response(ProblemError(422, detail, errors=errors))
+    return refused(request, ProblemError(422, detail, errors=errors))
 
 
-async def _on_table_unavailable(_request: Request, error: Exception) -> Response:
+async def _on_table_unavailable(request: Request, error: Exception) -> Response:
     log.error("the job table cannot be reached: %s", error)
     detail = "the job table cannot be reached just now"
-    return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
+    return refused(request, ProblemError(503, detail, reason="table", headers={"Retry-After": RETRY_SOON_S}))
 
 
-async def _on_storage_unavailable(_request: Request, error: Exception) -> Response:
+async def _on_storage_unavailable(request: Request, error: Exception) -> Response:
     log.error("the storage cannot be reached: %s", error)
     detail = "the storage cannot be reached just now"
-    return problem_response(ProblemError(503, detail, headers={"Retry-After": RETRY_SOON_S}))
+    return refused(request, ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S}))
 
 
-async def _on_disconnect(_request: Request, _error: Exception) -> Response:
-    return problem_response(ProblemError(400, "the request ended before its body did"))
+async def _on_disconnect(request: Request, _error: Exception) -> Response:
+    return refused(request, ProblemError(400, "the request ended before its body did", reason="cut"))
 
 
-async def _on_anything(_request: Request, _error: Exception) -> Response:
+async def _on_anything(request: Request, _error: Exception) -> Response:
     # The server logs the traceback; the client learns nothing of the inside.
-    return problem_response(ProblemError(500, "an error of the service; it has been logged"))
+    return refused(request, ProblemError(500, "an error of the service; it has been logged"))
 
 
 def install_problem_handlers(app: FastAPI) -> None:

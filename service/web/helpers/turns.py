@@ -50,10 +50,11 @@ class Turns:
         if not place.done():
             if self.waiting > self._max_waiting:
                 self._forget(client, place)
-                raise ProblemError(503, "too many pictures are being worked on", headers=RETRY_AFTER)
+                raise ProblemError(503, "too many pictures are being worked on", reason="turns", headers=RETRY_AFTER)
             if len(self._lines[client]) > self._own_waiting:
                 self._forget(client, place)
-                raise ProblemError(429, "too many of your pictures wait already", headers=RETRY_AFTER)
+                detail = "too many of your pictures wait already"
+                raise ProblemError(429, detail, reason="own_turns", headers=RETRY_AFTER)
         try:
             await place
         except asyncio.CancelledError:

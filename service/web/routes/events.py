@@ -28,7 +28,8 @@ async def _place(parts: UseParts) -> AsyncIterator[None]:
     """One of the places for streams, until the stream ends. Raises ProblemError 503."""
     token = object()
     if parts.streams.available_tokens < 1:
-        raise ProblemError(503, "too many streams of events are open", headers={"Retry-After": RETRY_AFTER_S})
+        retry = {"Retry-After": RETRY_AFTER_S}
+        raise ProblemError(503, "too many streams of events are open", reason="streams", headers=retry)
     parts.streams.acquire_on_behalf_of_nowait(token)
     try:
         yield

@@ -14,7 +14,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from service.jobs.table import Census, JobTableError
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
-from service.web.routes.parts import Parts, UseParts
+from service.web.routes.parts import Parts, UseCaller, UseParts
 
 log = logging.getLogger(__name__)
 router = APIRouter()
@@ -35,20 +35,24 @@ async def ready(parts: UseParts) -> answers.HealthView:
     """Whether jobs are accepted and worked on: table and storage answer, and the queue does not stall."""
     census = await _census(parts)
     if census is None:
-        raise ProblemError(503, "the job table does not answer")
+        raise ProblemError(503, "the job table does not answer", reason="table")
     free_bytes = await _free_bytes(parts)
     if free_bytes < parts.settings.min_free_bytes:
-        raise ProblemError(503, f"the disk is full: {free_bytes:,.0f} bytes are free")
+        raise ProblemError(503, f"the disk is full: {free_bytes:,.0f} bytes are free", reason="disk")
     if census.waiting_s is not None:
         stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
         if stalled_s > parts.settings.stall_s:
-            raise ProblemError(503, f"jobs wait, and no worker has been heard from for {stalled_s:.0f} s")
+            detail = f"jobs wait, and no worker has been heard from for {stalled_s:.0f} s"
+            raise ProblemError(503, detail, reason="stall")
     return answers.HealthView(status="ok", version=VERSION)
 
 
-@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-async def metrics(parts: UseParts) -> Response:
+@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}, **problems(403)})
+async def metrics(parts: UseParts, caller: UseCaller) -> Response:
     """Figures for Prometheus."""
+    reader = parts.settings.metrics_key
+    if reader and caller.owner != reader:
+        raise ProblemError(403, "this API key may not read figures of the service")
     parts.metrics.observe(await _census(parts))
     with suppress(ProblemError):
         parts.metrics.free_bytes.set(await _free_bytes(parts))
@@ -72,7 +76,7 @@ async def _free_bytes(parts: Parts) -> float:
             return await to_thread.run_sync(_room, parts, limiter=parts.watching, abandon_on_cancel=True)
     except (OSError, TimeoutError) as error:
         log.error("the storage does not answer: %r", error)
-        raise ProblemError(503, "the storage does not answer") from error
+        raise ProblemError(503, "the storage does not answer", reason="storage") from error
 
 
 def _room(parts: Parts) -> float:

@@ -72,12 +72,14 @@ ENCODE_EXTRA: dict[str, Any] = {
 
 
 def _queue_full() -> ProblemError:
-    return ProblemError(429, "the queue is full; try later", headers={"Retry-After": RETRY_AFTER_QUEUE_S})
+    retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
+    return ProblemError(429, "the queue is full; try later", reason="queue", headers=retry)
 
 
 def _own_queue_full(limit: int) -> ProblemError:
     retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
-    return ProblemError(429, f"{limit} jobs of this API key wait already; try later", headers=retry)
+    detail = f"{limit} jobs of this API key wait already; try later"
+    return ProblemError(429, detail, reason="own_queue", headers=retry)
 
 
 @router.post(
@@ -104,7 +106,6 @@ async def encode(
             image = await submitted.image_bytes()
             new = new_job(submitted, header, image, key, caller.owner)
             job = await to_thread.run_sync(_accept, parts, new, image)
-    parts.metrics.accepted.inc()
     view = answers.accepted(job)
     headers = {"Location": view.status_url, **NEVER_STORED}
     if wait_s:
@@ -133,15 +134,18 @@ def _accept(parts: Parts, new: NewJob, image: bytes) -> Job:
     """Store the image, then put the job into the job table; only then may the client be told."""
     free_bytes = parts.storage.free_bytes()
     if free_bytes is not None and free_bytes - len(image) < parts.settings.min_free_bytes:
-        raise ProblemError(503, "the disk is full", headers={"Retry-After": RETRY_AFTER_QUEUE_S})
+        retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
+        raise ProblemError(503, "the disk is full", reason="disk", headers=retry)
     try:
         parts.storage.put(source_key(new.id), image)
     except OSError as error:
         log.error("an image cannot be stored: %s", error)
         retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
-        raise ProblemError(503, "the image cannot be stored just now", headers=retry) from error
+        raise ProblemError(503, "the image cannot be stored just now", reason="storage", headers=retry) from error
     job, accepted = _submit(parts, new)
-    if not accepted:
+    if accepted:
+        parts.metrics.accept(new.owner)
+    else:
         _discard(parts, source_key(new.id))
     return job
 
@@ -168,9 +172,9 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
             _make_room(parts, new, error.of_owner)
             return parts.table.submit(new, room)
     except QuotaError as error:
-        whose = "this API key" if error.of_owner else "the service"
-        retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
-        refusal = ProblemError(429, f"{whose} stores as much as it may; remove jobs first", headers=retry)
+        whose, reason = ("this API key", "own_quota") if error.of_owner else ("the service", "quota")
+        detail = f"{whose} stores as much as it may; remove jobs first"
+        refusal = ProblemError(429, detail, reason=reason, headers={"Retry-After": RETRY_AFTER_QUEUE_S})
     except OwnQueueFullError:
         refusal = _own_queue_full(own_limit)
     except QueueFullError:

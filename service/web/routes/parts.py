@@ -45,7 +45,7 @@ class Parts:
     outflow: Outflow
     stopping: asyncio.Event
     keys: KeyRing
-    metrics: Metrics = field(default_factory=Metrics)
+    metrics: Metrics
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
 
 

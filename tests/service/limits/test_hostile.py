@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import re
 import resource
 import socket
 import struct
@@ -176,6 +177,18 @@ def test_chunks_that_are_none(strict: Service, body: bytes) -> None:
 def test_upgrades_lead_nowhere(strict: Service) -> None:
     upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Key": "x", "Sec-WebSocket-Version": "13"}
     assert strict.client.get("/jobs", headers=upgrade).status_code == 200
+
+
+def test_refused_connections_have_ids_and_lines_too(strict: Service) -> None:
+    for request, status, reason in (
+        (b"nonsense\r\n\r\n", 400, "malformed"),
+        (b"GET /livez HTTP/1.1\r\nX: " + b"x" * HEADER_LIMIT, 431, "head"),
+    ):
+        answer = strict.raw(request)
+        assert status_of(answer) == status
+        (name,) = re.findall(rb"X-Request-Id: ([0-9a-f]{16})\r\n", answer)
+        line = f"access: - {status}, 127.0.0.1 {reason} [{name.decode()}]"
+        assert wait_until(lambda: line in strict.log.read_text())  # noqa: B023
 
 
 def test_a_client_that_never_reads(strict: Service) -> None:

@@ -91,4 +91,22 @@ def test_figures(start_service: StartService) -> None:
     assert (seen['sgmethod_decode_cache_total{found="yes"}'], seen["sgmethod_decode_seconds_count"]) == (2, 1)
     assert seen["sgmethod_decode_cache_bytes"] > 0
     assert seen["sgmethod_job_table_up"] == 1
+    refused = {reason: seen[f'sgmethod_refusals_total{{reason="{reason}"}}'] for reason in ("unknown", "malformed")}
+    assert refused == {"unknown": 2, "malformed": 1}
     assert not [name for name in seen if re.search(r"such|BREW", name)]
+
+
+def test_refusals_by_reason(start_service: StartService) -> None:
+    """Where it is the application that refuses, and where the connection never comes so far."""
+    web = start_service("web", queue_length=1, max_header_bytes=1024)
+    web.post(key="once")
+    web.post(key="once")
+    assert figures(web)["sgmethod_jobs_accepted_total"] == 1
+    for answer in (web.post(), web.post(b"", key="once"), web.post(bpp=-1)):
+        assert answer.status_code in (422, 429)
+    web.client.get("/livez?x=1")
+    web.raw(b"GET /livez HTTP/1.1\r\nHost: test\r\nX: " + b"x" * 2000)
+    web.raw(b"nonsense\r\n\r\n")
+    reasons = {name: number for name, number in figures(web).items() if name.startswith("sgmethod_refusals_total")}
+    expected = {"queue": 2, "invalid": 2, "head": 1, "malformed": 1}
+    assert reasons == {f'sgmethod_refusals_total{{reason="{reason}"}}': number for reason, number in expected.items()}

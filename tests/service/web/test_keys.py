@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import time
@@ -189,6 +190,23 @@ def test_too_many_requests(start_service: StartService) -> None:
     assert int(answers[1].headers["retry-after"]) >= 1
     assert web.client.get("/jobs", headers=bearer(BOB)).status_code == 200
     assert web.client.get("/livez").status_code == 200
+
+
+def test_use_is_counted_by_key(start_service: StartService) -> None:
+    """Only for names of keys that are known, or anybody could make up figures; and for the operator alone to read."""
+    web = start_service("web", api_keys=KEYS, metrics_key="bob")
+    with httpx.Client(base_url=web.url, headers=bearer(ANN)) as ann:
+        for _ in range(2):
+            assert post(ann, **{"Idempotency-Key": "one"}).status_code == 202
+        assert_problem(ann.get("/metrics"), 403, "may not")
+    assert_problem(web.client.get("/jobs", headers=bearer("mallory")), 401)
+    seen = web.client.get("/metrics", headers=bearer(BOB)).text
+    assert re.findall(r'sgmethod_key_(\w+)_total{key="(\w+)"} (\S+)', seen) == [
+        ("requests", "ann", "3.0"),
+        ("jobs", "ann", "1.0"),
+    ]
+    assert "mallory" not in seen
+    assert 'sgmethod_refusals_total{reason="key"} 1.0' in seen
 
 
 def test_a_body_is_not_read_without_a_key(guarded: Service) -> None:
