@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
 
+import httptools
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from service.web.guards import access
@@ -19,6 +20,7 @@ from service.web.guards.metrics import Metrics
 from service.web.guards.problems import MEDIA_TYPE, ProblemError, problem_document
 
 BETWEEN_REQUESTS, IN_HEAD, IN_BODY = range(3)
+FRAMING = frozenset({b"content-length", b"transfer-encoding"})  # headers that tell where a body ends
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,8 @@ class _Connection(HttpToolsProtocol):
         self._quiet_since = time.monotonic()
         self._address = UNKNOWN
         self._head_bytes = 0
+        self._offers_upgrade = False  # the request whose head was read last
+        self._head_is_known = False  # and is read again, without the offer
         self._head_timer: asyncio.TimerHandle | None = None
         self._send_timer: asyncio.TimerHandle | None = None
 
@@ -119,27 +123,60 @@ class _Connection(HttpToolsProtocol):
             return
         if self._place == BETWEEN_REQUESTS and not data.strip(b"\r\n"):
             return  # allowed between requests, and must not count as a sign of life
-        super().data_received(data)
-        if self._place == IN_HEAD:
-            self._count(len(data))
+        self._unset_keepalive_if_required()
+        while data and not self.transport.is_closing():
+            length = len(data)
+            try:
+                self.parser.feed_data(data)
+            except httptools.HttpParserError:
+                self._refuse_unless_closing(ProblemError(400, "this is not HTTP/1.1"))
+            except httptools.HttpParserUpgrade as offer:
+                length = offer.args[0]
+                self._leave_offer()
+            if self._place == IN_HEAD:
+                self._count(length)
+            data = data[length:]
+
+    def _leave_offer(self) -> None:
+        """Take what follows the head for its body, and then for further requests, as RFC 9110 allows in 7.8.
+
+        The parser takes it for another protocol as soon as the head offers one. The server by itself drops the body, or
+        takes it for a request: what a client of Java's posts without further ado never arrived.
+        """
+        framing = [b"%b: %b\r\n" % header for header in self.headers if header[0] in FRAMING]
+        self.parser = httptools.HttpRequestParser(self)
+        self.parser.set_dangerous_leniencies(lenient_data_after_close=True)  # as the server's own
+        self._head_is_known, self._offers_upgrade = True, False
+        self.parser.feed_data(b"POST / HTTP/1.1\r\n" + b"".join(framing) + b"\r\n")
+        self._head_is_known = False
 
     def on_message_begin(self) -> None:
+        if self._head_is_known:
+            return
         super().on_message_begin()
         self._place, self._head_bytes = IN_HEAD, 0
         if self._head_timer is None:
             self._start_timer()
 
     def on_url(self, url: bytes) -> None:
+        if self._head_is_known:
+            return
         super().on_url(url)
         self._count(len(url))
 
     def on_header(self, name: bytes, value: bytes) -> None:
+        if self._head_is_known:
+            return
         super().on_header(name, value)
         self._count(len(name) + len(value))
 
     def on_headers_complete(self) -> None:
+        if self._head_is_known:
+            return
         self._stop_timer()
-        self._place = IN_BODY
+        self._place, self._offers_upgrade = IN_BODY, self.parser.should_upgrade()
+        if self._offers_upgrade and self._get_upgrade() == b"websocket":  # RFC 6455, 4.2.2
+            self._refuse_unless_closing(ProblemError(404, "there are no WebSockets here", reason="websocket"))
         if not self.transport.is_closing():
             super().on_headers_complete()
 
@@ -148,13 +185,11 @@ class _Connection(HttpToolsProtocol):
             super().on_body(body)
 
     def on_message_complete(self) -> None:
+        if self._offers_upgrade:
+            return  # the body is still to come
         self._place, self._quiet_since = BETWEEN_REQUESTS, time.monotonic()
         if not self.transport.is_closing():
             super().on_message_complete()
-
-    def send_400_response(self, msg: str) -> None:
-        del msg
-        self._refuse_unless_closing(ProblemError(400, "this is not HTTP/1.1"))
 
     def _count(self, head_bytes: int) -> None:
         self._head_bytes += head_bytes

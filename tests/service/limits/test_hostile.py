@@ -174,9 +174,51 @@ def test_chunks_that_are_none(strict: Service, body: bytes) -> None:
     assert answer == b"" or status_of(answer) in (400, 408)
 
 
-def test_upgrades_lead_nowhere(strict: Service) -> None:
-    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Key": "x", "Sec-WebSocket-Version": "13"}
-    assert strict.client.get("/jobs", headers=upgrade).status_code == 200
+def test_there_are_no_websockets_anywhere(strict: Service) -> None:
+    """The server by itself would answer the handshake like any request, and log two lines of advice."""
+    websocket = {"Connection": "Upgrade", "Upgrade": "WebSocket", "Sec-WebSocket-Key": "x"}
+    document = strict.client.get("/openapi.json").json()
+    for path in (*document["paths"], "/", "/openapi.json", "/static/app.js", "/no/such/path"):
+        answer = strict.client.get(path.format(job_id="0" * 32, kind="png"), headers=websocket)
+        assert_problem(answer, 404, "no WebSockets")
+        assert answer.headers["connection"] == "close"
+    assert_problem(strict.client.post("/encode?bpp=1", content=SMALL, headers=websocket), 404, "no WebSockets")
+    frame = b"\x81\x85\0\0\0\0hello"
+    head = "".join(f"{name}: {value}\r\n" for name, value in websocket.items())
+    assert status_of(strict.raw(f"GET /jobs HTTP/1.1\r\nHost: test\r\n{head}\r\n".encode() + frame)) == 404
+
+
+def test_another_protocol_is_an_offer_that_is_left(strict: Service) -> None:
+    """As `curl --http2` and Java's client make it with every request. The parser takes what follows for the other
+    protocol: a body was lost, or taken for a request of its own."""
+    offer = {"Connection": "Upgrade, HTTP2-Settings", "Upgrade": "h2c", "HTTP2-Settings": "AAMAAABkAAQCAAAAAAIAAAAA"}
+    assert strict.client.get("/livez", headers=offer).status_code == 200
+    image = {"Content-Type": "image/png", **offer}
+    for content in (SMALL, iter([SMALL[:100], SMALL[100:]])):  # with its length, and in chunks
+        assert strict.client.post("/encode?bpp=1", content=content, headers=image).status_code == 202
+    assert strict.client.get("/livez").status_code == 200
+    assert "pgrade" not in strict.log.read_text()
+
+
+@pytest.mark.parametrize("pause_s", [0, 0.1])
+def test_no_body_is_taken_for_a_request(strict: Service, pause_s: float) -> None:
+    offer = b"Host: test\r\nConnection: Upgrade\r\nUpgrade: h2c\r\n"
+    hidden = b"GET /hidden HTTP/1.1\r\nHost: test\r\n\r\n"
+    head = b"POST /decode HTTP/1.1\r\n" + offer + b"Content-Length: %d\r\n\r\n" % len(hidden)
+    last = b"GET /jobs HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n"
+    with strict.connect() as connection:
+        for part in (head, hidden, b"GET /livez HTTP/1.1\r\n" + offer + b"\r\n" + last):
+            connection.sendall(part)
+            time.sleep(pause_s)
+        answer = closes(connection)
+    assert re.findall(rb"HTTP/1.1 (\d+)", answer) == [b"422", b"200", b"200"]
+    assert b"/hidden" not in strict.log.read_bytes()
+
+
+def test_very_many_offers_at_once(strict: Service) -> None:
+    offer = b"GET /livez HTTP/1.1\r\nHost: test\r\nConnection: Upgrade\r\nUpgrade: h2c\r\n\r\n"
+    answer = strict.raw(2000 * offer + b"GET /livez HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n")
+    assert answer.count(b"HTTP/1.1 200 OK") == 2001
 
 
 def test_refused_connections_have_ids_and_lines_too(strict: Service) -> None:

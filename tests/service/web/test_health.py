@@ -105,8 +105,9 @@ def test_refusals_by_reason(start_service: StartService) -> None:
     for answer in (web.post(), web.post(b"", key="once"), web.post(bpp=-1)):
         assert answer.status_code in (422, 429)
     web.client.get("/livez?x=1")
+    web.client.get("/livez", headers={"Upgrade": "websocket", "Connection": "upgrade"})
     web.raw(b"GET /livez HTTP/1.1\r\nHost: test\r\nX: " + b"x" * 2000)
     web.raw(b"nonsense\r\n\r\n")
     reasons = {name: number for name, number in figures(web).items() if name.startswith("sgmethod_refusals_total")}
-    expected = {"queue": 2, "invalid": 2, "head": 1, "malformed": 1}
+    expected = {"queue": 2, "invalid": 2, "websocket": 1, "head": 1, "malformed": 1}
     assert reasons == {f'sgmethod_refusals_total{{reason="{reason}"}}': number for reason, number in expected.items()}
