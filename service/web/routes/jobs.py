@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
-from service.jobs.job import PRIORITIES, Job, JobState, NewJob
+from service.jobs.job import Job, JobState, NewJob
 from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
 from service.keys import Link
 from service.storage.files import source_key
@@ -18,17 +18,15 @@ from service.web.routes import answers
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
 from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
 from service.web.submitting.feasible import check_feasible
+from service.web.submitting.fields import FIELD_SCHEMAS, IMAGE_FIELD
 from service.web.submitting.submission import (
     FORM_TYPE,
-    IMAGE_FIELD,
     check_content_type,
     idempotency_key,
     new_job,
     read_header,
     submission,
 )
-from sgmethod.budget import BUDGET_KINDS
-from sgmethod.profiles import PROFILE_NAMES, TUNES
 
 log = logging.getLogger(__name__)
 router = APIRouter()
@@ -37,13 +35,6 @@ RETRY_AFTER_QUEUE_S = "5"
 JUST_FINISHED_S = 600.0
 NEVER_STORED = {"Cache-Control": "no-store"}
 
-FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
-    **{kind: {"type": "number", "exclusiveMinimum": 0} for kind in BUDGET_KINDS},
-    "profile": {"type": "string", "enum": list(PROFILE_NAMES)},
-    "tune": {"type": "string", "enum": list(TUNES)},
-    "time_limit_s": {"type": "number", "exclusiveMinimum": 0},
-    "priority": {"type": "string", "enum": list(PRIORITIES)},
-}
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
 FORM: dict[str, Any] = {
     "type": "object",
@@ -101,10 +92,10 @@ async def encode(
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
     async with submission(request, parts.settings) as submitted:
         header = await read_header(submitted, parts.work, caller.client, parts.settings.max_upload_bytes)
-        check_feasible(submitted.request, header)
+        check_feasible(submitted.asked.request, header)
         async with parts.accepting:
             image = await submitted.image_bytes()
-            new = new_job(submitted, header, image, key, caller.owner)
+            new = new_job(submitted.asked, header, image, key, caller.owner)
             job = await to_thread.run_sync(_accept, parts, new, image)
     view = answers.accepted(job)
     headers = {"Location": view.status_url, **NEVER_STORED}

@@ -1,0 +1,132 @@
+"""What an encode is asked for beside its image: one model for the form, the query and the OpenAPI document."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+from pydantic.json_schema import SkipJsonSchema
+from starlette.datastructures import UploadFile
+
+from service.jobs.job import PRIORITIES, EncodeRequest, Priority
+from service.web.guards.problems import ProblemError
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
+from sgmethod.errors import BudgetError
+from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, TUNES, tuning
+
+IMAGE_FIELD = "image"  # of the form, and none of the model
+CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES}
+# Stricter than float(), which also takes "1_0", "nan" and spaces around.
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
+
+
+def _number(text: str, info: ValidationInfo) -> float:
+    if _NUMBER.fullmatch(text) is None:
+        raise ValueError(f"{info.field_name} must be a number, got {text!r}")
+    return float(text)
+
+
+def _choice(text: str, info: ValidationInfo) -> str:
+    name = info.field_name or ""
+    if text not in CHOICES[name]:
+        raise ValueError(f"unknown {name} {text!r}; use one of {', '.join(CHOICES[name])}")
+    return text
+
+
+def _positive(description: str, example: float) -> Any:
+    extra: dict[str, Any] = {"exclusiveMinimum": 0}
+    return Field(default=None, description=description, examples=[example], json_schema_extra=extra)
+
+
+Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a client asks for, checked and complete."""
+
+    request: EncodeRequest
+    priority: Priority
+
+
+class EncodeFields(BaseModel):
+    """The fields. One of the budgets at most is given; 0.3 bits per pixel, as in the command line, if none is."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    bpp: Number = _positive("budget: bits per pixel at most", 0.3)
+    bytes: Number = _positive("budget: bytes at most", 20_000)
+    psnr: Number = _positive("budget: dB to reach, 60 at most", 32)
+    quality: Number = _positive("budget: fineness up to 100, profile rd alone", 50)
+    gaussians: Number = _positive("budget: Gaussians", 1000)
+    profile: Annotated[str, BeforeValidator(_choice)] = Field(
+        default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}
+    )
+    tune: str | SkipJsonSchema[None] = Field(
+        default=None, description="what the encode is tuned for", json_schema_extra={"enum": list(TUNES)}
+    )
+    time_limit_s: Number = _positive("seconds for the fit; the longest that the service allows unasked", 60)
+    priority: Annotated[Priority, BeforeValidator(_choice)] = Field(
+        default=PRIORITIES[0], description="interactive jobs go before bulk ones"
+    )
+
+    @model_validator(mode="after")
+    def _within_one_budget(self) -> EncodeFields:
+        given = [kind for kind in BUDGET_KINDS if getattr(self, kind) is not None]
+        if len(given) > 1:
+            raise ValueError(f"give one of {', '.join(BUDGET_KINDS)}; got {len(given)}")
+        try:
+            _ = self.budget
+        except BudgetError as error:
+            raise ValueError(str(error)) from error
+        return self
+
+    @property
+    def budget(self) -> Budget:
+        """The one that is given, or the one unasked."""
+        budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
+        return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
+
+    def asked(self, longest_s: float) -> Asked:
+        """All of it. longest_s: how long an encode may take, and does unasked, in seconds. Raises ProblemError 422."""
+        seconds = longest_s if self.time_limit_s is None else self.time_limit_s
+        if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
+            raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
+        try:
+            tune = tuning(self.tune, self.profile, self.budget)
+        except BudgetError as error:
+            raise ProblemError(422, str(error)) from error
+        return Asked(EncodeRequest(self.budget.kind, self.budget.value, self.profile, seconds, tune), self.priority)
+
+
+FIELDS = tuple(EncodeFields.model_fields)
+FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
+    name: {word: value for word, value in schema.items() if word != "title" and value is not None}
+    for name, schema in EncodeFields.model_json_schema()["properties"].items()
+}
+
+
+def read_fields(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeFields:
+    """The fields among what was given, from the query and the form alike. Raises ProblemError 422."""
+    texts: dict[str, str] = {}
+    for name, value in given:
+        if name == IMAGE_FIELD:
+            continue
+        if name in texts:
+            raise ProblemError(422, f"the field {name} is given twice")
+        if name in FIELDS and not isinstance(value, str):
+            raise ProblemError(422, f"the field {name} must be text, not a file")
+        texts[name] = str(value)
+    try:
+        return EncodeFields.model_validate(texts)
+    except ValidationError as error:
+        first = error.errors()[0]
+        if first["type"] == "extra_forbidden":
+            detail = f"unknown field {first['loc'][0]!r}; the fields are {IMAGE_FIELD}, {', '.join(FIELDS)}"
+        else:
+            detail = str(first["ctx"]["error"])
+        raise ProblemError(422, detail) from error
