@@ -19,6 +19,7 @@ def open_job_table(settings: Settings) -> JobTable:
         lease_s=settings.lease_s,
         max_attempts=settings.max_attempts,
         max_running_per_owner=settings.max_running_per_key,
+        source_retention_s=settings.source_retention_s,
     )
     if settings.uses_postgres:
         try:

@@ -72,6 +72,11 @@ class Settings(BaseSettings):
     retention_s: float = Field(
         default=30 * 86_400, ge=0, description="seconds after which finished jobs are removed; 0 for never"
     )
+    source_retention_s: float = Field(
+        default=3600.0,
+        ge=0,
+        description="seconds for which the image of a finished job is kept to be encoded again; 0 for not at all",
+    )
     min_free_bytes: int = Field(
         default=2**28, ge=0, description="bytes free in the data folder, below which new jobs get 503 and /readyz fails"
     )

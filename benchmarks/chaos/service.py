@@ -20,7 +20,10 @@ from tests.harness.data import ROOT
 from tests.harness.processes import PATIENCE_S, Kind, processes
 from tests.harness.service import ServiceProcess
 
-SETTINGS: dict[str, Any] = {"workers": 3, "threads": 1, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10}
+SETTINGS: dict[str, Any] = {
+    **{"workers": 3, "threads": 1, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},
+    "source_retention_s": 0,  # what is left over shows at once
+}
 
 
 class ChaosService(ServiceProcess):

@@ -92,7 +92,7 @@ class Job:
 
     number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
     turns, None unless queued; crashes: attempts that crashed or lost their worker, which is what the
-    limit of attempts counts.
+    limit of attempts counts; stored_bytes: of the image and the bitstream, as far as they are kept.
     """
 
     number: int
@@ -110,3 +110,4 @@ class Job:
     finished_at: float | None
     result: EncodeResult | None
     error: JobError | None
+    stored_bytes: int

@@ -74,6 +74,7 @@ def _job(row: Any) -> Job:
         finished_at=row["finished_at"],
         result=_known(EncodeResult, result) if result else None,
         error=_known(JobError, error) if error else None,
+        stored_bytes=row["stored_bytes"],
     )
 
 
@@ -106,6 +107,10 @@ def _check_room(db: Database, job: NewJob, room: Room) -> None:
         raise QuotaError(of_owner=True)
     if room.quota and _stored_bytes(db) + size > room.quota:
         raise QuotaError(of_owner=False)
+
+
+def _bytes_of(result: EncodeResult) -> int:
+    return int(result.stats.get("bytes", 0))
 
 
 def _json(value: Any) -> str:
@@ -217,10 +222,10 @@ class SqlJobTable(ABC):
         lost = self._lost_claims()
         if not lost:
             return []
-        error, most = _json(WORKER_LOST), self._rules.max_attempts
+        values = self._crash_values(WORKER_LOST)
         statement = f"UPDATE jobs SET {CRASH} {LOST} RETURNING *, NULL AS position"
         with self._transaction() as db:
-            rows = [db.execute(statement, (error, most, most, most, *claim)).fetchone() for claim in lost]
+            rows = [db.execute(statement, (*values, *claim)).fetchone() for claim in lost]
             jobs = [_job(row) for row in rows if row is not None]
             for job in jobs:
                 if job.state == "queued":
@@ -270,8 +275,10 @@ class SqlJobTable(ABC):
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
         text = _json(result)
         with self._transaction() as db:
-            done = "state = 'done', result = ?, stored_bytes = ?, error = NULL, finished_at = epoch()"
-            if self._change(db, claim, done, text, int(result.stats.get("bytes", 0))):
+            done = (
+                "state = 'done', result = ?, stored_bytes = ? + ? * stored_bytes, error = NULL, finished_at = epoch()"
+            )
+            if self._change(db, claim, done, text, _bytes_of(result), self._keeps_sources):
                 return True
             # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
@@ -280,18 +287,26 @@ class SqlJobTable(ABC):
     def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
         with self._transaction() as db:
             if not retry:
-                return self._change(
-                    db, claim, "state = 'failed', error = ?, stored_bytes = 0, finished_at = epoch()", _json(error)
-                )
+                failed = "state = 'failed', error = ?, stored_bytes = ? * stored_bytes, finished_at = epoch()"
+                return self._change(db, claim, failed, _json(error), self._keeps_sources)
             return self._crash(db, claim.job_id, claim.attempt, error)
 
     def _crash(self, db: Database, job_id: str, attempt: int, error: JobError) -> bool:
-        most = self._rules.max_attempts
-        values = (_json(error), most, most, most, job_id, attempt)
-        mine = db.execute(f"UPDATE jobs SET {CRASH} {MINE}", values).rowcount == 1
+        values = self._crash_values(error)
+        mine = db.execute(f"UPDATE jobs SET {CRASH} {MINE}", (*values, job_id, attempt)).rowcount == 1
         if mine:
             self._wake(db)  # in vain if the job has failed, which does no harm
         return mine
+
+    def _crash_values(self, error: JobError) -> tuple[Any, ...]:
+        """For the places in CRASH."""
+        most = self._rules.max_attempts
+        return _json(error), most, most, most, self._keeps_sources
+
+    @property
+    def _keeps_sources(self) -> int:
+        """1 if the image of a finished job is kept, and so goes on counting; else 0."""
+        return int(self._rules.source_retention_s > 0)
 
     def release(self, claim: Claim) -> bool:
         with self._transaction() as db:
@@ -308,11 +323,22 @@ class SqlJobTable(ABC):
 
     def needed_keys(self) -> set[str]:
         with self._connection() as db:
-            rows = db.execute("SELECT id, state, attempt, result FROM jobs").fetchall()
-        waiting = {source_key(row["id"]) for row in rows if row["state"] in ("queued", "running")}
+            query = "SELECT id, state, attempt, result, coalesce(epoch() - finished_at, 0) AS ended_s FROM jobs"
+            rows = db.execute(query).fetchall()
+        kept_s = self._rules.source_retention_s
+        sources = {
+            source_key(row["id"]) for row in rows if row["state"] in ("queued", "running") or row["ended_s"] < kept_s
+        }
         unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
         done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
-        return waiting | unpublished | done
+        return sources | unpublished | done
+
+    def source_removed(self, job_id: str) -> None:
+        with self._transaction() as db:
+            row = db.execute("SELECT result FROM jobs WHERE id = ?", (job_id,)).fetchone()
+            left = _bytes_of(_known(EncodeResult, row["result"])) if row is not None and row["result"] else 0
+            update = "UPDATE jobs SET stored_bytes = ? WHERE id = ? AND state IN ('done', 'failed')"
+            db.execute(update, (left, job_id))
 
     def finished(self, older_than_s: float, owner: str | None = None) -> list[Job]:
         condition = "WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? AND owner = coalesce(?, owner)"

@@ -79,7 +79,7 @@ CRASH = """
 crashes = crashes + 1, error = ?,
 state = CASE WHEN crashes + 1 < ? THEN 'queued' ELSE 'failed' END,
 finished_at = CASE WHEN crashes + 1 < ? THEN NULL ELSE epoch() END,
-stored_bytes = CASE WHEN crashes + 1 < ? THEN stored_bytes ELSE 0 END
+stored_bytes = CASE WHEN crashes + 1 < ? THEN stored_bytes ELSE ? * stored_bytes END
 """
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is longer than any because the clock was put back.

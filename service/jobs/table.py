@@ -61,12 +61,14 @@ class JobRules:
     """What holds for all jobs.
 
     lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
-    max_running_per_owner: jobs of one owner that run at once, 0 for any number.
+    max_running_per_owner: jobs of one owner that run at once, 0 for any number; source_retention_s: for how long the
+    image of a finished job is kept.
     """
 
     lease_s: float
     max_attempts: int
     max_running_per_owner: int = 0
+    source_retention_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -191,6 +193,10 @@ class JobTable(Protocol):
 
     def needed_keys(self) -> set[str]:
         """Storage keys of the files that some job still needs."""
+        ...
+
+    def source_removed(self, job_id: str) -> None:
+        """The image of a finished job is gone, and counts no longer among the bytes that are stored."""
         ...
 
     def finished(self, older_than_s: float, owner: str | None = None) -> list[Job]:

@@ -20,6 +20,12 @@ def source_key(job_id: str) -> str:
     return f"sources/{job_id}"
 
 
+def job_of_source(key: str) -> str | None:
+    """The id of the job whose source image a key names; None for other keys."""
+    folder, _, name = key.partition("/")
+    return name if folder == "sources" else None
+
+
 def bitstream_key(job_id: str, attempt: int) -> str:
     """Where an attempt puts its bitstream; two attempts at one job never share a file."""
     return f"bitstreams/{job_id}.{attempt}.sg"

@@ -36,7 +36,8 @@ class Worker:
         self._table = table
         self._storage = storage
         self._stop = stop
-        self._publisher = Publisher(table, storage, stop)
+        self._keeps_sources = settings.source_retention_s > 0
+        self._publisher = Publisher(table, storage, stop, keeps_sources=self._keeps_sources)
         self._name = f"{socket.gethostname()}:{os.getpid()}"
         self._lifeline = Lifeline()
         self._next_sweep = 0.0
@@ -74,7 +75,8 @@ class Worker:
         """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""
         for job in self._table.reconcile():
             log.warning("job %s failed: its workers were lost %d times", job.id, job.crashes)
-            self._storage.delete(source_key(job.id))
+            if not self._keeps_sources:
+                self._storage.delete(source_key(job.id))
         claim = self._table.claim(self._name)
         if claim is None:
             return False

@@ -21,12 +21,16 @@ class StoppedError(Exception):
 
 
 class Publisher:
-    """Ends attempts. It waits while the job table or the storage is out of reach, until stopping is requested."""
+    """Ends attempts. It waits while the job table or the storage is out of reach, until stopping is requested.
 
-    def __init__(self, table: JobTable, storage: Storage, stop: StopSignal) -> None:
+    keeps_sources: images of finished jobs stay for the sweep, and may be encoded again until then.
+    """
+
+    def __init__(self, table: JobTable, storage: Storage, stop: StopSignal, *, keeps_sources: bool = False) -> None:
         self._table = table
         self._storage = storage
         self._stop = stop
+        self._keeps_sources = keeps_sources
 
     def conclude(self, claim: Claim, outcome: Outcome, heartbeat: Heartbeat) -> None:
         """Publish the bitstream, or tell the job table why there is none.
@@ -85,5 +89,5 @@ class Publisher:
     def tidy(self, claim: Claim) -> None:
         """Remove the source image of a job that will not run again."""
         job = self._table.get(claim.job_id)
-        if job is None or job.state in FINAL_STATES:
+        if job is None or (job.state in FINAL_STATES and not self._keeps_sources):
             self._storage.delete(source_key(claim.job_id))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from service.jobs.job import Job
 from service.jobs.table import JobTable
-from service.storage.files import Storage
+from service.storage.files import Storage, job_of_source, source_key
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
@@ -42,10 +42,16 @@ def sweep(
     if not dry_run:
         for key in orphans:
             storage.delete(key)
+            job_id = job_of_source(key)
+            if job_id is not None:
+                table.source_removed(job_id)
     return Swept(len(expired), len(orphans))
 
 
 def _remove(table: JobTable, storage: Storage, job: Job) -> None:
     removed = table.remove(job.id)
-    if removed is not None and removed.result is not None:
+    if removed is None:
+        return
+    storage.delete(source_key(removed.id))  # which may be kept for as long
+    if removed.result is not None:
         storage.delete(removed.result.bitstream_key)

@@ -46,7 +46,7 @@ def state(table: JobTable, job_id: str) -> str:
     return job.state
 
 
-def open_table(database_url: str, folder: Path, lease_s: float, **options: int) -> JobTable:
+def open_table(database_url: str, folder: Path, lease_s: float, **options: Any) -> JobTable:
     """The job table of SG_DATABASE_URL, SQLite's in the folder."""
     rules = JobRules(lease_s, 3, **options)
     return (

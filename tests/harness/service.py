@@ -102,7 +102,7 @@ class ServiceProcess:
 
 
 class Service(ServiceProcess):
-    """One `python -m service` with one worker and short leases.
+    """One `python -m service` with one worker and short leases, which keeps no image of a finished job.
 
     With command "web" nothing is ever encoded.
     """
@@ -110,7 +110,7 @@ class Service(ServiceProcess):
     def __init__(
         self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
     ) -> None:
-        super().__init__(data_dir, command, extra, **{"workers": 1, "lease_s": 1, **settings})
+        super().__init__(data_dir, command, extra, **{"workers": 1, "lease_s": 1, "source_retention_s": 0, **settings})
 
     def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
         """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""
@@ -182,7 +182,9 @@ class Service(ServiceProcess):
         table.close()
 
     def _settings(self) -> Settings:
-        return Settings(data_dir=self.data_dir, database_url=self.environment.get("SG_DATABASE_URL", ""), lease_s=60)
+        kept_s = float(self.environment["SG_SOURCE_RETENTION_S"])
+        url = self.environment.get("SG_DATABASE_URL", "")
+        return Settings(data_dir=self.data_dir, database_url=url, lease_s=60, source_retention_s=kept_s)
 
     def _open_table(self) -> JobTable:
         return open_job_table(self._settings())

@@ -87,7 +87,7 @@ def open_job_table(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
     """Opens the same table with leases of so many seconds."""
     opened: list[JobTable] = []
 
-    def opener(lease_s: float, **options: int) -> JobTable:
+    def opener(lease_s: float, **options: Any) -> JobTable:
         opened.append(open_table(database_url, tmp_path, lease_s, **options))
         return opened[-1]
 

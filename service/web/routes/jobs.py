@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from contextlib import suppress
 from typing import Annotated, Any
 
 from anyio import to_thread
@@ -18,10 +19,11 @@ from service.web.routes import answers
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
 from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
 from service.web.submitting.feasible import check_feasible
-from service.web.submitting.fields import FIELD_SCHEMAS, IMAGE_FIELD
+from service.web.submitting.fields import FIELD_SCHEMAS, IMAGE_FIELD, read_fields
 from service.web.submitting.submission import (
     FORM_TYPE,
     check_content_type,
+    fields_of_query,
     idempotency_key,
     new_job,
     read_header,
@@ -48,17 +50,18 @@ IDEMPOTENCY_KEY: dict[str, Any] = {
     "description": "the same key again answers with the job it first made",
     "schema": {"type": "string", "maxLength": 255, "pattern": "^[!-~]+$"},
 }
+ENCODE_PARAMETERS = [
+    IDEMPOTENCY_KEY,
+    *WAIT_PARAMETERS,
+    *({"name": name, "in": "query", "schema": schema} for name, schema in FIELD_SCHEMAS.items()),
+]
 ENCODE_EXTRA: dict[str, Any] = {
     "requestBody": {
         "required": True,
         "description": "a form with the image and the fields, or the image alone and the fields in the query",
         "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
     },
-    "parameters": [
-        IDEMPOTENCY_KEY,
-        *WAIT_PARAMETERS,
-        *({"name": name, "in": "query", "schema": schema} for name, schema in FIELD_SCHEMAS.items()),
-    ],
+    "parameters": ENCODE_PARAMETERS,
 }
 
 
@@ -87,8 +90,7 @@ async def encode(
     decoded picture if the Accept header wants one, when the job is done in time.
     """
     check_content_type(request)
-    wait_s = wished_wait_s(request)
-    key = idempotency_key(request)
+    wait_s, key = wished_wait_s(request), idempotency_key(request)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
     async with submission(request, parts.settings) as submitted:
         header = await read_header(submitted, parts.work, caller.client, parts.settings.max_upload_bytes)
@@ -97,6 +99,46 @@ async def encode(
             image = await submitted.image_bytes()
             new = new_job(submitted.asked, header, image, key, caller.owner)
             job = await to_thread.run_sync(_accept, parts, new, image)
+    return await _accepted(request, response, parts, job, wait_s)
+
+
+@router.post(
+    "/jobs/{job_id}/encode",
+    status_code=202,
+    response_model=answers.AcceptedView,
+    responses={**ENCODED, **problems(400, 404, 406, 409, 410, 422, 429, 500, 503)},
+    openapi_extra={"parameters": ENCODE_PARAMETERS},
+)
+async def encode_again(
+    job: KnownJob, request: Request, response: Response, parts: UseParts, caller: UseCaller
+) -> answers.AcceptedView | Response:
+    """A new job with the image of another, which is not sent a second time: 410 once it is no longer kept. The fields
+    are in the query, and as those of `POST /encode` where they are not given.
+    """
+    wait_s, key = wished_wait_s(request), idempotency_key(request)
+    asked = read_fields(fields_of_query(request)).asked(parts.settings.max_time_limit_s)
+    check_feasible(asked.request, job.image)
+    await to_thread.run_sync(_check_queue, parts, key, caller.owner)
+    async with parts.accepting:
+        image = await to_thread.run_sync(_kept_image, parts, job)
+        new = new_job(asked, job.image, image, key, caller.owner)
+        again = await to_thread.run_sync(_accept, parts, new, image)
+    return await _accepted(request, response, parts, again, wait_s)
+
+
+def _kept_image(parts: Parts, job: Job) -> bytes:
+    """Raises ProblemError 410 if it is kept no longer, whether or not it has been removed already."""
+    kept_s = parts.settings.source_retention_s
+    if job.finished_at is None or time.time() < job.finished_at + kept_s:
+        with suppress(FileNotFoundError):
+            return parts.storage.get(source_key(job.id))
+    raise ProblemError(410, "the image of this job is no longer kept; send it again")
+
+
+async def _accepted(
+    request: Request, response: Response, parts: Parts, job: Job, wait_s: int
+) -> answers.AcceptedView | Response:
+    """The answer to an accepted job, or what came of it if that is waited for."""
     view = answers.accepted(job)
     headers = {"Location": view.status_url, **NEVER_STORED}
     if wait_s:
@@ -187,7 +229,7 @@ def _make_room(parts: Parts, new: NewJob, of_owner: bool) -> None:
         if surplus <= 0:
             return
         _forget(parts, job.id)
-        surplus -= 0 if job.result is None else int(job.result.stats.get("bytes", 0))
+        surplus -= job.stored_bytes
 
 
 @router.get("/jobs/{job_id}", responses=problems(404, 503))

@@ -15,8 +15,10 @@ from tests.harness.job_table import (
     CRASH,
     IMAGE,
     LONG_S,
+    NO_TIME_S,
     REQUEST,
     RESULT,
+    OpenTable,
     claimed,
     new,
     open_table,
@@ -191,6 +193,30 @@ def test_bytes_are_counted_as_long_as_they_are_kept(table: JobTable) -> None:
     assert table.stored_bytes() == table.census().stored_bytes == 7
     table.remove(done.id)
     assert table.stored_bytes() == 0
+
+
+def test_images_of_finished_jobs_are_kept_and_counted(open_job_table: OpenTable) -> None:
+    table = open_job_table(LONG_S, source_retention_s=LONG_S)
+    done, failed, crashing = (table.submit(new(), Room(10))[0] for _ in range(3))
+    size = done.image.size_bytes
+    claims = {claim.job_id: claim for claim in (table.claim("w"), table.claim("w"), table.claim("w")) if claim}
+    result = EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7})
+    for _ in range(2):  # as after a commit whose answer was lost
+        assert table.finish(claims[done.id], result)
+    table.fail(claims[failed.id], JobError("refused", "no"), retry=False)
+    table.fail(claims[crashing.id], JobError("crashed", "no"), retry=True)
+    while (claim := table.claim("w")) is not None:
+        table.fail(claim, JobError("crashed", "no"), retry=True)
+    assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [size + 7, size, size]
+    images = {source_key(job.id) for job in (done, failed, crashing)}
+    assert table.needed_keys() == {*images, "bitstreams/x"}
+    assert open_job_table(LONG_S, source_retention_s=NO_TIME_S).needed_keys() == {"bitstreams/x"}
+    for job in (done, done, failed, crashing):
+        table.source_removed(job.id)
+    assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [7, 0, 0]
+    waiting = table.submit(new(), Room(10))[0]
+    table.source_removed(waiting.id)
+    assert table.stored_bytes() == 7 + size
 
 
 def test_quotas(table: JobTable) -> None:

@@ -61,6 +61,7 @@ def test_openapi_lists_the_routes(web: Service) -> None:
         "/encode",
         "/jobs",
         "/jobs/{job_id}",
+        "/jobs/{job_id}/encode",
         "/decode",
         "/decode.{kind}",
         "/decode/{job_id}",

@@ -12,7 +12,7 @@ from service.web.routes.answers import MAX_TRACE_POINTS, summary, with_trace
 
 def job(state: JobState, error: JobError | None = None) -> Job:
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    return Job(1, "0" * 32, None, "interactive", state, None, request, image, 1, 0, 0.0, None, None, None, error)
+    return Job(1, "0" * 32, None, "interactive", state, None, request, image, 1, 0, 0.0, None, None, None, error, 0)
 
 
 def point(phase: str, step: int, steps: int) -> dict[str, Any]:

@@ -1,8 +1,10 @@
-"""One request is enough: POST /encode that waits for its file."""
+"""One request is enough: POST /encode that waits for its file, and an image that is encoded again unsent."""
 
 from __future__ import annotations
 
+import contextlib
 import io
+import sqlite3
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,10 +13,13 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from service.keys import digest
+from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import STAND_IN, Service, StartService, assert_problem
 
+PICTURE = golden_path("v3-color.sg").read_bytes()
 BODY = {"Content-Type": "image/png"}
 QUICK = "time_limit_s=0.1"
 
@@ -127,3 +132,60 @@ def test_who_goes_leaves_a_job_and_no_place_taken(one_place: Service) -> None:
         wait_until(lambda: not has_a_place())
     assert len(web.client.get("/jobs").json()["jobs"]) == 2
     assert wait_until(has_a_place)
+
+
+def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
+    """With a real worker: the image stays when its job is done."""
+    service = start_service(source_retention_s=1000, extra=STAND_IN)
+    first = service.client.post(f"/encode?wait=100&bpp=2&{QUICK}", content=SMALL, headers=BODY)
+    again = service.client.post(f"{first.headers['location']}/encode?wait=100&bpp=0.5&{QUICK}")
+    assert (first.status_code, again.status_code) == (200, 200)
+    job = service.client.get(again.headers["location"]).json()
+    assert job["budget"] == {"kind": "bpp", "value": 0.5}
+    assert sgmethod.info(again.content).width == 64
+
+
+def test_whose_image_is_encoded_again_and_how(start_service: StartService) -> None:
+    keys = ",".join(f"{name}:{digest(name)}" for name in ("ann", "bob"))
+    web = start_service("web", source_retention_s=1000, api_keys=keys, queue_length=4)
+    web.client.headers["Authorization"] = "Bearer ann"
+    done, waiting = web.accepted(), web.accepted()
+    web.publish(done, PICTURE)
+
+    def again(job_id: str, query: str = "bpp=0.5", **headers: str) -> httpx.Response:
+        return web.client.post(f"/jobs/{job_id}/encode?{query}", headers=headers)
+
+    answer = again(done, "psnr=30&profile=paper&priority=bulk", **{"Idempotency-Key": "one"})
+    assert answer.status_code == 202, answer.text
+    job = web.job(answer.json()["id"])
+    assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30}, "paper")
+    assert (job["priority"], job["image"]) == ("bulk", web.job(done)["image"])
+    assert (web.data_dir / "sources" / job["id"]).read_bytes() == SMALL
+    assert again(done, "psnr=30&profile=paper&priority=bulk", **{"Idempotency-Key": "one"}).json() == answer.json()
+    assert_problem(again(done, **{"Idempotency-Key": "one"}), 422, "Idempotency-Key")
+    for query, words in (("bpp=x", "number"), ("wiat=1", "unknown field"), ("bytes=1", "least"), ("psnr=1&psnr=1", "")):
+        assert_problem(again(done, query), 422, words)
+    assert_problem(again(done, Authorization="Bearer bob"), 404)
+    assert_problem(again(done, Authorization="Bearer"), 401)
+    assert_problem(again("0" * 32), 404)
+    assert again(waiting).status_code == 202  # as long as a job is not finished its image is there anyway
+    assert again(waiting).status_code == 202
+    assert_problem(again(waiting), 429, "full")
+
+
+def test_images_that_are_no_longer_kept(start_service: StartService) -> None:
+    web = start_service("web", source_retention_s=1000)
+    swept, late = web.accepted(), web.accepted()
+    for job_id in (swept, late):
+        web.publish(job_id, PICTURE)
+        assert web.client.post(f"/jobs/{job_id}/encode").status_code == 202
+    (web.data_dir / "sources" / swept).unlink()
+    with contextlib.closing(sqlite3.connect(web.data_dir / "jobs.sqlite3")) as connection, connection as db:
+        db.execute("UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", (late,))
+    before = web.files()
+    assert f"sources/{late}" in before  # which the next sweep removes
+    for job_id in (swept, late):
+        assert_problem(web.client.post(f"/jobs/{job_id}/encode"), 410, "send it again")
+    assert web.files() == before
+    assert web.client.delete(f"/jobs/{late}").status_code == 204
+    assert not any(late in name for name in web.files())

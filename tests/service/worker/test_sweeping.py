@@ -72,6 +72,18 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert stored(storage) == needed
 
 
+def test_images_go_before_their_jobs(table: JobTable, storage: Storage, tmp_path: Path) -> None:
+    """And are not counted any more then."""
+    job_id = submitted(table, storage)
+    assert table.finish(claimed(table), EncodeResult(bitstream_key(job_id, 1), "", {"bytes": 7}))
+    keeping = SqliteJobTable(tmp_path / "jobs.sqlite3", JobRules(60.0, 4, source_retention_s=60.0))
+    assert sweep(keeping, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 0)
+    assert stored(storage) == {source_key(job_id)}
+    keeping.close()
+    assert sweep(table, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
+    assert (stored(storage), table.stored_bytes()) == (set(), 7)
+
+
 def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Storage) -> None:
     finished(table, storage)
     submitted(table, storage)
