@@ -1,12 +1,13 @@
 """Pixels to picture files of five formats, all said to be sRGB but PPM, which cannot say.
 
-PNG and PPM keep every level. The others are lossy, at qualities where that is not seen: 47 to 50 dB above what they are
-given (a photograph of 768x512 at 0.3 bpp).
+PNG and PPM keep every level. The others are lossy, by default at qualities where that is not seen: 47 to 50 dB above
+what they are given (a photograph of 768x512 at 0.3 bpp).
 """
 
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.errors import ImageError
-from sgmethod.io.png import encode_png
+from sgmethod.io.png import Compress, encode_png, zlib_compress
 
 SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WebP", ".avif": "AVIF", ".ppm": "PPM"}
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -24,13 +25,20 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-def encode_picture(pixels: NDArray[np.uint8], kind: str) -> bytes:
+def encode_picture(
+    pixels: NDArray[np.uint8],
+    kind: str,
+    options: Mapping[str, Any] | None = None,
+    compress: Compress = zlib_compress,
+) -> bytes:
     """The file of pixels, uint8 [H, W, 3], sRGB, in a format of SUFFIXES.
+
+    options: for Pillow's writer of JPEG, WebP or AVIF, in place of OPTIONS; compress: for a PNG, as encode_png has it.
 
     Raises ImageError for a picture that the format cannot hold, or a format that this Pillow cannot write.
     """
     if kind == "PNG":
-        return encode_png(pixels)
+        return encode_png(pixels, compress)
     height, width = pixels.shape[:2]
     if kind == "PPM":
         return b"P6\n%d %d\n255\n" % (width, height) + pixels.tobytes()
@@ -41,7 +49,7 @@ def encode_picture(pixels: NDArray[np.uint8], kind: str) -> bytes:
     profile = {} if kind == "AVIF" else {"icc_profile": _srgb_profile()}
     file = io.BytesIO()
     try:
-        Image.fromarray(pixels).save(file, kind, **OPTIONS[kind], **profile)
+        Image.fromarray(pixels).save(file, kind, **(OPTIONS[kind] if options is None else options), **profile)
     except (OSError, ValueError) as error:
         reason = str(error) or type(error).__name__
         raise ImageError(f"{width} x {height} pixels cannot be written as {kind} ({reason})") from error

@@ -30,11 +30,12 @@ ZLIB_LEVEL = 4
 Compress = Callable[[memoryview], bytes]
 
 
-def _zlib(data: memoryview) -> bytes:
+def zlib_compress(data: memoryview) -> bytes:
+    """Deflate that every Python has."""
     return zlib.compress(data, ZLIB_LEVEL)
 
 
-def encode_png(pixels: NDArray[np.uint8], compress: Compress = _zlib) -> bytes:
+def encode_png(pixels: NDArray[np.uint8], compress: Compress = zlib_compress) -> bytes:
     """The bytes of an 8-bit RGB PNG file of pixels, uint8 [H, W, 3]; ValueError on another shape or type.
 
     compress: makes the zlib stream (RFC 1950) of the filtered rows, uint8 [H, 1 + 3 W].

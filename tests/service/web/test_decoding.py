@@ -69,6 +69,7 @@ def test_lossy_files_are_close(kind: str) -> None:
     file = drawing.draw(PICTURE)
     image = Image.open(io.BytesIO(file))
     assert image.get_format_mimetype() == MEDIA_TYPES[drawing.kind]
+    assert "sRGB".encode("utf-16-be") in image.info["icc_profile"] if kind != "avif" else b"colrnclx\0\1\0\r" in file
     error = np.mean((np.asarray(image.convert("RGB"), np.float64) - pixels) ** 2)
     assert 10 * np.log10(255**2 / error) > 30
 
