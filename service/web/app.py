@@ -102,7 +102,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         version=VERSION,
         description="Photographs to small sets of 2D Gaussians and back.",
         lifespan=_lifespan,
-        docs_url=None,  # both pages load scripts from elsewhere
+        docs_url=None,  # both pages load scripts from elsewhere, and break the policy of ours
         redoc_url=None,
         redirect_slashes=False,  # it would repeat whatever host the client named
     )
@@ -132,6 +132,11 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
     async def page() -> FileResponse:
         """The page on which a person can try the service."""
         return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": PAGE_POLICY})
+
+    @app.get("/docs", include_in_schema=False)
+    async def docs() -> FileResponse:
+        """The OpenAPI document, for people."""
+        return FileResponse(STATIC / "docs.html", headers={"Content-Security-Policy": PAGE_POLICY})
 
     return _guarded(app, parts)
 

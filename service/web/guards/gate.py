@@ -17,7 +17,7 @@ from service.web.guards.addresses import address_of
 from service.web.guards.problems import ProblemError, refused
 
 # A page must load before a person can give it a key, and probes have none.
-OPEN_PATHS = frozenset({"/", "/healthz", "/livez", "/readyz", "/openapi.json"})
+OPEN_PATHS = frozenset({"/", "/docs", "/healthz", "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
 

@@ -14,6 +14,7 @@ from service.jobs.job import FINAL_STATES, Job
 from service.jobs.table import JobTableError
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
+from service.web.routes.examples import curl
 from service.web.routes.gone import set_within
 from service.web.routes.parts import KnownJob, Parts, UseParts
 
@@ -37,7 +38,13 @@ async def _place(parts: UseParts) -> AsyncIterator[None]:
         parts.streams.release_on_behalf_of(token)
 
 
-@router.get("/jobs/{job_id}/events", response_class=EventSourceResponse, responses=problems(404, 503))
+@router.get(
+    "/jobs/{job_id}/events",
+    response_class=EventSourceResponse,
+    responses=problems(404, 503),
+    summary="Watch a job",
+    openapi_extra=curl("-N HOST/jobs/ID/events"),
+)
 async def events(job: KnownJob, parts: UseParts, _: Annotated[None, Depends(_place)]) -> AsyncIterator[ServerSentEvent]:
     """The job as it goes on: "state" with the job whenever it has changed, "trace" with new points and the progress,
     at last "done" or "failed" with the job, or "removed".

@@ -14,6 +14,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from service.jobs.table import Census, JobTableError
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
+from service.web.routes.examples import curl
 from service.web.routes.parts import Parts, UseCaller, UseParts
 
 log = logging.getLogger(__name__)
@@ -24,13 +25,13 @@ PATIENCE_S = 2.0  # a table that takes longer is no better than none
 
 
 @router.get("/healthz", include_in_schema=False)  # the name before there was /readyz
-@router.get("/livez")
+@router.get("/livez", summary="Does the web process answer?", openapi_extra=curl("HOST/livez"))
 async def live() -> answers.HealthView:
     """Whether the web process answers; waits for nothing."""
     return answers.HealthView(status="ok", version=VERSION)
 
 
-@router.get("/readyz", responses=problems(503))
+@router.get("/readyz", responses=problems(503), summary="Are jobs worked on?", openapi_extra=curl("HOST/readyz"))
 async def ready(parts: UseParts) -> answers.HealthView:
     """Whether jobs are accepted and worked on: table and storage answer, and the queue does not stall."""
     census = await _census(parts)
@@ -47,7 +48,13 @@ async def ready(parts: UseParts) -> answers.HealthView:
     return answers.HealthView(status="ok", version=VERSION)
 
 
-@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}, **problems(403)})
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {}}}, **problems(403)},
+    summary="Figures for Prometheus",
+    openapi_extra=curl("HOST/metrics"),
+)
 async def metrics(parts: UseParts, caller: UseCaller) -> Response:
     """Figures for Prometheus."""
     reader = parts.settings.metrics_key

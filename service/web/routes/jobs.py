@@ -16,6 +16,7 @@ from service.keys import Link
 from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
+from service.web.routes.examples import curl
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
 from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
 from service.web.submitting.feasible import check_feasible
@@ -81,7 +82,8 @@ def _own_queue_full(limit: int) -> ProblemError:
     status_code=202,
     response_model=answers.AcceptedView,
     responses={**ENCODED, **problems(400, 406, 408, 409, 413, 415, 422, 429, 500, 503)},
-    openapi_extra=ENCODE_EXTRA,
+    summary="Encode an image",
+    openapi_extra={**ENCODE_EXTRA, **curl("-F image=@photo.jpg -F bpp=0.3 'HOST/encode?wait=60' -o photo.sg")},
 )
 async def encode(
     request: Request, response: Response, parts: UseParts, caller: UseCaller
@@ -107,7 +109,8 @@ async def encode(
     status_code=202,
     response_model=answers.AcceptedView,
     responses={**ENCODED, **problems(400, 404, 406, 409, 410, 422, 429, 500, 503)},
-    openapi_extra={"parameters": ENCODE_PARAMETERS},
+    summary="Encode the image of a job again",
+    openapi_extra={"parameters": ENCODE_PARAMETERS, **curl("-X POST 'HOST/jobs/ID/encode?bpp=0.5'")},
 )
 async def encode_again(
     job: KnownJob, request: Request, response: Response, parts: UseParts, caller: UseCaller
@@ -232,14 +235,19 @@ def _make_room(parts: Parts, new: NewJob, of_owner: bool) -> None:
         surplus -= job.stored_bytes
 
 
-@router.get("/jobs/{job_id}", responses=problems(404, 503))
+@router.get("/jobs/{job_id}", responses=problems(404, 503), summary="Look at a job", openapi_extra=curl("HOST/jobs/ID"))
 def status(job: KnownJob, parts: UseParts, response: Response) -> answers.JobView:
     """State, place in the queue, progress, trace so far, and result or error."""
     response.headers.update(NEVER_STORED)
     return answers.with_trace(job, parts.table.trace(job.id), parts.settings.retention_s)
 
 
-@router.get("/jobs", responses=problems(422, 503))
+@router.get(
+    "/jobs",
+    responses=problems(422, 503),
+    summary="List jobs",
+    openapi_extra=curl("'HOST/jobs?state=done&limit=20'"),
+)
 def jobs(
     parts: UseParts,
     caller: UseCaller,
@@ -256,7 +264,12 @@ def jobs(
     return answers.JobPage(jobs=[answers.summary(job, parts.settings.retention_s) for job in page[:limit]], next=older)
 
 
-@router.post("/jobs/{job_id}/links", responses=problems(404, 422, 503))
+@router.post(
+    "/jobs/{job_id}/links",
+    responses=problems(404, 422, 503),
+    summary="Make links that need no key",
+    openapi_extra=curl("-X POST 'HOST/jobs/ID/links?expires_s=600'"),
+)
 def links(
     job: KnownJob,
     parts: UseParts,
@@ -275,7 +288,13 @@ def links(
     return answers.links(job, picture, bitstream, expires)
 
 
-@router.delete("/jobs/{job_id}", status_code=204, responses=problems(404, 503))
+@router.delete(
+    "/jobs/{job_id}",
+    status_code=204,
+    responses=problems(404, 503),
+    summary="Cancel and remove a job",
+    openapi_extra=curl("-X DELETE HOST/jobs/ID"),
+)
 def remove(job: KnownJob, parts: UseParts) -> None:
     """Cancel the job if it is not done, and remove all that is kept of it."""
     _forget(parts, job.id)

@@ -16,6 +16,7 @@ from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.routes import answers
 from service.web.routes.decoding import ViewQuery
+from service.web.routes.examples import curl
 from service.web.routes.file_answers import (
     IMMUTABLE,
     VARIES,
@@ -129,7 +130,11 @@ async def _drawn(
 
 
 @router.get(
-    "/decode/{job_id}.{kind}", response_class=Response, responses={**PICTURES, **problems(404, 409, 422, 429, 503)}
+    "/decode/{job_id}.{kind}",
+    response_class=Response,
+    responses={**PICTURES, **problems(404, 409, 422, 429, 503)},
+    summary="The picture of a job",
+    openapi_extra=curl("'HOST/decode/ID.webp?width=320' -o photo.webp"),
 )
 async def picture(
     job: KnownJob, kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
@@ -139,7 +144,11 @@ async def picture(
 
 
 @router.get(
-    "/decode/{job_id}", response_class=Response, responses={**PICTURES, **problems(404, 406, 409, 422, 429, 503)}
+    "/decode/{job_id}",
+    response_class=Response,
+    responses={**PICTURES, **problems(404, 406, 409, 422, 429, 503)},
+    summary="The picture of a job, in the format that is accepted",
+    openapi_extra=curl("-H 'Accept: image/avif' HOST/decode/ID -o photo.avif"),
 )
 async def picture_as_accepted(
     job: KnownJob, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
@@ -154,7 +163,8 @@ async def picture_as_accepted(
     "/decode",
     response_class=Response,
     responses={**_files(*MEDIA_TYPES.values()), **problems(406, 408, 413, 422, 429, 503)},
-    openapi_extra={"requestBody": BITSTREAM_BODY},
+    summary="Decode a bitstream, into the format that is accepted",
+    openapi_extra={"requestBody": BITSTREAM_BODY, **curl("--data-binary @photo.sg HOST/decode -o photo.png")},
 )
 async def picture_of_body(query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
     """A picture of the bitstream in the body, in the format that the Accept header wants most. Nothing is stored."""
@@ -167,7 +177,11 @@ async def picture_of_body(query: Annotated[ViewQuery, Query()], parts: UseParts,
     "/decode.{kind}",
     response_class=Response,
     responses={**_files(*MEDIA_TYPES.values()), **problems(404, 408, 413, 422, 429, 503)},
-    openapi_extra={"requestBody": BITSTREAM_BODY},
+    summary="Decode a bitstream",
+    openapi_extra={
+        "requestBody": BITSTREAM_BODY,
+        **curl("--data-binary @photo.sg 'HOST/decode.jpg?quality=80&scale=0.5' -o small.jpg"),
+    },
 )
 async def picture_of_body_as(
     kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
@@ -191,6 +205,8 @@ async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, pa
     "/bitstreams/{job_id}.sg",
     response_class=Response,
     responses={**_files(BITSTREAM_TYPE), **NOT_MODIFIED, **PARTIAL, **problems(404, 409, 503)},
+    summary="The bitstream of a job",
+    openapi_extra=curl("HOST/bitstreams/ID.sg -o photo.sg"),
 )
 async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Response:
     """The bitstream itself."""

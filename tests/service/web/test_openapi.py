@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import httpx
 import pytest
+from PIL import Image
 
+import sgmethod
 from service.keys import digest
 from service.web.routes import answers
+from service.web.routes.examples import HOST
 from tests.harness.data import golden_path
-from tests.harness.service import Service, StartService
+from tests.harness.pictures import SMALL
+from tests.harness.processes import PATIENCE_S
+from tests.harness.service import STAND_IN, StartService
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 # Valid against the document and refused all the same: a region beyond the picture, a form with two budgets.
@@ -48,9 +56,61 @@ def test_examples_are_what_they_are_examples_of() -> None:
         view.model_validate(example)
 
 
-def test_the_document_has_examples(web: Service) -> None:
-    document = web.client.get("/openapi.json").json()
+def curl(command: str, folder: Path) -> httpx.Response:
+    """The answer to a curl command that is run in a folder, and the file that it asks for."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("url")
+    parser.add_argument("-X", dest="method")
+    parser.add_argument("-H", dest="headers", action="append", default=[])
+    parser.add_argument("-F", dest="fields", action="append", default=[])
+    parser.add_argument("--data-binary", dest="body")
+    parser.add_argument("-o", dest="output")
+    parser.add_argument("-N", action="store_true")
+    program, *arguments = shlex.split(command)
+    assert program == "curl"
+    given = parser.parse_args(arguments)
+    fields = dict(field.split("=", 1) for field in given.fields)
+    files = {name: (folder / value[1:]).read_bytes() for name, value in fields.items() if value.startswith("@")}
+    answer = httpx.request(
+        given.method or ("POST" if fields or given.body else "GET"),
+        given.url,
+        headers=dict(header.split(": ") for header in given.headers),
+        files=files or None,
+        data={name: value for name, value in fields.items() if name not in files},
+        content=(folder / given.body[1:]).read_bytes() if given.body else None,
+        timeout=PATIENCE_S,
+    )
+    if given.output:
+        (folder / given.output).write_bytes(answer.content)
+    return answer
+
+
+def test_every_operation_has_a_summary_and_a_command_that_works(start_service: StartService, tmp_path: Path) -> None:
+    """As they stand at /docs to be copied, but for the address and the job's id."""
+    settings = {"link_secret": "x" * 32, "source_retention_s": 1000, "max_time_limit_s": 0.2}
+    service = start_service(extra=STAND_IN, **settings)
+    (tmp_path / "photo.jpg").write_bytes(SMALL)
+    (tmp_path / "photo.sg").write_bytes(PICTURE)
+    document = service.client.get("/openapi.json").json()
     assert "examples" in document["components"]["schemas"]["JobView"]
-    for path, methods in document["paths"].items():
-        for method, operation in methods.items():
-            assert operation["description"], (path, method)
+    done = service.wait(service.accepted())["id"]
+    operations = [
+        (method, path, what) for path, methods in document["paths"].items() for method, what in methods.items()
+    ]
+    for method, path, operation in sorted(operations):  # which comes to remove a job first
+        assert operation["description"], (method, path)
+        assert operation["summary"].lower() != operation["operationId"].partition("_")[0], "nobody has written it"
+        (sample,) = operation["x-codeSamples"]
+        command = sample["source"].replace(HOST, service.url).replace(answers.EXAMPLE_ID, done)
+        answer = curl(command, tmp_path)
+        assert answer.is_success, (command, answer.text)
+        assert answer.request.method == method.upper()
+        known = path.replace("{job_id}", done).replace("{kind}", command.partition("?")[0].rpartition(".")[2])
+        assert answer.request.url.path == known
+        if method == "delete":
+            done = service.wait(service.accepted())["id"]
+    assert sgmethod.info((tmp_path / "photo.sg").read_bytes()).width > 0
+    formats = {
+        name: Image.open(tmp_path / name).format for name in ("photo.png", "photo.avif", "photo.webp", "small.jpg")
+    }
+    assert list(formats.values()) == ["PNG", "AVIF", "WEBP", "JPEG"]

@@ -62,6 +62,23 @@ def test_from_a_photograph_to_its_gaussians(page: Browser, service: Service, tmp
     assert page.complaints() == []
 
 
+def test_requests_for_people(page: Browser, web: Service) -> None:
+    """Under the strict policy, and from nowhere else."""
+    document = web.client.get("/openapi.json").json()
+    operations = {what["operationId"]: what for methods in document["paths"].values() for what in methods.values()}
+    page.open(f"{web.url}/docs")
+    shown = "return document.querySelectorAll('#operations details').length"
+    wait_until(lambda: page.run(shown) > len(operations))  # and examples after them
+    for name, operation in operations.items():
+        assert operation["summary"] in page.text(f"#{name} summary")
+    first = next(iter(operations))
+    assert not page.is_seen(f"#{first} pre")
+    page.click(f"#{first} summary")
+    assert f"curl {web.url}/livez" in page.text(f"#{first} pre")
+    assert "200" in page.text(f"#{first} table")
+    assert page.complaints() == []
+
+
 def test_what_is_refused(page: Browser, web: Service, tmp_path: Path) -> None:
     page.open(f"{web.url}/")
     choose(page, tmp_path, b"this is no picture")
