@@ -19,10 +19,13 @@ from typing import Literal
 import httpx
 
 from sgmethod.budget import Budget
-from sgmethod.client.connection import PAUSE_S, Connection, Json
+from sgmethod.client.connection import PAUSE_S, Connection, Json, RefusedError
 from sgmethod.errors import ServerError
 from sgmethod.profiles import DEFAULT_PROFILE
 from sgmethod.trace import Progress, TracePoint
+
+Priority = Literal["interactive", "bulk"]
+WAIT_S = 50  # of one request: less than what proxies, and this client, take for a connection that has died
 
 
 @dataclass(frozen=True)
@@ -62,14 +65,29 @@ class Client:
         time_limit_s: float | None = None,
         on_progress: Progress | None = None,
     ) -> RemoteEncoded:
-        """Submit an image file, wait for the job, fetch its bitstream, and remove the job, whatever happens."""
-        job_id = self.submit(image, budget, profile, tune=tune, time_limit_s=time_limit_s)
+        """The bitstream of an image file, with its figures and its trace; its job is removed, whatever happens.
+
+        Without on_progress one request brings the bitstream, if the server has it soon enough. Whoever interrupts that
+        request leaves the job behind.
+        """
+        query = _query(budget, profile, tune, time_limit_s)
         try:
-            job = self.wait(job_id, on_progress)
-            return RemoteEncoded(self.bitstream(job_id), job["result"], [_point(point) for point in job["trace"]])
+            answer = self._submit("/encode", query, image, wait_s=WAIT_S if on_progress is None else 0)
+        except RefusedError as refusal:
+            if "id" not in refusal.problem:
+                raise
+            self._remove_if_there(refusal.problem["id"])
+            raise ServerError(refusal.problem["detail"]) from None
+        job_id = answer.headers["Location"].rpartition("/")[2]
+        try:
+            if answer.status_code == httpx.codes.OK:
+                data, job = answer.content, self.job(job_id)
+            else:
+                job = self.wait(job_id, on_progress)
+                data = self.bitstream(job_id)
+            return RemoteEncoded(data, job["result"], [_point(point) for point in job["trace"]])
         finally:
-            with suppress(ServerError):
-                self.remove(job_id)
+            self._remove_if_there(job_id)
 
     def submit(
         self,
@@ -79,14 +97,32 @@ class Client:
         *,
         tune: str | None = None,
         time_limit_s: float | None = None,
-        priority: Literal["interactive", "bulk"] = "interactive",
+        priority: Priority = "interactive",
     ) -> str:
         """The id of a new job. Tried again where that helps; the image is never accepted twice."""
-        wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
-        wanted |= {"priority": priority, "time_limit_s": time_limit_s}
-        query = {name: value for name, value in wanted.items() if value is not None}
+        return str(self._submit("/encode", _query(budget, profile, tune, time_limit_s, priority), image).json()["id"])
+
+    def submit_again(
+        self,
+        job_id: str,
+        budget: Budget,
+        profile: str = DEFAULT_PROFILE,
+        *,
+        tune: str | None = None,
+        time_limit_s: float | None = None,
+        priority: Priority = "interactive",
+    ) -> str:
+        """The id of a new job with the image of another, which is not sent a second time. Raises ServerError once the
+        server keeps it no longer.
+        """
+        query = _query(budget, profile, tune, time_limit_s, priority)
+        return str(self._submit(f"/jobs/{job_id}/encode", query).json()["id"])
+
+    def _submit(self, path: str, query: Json, image: bytes = b"", wait_s: int = 0) -> httpx.Response:
         headers = {"Content-Type": "image/*", "Idempotency-Key": secrets.token_hex(16)}
-        return str(self._connection.ask("POST", "/encode", params=query, content=image, headers=headers).json()["id"])
+        if wait_s:
+            headers["Prefer"] = f"wait={wait_s}"  # which a server that does not know it ignores
+        return self._connection.ask("POST", path, params=query, content=image, headers=headers)
 
     def job(self, job_id: str) -> Json:
         """State, progress, trace, result and error of a job."""
@@ -128,6 +164,19 @@ class Client:
     def remove(self, job_id: str) -> None:
         """Cancel the job if it is not done, and have the service forget it."""
         self._connection.ask("DELETE", f"/jobs/{job_id}")
+
+    def _remove_if_there(self, job_id: str) -> None:
+        with suppress(ServerError):
+            self.remove(job_id)
+
+
+def _query(
+    budget: Budget, profile: str, tune: str | None, time_limit_s: float | None, priority: Priority = "interactive"
+) -> Json:
+    """The fields of an encode."""
+    wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
+    wanted |= {"priority": priority, "time_limit_s": time_limit_s}
+    return {name: value for name, value in wanted.items() if value is not None}
 
 
 def _point(point: Json) -> TracePoint:

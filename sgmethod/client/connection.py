@@ -18,6 +18,14 @@ PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 SILENCE_S = 60.0  # the server sends a sign of life every 15 s
 
 
+class RefusedError(ServerError):
+    """The server refused. problem: its document (RFC 9457), empty if it sent none."""
+
+    def __init__(self, detail: str, problem: Json) -> None:
+        super().__init__(detail)
+        self.problem = problem
+
+
 class Connection:
     """patience_s: how long to go on trying, in seconds."""
 
@@ -71,10 +79,11 @@ class Connection:
         return ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
 
 
-def _refusal(answer: httpx.Response) -> ServerError:
+def _refusal(answer: httpx.Response) -> RefusedError:
     with suppress(ValueError, KeyError, TypeError):
-        return ServerError(f"the server refused: {answer.json()['detail']}")
-    return ServerError(f"the server answered with status {answer.status_code}")
+        problem = answer.json()
+        return RefusedError(f"the server refused: {problem['detail']}", problem)
+    return RefusedError(f"the server answered with status {answer.status_code}", {})
 
 
 def _retry_after_s(headers: Mapping[str, str]) -> float:

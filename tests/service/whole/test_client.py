@@ -16,6 +16,7 @@ import sgmethod
 from service.keys import digest
 from sgmethod import Budget
 from sgmethod.client import Client
+from sgmethod.client import client as client_module
 from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
 from tests.harness.data import ROOT, golden_path
@@ -34,6 +35,47 @@ def test_an_encode(service: Service) -> None:
     assert encoded.figures["bytes"] == len(encoded.data)
     assert encoded.trace == seen
     assert service.client.get("/jobs").json()["jobs"] == []  # it cleans up behind itself
+
+
+def test_one_request_brings_the_file(service: Service) -> None:
+    """Unless somebody wants to see progress."""
+    before = watches(service), asked(service, "/bitstreams/{job_id}.sg")
+    with Client(service.url) as client:
+        encoded = client.encode(SMALL, Budget("bpp", 2), time_limit_s=0.5)
+        assert len(sgmethod.decode(encoded.data)) == 48
+        assert encoded.figures["bytes"] == len(encoded.data)
+        assert encoded.trace
+        with pytest.raises(ServerError, match="cut short"):
+            client.encode(SMALL[: len(SMALL) // 2], Budget("bpp", 2))
+    assert service.client.get("/jobs").json()["jobs"] == []
+    assert (watches(service), asked(service, "/bitstreams/{job_id}.sg")) == before
+
+
+def test_what_is_not_done_in_one_request_is_waited_for(web: Service, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(client_module, "WAIT_S", 1)
+    before = watches(web)
+
+    def work() -> None:
+        wait_until(lambda: watches(web) > before)
+        web.publish(web.client.get("/jobs?limit=1").json()["jobs"][0]["id"], PICTURE)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    with Client(web.url) as client:
+        assert client.encode(SMALL, Budget("bpp", 2)).data == PICTURE
+    thread.join()
+
+
+def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
+    web = start_service("web", source_retention_s=1000)
+    with Client(web.url) as client:
+        first = client.submit(SMALL, Budget("bpp", 2))
+        again = client.submit_again(first, Budget("psnr", 30), "paper", time_limit_s=9)
+        assert client.job(again)["budget"] == {"kind": "psnr", "value": 30}
+        assert client.job(again)["image"] == client.job(first)["image"]
+        client.remove(first)
+        with pytest.raises(ServerError, match="no such job"):
+            client.submit_again(first, Budget("bpp", 1))
 
 
 def test_step_by_step(service: Service) -> None:
@@ -78,7 +120,12 @@ def test_a_job_that_somebody_removes(web: Service) -> None:
 
 def watches(web: Service) -> float:
     """How many streams of events have begun."""
-    counter = 'sgmethod_requests_total{method="GET",route="/jobs/{job_id}/events",status="200"} '
+    return asked(web, "/jobs/{job_id}/events")
+
+
+def asked(web: Service, route: str) -> float:
+    """How often it was, with success."""
+    counter = f'sgmethod_requests_total{{method="GET",route="{route}",status="200"}} '
     lines = web.client.get("/metrics").text.splitlines()
     return sum(float(line.removeprefix(counter)) for line in lines if line.startswith(counter))
 
