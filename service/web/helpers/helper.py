@@ -25,6 +25,7 @@ from service.web.helpers.drawing import Drawing, Wish
 from sgmethod.errors import ImageError, SgError
 from sgmethod.io.image import ImageLimits, read_header
 
+READY = b"!"  # said once, at the start
 ANSWER_HEADER = struct.Struct(">IQ")
 ERRAND_BYTES = 1 << 16
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
@@ -115,6 +116,7 @@ def main() -> None:
     sgmethod.set_threads(min(THREADS, len(os.sched_getaffinity(0))))
     _keep_freed_memory()
     connection = socket.socket(fileno=int(sys.argv[1]))
+    connection.sendall(READY)
     while True:
         line, descriptors, _, _ = socket.recv_fds(connection, ERRAND_BYTES, 1)
         if not line:

@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 from anyio import CapacityLimiter, to_thread
 
 from service.process import confinement
-from service.web.helpers.helper import ANSWER_HEADER, Errand
+from service.web.helpers.helper import ANSWER_HEADER, READY, Errand
 from sgmethod import errors
 
 PROGRAM = "service.web.helpers.helper"
@@ -45,7 +45,7 @@ class _EndedError(Exception):
 
 
 class _Helper:
-    """One helper process. Methods block; kill may be called meanwhile from another thread."""
+    """One helper process, ready when it is made. Methods block; kill may be called meanwhile from another thread."""
 
     def __init__(self) -> None:
         self._ours, theirs = socket.socketpair()
@@ -57,6 +57,7 @@ class _Helper:
                 pass_fds=(theirs.fileno(),),
                 process_group=0,
             )
+        self._ours.recv(len(READY))  # nothing of one that ended, which the first errand will say
 
     def ask(self, errand: Errand, file: BinaryIO) -> tuple[Json, bytes]:
         """Figures and a picture file. Raises _EndedError."""
@@ -128,7 +129,10 @@ class Helpers:
         return await to_thread.run_sync(_Helper, limiter=self._threads)
 
     async def _end(self, helper: _Helper) -> int:
-        return await to_thread.run_sync(helper.kill, limiter=self._threads)
+        """End it, and start another within the turn of the client whose errand it was, so that no other has to wait."""
+        status = await to_thread.run_sync(helper.kill, limiter=self._threads)
+        self._idle.append(await to_thread.run_sync(_Helper, limiter=self._threads))
+        return status
 
     def close(self) -> None:
         """End those that have nothing to do."""

@@ -25,6 +25,7 @@ from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 NEVER_S = 10_000  # a limit that no test reaches
+HELPER_START_CPU_S = 1.0  # more than one takes to start
 
 
 @pytest.fixture(scope="module")
@@ -66,11 +67,16 @@ def helpers_of(service: Service) -> set[int]:
     return {n for n, p in processes().items() if p.parent == service.process.pid and "helpers.helper" in p.command}
 
 
+def state_and_cpu_s_of(number: int) -> tuple[str, float]:
+    """The state of a process, as "R" for one that computes, and the seconds of a core that it has taken."""
+    with open(f"/proc/{number}/stat") as stat:  # noqa: PTH123
+        fields = stat.read().rpartition(")")[2].split()
+    return fields[0], (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def cpu_s_of(service: Service) -> float:
     """Seconds of a core that the web process itself has taken."""
-    with open(f"/proc/{service.process.pid}/stat") as stat:  # noqa: PTH123
-        user, system = stat.read().rpartition(")")[2].split()[11:13]
-    return (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+    return state_and_cpu_s_of(service.process.pid)[1]
 
 
 def peak_bytes_of(service: Service) -> int:
@@ -150,12 +156,12 @@ def test_a_decode_ends_when_its_client_has_gone(web: Service, crowded: bytes) ->
 
 
 def is_busy(number: int) -> bool:
-    """Whether a process has a thread that computes just now."""
+    """Whether a helper computes just now, and has for longer than its start takes."""
     try:
-        with open(f"/proc/{number}/stat") as stat:  # noqa: PTH123
-            return stat.read().rpartition(")")[2].split()[0] == "R"
+        state, cpu_s = state_and_cpu_s_of(number)
     except OSError:
         return False
+    return state == "R" and cpu_s > HELPER_START_CPU_S
 
 
 def test_a_decode_has_a_limit_of_time(start_service: StartService, crowded: bytes) -> None:
