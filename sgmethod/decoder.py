@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,17 +23,17 @@ MAX_PIXELS = (
 )
 
 
-def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE) -> NDArray[np.uint8]:
+def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, texture: bool = True) -> NDArray[np.uint8]:
     """The picture in an .sg file, or a view of it: [height, width, 3], 8-bit sRGB.
 
     >>> sgmethod.decode("photo.sg").shape
     (96, 128, 3)
 
-    data: the path of a file, or its bytes.
+    data: the path of a file, or its bytes; texture: False leaves texture out, as View(texture=False) does.
     Raises BitstreamError for what is not a whole, intact file, or a picture or view of more than max_pixels;
     ViewError for a view that makes no picture of it; OSError for a path that cannot be read; MemoryError.
     """
-    return SgFile(_bytes_of(data), max_pixels)._draw(view)
+    return SgFile(_bytes_of(data), max_pixels)._draw(view if texture else replace(view, texture=False))
 
 
 def info(data: File, max_gaussians: int | None = None) -> Info:
@@ -79,13 +80,17 @@ class SgFile:
         return self._stream.info(len(self._data), container.checksum(self._data))
 
     def pixels(
-        self, scale: float = 1.0, region: tuple[int, int, int, int] | None = None, prefix: float = 1.0
+        self,
+        scale: float = 1.0,
+        region: tuple[int, int, int, int] | None = None,
+        prefix: float = 1.0,
+        texture: bool = True,
     ) -> NDArray[np.uint8]:
         """[height, width, 3], 8-bit sRGB: the whole picture, or a view of it as sgmethod.View has them.
 
         Raises ViewError for a view that makes no picture, BitstreamError for one of too many pixels, MemoryError.
         """
-        return self._draw(View(scale, region, prefix))
+        return self._draw(View(scale, region, prefix, texture))
 
     def _draw(self, view: View) -> NDArray[np.uint8]:
         scene = self._stream.scene(view.prefix)
@@ -116,10 +121,12 @@ def draw(scene: Scene) -> NDArray[np.uint8]:
     # them). A hostile file could make every Gaussian cover everything.
     max_pairs = 16 * len(gaussians) + 256 * tiles
     arrays = gaussians.means, gaussians.factors
+    t = scene.texture
+    texture = None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift)
     try:
         x, y = scene.origin
         raster = native.Rasterization(
-            *arrays, width, height, scene.cutoff, max_pairs=max_pairs, pyramid=scene.pyramid, x=x, y=y
+            *arrays, width, height, scene.cutoff, max_pairs=max_pairs, pyramid=scene.pyramid, x=x, y=y, texture=texture
         )
     except OverflowError as error:
         raise BitstreamError("the file's Gaussians overlap beyond what a picture needs") from error

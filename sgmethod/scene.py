@@ -28,12 +28,27 @@ class Gaussians:
 
 
 @dataclass(frozen=True)
+class Texture:
+    """Noise from a seed, which is drawn with the Gaussians (docs/format.md, version 4).
+
+    codes [octaves, rows, columns]: its strengths in the middles of the picture's cells, 0 for none;
+    cell: sides (x, y) of a cell; corner: that of the picture (x, y), in the coordinates of the means;
+    shift: octave o is drawn on level o + shift of the pyramid, and not at all below level 0.
+    """
+
+    codes: NDArray[np.uint8]
+    cell: tuple[float, float]
+    corner: tuple[float, float] = (0.0, 0.0)
+    shift: int = 0
+
+
+@dataclass(frozen=True)
 class Scene:
     """Everything that drawing a picture needs. Every version of the file format gives one.
 
     width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends;
     pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 4); origin: the first pixel
-    (x, y) that is drawn, in the coordinates of the means.
+    (x, y) that is drawn, in the coordinates of the means; texture: in a pyramid alone.
     """
 
     gaussians: Gaussians
@@ -43,3 +58,4 @@ class Scene:
     cutoff: float
     pyramid: bool = False
     origin: tuple[int, int] = (0, 0)
+    texture: Texture | None = None

@@ -15,7 +15,7 @@ from numbers import Integral, Real
 import numpy as np
 
 from sgmethod.errors import ViewError
-from sgmethod.scene import Gaussians, Scene
+from sgmethod.scene import Gaussians, Scene, Texture
 
 PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
@@ -27,13 +27,15 @@ class View:
     """What to draw of a picture.
 
     scale: output pixels per picture pixel; region: x, y, width, height in picture pixels (None: all), drawn at that
-    scale; prefix: part of the file that may be used, above 0 to 1 (profile rd; largest Gaussians come first).
+    scale; prefix: part of the file that may be used, above 0 to 1 (profile rd; largest Gaussians come first); texture:
+    whether texture is drawn, where the file has any.
     Raises ViewError for values outside their ranges.
     """
 
     scale: float = 1.0
     region: tuple[int, int, int, int] | None = None
     prefix: float = 1.0
+    texture: bool = True
 
     def __post_init__(self) -> None:
         if not (isinstance(self.scale, Real) and math.isfinite(self.scale) and MIN_SCALE <= self.scale <= MAX_SCALE):
@@ -57,8 +59,9 @@ class View:
 
     def apply(self, scene: Scene) -> Scene:
         """The scene in output pixels, low-passed where that is a reduction. Raises ViewError as area() does."""
+        texture = scene.texture if self.texture else None
         if self.scale == 1 and self.region is None:
-            return scene
+            return scene if texture is scene.texture else replace(scene, texture=None)
         x, y, w, h = self.area(scene.width, scene.height)
         width, height = self.size(scene.width, scene.height)
         # The two may differ by rounding, so that the output's edges are the region's edges.
@@ -67,13 +70,25 @@ class View:
         origin = (int(x * scale[0]) % FAR, int(y * scale[1]) % FAR) if scene.pyramid else (0, 0)
         widening = PIXEL_VARIANCE / _variance(scene.cutoff)
         gaussians = _resized(scene.gaussians, (x, y), origin, scale, widening)
-        return replace(scene, gaussians=gaussians, width=width, height=height, origin=origin)
+        if texture is not None:
+            texture = _resized_texture(texture, (x, y), origin, scale)
+        return replace(scene, gaussians=gaussians, width=width, height=height, origin=origin, texture=texture)
 
 
 def _variance(cutoff: float) -> float:
     """Of a weight exp(-sigma) - exp(-cutoff), in those of a whole Gaussian: its second moment over its integral."""
     floor = math.exp(-cutoff)
     return (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
+
+
+def _resized_texture(
+    texture: Texture, part: tuple[int, int], origin: tuple[int, int], scale: tuple[float, float]
+) -> Texture:
+    """In output pixels, like _resized. Octaves go to the levels where they are about as large as in the picture."""
+    sx, sy = scale
+    corner = origin[0] - part[0] * sx, origin[1] - part[1] * sy
+    shift = (math.frexp(2 * sx * sy)[1] - 1) // 2  # the largest whole number with 4^shift <= 2 sx sy
+    return replace(texture, cell=(texture.cell[0] * sx, texture.cell[1] * sy), corner=corner, shift=shift)
 
 
 def _resized(

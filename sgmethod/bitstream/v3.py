@@ -61,6 +61,7 @@ class StreamV3:
 
     VERSION: ClassVar[int] = 3
     MIN_BYTES: ClassVar[int] = HEADER_BYTES
+    FLAGS: ClassVar[int] = FLAG_GREY | FLAG_UPRIGHT
 
     width: int
     height: int
@@ -87,7 +88,7 @@ class StreamV3:
         flags, width, height, code, *background = HEADER.unpack(body[: HEADER.size])
         if width == 0 or height == 0:
             raise BitstreamError(f"the picture's size is {width} x {height}")
-        if flags > (FLAG_GREY | FLAG_UPRIGHT):
+        if flags > cls.FLAGS:
             raise BitstreamError(f"header field flags is {flags}, which this version does not know")
         quantum = quantum_of(code)
         if not MIN_QUANTUM <= quantum <= MAX_QUANTUM:

@@ -156,6 +156,7 @@ def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--prefix", type=float, default=1.0, metavar="P", help="from this part of the file, of profile rd alone"
     )
+    parser.add_argument("--no-texture", action="store_true", help="leave out the texture that a file may ask for")
     _add_common_arguments(parser)
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def run_decode(arguments: argparse.Namespace) -> int:
     """sgmethod decode"""
     source, target = arguments.input, arguments.output
-    view = View(arguments.scale, arguments.region, arguments.prefix)
+    view = View(arguments.scale, arguments.region, arguments.prefix, not arguments.no_texture)
     kind = "PNG" if files.is_device(target) else SUFFIXES.get(Path(target).suffix.lower())
     files.check_outputs([source], [target])
     if kind is None:

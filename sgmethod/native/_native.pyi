@@ -20,6 +20,9 @@ COLOR_SCALE: float
 """A colour's step in profile rd is quantum / (COLOR_SCALE s), with s the Gaussian's size in pixels."""
 R_STEP: float  # the step of r = l2 / l3 over that of v = log sqrt(l1 / l3) in profile rd
 TARGET_WHITE: int  # in the target of a fit, int16 [3, height, width]
+TEXTURE_OCTAVES: int
+TEXTURE_CELL: int  # pixels of the picture along a side of a cell
+TEXTURE_STRENGTHS: int  # codes of a strength; 0 is none
 TILE_WIDTH: int
 TILE_HEIGHT: int
 
@@ -36,6 +39,21 @@ def set_thread_count(count: int) -> None: ...
 def release_memory() -> None:
     """Give back to the system what is kept of freed memory: before work that needs other sizes."""
 
+class Texture:
+    """Noise from a seed (sgmethod/native/texture/texture.h). Raises ValueError for codes and cells that cannot be."""
+
+    def __init__(
+        self,
+        codes: NDArray[np.uint8],
+        cell_x: float,
+        cell_y: float,
+        x: float = 0.0,
+        y: float = 0.0,
+        shift: int = 0,
+    ) -> None:
+        """codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS; cell_x, cell_y: sides of a cell, and x, y:
+        the picture's corner, in output pixels; shift: octave o is drawn on level o + shift."""
+
 class Rasterization:
     """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""
 
@@ -51,9 +69,10 @@ class Rasterization:
         pyramid: bool = False,
         x: int = 0,
         y: int = 0,
+        texture: Texture | None = None,
     ) -> None:
         """pyramid: wide Gaussians are drawn on coarser levels (sgmethod/native/raster/levels.h). x, y: the first pixel
-        that is drawn, so that a part is the same as in the whole."""
+        that is drawn, so that a part is the same as in the whole. texture: is drawn with them, in a pyramid alone."""
 
     def render(self, colors: FloatArray, image: FloatArray) -> None:
         """Fill image [3, height, width]."""

@@ -14,16 +14,19 @@ import hashlib
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod import Budget, decode, encode
 from sgmethod.bitstream.container import serialise
+from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.io import encode_png, write_atomically
 from sgmethod.io.image import read_image
+from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
@@ -109,6 +112,22 @@ def rd_needles() -> bytes:
     return rd_coded(rng.uniform(0.2, 0.8, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n), size, 0.0)
 
 
+def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False) -> bytes:
+    """Texture of every strength, over some Gaussians or none."""
+    rng = np.random.default_rng(6)
+    codes = np.arange(native.TEXTURE_OCTAVES * np.prod(cells(*size))).reshape(-1, *cells(*size)) % 16
+    if n == 0:
+        codes[1:] = 0
+    minor, aspect, angle = np.geomspace(0.8, 40, n), rng.uniform(1, 4, n), rng.uniform(0, np.pi, n)
+    colors = colors_of(n) / 4
+    if grey:
+        colors[:] = colors[:, :1]
+    values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
+    gaussians = Gaussians(*(value.astype(np.float32) for value in values))
+    stream = StreamV4.of(gaussians, size, 0.02, (120, 120, 120), grey)
+    return serialise(replace(stream, texture=codes.astype(np.uint8)))
+
+
 def colors_of(n: int) -> FloatArray:
     return np.random.default_rng(4).normal(0, 0.25, (n, 3))
 
@@ -140,6 +159,8 @@ GOLDEN: dict[str, Callable[[], bytes]] = {
     "v4-upright": lambda: rd_scattered((30, 44), 60, upright=True),
     "v4-levels": rd_levels,
     "v4-needles": rd_needles,
+    "v4-texture": lambda: rd_texture((66, 200), 20),
+    "v4-texture-alone": lambda: rd_texture((70, 9), 0, grey=True),
     "v4-empty": lambda: rd_scattered((7, 5), 0),
     "v4-pixel": lambda: rd_scattered((1, 1), 1),
 }

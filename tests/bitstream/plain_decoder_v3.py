@@ -39,6 +39,7 @@ class Numbers:
     most_v: float = 20
     most_r: float = math.inf
     least_colour_step: float = 0.0
+    most_flags: int = 3
 
 
 V3 = Numbers()
@@ -53,6 +54,7 @@ class Header:
     quantum: float
     background: tuple[int, int, int]
     numbers: Numbers = V3
+    texture: bool = False
 
 
 def parse_header(data: bytes, numbers: Numbers = V3) -> Header:
@@ -61,11 +63,11 @@ def parse_header(data: bytes, numbers: Numbers = V3) -> Header:
     refuse_unless(data[3] == numbers.version, "version")
     refuse_unless(struct.unpack_from(">I", data, 4)[0] == zlib.crc32(data[8:]), "checksum")
     flags, width, height, quantum, red, green, blue = struct.unpack_from(">BHHHBBB", data, 8)
-    refuse_unless(flags <= 3, "flags")
+    refuse_unless(flags <= numbers.most_flags, "flags")
     refuse_unless(width > 0 and height > 0, "size")
     refuse_unless(quantum == 0 or 256 <= quantum <= 3839, "quantum")
     value = (1 + (quantum & 255) / 256) * 2.0 ** (4 - (quantum >> 8))
-    return Header(bool(flags & 1), bool(flags & 2), width, height, value, (red, green, blue), numbers)
+    return Header(bool(flags & 1), bool(flags & 2), width, height, value, (red, green, blue), numbers, bool(flags & 4))
 
 
 def start_tables() -> dict[str, list[list[int]]]:

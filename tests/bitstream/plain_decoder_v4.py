@@ -35,7 +35,9 @@ NUMBERS = Numbers(
     most_v=TEXT["most V"],
     most_r=TEXT["most R"],
     least_colour_step=TEXT["least colour step"],
+    most_flags=7,
 )
+OCTAVES, CELL, MOST_STRENGTH = (int(TEXT[name]) for name in ("octaves", "cell", "most strength"))
 NARROWEST, TOP_LEVEL = TEXT["narrowest"], int(TEXT["top level"])
 
 
@@ -277,16 +279,106 @@ def values(header: Header, half: Half, shape: tuple[int, int, int], x: tuple[int
     return round32(place_x), round32(place_y), round32(l1), round32(l2), round32(l3), color
 
 
+Codes = list[list[list[int]]]  # of strengths, by octave, row and column
+
+
+def read_texture(header: Header, data: bytes) -> tuple[Codes, bytes]:
+    """The codes, and what follows the texture part. No codes without texture."""
+    if not header.texture:
+        return [], data
+    rows, columns = -(-header.height // CELL), -(-header.width // CELL)
+    bits = (byte >> k & 1 for byte in data for k in range(7, -1, -1))
+    read, codes = 0, [[[0] * columns for _ in range(rows)] for _ in range(OCTAVES)]
+    for octave in range(OCTAVES):
+        above = 0
+        for row in range(rows):
+            t = above
+            for column in range(columns):
+                ones = 0
+                while (bit := next(bits, None)) == 1:
+                    ones += 1
+                refuse_unless(bit == 0, "texture")
+                read += ones + 1
+                t += -(ones + 1) // 2 if ones % 2 else ones // 2
+                above = t if column == 0 else above
+                codes[octave][row][column] = t + (codes[octave - 1][row][column] if octave > 0 else 0)
+                refuse_unless(0 <= codes[octave][row][column] <= MOST_STRENGTH, "strength")
+    refuse_unless(not any(next(bits) for _ in range(-read % 8)), "padding")
+    return codes, data[-(-read // 8) :]
+
+
+@dataclass(frozen=True)
+class Texture:
+    """Codes, and where they are drawn: output pixels for a pixel, and where in these the picture's corner lies."""
+
+    codes: Codes
+    scale: tuple[float, float] = (1.0, 1.0)
+    corner: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def shift(self) -> int:
+        """Between an octave and its level."""
+        twice = 2 * self.scale[0] * self.scale[1]
+        return max(n for n in range(-7, 8) if 4.0**n <= twice)
+
+    @property
+    def top(self) -> int:
+        """The highest level that has any."""
+        octaves = [o for o, rows in enumerate(self.codes) if any(map(any, rows))]
+        return max((o + self.shift for o in octaves), default=-1)
+
+    def value(self, level: int, i: int, j: int) -> float:
+        """What is added to a sample."""
+        octave = level - self.shift
+        if not 0 <= octave < len(self.codes):
+            return 0.0
+        places = 65536 // 2**level
+        word = mix(i % places + mix(mix(octave + 1) + j % places // 4))
+        v = 2 * (word // 256 ** (j % places % 4) % 256) - 255
+        share = 0.75 if self.shift < 0 and level == 0 else 1.0
+        at_x, at_y = (
+            min(max(((n + 0.5) * 2**level - corner) / scale / CELL - 0.5, 0), cells - 1)
+            for n, corner, scale, cells in zip(
+                (i, j), self.corner, self.scale, (len(self.codes[0][0]), len(self.codes[0])), strict=True
+            )
+        )
+        ends = [self.along_x(octave, row, at_x) for row in (math.floor(at_y), math.ceil(at_y))]
+        return v * share * (ends[0] + (ends[1] - ends[0]) * (at_y - math.floor(at_y)))
+
+    def along_x(self, octave: int, row: int, at: float) -> float:
+        codes = self.codes[octave][row]
+        left, right = (
+            2 ** ((code - 1) / 2) / (2 * 148 * 255) if code else 0.0
+            for code in (codes[math.floor(at)], codes[math.ceil(at)])
+        )
+        return left + (right - left) * (at - math.floor(at))
+
+
+def mix(h: int) -> int:
+    h %= 2**32
+    h ^= h >> 16
+    h = h * 0x7FEB352D % 2**32
+    h ^= h >> 15
+    h = h * 0x846CA68B % 2**32
+    return h ^ h >> 16
+
+
 def parse(data: bytes) -> tuple[Header, list[Gaussian]]:
     """The header and the Gaussians."""
     header = v3.parse_header(data, NUMBERS)
-    return header, list(read_gaussians(header, Coder(data[18:]), part=False))
+    return header, list(read_gaussians(header, Coder(read_texture(header, data[18:])[1]), part=False))
+
+
+def texture_of(data: bytes) -> Codes:
+    """Of a file: none without texture."""
+    return read_texture(v3.parse_header(data, NUMBERS), data[18:])[0]
 
 
 def parse_part(data: bytes, part: float) -> tuple[Header, list[Gaussian]]:
     """The header, and the Gaussians in a part, above 0 and below 1, of the payload."""
     header = v3.parse_header(data, NUMBERS)
-    coder = Coder(data[18:][: math.ceil(part * (len(data) - 18))])
+    payload = read_texture(header, data[18:])[1]
+    coder = Coder(payload[: math.ceil(part * len(payload))])
     found = []
     try:
         for gaussian in read_gaussians(header, coder, part=True):
@@ -323,15 +415,20 @@ def on_level(gaussian: Gaussian, level: int) -> Gaussian:
     return *place, round32(q1), round32(q2), round32(q3), (gain * red, gain * green, gain * blue)
 
 
-def pyramid(by_level: list[list[Gaussian]], level: int, columns: range, rows: range) -> list[Plane]:
+def pyramid(by_level: list[list[Gaussian]], texture: Texture, level: int, columns: range, rows: range) -> list[Plane]:
     """What a level comes to, from the highest down, in the part of it that is asked for: red, green and blue."""
     planes = [[[0.0] * len(columns) for _ in rows] for _ in range(3)]
     if level + 1 < len(by_level):
         above = [range(places[0] // 2 - 1, places[-1] // 2 + 2) for places in (columns, rows)]
         planes = [
             transposed(enlarged(transposed(enlarged(plane, above[0], columns)), above[1], rows))
-            for plane in pyramid(by_level, level + 1, *above)
+            for plane in pyramid(by_level, texture, level + 1, *above)
         ]
+    for y, j in enumerate(rows):
+        for x, i in enumerate(columns):
+            noise = texture.value(level, i, j)
+            for plane in planes:
+                plane[y][x] += noise
     first = 0.5 if level == 0 else 2.5
     for gaussian in by_level[level]:
         add(gaussian, [i + first for i in columns], [j + first for j in rows], planes)
@@ -362,13 +459,15 @@ def add(gaussian: Gaussian, xs: list[float], ys: list[float], planes: list[Plane
                     plane[j][i] += part * w
 
 
-def draw(gaussians: list[Gaussian], columns: range, rows: range, background: tuple[int, int, int]) -> bytes:
+def draw(
+    gaussians: list[Gaussian], texture: Texture, columns: range, rows: range, background: tuple[int, int, int]
+) -> bytes:
     """Samples of the pixels in some columns and rows."""
     levels = [level_of(*gaussian[2:5]) for gaussian in gaussians]
-    by_level: list[list[Gaussian]] = [[] for _ in range(max(levels, default=0) + 1)]
+    by_level: list[list[Gaussian]] = [[] for _ in range(max([0, texture.top, *levels]) + 1)]
     for gaussian, level in zip(gaussians, levels, strict=True):
         by_level[level].append(on_level(gaussian, level))
-    planes = pyramid(by_level, 0, columns, rows)
+    planes = pyramid(by_level, texture, 0, columns, rows)
     samples = bytearray()
     for j in range(len(rows)):
         for i in range(len(columns)):
@@ -380,7 +479,9 @@ def draw(gaussians: list[Gaussian], columns: range, rows: range, background: tup
 def decode(data: bytes) -> tuple[int, int, bytes]:
     """Width, height and the samples: height rows of width pixels of red, green and blue."""
     header, gaussians = parse(data)
-    return header.width, header.height, draw(gaussians, range(header.width), range(header.height), header.background)
+    texture = Texture(texture_of(data))
+    pixels = draw(gaussians, texture, range(header.width), range(header.height), header.background)
+    return header.width, header.height, pixels
 
 
 def view(data: bytes, scale: float, region: Region | None = None) -> tuple[int, int, bytes]:
@@ -391,4 +492,5 @@ def view(data: bytes, scale: float, region: Region | None = None) -> tuple[int, 
     sx, sy = width / region[2], height / region[3]
     ox, oy = math.floor(region[0] * sx) % 65536, math.floor(region[1] * sy) % 65536
     shown = resized(gaussians, region, scale, CUTOFF, (ox, oy))
-    return width, height, draw(shown, range(ox, ox + width), range(oy, oy + height), header.background)
+    texture = Texture(texture_of(data), (sx, sy), (ox - region[0] * sx, oy - region[1] * sy))
+    return width, height, draw(shown, texture, range(ox, ox + width), range(oy, oy + height), header.background)

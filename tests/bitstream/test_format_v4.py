@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
 from sgmethod.bitstream import container
+from sgmethod.bitstream.texture import Codes, cells, pack
 from sgmethod.bitstream.v3 import MIN_QUANTUM, StreamV3
 from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from sgmethod.view import FAR, View
 from tests.bitstream import plain_decoder_v3, plain_decoder_v4
@@ -25,11 +27,12 @@ from tests.bitstream.plain_decoder_v3 import Header, Numbers
 from tests.bitstream.plain_decoder_v4 import NUMBERS, Coder, Model, Number
 from tests.bitstream.test_format_v1 import TEXT, table
 from tests.bitstream.test_format_v3 import PARTS, assert_same_pixels, rows
-from tests.harness.data import ROOT, damaged, golden, golden_path
+from tests.harness.data import ROOT, damaged, golden, golden_path, with_checksum
 
 GOLDEN = golden(4)
 HASHES = json.loads(golden_path("v4-hashes.json").read_text())
 NATIVE = ROOT / "sgmethod" / "native"
+NOTHING = Gaussians(*(np.zeros((0, n), np.float32) for n in (2, 3, 3)))
 
 
 def limits_in_the_code(version: int) -> Numbers:
@@ -49,6 +52,7 @@ def limits_in_the_code(version: int) -> Numbers:
         most_v=float(v),
         most_r=float(r.replace("1e300", "inf")),
         least_colour_step=over[0] / over[1] if len(over) == 2 else over[0],
+        most_flags={3: StreamV3, 4: StreamV4}[version].FLAGS,
     )
 
 
@@ -64,6 +68,8 @@ def test_the_numbers_are_the_codes() -> None:
     assert "kBorder = 2;" in kernels
     assert f"\nNARROWEST {narrowest}  #" in reference
     assert f"\nMAX_LEVEL {top_level}\n" in reference
+    of_texture = native.TEXTURE_OCTAVES, native.TEXTURE_CELL, native.TEXTURE_STRENGTHS - 1
+    assert of_texture == (plain_decoder_v4.OCTAVES, plain_decoder_v4.CELL, plain_decoder_v4.MOST_STRENGTH)
 
 
 def test_the_version_and_the_views_in_the_text() -> None:
@@ -87,11 +93,19 @@ def levels(gaussians: Gaussians) -> list[int]:
 def test_golden_streams_show_everything() -> None:
     assert GOLDEN.keys() == HASHES.keys()
     streams = {name: container.parse(data) for name, data in GOLDEN.items()}
-    assert {(s.grey, s.upright) for s in streams.values()} == {(False, False), (True, False), (False, True)}
+    assert {(s.grey, s.upright) for s in streams.values()} == {
+        (False, False),
+        (True, False),
+        (False, True),
+        (True, True),
+    }
     assert {(s.width, s.height, len(s.gaussians())) for s in streams.values()} >= {(7, 5, 0), (1, 1, 1)}
     assert set(levels(streams["v4-every-class"].gaussians())) == set(range(plain_decoder_v4.TOP_LEVEL + 1))
     assert len(set(levels(streams["v4-levels"].gaussians()))) > 5
     assert max(levels(streams["v4-color"].gaussians())) > 1
+    codes = [s.texture for s in streams.values() if s.texture is not None]
+    assert set(np.concatenate([c.ravel() for c in codes])) == set(range(native.TEXTURE_STRENGTHS))
+    assert {bool(c[1].any()) for c in codes} == {False, True}  # the highest level of a picture without Gaussians
 
 
 def test_a_golden_stream_has_needles_that_version_3_would_turn() -> None:
@@ -107,7 +121,10 @@ def test_a_golden_stream_has_needles_that_version_3_would_turn() -> None:
 def test_the_plain_decoder_finds_the_same_gaussians(name: str) -> None:
     header, plain = plain_decoder_v4.parse(GOLDEN[name])
     s = container.parse(GOLDEN[name])
-    assert header == Header(s.grey, s.upright, s.width, s.height, s.quantum, s.background, NUMBERS)
+    textured = isinstance(s, StreamV4) and s.texture is not None
+    assert header == Header(s.grey, s.upright, s.width, s.height, s.quantum, s.background, NUMBERS, textured)
+    if textured:
+        assert s.texture.tolist() == plain_decoder_v4.texture_of(GOLDEN[name])
     assert rows(s.gaussians()) == plain
     for part in PARTS:
         assert rows(s.gaussians(part)) == plain_decoder_v4.parse_part(GOLDEN[name], part)[1]
@@ -281,6 +298,45 @@ def test_limits_of_the_integers(within: tuple[int, int, int], beyond: tuple[int,
         plain_decoder_v4.parse(data)
 
 
+def textured(codes: Codes, size: tuple[int, int], gaussians: Gaussians = NOTHING, grey: bool = False) -> StreamV4:
+    return replace(StreamV4.of(gaussians, size, 0.05, (120, 110, 100), grey), texture=codes)
+
+
+def some_codes(size: tuple[int, int], seed: int) -> Codes:
+    """Strengths of which half are 0."""
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(1, native.TEXTURE_STRENGTHS, (native.TEXTURE_OCTAVES, *cells(*size)))
+    return (codes * rng.integers(0, 2, codes.shape)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (64, 64), (65, 128), (300, 200), (1, 5000)])
+def test_texture_survives_packing(size: tuple[int, int]) -> None:
+    for codes in (some_codes(size, 1), 0 * some_codes(size, 1), 0 * some_codes(size, 1) + 15):
+        data = container.serialise(textured(codes, size))
+        stream = container.parse(data)
+        assert isinstance(stream, StreamV4)
+        assert np.array_equal(stream.texture, codes)
+        assert plain_decoder_v4.texture_of(data) == codes.tolist()
+        bits = container.info(data).bits
+        assert bits["texture"] == 8 * len(pack(codes)) > 0
+        assert sum(bits.values()) == 8 * len(data)
+        assert container.info(data).to_dict()["texture"] is True
+
+
+@pytest.mark.parametrize(
+    ("part", "why"),
+    [(b"", "within its texture"), (b"\xff" * 9, "within its texture"), (b"\x80", "range"), (b"\x20", "padding")],
+)
+def test_texture_that_is_refused(part: bytes, why: str) -> None:
+    """Of a picture of one cell: -1, and a bit behind the last code."""
+    whole = container.serialise(textured(some_codes((9, 7), 1), (9, 7)))
+    data = with_checksum(whole[:18] + part)
+    with pytest.raises(BitstreamError, match=why):
+        container.parse(data)
+    with pytest.raises(RefusedError):
+        plain_decoder_v4.texture_of(data)
+
+
 def assert_same_outcome(data: bytes, part: float = 1.0) -> None:
     """The same Gaussians in both decoders, or both refuse."""
     try:
@@ -303,7 +359,7 @@ def test_files_of_version_3_under_another_number(name: str) -> None:
 
 @settings(max_examples=500, deadline=None, derandomize=True, database=None)
 @given(
-    st.sampled_from(["v4-color", "v4-grey", "v4-upright", "v4-needles", "v4-empty", "v4-pixel"]),
+    st.sampled_from(["v4-color", "v4-grey", "v4-upright", "v4-needles", "v4-empty", "v4-pixel", "v4-texture"]),
     st.floats(0, 1),
     st.binary(min_size=1, max_size=4),
     st.integers(-3, 12),

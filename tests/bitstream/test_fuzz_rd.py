@@ -163,7 +163,7 @@ def test_mutations_seen_in_part() -> None:
     st.sampled_from(VERSIONS),
     st.binary(max_size=400),
     numbers,
-    st.sampled_from([0, 1, 2, 3]),
+    st.sampled_from([0, 1, 2, 3, 4]),
     st.sampled_from([0, 256, 1024, 3839]),
 )
 def test_any_payload(begin: bytes, payload: bytes, number: int, flags: int, quantum: int) -> None:

@@ -126,6 +126,7 @@ def test_encode_and_decode(run: Run) -> None:
         ("--region 3,5,20,11", View(region=(3, 5, 20, 11))),
         ("--region 3,5,20,11 --scale 2.5 --prefix 0.5", View(2.5, (3, 5, 20, 11), 0.5)),
         ("--prefix 0.3", View(prefix=0.3)),
+        ("--no-texture", View(texture=False)),
     ],
 )
 def test_views(run: Run, line: str, view: View) -> None:
@@ -571,6 +572,7 @@ def test_the_readme_names_every_argument() -> None:
         "scale",
         "region",
         "prefix",
+        "no-texture",
     ):
         assert f"--{flag}" in text
 

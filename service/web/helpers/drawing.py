@@ -22,8 +22,8 @@ class Wish:
 
     kind: of file; scale: output pixels for a pixel; width, height: of the output, in pixels; fit: where both are given,
     whether the picture stays within them, covers them, or is cropped to them around its middle; region: x, y, width and
-    height of the part that is drawn, in pixels of the picture; prefix: part of the file that may be used; quality: of
-    the file, 1 to 100.
+    height of the part that is drawn, in pixels of the picture; prefix: part of the file that may be used; texture:
+    whether it is drawn; quality: of the file, 1 to 100.
     """
 
     kind: PictureFormat = "png"
@@ -33,6 +33,7 @@ class Wish:
     fit: Fit = "contain"
     region: Region | None = None
     prefix: float = 1.0
+    texture: bool = True
     quality: int | None = None
 
     def __post_init__(self) -> None:
@@ -69,7 +70,7 @@ class Drawing:
         crop = (wish.width, wish.height) if wish.fit == "crop" else (None, None)
         if crop[0] is not None and crop[1] is not None:
             part = _middle(part, crop[0] / scale, crop[1] / scale)
-        view = View(scale, None if part == (0, 0, *size) else part, wish.prefix)
+        view = View(scale, None if part == (0, 0, *size) else part, wish.prefix, wish.texture)
         width, height = view.size(*size)
         if width * height > max_pixels or max(width, height) > MAX_SIDES[wish.kind]:
             limit = f"{max_pixels:,} pixels and {MAX_SIDES[wish.kind]:,} a side"
@@ -86,8 +87,9 @@ class Drawing:
         """An entity tag: the same bitstream and the same drawing give the same bytes."""
         part = "".join(f"{number}-" for number in self.view.region or ())
         prefix = "" if self.view.prefix == 1 else f"p{self.view.prefix!r}-"
+        smooth = "" if self.view.texture else "smooth-"
         quality = "" if self.quality is None else f"-q{self.quality}"
-        return f'"{sha256[:32]}-{prefix}{part}{self.width}x{self.height}{quality}.{self.kind}"'
+        return f'"{sha256[:32]}-{prefix}{smooth}{part}{self.width}x{self.height}{quality}.{self.kind}"'
 
     def draw(self, bitstream: bytes) -> bytes:
         """The picture file. Raises BitstreamError, ViewError, MemoryError."""

@@ -35,6 +35,7 @@ class ViewQuery(BaseModel):
         ),
     ] = None
     prefix: Annotated[float, Field(gt=0, le=1, description="part of the file that is used; less is coarser")] = 1.0
+    texture: Annotated[bool, Field(description="whether the texture that a file may ask for is drawn")] = True
     quality: Annotated[int | None, Field(ge=1, le=100, description="of a jpg, webp or avif file")] = None
     download: Annotated[
         str | None,
@@ -48,7 +49,9 @@ class ViewQuery(BaseModel):
             x, y, w, h = (int(number) for number in self.region.split(","))
             region = (x, y, w, h)
         try:
-            return Wish(kind, self.scale, self.width, self.height, self.fit, region, self.prefix, self.quality)
+            return Wish(
+                kind, self.scale, self.width, self.height, self.fit, region, self.prefix, self.texture, self.quality
+            )
         except ViewError as error:
             raise ProblemError(422, str(error)) from error
 

@@ -124,6 +124,7 @@ async function submit() {
   const form = new FormData();
   form.append("image", $("file").files[0]);
   form.append("bpp", $("bpp").value);
+  form.append("tune", $("tune").value);
   say("sending");
   return follow((await json("/encode", { method: "POST", body: form })).id);
 }

@@ -21,6 +21,7 @@ using RowsOut = nb::ndarray<float, nb::shape<-1, Columns>, nb::c_contig, nb::dev
 using Image = nb::ndarray<const float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using Target = nb::ndarray<const int16_t, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
+using Codes = nb::ndarray<const uint8_t, nb::shape<-1, -1, -1>, nb::c_contig, nb::device::cpu>;
 using BytesOut = nb::ndarray<uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 
 inline void require(bool condition, const char* message) {

@@ -10,6 +10,7 @@
 #include "core/isa.h"
 #include "core/scratch.h"
 #include "core/thread_pool.h"
+#include "texture/texture.h"
 
 namespace {
 
@@ -30,6 +31,9 @@ NB_MODULE(_native, m) {
   m.attr("TARGET_WHITE") = sg::kTargetWhite;
   m.attr("TILE_WIDTH") = sg::kTileWidth;
   m.attr("TILE_HEIGHT") = sg::kTileHeight;
+  m.attr("TEXTURE_OCTAVES") = sg::kTextureOctaves;
+  m.attr("TEXTURE_CELL") = sg::kTextureCell;
+  m.attr("TEXTURE_STRENGTHS") = sg::kTextureStrengths;
   m.attr("COLOR_BASIS") = std::make_tuple(color_axis(0), color_axis(1), color_axis(2));
   m.attr("COLOR_SCALE") = sg::kColorScale;
   m.attr("R_STEP") = sg::kRStep;

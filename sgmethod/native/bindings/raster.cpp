@@ -2,9 +2,12 @@
 
 #include <nanobind/stl/tuple.h>
 
+#include <memory>
 #include <tuple>
+#include <utility>
 
 #include "bindings/arrays.h"
+#include "texture/texture.h"
 
 using namespace nb::literals;
 
@@ -13,12 +16,18 @@ namespace {
 using Color = std::tuple<float, float, float>;
 
 sg::Rasterization* rasterization(Rows<2> means, Rows<3> factors, int width, int height, float cutoff, int isa,
-                                 int64_t max_pairs, bool pyramid, int x, int y) {
+                                 int64_t max_pairs, bool pyramid, int x, int y, const sg::Texture* texture) {
   require(means.shape(0) == factors.shape(0), "means and factors differ in number");
   const int n = gaussians(means);
+  auto drawn = texture == nullptr ? nullptr : std::make_shared<const sg::Texture>(*texture);
   nb::gil_scoped_release release;
-  return new sg::Rasterization(means.data(), factors.data(), n, {x, y, width, height, cutoff, pyramid}, isa,
+  return new sg::Rasterization(means.data(), factors.data(), n, {x, y, width, height, cutoff, pyramid, std::move(drawn)}, isa,
                                max_pairs);
+}
+
+sg::Texture* texture(Codes codes, double cell_x, double cell_y, double x, double y, int shift) {
+  require(codes.shape(0) == sg::kTextureOctaves, "one plane of codes for each octave");
+  return new sg::Texture(codes.data(), {side(codes, 2), side(codes, 1), cell_x, cell_y, x, y, shift});
 }
 
 void require_colors(const sg::Rasterization& r, const Rows<3>& colors) {
@@ -79,9 +88,11 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
 }  // namespace
 
 void bind_raster(nb::module_& m) {
+  nb::class_<sg::Texture>(m, "Texture")
+      .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0);
   nb::class_<sg::Rasterization>(m, "Rasterization")
       .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
-           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0)
+           "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0, "texture"_a.none() = nb::none())
       .def("render", &render, "colors"_a, "image"_a.noconvert())
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
       .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(), "factors"_a.noconvert(),

@@ -6,6 +6,7 @@
 
 #include "core/constants.h"
 #include "core/errors.h"
+#include "texture/texture.h"
 
 namespace sg {
 namespace {
@@ -103,7 +104,8 @@ void read_v3(Header& h, const uint8_t* p) {
   h.upright = flags & 2;
   h.cutoff = kCutoffV3;
   h.pyramid = h.version == 4;
-  require(flags <= 3, "the header has flags that this version does not know");
+  h.textured = flags & 4;
+  require(flags <= (h.version == 4 ? 7 : 3), "the header has flags that this version does not know");
   require(h.quantum >= kMinQuantum && h.quantum <= kMaxQuantum, "a header field is out of range");
 }
 
@@ -147,6 +149,11 @@ File::File(const uint8_t* data, size_t size) {
   begin_ = data + header_bytes;
   size_ = size - header_bytes;
   if (version == 1) check_v1(header_, begin_, size_);
+  if (!header_.textured) return;
+  size_t used = 0;
+  texture_ = unpack_texture(begin_, size_, header_.width, header_.height, used);
+  begin_ += used;
+  size_ -= used;
 }
 
 GaussianArrays File::gaussians(double prefix) const {

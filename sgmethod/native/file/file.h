@@ -25,7 +25,7 @@ struct Header {
   int position_bits, groups;
   // Of the others.
   double quantum;
-  bool grey, upright;
+  bool grey, upright, textured;
 };
 
 // A part of a picture, at any size (docs/format.md, Views).
@@ -34,6 +34,7 @@ struct View {
   double prefix = 1.0;           // the part of the payload that is used, above 0 to 1
   bool whole = true;             // or a region, in pixels of the picture
   int x = 0, y = 0, width = 0, height = 0;
+  bool texture = true;           // whether it is drawn
 };
 
 // A file in memory, which must outlive it.
@@ -44,6 +45,8 @@ class File {
   File(const uint8_t* data, size_t size);
 
   const Header& header() const { return header_; }
+  // Codes of strengths (texture/texture.h), none without texture.
+  const std::vector<uint8_t>& texture() const { return texture_; }
   // Throws std::runtime_error for a payload that no encoder writes, std::invalid_argument for a prefix of version 1 or one
   // that is out of its range.
   GaussianArrays gaussians(double prefix = 1.0) const;
@@ -53,6 +56,7 @@ class File {
   const uint8_t* begin_;  // of what follows the header
   size_t size_;
   Header header_{};
+  std::vector<uint8_t> texture_;
 };
 
 // Output pixels of a view. Throws std::invalid_argument for one that makes no picture, std::runtime_error for too many.

@@ -1,11 +1,13 @@
 // Views of a file: what sgmethod/view.py and sgmethod/decoder.py do, operation by operation.
 #include <algorithm>
 #include <cmath>
+#include <memory>
 
 #include "core/constants.h"
 #include "core/errors.h"
 #include "file/file.h"
 #include "raster/rasterization.h"
+#include "texture/texture.h"
 
 namespace sg {
 namespace {
@@ -56,6 +58,15 @@ GaussianArrays resized(const GaussianArrays& g, const View& part, const double (
   return out;
 }
 
+int cells(int pixels) { return (pixels + kTextureCell - 1) / kTextureCell; }
+
+// The largest whole number with 4^shift <= area.
+int shift_of(double area) {
+  int exponent;
+  std::frexp(area, &exponent);
+  return (exponent - 1) >> 1;
+}
+
 }  // namespace
 
 Size size_of(const Header& header, const View& view) {
@@ -71,6 +82,7 @@ void draw(const File& file, const View& view, uint8_t* pixels) {
   const Size size = size_of(header, view);
   GaussianArrays g = file.gaussians(view.prefix);
   Canvas canvas{0, 0, size.width, size.height, header.cutoff, header.pyramid};
+  TextureGrid grid{cells(header.width), cells(header.height), kTextureCell, kTextureCell, 0, 0, 0};
   if (view.scale != 1 || !view.whole) {
     const View part = area(header, view);
     const double scale[2] = {static_cast<double>(size.width) / part.width, static_cast<double>(size.height) / part.height};
@@ -78,9 +90,12 @@ void draw(const File& file, const View& view, uint8_t* pixels) {
       canvas.x = static_cast<int>(static_cast<int64_t>(part.x * scale[0]) % kFar);
       canvas.y = static_cast<int>(static_cast<int64_t>(part.y * scale[1]) % kFar);
     }
+    grid = {grid.columns, grid.rows, kTextureCell * scale[0], kTextureCell * scale[1], canvas.x - part.x * scale[0],
+            canvas.y - part.y * scale[1], shift_of(2 * scale[0] * scale[1])};
     const double origin[2] = {static_cast<double>(canvas.x), static_cast<double>(canvas.y)};
     g = resized(g, part, origin, scale, kPixelVariance / variance(header.cutoff));
   }
+  if (view.texture && !file.texture().empty()) canvas.texture = std::make_shared<Texture>(file.texture().data(), grid);
   const auto n = static_cast<int>(g.means.size() / 2);
   const int64_t tiles = int64_t{(size.width + kTileWidth - 1) / kTileWidth} * ((size.height + kTileHeight - 1) / kTileHeight);
   const Rasterization raster(g.means.data(), g.factors.data(), n, canvas, -1, 16 * int64_t{n} + 256 * tiles);

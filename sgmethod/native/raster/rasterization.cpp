@@ -10,6 +10,7 @@
 #include "raster/crossings.h"
 #include "raster/kernels.h"
 #include "raster/levels.h"
+#include "texture/texture.h"
 
 namespace sg {
 namespace {
@@ -36,6 +37,7 @@ const Canvas& checked(const Canvas& canvas) {
   require(canvas.width > 0 && canvas.height > 0, "the image must have pixels");
   require(fits(canvas.x, canvas.width) && fits(canvas.y, canvas.height), "the image is too large");
   require(canvas.cutoff > 0 && canvas.cutoff <= kMaxCutoff, "the cutoff is out of range");
+  require(canvas.texture == nullptr || canvas.pyramid, "texture is drawn in a pyramid alone");
   return canvas;
 }
 
@@ -76,7 +78,7 @@ int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t mos
   set_levels(canvas_.pyramid ? kMaxLevel : 0);
   chunk_ = bin_size(n_, tiles());
   bins_.resize((n_ + chunk_ - 1) / chunk_);
-  std::atomic<int> top{0};
+  std::atomic<int> top{canvas_.texture == nullptr ? 0 : std::max(canvas_.texture->top(), 0)};
   std::atomic<int64_t> total{0};
   parallel_chunks(n_, chunk_, [&](int first, int last, int k) {
     bins_[k] = Bin(first, last, tiles());

@@ -30,12 +30,15 @@ struct Gradients {
   float* colors;   // [n, 3]
 };
 
+class Texture;
+
 // What is drawn of a picture, and by which rules.
 struct Canvas {
   int x = 0, y = 0;    // of the first pixel
   int width, height;   // pixels
   float cutoff;        // sigma at which a Gaussian ends
   bool pyramid;        // whether wide Gaussians are drawn on coarser levels
+  std::shared_ptr<const Texture> texture = nullptr;  // which is drawn with them, in a pyramid
 };
 
 class Planes;
@@ -126,6 +129,7 @@ class Rasterization {
   void draw_coarse_tile(int tile, Rows rows, Samples coarse, const float* colors, float* to, int64_t stride) const;
   Samples draw_part(Planes& planes, int strip, int block, const float* colors, float* samples) const;
   void begin_tile(Rows rows, Samples coarse, const float* background, float* accumulators) const;
+  void add_texture(int tile, Rows rows, float* accumulators) const;
   void draw_tile(int tile, Rows rows, Samples coarse, const float* background, const float* colors,
                  float* accumulators) const;
   void write_bytes(int tile, const float* accumulators, uint8_t* image) const;

@@ -76,15 +76,15 @@ export function info(bytes) {
  * The picture in a file, or a view of it: { width, height, data }, data being RGBA of 8 bits, row by row.
  *
  * scale: output pixels for a pixel of the picture, 1/64 to 64; region: [x, y, width, height] in pixels of the picture;
- * prefix: the part of the file that may be used, above 0 to 1. Throws SgError.
+ * prefix: the part of the file that may be used, above 0 to 1; texture: whether it is drawn. Throws SgError.
  */
-export function decode(bytes, { scale = 1, region = null, prefix = 1 } = {}) {
+export function decode(bytes, { scale = 1, region = null, prefix = 1, texture = true } = {}) {
   const whole = region === null;
   const area = whole ? [0, 0, 0, 0] : [...region];
   if (area.length !== 4 || !area.every((n) => Number.isInteger(n) && Math.abs(n) < 2 ** 31))
     throw new SgError("a region is four whole numbers x, y, width, height");
   const kernels = open(bytes);
-  const fields = run(() => kernels.draw(scale, prefix, ...area, whole));
+  const fields = run(() => kernels.draw(scale, prefix, ...area, whole, texture));
   const [width, height, at] = new Float64Array(kernels.memory.buffer, fields, 3);
   const data = new Uint8ClampedArray(kernels.memory.buffer, at, 4 * width * height).slice();
   return { width, height, data };

@@ -41,8 +41,9 @@ SG_EXPORT(info) const double* info() {
 }
 
 // Width, height, and where the pixels lie: rows of red, green, blue and 255.
-SG_EXPORT(draw) const double* draw(double scale, double prefix, int x, int y, int width, int height, int whole) {
-  const sg::View view{scale, prefix, whole != 0, x, y, width, height};
+SG_EXPORT(draw) const double* draw(double scale, double prefix, int x, int y, int width, int height, int whole,
+                                     int texture) {
+  const sg::View view{scale, prefix, whole != 0, x, y, width, height, texture != 0};
   const sg::Size size = sg::size_of(file->header(), view);
   const size_t count = static_cast<size_t>(size.width) * static_cast<size_t>(size.height);
   auto* pixels = new uint8_t[4 * count];

@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 from typing import TextIO
 
+from sgmethod.bitstream.texture import unpack
 from tests.harness.data import ROOT, golden
 from tests.native.harness.build import BUILDS, PATH, build, imports, layout, nanobind
 
@@ -82,7 +83,10 @@ def bare(data: bytes) -> bytes:
     """A file of profile rd as entropy.cpp takes it."""
     flags, *size, quantum = struct.unpack_from(">BHHH", data, 8)
     version = 8 if data[3] == 4 else 0
-    return struct.pack(">HHBBB", *size, 14 - (quantum >> 8), quantum & 255, flags | version) + data[18:]
+    textured, payload = 0, data[18:]
+    if flags & 4:
+        textured, payload = 32, payload[unpack(payload, *size)[1] :]
+    return struct.pack(">HHBBB", *size, 14 - (quantum >> 8), quantum & 255, flags & 3 | version | textured) + payload
 
 
 def fuzz(target: str, built: Path, minutes: float) -> bool:

@@ -2,6 +2,7 @@
 // Whatever the bytes are, they decode or are refused, and every instruction set draws the same.
 #include <cstdint>
 #include <cstdlib>
+#include <memory>
 #include <stdexcept>
 #include <vector>
 
@@ -10,11 +11,12 @@
 #include "core/thread_pool.h"
 #include "raster/rasterization.h"
 #include "rd/codec.h"
+#include "texture/texture.h"
 
 namespace {
 
 constexpr size_t kHeader = 7;  // width, height, quantum, flags
-enum Flags { kGrey = 1, kUpright = 2, kPrefix = 4, kVersion4 = 8, kFarOut = 16 };
+enum Flags { kGrey = 1, kUpright = 2, kPrefix = 4, kVersion4 = 8, kFarOut = 16, kTexture = 32 };
 constexpr int kFarX = 65003, kFarY = 77;  // where a region of version 4 may begin
 constexpr int64_t kMaxPixels = 1 << 15;
 constexpr uint64_t kMostGaussians = 1 << 14;
@@ -28,16 +30,26 @@ std::vector<uint8_t> picture(const sg::GaussianArrays& g, const sg::Canvas& canv
   return pixels;
 }
 
-void draw(const sg::RdParameters& p, sg::GaussianArrays g, bool far_out) {
+// Strengths from the bytes of an input, over and over, in cells of a few pixels.
+std::shared_ptr<const sg::Texture> texture_of(const uint8_t* data, size_t size, const sg::Canvas& canvas) {
+  const sg::TextureGrid grid{canvas.width / 8 + 1, canvas.height / 8 + 1, 8.0, 7.5, canvas.x + 0.25, canvas.y - 3.0,
+                             data[0] % 5 - 2};
+  std::vector<uint8_t> codes(static_cast<size_t>(sg::kTextureOctaves * grid.columns * grid.rows));
+  for (size_t i = 0; i < codes.size(); ++i) codes[i] = data[i % size] % sg::kTextureStrengths;
+  return std::make_shared<const sg::Texture>(codes.data(), grid);
+}
+
+void draw(const sg::RdParameters& p, sg::GaussianArrays g, int flags, const uint8_t* data, size_t size) {
   if (int64_t{p.width} * p.height > kMaxPixels) return;
   const int64_t tiles = ((p.width + 15) / 16) * ((p.height + 63) / 64);  // and so many pairs as decoding allows
   const int64_t max_pairs = 16 * static_cast<int64_t>(g.means.size() / 2) + 256 * tiles;
   sg::Canvas canvas{0, 0, p.width, p.height, sg::kCutoffV3, p.version == 4};
-  if (far_out) {
+  if (flags & kFarOut) {
     canvas.x = kFarX;
     canvas.y = kFarY;
     for (size_t i = 0; i < g.means.size(); ++i) g.means[i] += static_cast<float>(i % 2 ? kFarY : kFarX);
   }
+  if (flags & kTexture && canvas.pyramid) canvas.texture = texture_of(data, size, canvas);
   try {
     const std::vector<uint8_t> plain = picture(g, canvas, sg::kBaseline, max_pairs);
     for (int isa = sg::kAvx2; isa <= sg::best_isa(); ++isa)
@@ -56,7 +68,7 @@ extern "C" int LLVMFuzzerTestOneInput(const uint8_t* data, size_t size) {
   try {
     const sg::RdParameters p(data[0] << 8 | data[1], data[2] << 8 | data[3], quantum, flags & kGrey, flags & kUpright,
                              flags & kVersion4 ? 4 : 3);
-    draw(p, sg::rd_decode(p, data + kHeader, size - kHeader, flags & kPrefix, kMostGaussians), flags & kFarOut);
+    draw(p, sg::rd_decode(p, data + kHeader, size - kHeader, flags & kPrefix, kMostGaussians), flags, data, size);
   } catch (const std::invalid_argument&) {
   } catch (const std::runtime_error&) {
   }

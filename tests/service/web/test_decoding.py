@@ -149,6 +149,7 @@ def test_entity_tags_tell_pictures_apart() -> None:
     queries = [{}, {"scale": 2}, {"region": "0,0,10,8"}, {"region": "0,1,10,8"}, {"region": "0,0,10,8", "scale": 2}]
     drawings = [Drawing.of(ViewQuery.model_validate(q).wish("png"), SIZE, NO_LIMIT) for q in queries]
     more = (Wish("jpg"), Wish("jpg", quality=50), Wish(prefix=0.5), Wish("avif"), Wish(width=5, height=9, fit="crop"))
+    more += (Wish(texture=False), ViewQuery.model_validate({"texture": "0", "scale": 2}).wish("png"))
     drawings += [Drawing.of(wish, SIZE, NO_LIMIT) for wish in more]
     tags = {drawing.etag(sha) for drawing in drawings for sha in ("a" * 64, "b" * 64)}
     assert len(tags) == 2 * len(drawings)

@@ -18,6 +18,7 @@ from tests.harness.pictures import SMALL
 from tests.harness.service import Service, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
+TEXTURED = golden_path("v4-texture.sg").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()
 
 
@@ -57,6 +58,18 @@ def test_views_of_a_job_and_of_a_body(web: Service, done: str, query: str, view:
     posted = web.client.post(f"/decode{query}", content=PICTURE)
     assert posted.headers["cache-control"] == "no-store"
     np.testing.assert_array_equal(pixels_of(posted), expected)
+
+
+def test_texture_can_be_left_out(web: Service) -> None:
+    job = web.published(TEXTURED)
+    smooth = sgmethod.decode(TEXTURED, texture=False)
+    assert not np.array_equal(smooth, sgmethod.decode(TEXTURED))
+    whole, without = (web.client.get(f"/decode/{job}.png{query}") for query in ("", "?texture=0"))
+    np.testing.assert_array_equal(pixels_of(without), smooth)
+    np.testing.assert_array_equal(pixels_of(whole), sgmethod.decode(TEXTURED))
+    assert whole.headers["etag"] != without.headers["etag"]
+    np.testing.assert_array_equal(pixels_of(web.client.post("/decode?texture=0", content=TEXTURED)), smooth)
+    assert_problem(web.client.get(f"/decode/{job}.png?texture=some"), 422)
 
 
 def test_the_older_version_of_the_file(web: Service) -> None:

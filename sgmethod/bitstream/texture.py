@@ -1,0 +1,53 @@
+"""The texture part of a version 4 file: codes of strengths <-> bits (docs/format.md).
+
+A code is told by how it differs from its neighbour on the left, the first of a row from that above. The smaller a
+difference is, the likelier: 0, -1, 1, -2, ... are as many ones and a zero.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.errors import BitstreamError
+from sgmethod.native import native
+
+Codes = NDArray[np.uint8]  # [octaves, rows, columns]
+
+
+def cells(width: int, height: int) -> tuple[int, int]:
+    """Rows and columns of the cells of a picture, given in pixels."""
+    return -(-height // native.TEXTURE_CELL), -(-width // native.TEXTURE_CELL)
+
+
+def pack(codes: Codes) -> bytes:
+    """The part's bytes."""
+    told = codes.astype(np.int64)
+    told[1:] -= told[:-1].copy()  # a finer octave tells much of the next
+    first = np.diff(told[:, :, :1], axis=1, prepend=0)
+    steps = np.concatenate([first, np.diff(told, axis=2)], 2).ravel()
+    ones = np.where(steps < 0, -2 * steps - 1, 2 * steps)
+    bits = np.ones(ones.sum() + len(ones), np.uint8)
+    bits[np.cumsum(ones + 1) - 1] = 0
+    return np.packbits(bits).tobytes()
+
+
+def unpack(data: bytes, width: int, height: int) -> tuple[Codes, int]:
+    """The codes of a picture, given in pixels, and how many bytes they took. Raises BitstreamError."""
+    rows, columns = cells(width, height)
+    count = native.TEXTURE_OCTAVES * rows * columns
+    longest = 4 * native.TEXTURE_STRENGTHS  # bits of a difference between differences
+    bits = np.unpackbits(np.frombuffer(data[: count * longest // 8 + 1], np.uint8))
+    ends = np.flatnonzero(bits == 0)[:count]
+    if len(ends) < count:
+        raise BitstreamError("the file ends within its texture")
+    length = int(ends[-1]) // 8 + 1
+    if bits[ends[-1] : 8 * length].any():
+        raise BitstreamError("the padding of the file's texture is not zero")
+    ones = np.diff(ends, prepend=-1) - 1
+    steps = np.where(ones % 2 == 1, -(ones + 1) // 2, ones // 2).reshape(-1, rows, columns)
+    steps[:, :, 0] = np.cumsum(steps[:, :, 0], axis=1)
+    codes = np.cumsum(np.cumsum(steps, axis=2), axis=0)
+    if codes.min() < 0 or codes.max() >= native.TEXTURE_STRENGTHS:
+        raise BitstreamError("a strength of the file's texture is out of range")
+    return codes.astype(np.uint8), length

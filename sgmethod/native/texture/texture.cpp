@@ -1,0 +1,213 @@
+#include "texture/texture.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "core/constants.h"
+#include "core/errors.h"
+#include "core/isa.h"
+#include "core/simd.h"
+
+namespace sg {
+namespace {
+
+// Places repeat after so many output pixels, as those of Gaussians do in views (sgmethod/view.py).
+constexpr int kRepeat = 1 << 16;
+// An octave that would be enlarged at scale 1, and is not in a smaller view, stands for the finer one as well.
+constexpr float kUnenlarged = 0.75f;
+
+typedef uint32_t Unsigned4 __attribute__((vector_size(16)));
+typedef uint32_t Unsigned8 __attribute__((vector_size(32)));
+typedef uint32_t Unsigned16 __attribute__((vector_size(64)));
+template <int W>
+struct UnsignedLanes;
+template <>
+struct UnsignedLanes<4> { using U = Unsigned4; };
+template <>
+struct UnsignedLanes<8> { using U = Unsigned8; };
+template <>
+struct UnsignedLanes<16> { using U = Unsigned16; };
+
+// A bijection that mixes all bits ("lowbias32" of C. Wellons, hash-prospector, 2018). For numbers, and for vectors of them.
+template <typename U>
+SG_INLINE U mixed(U h) {
+  h ^= h >> 16;
+  h *= 0x7feb352du;
+  h ^= h >> 15;
+  h *= 0x846ca68bu;
+  h ^= h >> 16;
+  return h;
+}
+
+// What all rows of a tile that lie between the same cells share.
+struct Strip {
+  alignas(64) uint32_t columns[kTileWidth];  // places, within kRepeat
+  alignas(64) float upper[kTileWidth];       // strengths in the row of cells above
+  alignas(64) float change[kTileWidth];      // from there to the row below
+};
+
+// Rows of a tile from `first` to before `end`; place: of row 0; part: of the way from upper to lower, for each row. A word
+// of noise is for four rows, a byte for each.
+template <int W>
+SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, int mask, const float* part, int first, int end,
+                        float* accumulators) {
+  using V = Simd<W>;
+  using F = typename V::F;
+  using I = typename V::I;
+  using U = typename UnsignedLanes<W>::U;
+  constexpr int kVectors = kTileWidth / W;
+  F upper[kVectors], change[kVectors];
+  for (int i = 0; i < kVectors; ++i) upper[i] = V::load(strip.upper + i * W), change[i] = V::load(strip.change + i * W);
+  for (int row = first; row < end;) {
+    const int at = (place + row) & mask;
+    const uint32_t key = mixed(mixed(octave + 1) + static_cast<uint32_t>(at >> 2));
+    U noise[kVectors];
+    for (int i = 0; i < kVectors; ++i) {
+      U columns;
+      std::memcpy(&columns, strip.columns + i * W, sizeof columns);
+      noise[i] = mixed(columns + key) >> 8 * (at & 3);
+    }
+    for (const int next = std::min(row + 4 - (at & 3), end); row < next; ++row) {
+      float* out = accumulators + row * 3 * kTileWidth;
+      for (int i = 0; i < kVectors; ++i, out += W) {
+        const U bytes = noise[i] & 255u;
+        I whole;
+        std::memcpy(&whole, &bytes, sizeof whole);
+        const F value = (__builtin_convertvector(whole, F) - 127.5f) * (upper[i] + change[i] * part[row]);
+        for (int k = 0; k < 3; ++k) V::store(out + k * kTileWidth, V::load(out + k * kTileWidth) + value);
+        noise[i] >>= 8;
+      }
+    }
+  }
+}
+
+using Add = void (*)(const Strip&, uint32_t, int, int, const float*, int, int, float*);
+
+#define SG_TEXTURE(name, width, attribute)                                                                       \
+  attribute void add_##name(const Strip& s, uint32_t octave, int place, int mask, const float* part, int first, int end, \
+                            float* accumulators) {                                                               \
+    add_body<width>(s, octave, place, mask, part, first, end, accumulators);                                      \
+  }
+
+SG_TEXTURE(baseline, 4, )
+#if SG_X86
+SG_TEXTURE(avx2, 8, [[gnu::target("avx2")]])
+SG_TEXTURE(avx512, 16, [[gnu::target(SG_AVX512)]])
+
+constexpr Add kAdd[] = {add_baseline, add_avx2, add_avx512};
+#else
+constexpr Add kAdd[] = {add_baseline};
+#endif
+
+// Between which cells samples of a level lie, along one axis: the cell before each, or the last or the first of all, and the
+// part of the way to the next.
+template <int N>
+struct Between {
+  // cell, corner: output pixels. From a place on, so many.
+  Between(int level, double cell, double corner, int number, int place, int count = N) {
+    const double step = std::ldexp(1.0, level) / cell, first = 0.5 * step - corner / cell - 0.5, last = number - 1;
+    for (int i = 0; i < count; ++i) {
+      const double at = std::min(std::max(first + (place + i) * step, 0.0), last);
+      cells[i] = static_cast<int>(at);
+      parts[i] = static_cast<float>(at - cells[i]);
+    }
+  }
+  int cells[N];
+  float parts[N];
+};
+
+// The strength of a code, of noise from -127.5 to 127.5, whose spread is 74: half a level for code 1, and half a power of
+// two more for each that follows.
+float strength_of(int code) {
+  if (code == 0) return 0.0f;
+  const double half_levels = std::ldexp((code - 1) % 2 == 0 ? 1.0 : 1.4142135623730951, (code - 1) / 2);
+  return static_cast<float>(half_levels / (148.0 * 255.0));
+}
+
+}  // namespace
+
+std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width, int height, size_t& used) {
+  const int rows = (height + kTextureCell - 1) / kTextureCell, columns = (width + kTextureCell - 1) / kTextureCell;
+  const size_t cells = static_cast<size_t>(rows) * static_cast<size_t>(columns);
+  std::vector<uint8_t> codes;
+  uint64_t at = 0;  // bit
+  const auto bit = [&] {
+    if (at / 8 >= size) refuse<std::runtime_error>("the file ends within its texture");
+    const int value = data[at / 8] >> (7 - at % 8) & 1;
+    ++at;
+    return value;
+  };
+  for (int octave = 0; octave < kTextureOctaves; ++octave) {
+    int64_t above = 0;
+    for (int row = 0; row < rows; ++row) {
+      int64_t told = above;
+      for (int column = 0; column < columns; ++column) {
+        int64_t ones = 0;
+        while (bit() != 0) ++ones;
+        told += ones % 2 == 0 ? ones / 2 : -(ones + 1) / 2;
+        if (column == 0) above = told;
+        const int64_t code = told + (octave == 0 ? 0 : codes[codes.size() - cells]);
+        if (code < 0 || code >= kTextureStrengths)
+          refuse<std::runtime_error>("a strength of the file's texture is out of range");
+        codes.push_back(static_cast<uint8_t>(code));
+      }
+    }
+  }
+  while (at % 8 != 0)
+    if (bit() != 0) refuse<std::runtime_error>("the padding of the file's texture is not zero");
+  used = at / 8;
+  return codes;
+}
+
+Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
+  const auto fits = [](double v) { return std::abs(v) <= 1e9; };
+  const bool possible = grid.columns > 0 && grid.rows > 0 && grid.cell_x >= 0.5 && grid.cell_y >= 0.5 && fits(grid.cell_x) &&
+                        fits(grid.cell_y) && fits(grid.x) && fits(grid.y) && std::abs(grid.shift) <= 8;
+  if (!possible) refuse<std::invalid_argument>("the texture's cells cannot be placed");
+  const size_t cells = static_cast<size_t>(grid.columns) * static_cast<size_t>(grid.rows);
+  strengths_.resize(kTextureOctaves * cells);
+  for (int octave = 0; octave < kTextureOctaves; ++octave) {
+    const int level = octave + grid.shift;
+    const float share = level == 0 && grid.shift < 0 ? kUnenlarged : 1.0f;
+    for (size_t i = octave * cells; i < (octave + 1) * cells; ++i) {
+      if (codes[i] >= kTextureStrengths) refuse<std::invalid_argument>("there is no such strength of texture");
+      strengths_[i] = share * strength_of(codes[i]);
+      if (codes[i] != 0) top_ = std::max(top_, level);
+    }
+  }
+}
+
+void Texture::add(int isa, int level, int x, int y, int first_row, int end_row, float* accumulators) const {
+  const int octave = level - grid_.shift;
+  if (octave < 0 || octave >= kTextureOctaves || level > top_) return;
+  const float* strengths = strengths_.data() + static_cast<int64_t>(octave) * grid_.rows * grid_.columns;
+  const int mask = (kRepeat >> level) - 1;
+  const Between<kTileWidth> across(level, grid_.cell_x, grid_.x, grid_.columns, x);
+  const Between<kTileHeight> down(level, grid_.cell_y, grid_.y, grid_.rows, y, end_row);
+  Strip strip;
+  for (int i = 0; i < kTileWidth; ++i) strip.columns[i] = static_cast<uint32_t>((x + i) & mask);
+  // Strengths of the tile's columns in a row of cells; returns the largest.
+  const auto along = [&](int row, float* out) {
+    const float* from = strengths + static_cast<int64_t>(std::min(row, grid_.rows - 1)) * grid_.columns;
+    float most = 0.0f;
+    for (int i = 0; i < kTileWidth; ++i) {
+      const float left = from[across.cells[i]], right = from[std::min(across.cells[i] + 1, grid_.columns - 1)];
+      out[i] = left + (right - left) * across.parts[i];
+      most = std::max(most, out[i]);
+    }
+    return most;
+  };
+  for (int row = first_row; row < end_row;) {
+    const int cell = down.cells[row];
+    int end = row;
+    while (end < end_row && down.cells[end] == cell) ++end;
+    float lower[kTileWidth];
+    if (std::max(along(cell, strip.upper), along(cell + 1, lower)) > 0.0f) {
+      for (int i = 0; i < kTileWidth; ++i) strip.change[i] = lower[i] - strip.upper[i];
+      kAdd[isa](strip, static_cast<uint32_t>(octave), y, mask, down.parts, row, end, accumulators);
+    }
+    row = end;
+  }
+}
+
+}  // namespace sg

@@ -1,0 +1,243 @@
+"""Texture from a seed: what the decoder draws, and where the encoder asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+import sgmethod
+from sgmethod import Budget, View, decode
+from sgmethod.bitstream import container
+from sgmethod.bitstream.texture import Codes, cells
+from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.metrics import psnr
+from sgmethod.native import native
+from sgmethod.profiles import RD
+from sgmethod.rd.texture import estimate
+from sgmethod.scene import Gaussians
+from tests.harness.data import PHOTOGRAPHS
+
+Pixels = NDArray[np.uint8]
+SIZE = WIDTH, HEIGHT = 300, 200
+STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTURE_STRENGTHS))]  # levels of 8 bits
+
+
+def some_gaussians(n: int = 300) -> Gaussians:
+    rng = np.random.default_rng(7)
+    factors = np.exp(rng.uniform(-0.5, 3, (n, 1)) + rng.normal(0, 0.3, (n, 3)))
+    means, colors = rng.uniform(0, 1, (n, 2)) * SIZE, rng.normal(0, 0.1, (n, 3))
+    return Gaussians(*(a.astype(np.float32) for a in (means, factors, colors)))
+
+
+def file_of(
+    codes: Codes | None, gaussians: Gaussians | None = None, *, grey: bool = False, size: tuple[int, int] = SIZE
+) -> bytes:
+    nothing = Gaussians(*(np.zeros((0, n), np.float32) for n in (2, 3, 3)))
+    stream = StreamV4.of(gaussians or nothing, size, 0.02, (128, 128, 128) if grey else (140, 120, 110), grey)
+    return container.serialise(replace(stream, texture=codes))
+
+
+def codes_of(octave_0: int, octave_1: int, size: tuple[int, int] = SIZE) -> Codes:
+    """The same strength everywhere."""
+    codes = np.zeros((native.TEXTURE_OCTAVES, *cells(*size)), np.uint8)
+    codes[0], codes[1] = octave_0, octave_1
+    return codes
+
+
+def varied(seed: int = 1) -> Codes:
+    rng = np.random.default_rng(seed)
+    return rng.integers(0, 12, (native.TEXTURE_OCTAVES, *cells(*SIZE))).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def textured() -> bytes:
+    return file_of(varied(), some_gaussians())
+
+
+def test_it_can_be_left_out(textured: bytes) -> None:
+    plain = decode(file_of(None, some_gaussians()))
+    assert np.array_equal(decode(textured, texture=False), plain)
+    assert np.array_equal(decode(textured, view=View(texture=False)), plain)
+    assert np.array_equal(sgmethod.SgFile(textured).pixels(texture=False), plain)
+    assert np.abs(decode(textured).astype(int) - plain).mean() > 2  # 4.6 seen
+    half = View(0.5, (10, 20, 200, 100))
+    assert np.array_equal(
+        decode(textured, view=replace(half, texture=False)), decode(file_of(None, some_gaussians()), view=half)
+    )
+
+
+REGIONS = [(0, 0, 1, 1), (13, 7, 64, 33), (64, 16, 100, 50), (299, 199, 1, 1), (0, 50, 200, 9)]
+
+
+@pytest.mark.parametrize("scale", [1, 2, 3, 0.5])
+@pytest.mark.parametrize("region", REGIONS)
+def test_a_region_is_a_crop(textured: bytes, scale: float, region: tuple[int, int, int, int]) -> None:
+    x, y, w, h = (int(scale * v) for v in region)
+    if (x, y, w, h) != tuple(scale * v for v in region):
+        return  # between the pixels of the smaller picture
+    whole, part = decode(textured, view=View(scale)), decode(textured, view=View(scale, region))
+    assert np.array_equal(part, whole[y : y + h, x : x + w])
+
+
+def test_the_same_on_every_instruction_set_and_for_every_number_of_threads() -> None:
+    gaussians, codes, threads = some_gaussians(), varied(), native.thread_count()
+    seen = set()
+    try:
+        for shift in (-1, 0, 2):
+            texture = native.Texture(codes, 64.0, 60.0, 3.5, -7.0, shift)
+            for isa in range(native.best_isa() + 1):
+                for count in (1, 3):
+                    native.set_thread_count(count)
+                    arrays = gaussians.means, gaussians.factors
+                    raster = native.Rasterization(*arrays, *SIZE, native.CUTOFF_V3, isa, pyramid=True, texture=texture)
+                    pixels = np.empty((HEIGHT, WIDTH, 3), np.uint8)
+                    raster.render_bytes(gaussians.colors, pixels, (0.5, 0.4, 0.3))
+                    seen.add((shift, pixels.tobytes()))
+    finally:
+        native.set_thread_count(threads)
+    assert len(seen) == 3
+
+
+@pytest.mark.parametrize("code", [4, 7, 11])
+def test_noise_has_the_strength_that_the_file_says(code: int) -> None:
+    noise = decode(file_of(codes_of(code, 0))).astype(float) - decode(file_of(None))
+    assert noise.std() == pytest.approx(np.sqrt(STRENGTHS[code] ** 2 + 1 / 12), rel=0.05)  # rounding is noise too
+    assert abs(noise.mean()) < 0.05 * STRENGTHS[code] + 0.02
+    rows = noise[:, :, 0] - noise[:, :, 0].mean()
+    for neighbour in (rows[1:] * rows[:-1], rows[:, 1:] * rows[:, :-1], rows[4:] * rows[:-4]):
+        assert abs(neighbour.mean()) < 0.02 * rows.var()  # white: 0.005 seen
+
+
+def test_an_octave_goes_to_its_level() -> None:
+    """Half the size shows the coarse octave alone, double the size both, each twice as large."""
+    fine, coarse, none = (file_of(codes) for codes in (codes_of(8, 0), codes_of(0, 8), None))
+    small = View(0.5)
+    assert np.array_equal(decode(fine, view=small), decode(none, view=small))
+    assert decode(coarse, view=small).astype(float).std(axis=(0, 1))[0] == pytest.approx(0.75 * STRENGTHS[8], rel=0.06)
+    for file in (fine, coarse):
+        one, two = (decode(file, view=View(scale))[:, :, 0].astype(float) for scale in (1, 2))
+        smooth = one[::2, ::2], two[::4, ::4]
+        distances = [np.diff(plane, axis=1).std() / plane.std() for plane in smooth]
+        assert distances[1] == pytest.approx(distances[0], rel=0.2)
+
+
+def test_grey_stays_grey() -> None:
+    gaussians = some_gaussians()
+    gaussians = replace(gaussians, colors=np.repeat(gaussians.colors[:, :1], 3, 1))
+    pixels = decode(file_of(varied(), gaussians, grey=True))
+    assert np.array_equal(pixels, np.repeat(pixels[:, :, :1], 3, 2))
+    assert pixels.std() > 5
+
+
+def test_a_prefix_has_it_too(textured: bytes) -> None:
+    part = decode(textured, view=View(prefix=0.4)).astype(int)
+    plain = decode(textured, view=View(prefix=0.4, texture=False)).astype(int)
+    whole = decode(textured).astype(int) - decode(textured, texture=False)
+    inside = (part > 0) & (part < 255) & (plain > 60) & (plain < 195)
+    assert np.abs((part - plain) - whole)[inside].max() <= 1
+
+
+def test_the_strongest_is_only_noise() -> None:
+    pixels = decode(file_of(codes_of(15, 15), some_gaussians()))
+    assert pixels.shape == (HEIGHT, WIDTH, 3)
+    assert 60 < pixels.std() < 120
+
+
+# --- the encoder
+
+
+def estimated(source: NDArray[np.float64]) -> Codes | None:
+    """For a picture [H, W], or in colour, of which the Gaussians draw no detail."""
+    pixels = np.clip(np.round(source), 0, 255).astype(np.uint8)
+    pixels = np.repeat(pixels[:, :, None], 3, 2) if pixels.ndim == 2 else pixels
+    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), RD)
+
+
+def noise(spread: float, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
+    return np.random.default_rng(3).normal(0, spread, size[::-1])
+
+
+def test_noise_is_given_back_at_its_strength() -> None:
+    for spread in (6.0, 20.0):
+        codes = estimated(128 + noise(spread))
+        assert codes is not None
+        drawn = decode(file_of(codes), texture=True).astype(float)[:, :, 0]
+        assert drawn.std() / spread == pytest.approx(RD.texture_gain[0], rel=0.25)
+
+
+def lettering() -> NDArray[np.float64]:
+    image = Image.new("L", SIZE, 255)
+    for row in range(0, HEIGHT, 14):
+        ImageDraw.Draw(image).text((4, row), "The quick brown fox jumps over the lazy dog. " * 2, fill=0)
+    return np.asarray(image, float)
+
+
+def drawing() -> NDArray[np.float64]:
+    image = Image.new("L", SIZE, 230)
+    draw = ImageDraw.Draw(image)
+    for k in range(12):
+        draw.line((20 * k, 0, 300 - 9 * k, 200), fill=20 * k, width=1 + k % 3)
+    draw.ellipse((60, 40, 150, 120), fill=90)
+    return np.asarray(image, float)
+
+
+STRAIGHT = np.linspace(20, 220, WIDTH) + np.zeros((HEIGHT, 1))
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [np.full((HEIGHT, WIDTH), 77.0), STRAIGHT, STRAIGHT + noise(1.4), lettering(), drawing(), np.full((1, 1), 9.0)],
+    ids=["flat", "gradient", "grain that nobody sees", "lettering", "drawing", "pixel"],
+)
+def test_what_gets_none(picture: NDArray[np.float64]) -> None:
+    assert estimated(picture) is None
+
+
+def test_it_ends_where_the_noise_ends() -> None:
+    """Meadow below, sky above: the cells of the sky have none."""
+    picture = STRAIGHT.copy()
+    picture[128:] += noise(15)[128:]
+    codes = estimated(picture)
+    assert codes is not None
+    assert codes[:, :2].max() == 0
+    assert codes[0, 2:].min() >= 6
+
+
+def photo() -> Pixels:
+    return read_image_8_bit((PHOTOGRAPHS / "kodim05-crop.png").read_bytes())
+
+
+def test_tuning_for_the_eye_writes_it_within_the_budget() -> None:
+    for size in (300, 900):
+        encoded = sgmethod.encode(photo(), bytes=size, tune="visual")
+        assert encoded.stats.bytes == len(encoded.data) <= size
+        fields = sgmethod.info(encoded.data)
+        assert 0 < fields.bits["texture"] <= 8 * RD.texture_share * size
+        smooth = decode(encoded.data, texture=False)
+        assert psnr(smooth, photo()) > psnr(decode(encoded.data), photo()) == encoded.stats.psnr
+
+
+def test_tuning_for_psnr_writes_none() -> None:
+    for budget in (Budget("bytes", 900), Budget("psnr", 18)):
+        fields = sgmethod.info(sgmethod.encode(photo(), budget, tune="psnr").data)
+        assert (fields.bits["texture"], fields.to_dict()["texture"]) == (0, False)
+
+
+def test_what_cannot_be_is_refused() -> None:
+    codes = varied()
+    for wrong in (codes[:1], codes + 200):
+        with pytest.raises(ValueError, match=r"code|strength"):
+            native.Texture(np.ascontiguousarray(wrong), 64.0, 64.0)
+    for cell in (0.0, -3.0, np.nan, np.inf, 1e12):
+        with pytest.raises(ValueError, match="cells"):
+            native.Texture(codes, 64.0, cell)
+    with pytest.raises(ValueError, match="pyramid"):
+        native.Rasterization(
+            *(np.zeros((1, n), np.float32) for n in (2, 3)), 9, 9, texture=native.Texture(codes, 64.0, 64.0)
+        )
