@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from sgmethod.fitting import eye
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 from sgmethod.scene import FloatArray
@@ -33,10 +34,20 @@ class Picture:
     stay in pixels of the whole picture, and spacing says how many of those a pixel of this one is wide.
     """
 
-    def __init__(self, target: Target, lambda_g: float, cutoff: float, pyramid: bool = False, spacing: int = 1) -> None:
+    def __init__(
+        self,
+        target: Target,
+        lambda_g: float,
+        cutoff: float,
+        pyramid: bool = False,
+        spacing: int = 1,
+        visibility: eye.Visibility | None = None,
+    ) -> None:
         """target: of target_of(); lambda_g weighs the geometry-consistent regularisation; cutoff: sigma at which the
-        weight of a Gaussian ends, and pyramid: whether it is drawn in one, by the version of the format."""
-        self.target = target
+        weight of a Gaussian ends, and pyramid: whether it is drawn in one, by the version of the format; visibility
+        [H, W]: then gradients, residuals and colours are those of the error as the eye sees it (eye.py)."""
+        self.target, self.visibility = target, visibility
+        self.lead = None if visibility is None else eye.Lead(target)
         self.height, self.width = target.shape[1:]
         self.values = target.size
         self.spacing = spacing
@@ -62,7 +73,9 @@ class Picture:
         sums += even[:, 1::2, 1::2]
         sums += 2
         sums >>= 2
-        return Picture(sums.astype(np.int16), self.lambda_g, self.cutoff, self.pyramid, 2 * self.spacing)
+        visibility = None if self.visibility is None else eye.halved(self.visibility)
+        half = sums.astype(np.int16)
+        return Picture(half, self.lambda_g, self.cutoff, self.pyramid, 2 * self.spacing, visibility)
 
     def rasterise(self, means: Tensor, factors: Tensor) -> native.Rasterization:
         """The geometry over this picture's pixels."""
@@ -91,17 +104,32 @@ class Picture:
 
     def error(self, p: Parameters) -> float:
         """Mean squared error."""
-        return self.rasterise(p.means, p.factors).error(p.colors.contiguous().numpy(), self.target)
+        target = self.target if self.lead is None else self.lead.unmoved
+        return self.rasterise(p.means, p.factors).error(p.colors.contiguous().numpy(), target)
+
+    def follow(self, p: Parameters) -> None:
+        """Move the target as the eye wants it (eye.Lead)."""
+        if self.lead is not None:
+            self.lead.follow(self._missing(p, self.lead.unmoved))
+            self.target = self.lead.target
 
     def _squared_error(self, p: Parameters) -> tuple[float, Parameters]:
         """The mean, and its gradients in this picture's pixels."""
         out = p.alike()
         colors = p.colors.contiguous().numpy()
-        return self.rasterise(p.means, p.factors).squared_error(colors, self.target, *out.arrays()), out
+        raster = self.rasterise(p.means, p.factors)
+        return raster.squared_error(colors, self.target, *out.arrays(), self.visibility), out
 
     def residual(self, p: Parameters) -> Callable[[int, int], FloatArray]:
-        """Target minus picture, in this picture's pixels. It is drawn when it is asked for rows: from the first to
-        before another, [3, rows, W]."""
+        """Target minus picture, in this picture's pixels, as far as it is seen. It is drawn when it is asked for rows:
+        from the first to before another, [3, rows, W]."""
+        visibility, missing = self.visibility, self._missing(p, self.target)
+        if visibility is None:
+            return missing
+        return lambda first, end: eye.amplitudes(visibility[first:end], missing(first, end))
+
+    def _missing(self, p: Parameters, target: Target) -> Callable[[int, int], FloatArray]:
+        """What residual() gives, all of it, of a target."""
         arrays, colors = self._scaled(p.means, p.factors), p.colors.contiguous().numpy()
         scale = np.float32(1 / native.TARGET_WHITE)
 
@@ -110,8 +138,8 @@ class Picture:
             size = (self.width, end - first)
             raster = native.Rasterization(*arrays, *size, cutoff=self.cutoff, pyramid=self.pyramid, y=first)
             raster.render(colors, drawn)
-            for plane, target in zip(drawn, self.target[:, first:end], strict=True):
-                np.subtract(target * scale, plane, out=plane)
+            for plane, wanted in zip(drawn, target[:, first:end], strict=True):
+                np.subtract(wanted * scale, plane, out=plane)
             return drawn
 
         return rows
@@ -129,12 +157,14 @@ class Picture:
         black = Parameters(means, factors, torch.zeros(n, 3))
         _, gradients = self._squared_error(black if others is None else others.with_more(black))
         residual = gradients.colors[-n:] * (-self.values / 2)  # each one's product with what is missing
+        if self.visibility is not None:  # gram() and the colours that solve it know nothing of how colours count
+            residual = residual @ torch.tensor(np.linalg.inv(eye.COLOR), dtype=torch.float32)
         raster = self.rasterise(means, factors)
         colors, product = torch.zeros(n, 3), torch.empty(n, 3)
         direction = z = residual / energy
         rz = (residual * z).sum(0)
         for _ in range(steps):
-            raster.gram(direction.numpy(), product.numpy())
+            raster.gram(direction.numpy(), product.numpy(), self.visibility)
             q = product + damping * energy * direction
             alpha = rz / (direction * q).sum(0).clamp_min(1e-30)
             colors = colors + alpha * direction

@@ -23,6 +23,10 @@ TARGET_WHITE: int  # in the target of a fit, int16 [3, height, width]
 TEXTURE_OCTAVES: int
 TEXTURE_CELL: int  # pixels of the picture along a side of a cell
 TEXTURE_STRENGTHS: int  # codes of a strength; 0 is none
+VISIBLE: int  # 1 in the visibility of a picture's errors, int16 [height, width]
+SEEN_COLOR: float
+SEEN_LUMA: tuple[float, float, float]
+"""To the eye an error e [3] counts SEEN_COLOR |e|^2 + (SEEN_LUMA e)^2, times its pixel's visibility."""
 TILE_WIDTH: int
 TILE_HEIGHT: int
 
@@ -89,14 +93,16 @@ class Rasterization:
         means: FloatArray,
         factors: FloatArray,
         out_colors: FloatArray,
+        visibility: NDArray[np.int16] | None = None,
     ) -> float:
-        """The mean squared error against a target; fills its gradients as backward does."""
+        """The mean squared error against a target, to the eye where there is a visibility; fills its gradients as
+        backward does."""
 
     def error(self, colors: FloatArray, target: NDArray[np.int16]) -> float:
         """The mean squared error against a target."""
 
-    def gram(self, colors: FloatArray, out_colors: FloatArray) -> None:
-        """Fill out_colors [N, 3]: each Gaussian's product with the picture that all draw."""
+    def gram(self, colors: FloatArray, out_colors: FloatArray, visibility: NDArray[np.int16] | None = None) -> None:
+        """Fill out_colors [N, 3]: each Gaussian's product with the picture that all draw, times the visibility."""
 
     def backward(
         self, colors: FloatArray, grad: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
@@ -190,6 +196,7 @@ def rd_refine(
     sweeps: int,
     seconds: float,
     max_bytes: int,
+    visibility: NDArray[np.int16] | None = None,
 ) -> bytes:
     """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h)."""
 

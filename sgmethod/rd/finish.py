@@ -14,6 +14,7 @@ from sgmethod.bitstream.texture import Codes, pack
 from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.decoder import decode
+from sgmethod.fitting import eye
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
 from sgmethod.metrics import psnr
@@ -63,12 +64,18 @@ class Finish:
 
     def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT, dearer: float = 1.0) -> StreamV4:
         price = dearer * self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
-        sweeps = self.settings.refine_sweeps
-        return coder.refined(self.p, self.picture.target, price, sweeps, self._left_s(), max_payload)
+        limits = price, self.settings.refine_sweeps, self._left_s(), max_payload
+        return coder.refined(self.p, self.picture.target, *limits, self.picture.visibility)
 
     def _psnr(self, stream: StreamV4) -> float:
         """Without texture, which is there to be seen and not to be measured."""
         return min(psnr(decode(container.serialise(stream)), self.source), EXACT_DB)
+
+    def _quality(self, stream: StreamV4) -> float:
+        """By which streams of one budget are compared: PSNR, or less of the error that the eye sees."""
+        if self.picture.visibility is None:
+            return self._psnr(stream)
+        return -eye.error(self.picture.visibility, decode(container.serialise(stream)), self.source)
 
     def _within(self, limit: int) -> StreamV4:
         """The best with a payload of at most `limit` bytes.
@@ -88,7 +95,7 @@ class Finish:
             found.append(self._quantise_and_refine(coder, limit))
         if len(self.coder.stream(self.p).payload) > s.far_from_size * limit:
             found.append(self._quantise_and_refine(self.coder, limit))
-        return max(found, key=self._psnr)
+        return max(found, key=self._quality)
 
     def _coder_within(self, limit: int) -> Coder:
         """The finest quantum at which all Gaussians fit, by bisection.

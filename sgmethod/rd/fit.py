@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import background_of
+from sgmethod.fitting import eye
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
@@ -45,9 +46,12 @@ class RdFit:
         background = background_of(pixels)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
         self.coder = Coder((self.width, self.height), control.quantum, background, grey)
-        self.picture = Picture(target_of(pixels, background), 0.0, native.CUTOFF_V3, pyramid=True)
+        seen = eye.visibility_of(pixels) if settings.tune == "visual" else None
+        self.seen = None if seen is None else eye.Seen(seen)
+        self.picture = Picture(target_of(pixels, background), 0.0, native.CUTOFF_V3, pyramid=True, visibility=seen)
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
+        self.steps = 0
         self.due = sorted([*settings.growth_at, *settings.trim_at])
         self.price_of_none = math.inf  # at which growth found next to nothing
         self.p = self._place(np.random.default_rng(seed))
@@ -87,6 +91,9 @@ class RdFit:
         if at is not None:  # of several that one slow step has passed, the last
             self._reconsider(at)
         picture = self.pyramid.at(progress, len(self.p.means))
+        if picture is self.picture and self.steps % eye.Lead.EVERY == 0:
+            picture.follow(self.p)
+        self.steps += 1
         mse, grad = picture.gradients(self.p)
         quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.picture.values)
         self.adam.step(self.p, grad, rate)
@@ -122,6 +129,8 @@ class RdFit:
     def _drop(self, bits: float, most: int) -> None:
         """Remove Gaussians whose energy is not worth so many bits, and the least of those beyond so many."""
         energies = quantiser.energies(self.p)
+        if self.seen is not None:
+            energies *= torch.from_numpy(self.seen.of(self.p))
         if len(energies) > most:
             energies[torch.argsort(energies, stable=True)[: len(energies) - most]] = 0
         keep = torch.nonzero(energies > bits * quantiser.error_per_bit(self.coder.quantum))[:, 0]

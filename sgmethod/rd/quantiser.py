@@ -17,6 +17,7 @@ from torch import Tensor
 
 from sgmethod.bitstream.v3 import quantum_code, quantum_of
 from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.fitting.eye import Visibility
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Target
 from sgmethod.native import native
@@ -66,16 +67,24 @@ class Coder:
         return StreamV4.of(p.numpy(), self.size, self.quantum, self.background, self.grey)
 
     def refined(
-        self, p: Parameters, target: Target, price: float, sweeps: int, seconds: float, max_payload: int
+        self,
+        p: Parameters,
+        target: Target,
+        price: float,
+        sweeps: int,
+        seconds: float,
+        max_payload: int,
+        visibility: Visibility | None = None,
     ) -> StreamV4:
         """The coded picture, with integers changed one Gaussian at a time where that lowers squared error plus price
         times bits; then without those that gain least for their bits, until the payload has at most max_payload bytes.
 
-        target: of the picture; price: squared error summed over the picture; sweeps over all
-        Gaussians, at most, and no longer than seconds.
+        target: of the picture; price: squared error summed over the picture, to the eye if there is a visibility;
+        sweeps over all Gaussians, at most, and no longer than seconds.
         """
         upright = not bool(p.factors[:, 1].any())
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
         arrays = *p.arrays(), target
-        payload = native.rd_refine(parameters, *arrays, native.CUTOFF_V3, price, sweeps, seconds, max_payload)
+        limits = price, sweeps, seconds, max_payload
+        payload = native.rd_refine(parameters, *arrays, native.CUTOFF_V3, *limits, visibility)
         return StreamV4(*self.size, self.quantum, self.background, self.grey, upright, payload)

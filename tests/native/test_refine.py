@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sgmethod.bitstream import v3
 from sgmethod.fitting.picture import Target
@@ -42,9 +43,10 @@ def refined(
     sweeps: int = 6,
     seconds: float = math.inf,
     max_bytes: int = NO_LIMIT,
+    visibility: NDArray[np.int16] | None = None,
 ) -> bytes:
     arrays = (values.means, values.factors, values.colors)
-    return native.rd_refine(parameters, *arrays, target, CUTOFF, price, sweeps, seconds, max_bytes)
+    return native.rd_refine(parameters, *arrays, target, CUTOFF, price, sweeps, seconds, max_bytes, visibility)
 
 
 def error(parameters: native.RdParameters, payload: bytes, target: Target) -> float:

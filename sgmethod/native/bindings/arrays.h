@@ -3,10 +3,12 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/optional.h>
 
 #include <climits>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -22,6 +24,7 @@ using Image = nb::ndarray<const float, nb::shape<3, -1, -1>, nb::c_contig, nb::d
 using ImageOut = nb::ndarray<float, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using Target = nb::ndarray<const int16_t, nb::shape<3, -1, -1>, nb::c_contig, nb::device::cpu>;
 using Codes = nb::ndarray<const uint8_t, nb::shape<-1, -1, -1>, nb::c_contig, nb::device::cpu>;
+using Visibility = nb::ndarray<const int16_t, nb::shape<-1, -1>, nb::c_contig, nb::device::cpu>;
 using BytesOut = nb::ndarray<uint8_t, nb::shape<-1, -1, 3>, nb::c_contig, nb::device::cpu>;
 
 inline void require(bool condition, const char* message) {
@@ -46,6 +49,13 @@ int side(const Array& image, int axis) {
 template <typename Array>
 void require_size(const Array& image, int width, int height) {
   require(side(image, 1) == height && side(image, 2) == width, "image has another size");
+}
+
+// An image's visibility [height, width], or null for None.
+inline const int16_t* values_of(const std::optional<Visibility>& visibility, int width, int height) {
+  if (!visibility) return nullptr;
+  require(side(*visibility, 0) == height && side(*visibility, 1) == width, "the visibility has another size");
+  return visibility->data();
 }
 
 // A numpy array that owns the values.

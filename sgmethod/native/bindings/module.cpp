@@ -29,6 +29,9 @@ NB_MODULE(_native, m) {
   m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
   m.attr("MIN_SCALE") = sg::kMinScale;
   m.attr("TARGET_WHITE") = sg::kTargetWhite;
+  m.attr("VISIBLE") = sg::kVisible;
+  m.attr("SEEN_COLOR") = sg::kSeenColor;
+  m.attr("SEEN_LUMA") = std::make_tuple(sg::kSeenLuma[0], sg::kSeenLuma[1], sg::kSeenLuma[2]);
   m.attr("TILE_WIDTH") = sg::kTileWidth;
   m.attr("TILE_HEIGHT") = sg::kTileHeight;
   m.attr("TEXTURE_OCTAVES") = sg::kTextureOctaves;

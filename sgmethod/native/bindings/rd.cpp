@@ -46,10 +46,10 @@ nb::bytes encode(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows
 }
 
 nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Target target, float cutoff,
-                 double price, int sweeps, double seconds, uint64_t max_bytes) {
+                 double price, int sweeps, double seconds, uint64_t max_bytes, std::optional<Visibility> visibility) {
   const int n = gaussians(means, factors, colors);
   require_size(target, p.width, p.height);
-  const sg::RefineSettings settings{cutoff, price, sweeps, seconds, max_bytes};
+  const sg::RefineSettings settings{cutoff, price, sweeps, seconds, max_bytes, values_of(visibility, p.width, p.height)};
   return bytes_of(
       [&] { return sg::rd_refine(p, means.data(), factors.data(), colors.data(), n, target.data(), settings); });
 }
@@ -79,6 +79,6 @@ void bind_rd(nb::module_& m) {
         "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
   m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "cutoff"_a, "price"_a,
-        "sweeps"_a, "seconds"_a, "max_bytes"_a);
+        "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none());
   m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
 }

@@ -66,6 +66,49 @@ SG_INLINE double difference_body(float* values, const TileTarget& target) {
   return V::sum(sum);
 }
 
+// The same of the error as the eye sees it.
+template <int W>
+SG_INLINE double seen_difference_body(float* values, const TileTarget& target) {
+  using V = Simd<W>;
+  using F = typename V::F;
+  constexpr float kStep = 1.0f / kTargetWhite, kUnit = 1.0f / kVisible;
+  constexpr float y0 = kSeenLuma[0], y1 = kSeenLuma[1], y2 = kSeenLuma[2];
+  const TileTarget t = target;
+  F sum{};
+  int16_t part[4][kTileWidth] = {};  // of a row that the picture ends in: nothing is visible beyond
+  for (int row = 0; row < t.rows; ++row, values += 3 * kTileWidth) {
+    const int16_t* const first = t.first + row * t.stride;
+    const int16_t* in[4] = {first, first + t.plane, first + 2 * t.plane, t.visibility + row * t.stride};
+    for (int k = 0; k < 4; ++k) {
+      __builtin_prefetch(in[k] + t.ahead);
+      if (t.columns != kTileWidth) {
+        std::copy_n(in[k], t.columns, part[k]);
+        in[k] = part[k];
+      }
+    }
+    for (int i = 0; i < kTileWidth; i += W) {
+      const F e0 = V::load(values + i) - load_target<W>(in[0] + i) * kStep;
+      const F e1 = V::load(values + kTileWidth + i) - load_target<W>(in[1] + i) * kStep;
+      const F e2 = V::load(values + 2 * kTileWidth + i) - load_target<W>(in[2] + i) * kStep;
+      const F seen = load_target<W>(in[3] + i) * kUnit, own = seen * kSeenColor;
+      const F luma = e0 * y0 + e1 * y1 + e2 * y2, of_luma = seen * luma;
+      sum += own * (e0 * e0 + e1 * e1 + e2 * e2) + of_luma * luma;
+      V::store(values + i, (own * e0 + of_luma * y0) * t.scale);
+      V::store(values + kTileWidth + i, (own * e1 + of_luma * y1) * t.scale);
+      V::store(values + 2 * kTileWidth + i, (own * e2 + of_luma * y2) * t.scale);
+    }
+  }
+  std::fill(values, values + (kTileHeight - t.rows) * 3 * kTileWidth, 0.0f);
+  return V::sum(sum);
+}
+
+SG_INLINE void weigh_body(float* values, const int16_t* visibility, int64_t stride, int columns, int rows) {
+  constexpr float kUnit = 1.0f / kVisible;
+  for (int row = 0; row < rows; ++row, visibility += stride)
+    for (int k = 0; k < 3; ++k, values += kTileWidth)
+      for (int column = 0; column < columns; ++column) values[column] *= static_cast<float>(visibility[column]) * kUnit;
+}
+
 // Inside the ellipse the weight's derivative by sigma is -e. With g = (dL/dweight) e there, dL/dsigma = -g, and all
 // gradients of the geometry follow from five moments: the sums of g z1, g z2, g z1^2, g z1 z2 and g z2^2.
 //
@@ -135,12 +178,17 @@ SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch&
 }
 
 template <int W>
+SG_INLINE double any_difference_body(float* values, const TileTarget& target) {
+  return target.visibility == nullptr ? difference_body<W>(values, target) : seen_difference_body<W>(values, target);
+}
+
+template <int W>
 SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const float* colors, const TileTarget& target,
                                     float* first, float* values, float* pair_gradients) {
   first_values<W>(raster, tile, raster.tile_begin(tile), raster.tile_end(tile), first);
   const Batch all{raster.tile_begin(tile), raster.tile_end(tile), first};
   forward_body<W>(raster, all, colors, values);
-  const double error = difference_body<W>(values, target);
+  const double error = any_difference_body<W>(values, target);
   backward_body<W>(raster, tile, all, colors, values, pair_gradients);
   return error;
 }
@@ -173,7 +221,8 @@ SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* as
   for (int w = 0; w < kOverRows; ++w) reduced_row(kReducedRows - kOverRows + w, aside + w * 3 * stride);
 }
 
-// Calls visit(weights, pointer to the picture's values) for each row and vector of lanes that one Gaussian touches.
+// Calls visit(weights, pointer to the picture's values, the pixel's place among those of all strips) for each row and vector
+// of lanes that one Gaussian touches.
 template <int W, typename Visit>
 SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
                            const Visit& visit) {
@@ -188,7 +237,8 @@ SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, i
         Column<W> c = column<W>({&f, static_cast<float>(x0 + lane), static_cast<float>(row)});
         float* values = picture.row(span->strip, row) + lane;
         for (; row < end; ++row, values += 3 * kTileWidth) {
-          visit(V::max0(c.e - floor) * inside, values);
+          const int64_t at = (static_cast<int64_t>(span->strip) * picture.height + row) * kTileWidth + lane;
+          visit(V::max0(c.e - floor) * inside, values, at);
           c.e *= c.ratio;
           c.ratio *= f.decay;
         }
@@ -222,7 +272,7 @@ SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int 
                         const Strips& picture) {
   using V = Simd<W>;
   const float c0 = color[0], c1 = color[1], c2 = color[2];
-  for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {
+  for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values, int64_t) SG_INLINE_LAMBDA {
     V::store(values, V::load(values) + weight * c0);
     V::store(values + kTileWidth, V::load(values + kTileWidth) + weight * c1);
     V::store(values + 2 * kTileWidth, V::load(values + 2 * kTileWidth) + weight * c2);
@@ -231,15 +281,22 @@ SG_INLINE void add_body(const Footprint& f, float floor, const Span* spans, int 
 
 template <int W>
 SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
-                            float* products) {
+                            const float* visibility, float* products) {
   using V = Simd<W>;
   typename V::F p0{}, p1{}, p2{}, square{};
-  for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values) SG_INLINE_LAMBDA {
-    p0 += weight * V::load(values);
-    p1 += weight * V::load(values + kTileWidth);
-    p2 += weight * V::load(values + 2 * kTileWidth);
-    square += weight * weight;
-  });
+  const auto add = [&](typename V::F weight, typename V::F seen, float* values) SG_INLINE_LAMBDA {
+    p0 += seen * V::load(values);
+    p1 += seen * V::load(values + kTileWidth);
+    p2 += seen * V::load(values + 2 * kTileWidth);
+    square += seen * weight;
+  };
+  if (visibility == nullptr)
+    for_weights<W>(f, floor, spans, count, picture,
+                   [&](typename V::F weight, float* values, int64_t) SG_INLINE_LAMBDA { add(weight, weight, values); });
+  else
+    for_weights<W>(f, floor, spans, count, picture, [&](typename V::F weight, float* values, int64_t at) SG_INLINE_LAMBDA {
+      add(weight, weight * V::load(visibility + at), values);
+    });
   products[0] = V::sum(p0);
   products[1] = V::sum(p1);
   products[2] = V::sum(p2);
@@ -252,7 +309,7 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
     return squared_error_body<width>(r, tile, colors, target, first, values, pair_gradients);                        \
   }                                                                                                                  \
   attribute double difference_##name(float* values, const TileTarget& target) {                                      \
-    return difference_body<width>(values, target);                                                                   \
+    return any_difference_body<width>(values, target);                                                               \
   }                                                                                                                  \
   attribute void backward_##name(const Rasterization& r, int tile, const float* colors, const float* gradient,       \
                                  float* pair_gradients) {                                                            \
@@ -260,6 +317,9 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
       backward_body<width>(r, tile, batch, colors, gradient, pair_gradients);                                        \
       pair_gradients += (batch.end - batch.begin) * kPairGradients;                                                  \
     });                                                                                                              \
+  }                                                                                                                  \
+  attribute void weigh_##name(float* values, const int16_t* visibility, int64_t stride, int columns, int rows) {     \
+    weigh_body(values, visibility, stride, columns, rows);                                                           \
   }                                                                                                                  \
   attribute void reduce_##name(const float* gradient, int rows, float* to, float* aside, int64_t stride) {           \
     reduce_body(gradient, rows, to, aside, stride);                                                                  \
@@ -273,10 +333,10 @@ SG_INLINE void project_body(const Footprint& f, float floor, const Span* spans, 
     add_body<width>(f, floor, spans, count, color, picture);                                                         \
   }                                                                                                                  \
   attribute void project_##name(const Footprint& f, float floor, const Span* spans, int count,                       \
-                                const Strips& picture, float* products) {                                            \
-    project_body<width>(f, floor, spans, count, picture, products);                                                  \
+                                const Strips& picture, const float* visibility, float* products) {                   \
+    project_body<width>(f, floor, spans, count, picture, visibility, products);                                      \
   }                                                                                                                  \
-  constexpr FitKernels k_##name = {squared_error_##name, difference_##name, backward_##name, reduce_##name,        \
+  constexpr FitKernels k_##name = {squared_error_##name, difference_##name, weigh_##name, backward_##name, reduce_##name, \
                                    weights_##name,       add_##name,        project_##name};
 
 SG_FIT_KERNELS(baseline, 4, )

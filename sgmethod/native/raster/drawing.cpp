@@ -281,7 +281,7 @@ void Rasterization::backward(const float* colors, const float* image_grad, const
   gradients(colors, fill, out);
 }
 
-void Rasterization::gram(const float* colors, float* out_colors) const {
+void Rasterization::gram(const float* colors, float* out_colors, const int16_t* visibility) const {
   std::vector<float> means(2 * static_cast<size_t>(n_)), factors(3 * static_cast<size_t>(n_));  // not needed
   Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, 1, coarse);
@@ -290,6 +290,7 @@ void Rasterization::gram(const float* colors, float* out_colors) const {
     const Area a = area(tile);  // what lies beyond it is no part of the picture
     for (int row = 0; row < kTileHeight * 3; ++row)
       std::fill(picture + row * kTileWidth + (row < a.rows * 3 ? a.columns : 0), picture + (row + 1) * kTileWidth, 0.0f);
+    if (visibility != nullptr) weigh(visibility, tile, picture);
     fit_kernels(isa_).backward(*this, tile, colors, picture, pair_gradients);
   };
   gradients(colors, fill, {means.data(), factors.data(), out_colors});
@@ -297,29 +298,40 @@ void Rasterization::gram(const float* colors, float* out_colors) const {
 
 int64_t Rasterization::samples() const { return 3 * static_cast<int64_t>(width()) * height(); }
 
-TileTarget Rasterization::part(const int16_t* target, int tile, int64_t ahead, float scale) const {
+TileTarget Rasterization::part(const int16_t* target, int tile, int64_t ahead, float scale, const int16_t* visibility) const {
   const Area a = area(tile);
-  return {target + static_cast<int64_t>(a.y) * width() + a.x, samples() / 3, width(), ahead, a.columns, a.rows, scale};
+  const int64_t first = static_cast<int64_t>(a.y) * width() + a.x;
+  const int16_t* seen = visibility == nullptr ? nullptr : visibility + first;
+  return {target + first, samples() / 3, width(), ahead, a.columns, a.rows, scale, seen};
+}
+
+// values of a tile of the picture times the visibility of their pixels.
+void Rasterization::weigh(const int16_t* visibility, int tile, float* values) const {
+  const Area a = area(tile);
+  fit_kernels(isa_).weigh(values, visibility + static_cast<int64_t>(a.y) * width() + a.x, width(), a.columns, a.rows);
 }
 
 double Rasterization::mean(const std::vector<double>& errors) const {
   return std::accumulate(errors.begin(), errors.end(), 0.0) / static_cast<double>(samples());
 }
 
-void Rasterization::leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const {
+void Rasterization::leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced,
+                          const int16_t* visibility) const {
   Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, 1, coarse);
   const auto each = [&](int tile, float* values) {
     if (tile >= tiles(0)) return;
     draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
-    fit_kernels(isa_).difference(values, part(target, tile, 0, -1.0f));
+    fit_kernels(isa_).difference(values, part(target, tile, 0, -1.0f, nullptr));
     const Area a = area(tile);
     std::memcpy(left.row(a.x / kTileWidth, a.y), values, static_cast<size_t>(a.rows) * 3 * kTileWidth * sizeof(float));
+    if (visibility != nullptr) weigh(visibility, tile, values);
   };
   reduce_all(each, reduced);
 }
 
-double Rasterization::squared_error(const float* colors, const int16_t* target, const Gradients& out) const {
+double Rasterization::squared_error(const float* colors, const int16_t* target, const Gradients& out,
+                                    const int16_t* visibility) const {
   if (canvas_.x != 0 || canvas_.y != 0) refuse<std::invalid_argument>("a fit is of the whole picture");
   const float scale = 2.0f / static_cast<float>(samples());
   Planes coarse(grids_, Planes::Rows::kWhole);
@@ -331,7 +343,7 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
   const auto fill = [&](int tile, float* gradient, float* pair_gradients) {
     const std::unique_ptr<float[]> first(new float[first_value_count(*this, tile)]);  // all written by the kernel
     begin_tile({0, rows_of(tile)}, below(coarse, tile), kBlack, gradient);
-    const TileTarget here = part(target, tile, ahead, scale);
+    const TileTarget here = part(target, tile, ahead, scale, visibility);
     errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, here, first.get(), gradient, pair_gradients);
   };
   gradients(colors, fill, out);
@@ -345,7 +357,7 @@ double Rasterization::squared_error(const float* colors, const int16_t* target) 
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float values[kTileFloats];
     draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
-    errors[tile] = fit_kernels(isa_).difference(values, part(target, tile, 0, 0.0f));
+    errors[tile] = fit_kernels(isa_).difference(values, part(target, tile, 0, 0.0f, nullptr));
   });
   return mean(errors);
 }

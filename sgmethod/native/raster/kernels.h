@@ -27,6 +27,7 @@ struct TileTarget {
   int64_t ahead;          // values from a value to the one that is fetched from memory meanwhile, for later
   int columns, rows;      // within the picture
   float scale;            // of the gradient
+  const int16_t* visibility = nullptr;  // of the tile's first pixel, its rows as far apart as the target's
 };
 
 struct TileKernels {
@@ -50,8 +51,11 @@ struct FitKernels {
   // tile's Gaussians comes in, the gradient by the tile's picture leaves.
   double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* first,
                           float* values, float* pair_gradients);
-  // values = (values less the target) times its scale, and 0 beyond the picture. Returns the squared error.
+  // values = (values less the target) times its scale, and 0 beyond the picture. Returns the squared error. Where the target
+  // has a visibility, the error counts as the eye sees it (core/constants.h), and values become half of its gradient.
   double (*difference)(float* values, const TileTarget&);
+  // values times the visibility of their pixels, whose rows are `stride` apart.
+  void (*weigh)(float* values, const int16_t* visibility, int64_t stride, int columns, int rows);
   // pair_gradients from the gradient by the tile's picture, which is laid out as accumulators are.
   void (*backward)(const Rasterization&, int tile, const float* colors, const float* tile_gradient, float* pair_gradients);
   // Adds what a gradient by the tile's picture comes to on the next level: kReducedRows, of kTileWidth / 2 + 2 samples (what
@@ -62,8 +66,10 @@ struct FitKernels {
   void (*weights)(const Footprint&, float floor, const Span* spans, int count, int first_row, int64_t stride, float* patch);
   // picture += color [3] times the weights of one Gaussian.
   void (*add)(const Footprint&, float floor, const Span* spans, int count, const float* color, const Strips& picture);
-  // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight.
-  void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture, float* products);
+  // products [4]: sums over the picture of its red, green and blue times the weight, and of the squared weight; all of them
+  // times the visibility of the pixels [strips][height][kTileWidth], unless that is null.
+  void (*project)(const Footprint&, float floor, const Span* spans, int count, const Strips& picture,
+                  const float* visibility, float* products);
 };
 
 // Floats of the first rows of all column segments of a tile. squared_error needs them twice, and so at once.

@@ -60,15 +60,20 @@ class Rasterization {
   // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
   void backward(const float* colors, const float* image_grad, const Gradients& out) const;
   // What A^T A makes of colours, with A the weights of the Gaussians: each one's product with the picture that all draw.
-  void gram(const float* colors, float* out_colors) const;
+  // visibility: as below, of the picture's pixels; colours count alike.
+  void gram(const float* colors, float* out_colors, const int16_t* visibility = nullptr) const;
   // The mean squared error against target [3, height, width], in which white is kTargetWhite, and its gradients: render, loss and backward at once, so
   // that no picture goes through memory.
-  double squared_error(const float* colors, const int16_t* target, const Gradients& out) const;
-  // The same without gradients.
+  // visibility [height, width]: then errors count as the eye sees them (constants.h).
+  double squared_error(const float* colors, const int16_t* target, const Gradients& out,
+                       const int16_t* visibility = nullptr) const;
+  // The mean squared error alone.
   double squared_error(const float* colors, const int16_t* target) const;
 
   // left = target [3, height, width] less the picture; reduced: what that comes to on the coarse levels of grids().
-  void leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced) const;
+  // With a visibility, what is reduced is times that.
+  void leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced,
+             const int16_t* visibility = nullptr) const;
 
   int gaussians() const { return n_; }
   int width() const { return canvas_.width; }
@@ -136,7 +141,8 @@ class Rasterization {
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
   int64_t samples() const;  // of the picture, in all channels
-  TileTarget part(const int16_t* target, int tile, int64_t ahead, float scale) const;
+  TileTarget part(const int16_t* target, int tile, int64_t ahead, float scale, const int16_t* visibility) const;
+  void weigh(const int16_t* visibility, int tile, float* values) const;
   double mean(const std::vector<double>& errors) const;
   void load(Planes& planes, int tile, float* values) const;
   template <typename Each>

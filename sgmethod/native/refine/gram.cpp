@@ -1,6 +1,7 @@
 #include "refine/gram.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "core/isa.h"
 #include "core/platform.h"
@@ -90,7 +91,40 @@ std::vector<Gram::Band> Gram::bands(const std::vector<int>& sizes) {
   return all;
 }
 
-Gram::Gram(const std::vector<Grid>& grids) {
+// A sample of level l is as wide as two of level l - 1. Those beyond the picture are as visible as the nearest within.
+void Gram::set_roots(const std::vector<Grid>& grids, const int16_t* visibility) {
+  std::vector<float> finer;  // of the level before
+  roots_.resize(grids.size());
+  for (size_t level = 1; level < grids.size(); ++level) {
+    const Grid &grid = grids[level], &below = grids[level - 1];
+    std::vector<float> here(static_cast<size_t>(grid.width) * grid.height);
+    const int border = level == 1 ? 2 * kBorder : kBorder;
+    const auto mean = [&](int x, int y) {
+      float sum = 0;
+      for (int k = 0; k < 4; ++k) {
+        const int column = std::clamp(2 * x - border + k % 2, 0, below.width - 1);
+        const int row = std::clamp(2 * y - border + k / 2, 0, below.height - 1);
+        const size_t at = static_cast<size_t>(row) * below.width + column;
+        sum += level == 1 ? static_cast<float>(visibility[at]) / kVisible : finer[at];
+      }
+      return 0.25f * sum;
+    };
+    for (int y = 0; y < grid.height; ++y)
+      for (int x = 0; x < grid.width; ++x) here[static_cast<size_t>(y) * grid.width + x] = mean(x, y);
+    Roots& roots = roots_[level];
+    roots.stride = grid.width + 2 * kPad;
+    roots.rows = grid.height;
+    roots.values.resize(static_cast<size_t>(roots.stride) * roots.rows);
+    for (int y = 0; y < grid.height; ++y)
+      for (int x = 0; x < roots.stride; ++x)
+        roots.values[static_cast<size_t>(y) * roots.stride + x] =
+            std::sqrt(here[static_cast<size_t>(y) * grid.width + std::clamp(x - kPad, 0, grid.width - 1)]);
+    finer = std::move(here);
+  }
+}
+
+Gram::Gram(const std::vector<Grid>& grids, const int16_t* visibility) {
+  if (visibility != nullptr) set_roots(grids, visibility);
   std::vector<int> widths, heights;
   for (const Grid& grid : grids) {
     widths.push_back(grid.width);
@@ -109,6 +143,12 @@ void Gram::apply(int level, Patch& patch) const {
   const auto half = [&](int row) { return patch.half_.data() + static_cast<size_t>(row) * columns; };
   for (int row = kRows; row < patch.rows_ - kRows; ++row) {
     const float* in = patch.weights(row);
+    if (!roots_.empty()) {
+      const float* root = roots_[static_cast<size_t>(level)].row(patch.x_, patch.y_ + row);
+      patch.seen_.resize(static_cast<size_t>(columns));
+      for (int i = 0; i < columns; ++i) patch.seen_[i] = in[i] * root[i];
+      in = patch.seen_.data();
+    }
     const float* const moved[] = {in, in + 1, in + 2, in + 3, in + 4};
     const int x = patch.x_ + 2;
     const float* const taps[] = {across.at(0, x), across.at(1, x), across.at(2, x), across.at(3, x), across.at(4, x)};
@@ -122,7 +162,11 @@ void Gram::apply(int level, Patch& patch) const {
     };
     const float* const rows[] = {near(0), near(1), near(2), near(3), near(4)};
     const float taps[] = {tap(0), tap(1), tap(2), tap(3), tap(4)};
-    weighted_sum(rows, taps, patch.product_.data() + static_cast<size_t>(row) * columns, columns);
+    float* product = patch.product_.data() + static_cast<size_t>(row) * columns;
+    weighted_sum(rows, taps, product, columns);
+    if (roots_.empty()) continue;
+    const float* root = roots_[static_cast<size_t>(level)].row(patch.x_, patch.y_ + row);
+    for (int i = 0; i < columns; ++i) product[i] *= root[i];
   }
 }
 

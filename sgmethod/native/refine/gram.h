@@ -2,8 +2,12 @@
 // the picture U w, with U all enlarging down to the pixels. The energy of its picture is w U^T U w, and what it adds to the
 // reduced residual of its own level is U^T U w. Along an axis U^T U is a band of five: two samples further away, two samples'
 // pictures no longer overlap. Pixels outside the picture do not count.
+//
+// With the pixels' visibility V it is U^T V U, which is taken for R U^T U R, R being the root of V's mean over each sample:
+// visibility changes little from one to the next.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "raster/kernels.h"
@@ -32,12 +36,13 @@ class Patch {
   friend class Gram;
   int x_ = 0, y_ = 0, rows_ = 0, columns_ = 0;
   int begin_ = 0, end_ = 0;  // columns that the product reaches: two beyond the weights. Others may be another task's.
-  std::vector<float> weights_, half_, product_;
+  std::vector<float> weights_, seen_, half_, product_;
 };
 
 class Gram {
  public:
-  explicit Gram(const std::vector<Grid>& grids);
+  // visibility: of the pixels (core/constants.h), or null.
+  Gram(const std::vector<Grid>& grids, const int16_t* visibility);
 
   // Sets the patch's product with U^T U of a level.
   void apply(int level, Patch& patch) const;
@@ -57,7 +62,17 @@ class Gram {
     std::vector<float> values;
   };
   static std::vector<Band> bands(const std::vector<int>& sizes);
+  // Of a level; row() gives those from x on, which may lie as far beyond the picture as a patch does.
+  struct Roots {
+    int stride = 0, rows = 0;
+    std::vector<float> values;
+    const float* row(int x, int y) const {
+      return values.data() + static_cast<size_t>(std::clamp(y, 0, rows - 1)) * stride + x + kPad;
+    }
+  };
+  void set_roots(const std::vector<Grid>& grids, const int16_t* visibility);
   std::vector<Band> across_, down_;  // by level
+  std::vector<Roots> roots_;         // by level; none without a visibility
 };
 
 }  // namespace sg

@@ -37,12 +37,19 @@ using Clock = std::chrono::steady_clock;
 class Refinement {
  public:
   Refinement(const RdParameters& p, std::vector<Symbols> all, const int16_t* target, const RefineSettings& settings)
-      : target_(target), gram_(grids_of(0, 0, p.width, p.height, kMaxLevel)),
-        state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr, gram_, {}},
+      : target_(target), gram_(grids_of(0, 0, p.width, p.height, kMaxLevel), settings.visibility),
+        state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr, gram_, nullptr, {}},
         all_(std::move(all)) {
     const int64_t strips = (p.width + kTileWidth - 1) / kTileWidth;
     values_.assign(strips * p.height * 3 * kTileWidth, 0.0f);
     state_.left = {values_.data(), p.width, p.height};
+    if (settings.visibility == nullptr) return;
+    visibility_.assign(strips * p.height * kTileWidth, 0.0f);
+    for (int64_t y = 0; y < p.height; ++y)
+      for (int64_t x = 0; x < p.width; ++x)
+        visibility_[(x / kTileWidth * p.height + y) * kTileWidth + x % kTileWidth] =
+            static_cast<float>(settings.visibility[y * p.width + x]) / kVisible;
+    state_.visibility = visibility_.data();
   }
 
   std::vector<uint8_t> run() {
@@ -84,7 +91,7 @@ class Refinement {
     reduced_.reset();  // before the next: they are a third of a picture
     reduced_ = std::make_unique<Planes>(raster.grids());
     state_.reduced = reduced_.get();
-    raster.leave(g.colors.data(), target_, state_.left, *reduced_);
+    raster.leave(g.colors.data(), target_, state_.left, *reduced_, state_.settings.visibility);
   }
 
   // Visits all Gaussians once, level by level from the top, and returns how many have changed. A level's changes reach
@@ -180,7 +187,9 @@ class Refinement {
         float products[4];
         visitor.project(c, products);
         double loss = 0;  // without the Gaussian, what is left of the target grows by it
-        for (int k = 0; k < 3; ++k) loss += c.color[k] * (static_cast<double>(c.color[k]) * products[3] + 2.0 * products[k]);
+        float seen[3] = {c.color[0], c.color[1], c.color[2]};
+        if (state_.visibility != nullptr) as_seen(seen);
+        for (int k = 0; k < 3; ++k) loss += seen[k] * (static_cast<double>(c.color[k]) * products[3] + 2.0 * products[k]);
         sizes[i] = state_.bits(c.symbols);
         order[i] = {loss / sizes[i], static_cast<size_t>(i)};
       }
@@ -199,6 +208,7 @@ class Refinement {
   State state_;
   std::vector<Symbols> all_;
   std::vector<float> values_;  // of state_.left
+  std::vector<float> visibility_;  // of state_.visibility
   std::unique_ptr<Planes> reduced_;
   std::vector<int> levels_;  // of all_, when last looked at
   Clock::time_point until_;

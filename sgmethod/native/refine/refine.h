@@ -14,6 +14,7 @@ struct RefineSettings {
   int sweeps;        // over all Gaussians, at most
   double seconds;    // after which no further sweep begins, and one under way ends soon
   uint64_t max_bytes;  // of the payload; Gaussians that gain least for their bits go until it fits
+  const int16_t* visibility = nullptr;  // [height, width]: errors then count as the eye sees them (core/constants.h)
 };
 
 // The payload of the Gaussians, rounded, with integers changed one Gaussian at a time wherever that lowers squared error

@@ -55,6 +55,7 @@ struct State {
   Strips left;  // what all Gaussians leave of the target
   Planes* reduced;  // and what that comes to on coarse levels
   const Gram& gram;
+  const float* visibility;  // of each pixel, laid out as one colour of `left` is; or null
   Models models;
 
   Candidate decoded(const Symbols& s) const {
@@ -161,7 +162,8 @@ class Visitor {
     }
     const Footprint f = footprint(c.mean, c.factor);
     const std::vector<Span>& spans = spans_of(f, c.factor, 0);
-    fit_kernels(best_isa()).project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left, products);
+    fit_kernels(best_isa()).project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left,
+                                    state_.visibility, products);
   }
 
  private:
@@ -191,7 +193,9 @@ class Visitor {
 
   double cost(const Candidate& c, const float* products) {
     double error = 0;
-    for (int k = 0; k < 3; ++k) error += c.color[k] * (static_cast<double>(c.color[k]) * products[3] - 2.0 * products[k]);
+    float seen[3] = {c.color[0], c.color[1], c.color[2]};
+    if (state_.visibility != nullptr) as_seen(seen);
+    for (int k = 0; k < 3; ++k) error += seen[k] * (static_cast<double>(c.color[k]) * products[3] - 2.0 * products[k]);
     return error + state_.settings.price * state_.bits(c.symbols);
   }
 

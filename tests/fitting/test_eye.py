@@ -1,0 +1,171 @@
+"""The error as the eye sees it: one definition, and everything that keeps to it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from sgmethod import Encoded, decode, encode
+from sgmethod.fitting import eye
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.picture import Picture, target_of
+from sgmethod.native import native
+from sgmethod.scene import FloatArray
+from tests.native.test_refine import SIZE, picture, refined, scene, wide_scene
+
+CUTOFF = native.CUTOFF_V3
+
+
+def visibility(width: int, height: int, seed: int = 0) -> eye.Visibility:
+    """That changes little from one pixel to the next, by a factor of four in all."""
+    y, x = np.mgrid[:height, :width]
+    levels = native.VISIBLE * 2.0 ** np.sin(x / 17 + y / 23 + seed)
+    return np.asarray(np.round(levels), np.int16)
+
+
+def seen(planes: FloatArray, visible: eye.Visibility) -> float:
+    """The definition: of an error [3, H, W], summed."""
+    luma = np.tensordot(np.array(native.SEEN_LUMA), planes, 1)
+    return float(((native.SEEN_COLOR * np.square(planes).sum(0) + luma**2) * visible / native.VISIBLE).sum())
+
+
+def some(n: int, size: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    rng = np.random.default_rng(3)
+    means = (rng.uniform(-0.2, 1.2, (n, 2)) * size).astype(np.float32)
+    return means, np.exp(rng.normal(1, 0.9, (n, 3))).astype(np.float32), rng.normal(0, 0.3, (n, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 64), (17, 65), (100, 140)])
+@pytest.mark.parametrize("pyramid", [False, True])
+def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: bool) -> None:
+    means, factors, colors = some(30, size)
+    target = np.random.default_rng(4).integers(-native.TARGET_WHITE, native.TARGET_WHITE, (3, *size[::-1]), np.int16)
+    visible = visibility(*size)
+    found, wanted = (tuple(np.empty_like(a) for a in (means, factors, colors)) for _ in range(2))
+    drawn = np.empty(target.shape, np.float32)
+    for isa in range(native.best_isa() + 1):
+        raster = native.Rasterization(means, factors, *size, CUTOFF, isa=isa, pyramid=pyramid)
+        raster.render(colors, drawn)
+        difference = drawn - target / np.float32(native.TARGET_WHITE)
+        by_picture = np.tensordot(eye.COLOR, difference, 1) * visible / native.VISIBLE * 2 / difference.size
+        raster.backward(colors, by_picture.astype(np.float32), *wanted)
+        error = raster.squared_error(colors, target, *found, visible)
+        assert error == pytest.approx(seen(difference, visible) / difference.size, rel=1e-5)
+        for a, b in zip(found, wanted, strict=True):
+            assert np.allclose(a, b, rtol=1e-4, atol=1e-6)
+        product, by_gram = np.empty_like(colors), np.empty_like(colors)
+        raster.gram(colors, by_gram, visible)
+        raster.backward(colors, (drawn * visible / native.VISIBLE).astype(np.float32), *wanted[:2], product)
+        assert np.allclose(by_gram, product, rtol=1e-4, atol=1e-5)
+    with pytest.raises(ValueError, match="visibility"):
+        raster.squared_error(colors, target, *found, visible[:, :0])
+
+
+def test_gradients_are_those_of_finite_differences() -> None:
+    """Seen: within 2 % of the largest of each kind."""
+    rng = np.random.default_rng(5)
+    pixels = rng.integers(0, 256, (40, 56, 3), np.uint8)
+    fitted = Picture(target_of(pixels), 0.0, CUTOFF, pyramid=True, visibility=visibility(56, 40))
+    means, factors, colors = (torch.from_numpy(a) for a in some(6, (56, 40)))
+    p = Parameters(means, factors.clamp(2, 12), colors)
+    _, gradients = fitted.gradients(p)
+    for values, by in zip(p.tensors(), gradients.tensors(), strict=True):
+        for index in np.ndindex(*values.shape):
+            step, before = 1e-2, float(values[index])
+            errors = []
+            for sign in (1, -1):
+                values[index] = before + sign * step
+                errors.append(fitted.gradients(p)[0])
+            values[index] = before
+            assert (errors[0] - errors[1]) / (2 * step) == pytest.approx(
+                float(by[index]), abs=0.06 * float(by.abs().max())
+            )
+
+
+def test_squares_of_amplitudes_are_what_is_seen() -> None:
+    planes = np.random.default_rng(6).normal(0, 1, (3, 20, 30)).astype(np.float32)
+    visible = visibility(30, 20)
+    assert np.square(eye.amplitudes(visible, planes)).sum() == pytest.approx(seen(planes, visible), rel=1e-5)
+    a, b = np.random.default_rng(7).integers(0, 256, (2, 20, 30, 3), np.uint8)
+    difference = (a.astype(np.float32) - b).transpose(2, 0, 1)
+    assert eye.error(visible, a, b) == pytest.approx(seen(difference, visible), rel=1e-5)
+    grey = np.full((3, 20, 30), 0.5, np.float32)  # counts as its square does
+    assert seen(grey, np.full_like(visible, native.VISIBLE)) == pytest.approx(float(np.square(grey).sum()), rel=0.01)
+
+
+def test_detail_hides_errors() -> None:
+    pixels = np.full((96, 128, 3), 128, np.uint8)
+    pixels[:, 64:] = np.random.default_rng(8).integers(0, 256, (12, 8, 3), np.uint8).repeat(8, 0).repeat(8, 1)
+    visible = eye.visibility_of(pixels)
+    assert visible.shape == (96, 128)
+    assert visible[:, :40].min() > 2 * visible[:, 80:].max()
+    assert (eye.visibility_of(pixels[:1, :1]) == native.VISIBLE).all()
+    assert eye.halved(visible[:95, :127]).shape == (48, 64)
+
+
+@pytest.mark.parametrize("make", [scene, wide_scene])
+@pytest.mark.parametrize("seed", range(3))
+def test_each_sweep_of_refining_lowers_what_is_seen(seed: int, make) -> None:  # type: ignore[no-untyped-def]
+    values, target = make(seed)
+    parameters, visible = native.RdParameters(*SIZE, 0.4), visibility(*SIZE, seed)
+    errors = []
+    for sweeps in (0, 1, 6):
+        payload = refined(parameters, values, target, sweeps=sweeps, visibility=visible)
+        left = picture(_decoded(parameters, payload)) - target / np.float32(native.TARGET_WHITE)
+        errors.append(seen(left, visible))
+    assert errors[2] < errors[1] < errors[0]
+    plain = refined(parameters, values, target, sweeps=6)
+    left = picture(_decoded(parameters, plain)) - target / np.float32(native.TARGET_WHITE)
+    assert errors[2] < seen(left, visible)
+
+
+def _decoded(parameters: native.RdParameters, payload: bytes):  # type: ignore[no-untyped-def]
+    from sgmethod.scene import Gaussians
+
+    return Gaussians(*native.rd_decode(parameters, payload))
+
+
+def _photograph() -> FloatArray:
+    from skimage import data
+
+    return np.ascontiguousarray(data.astronaut()[40:200, 140:300])
+
+
+@pytest.fixture(scope="module")
+def both() -> dict[str, Encoded]:
+    return {tune: encode(_photograph(), bpp=0.4, tune=tune) for tune in ("psnr", "visual")}
+
+
+def test_visual_tuning_lowers_what_is_seen_within_the_same_bytes(both: dict[str, Encoded]) -> None:
+    pixels = _photograph()
+    visible = eye.visibility_of(pixels)
+    errors = {tune: eye.error(visible, decode(e.data, texture=False), pixels) for tune, e in both.items()}
+    assert errors["visual"] < 0.97 * errors["psnr"]
+    assert all(e.stats.bpp <= 0.4 for e in both.values())
+    assert both["visual"].stats.psnr < both["psnr"].stats.psnr
+    assert both["visual"].trace[-1].psnr == pytest.approx(both["visual"].stats.psnr, abs=1e-3)
+    assert encode(pixels, bpp=0.4, tune="visual").data == both["visual"].data
+
+
+@pytest.mark.parametrize("budget", [{"bytes": 700}, {"quality": 40}, {"gaussians": 60}])
+def test_other_budgets(budget: dict[str, float]) -> None:
+    stats = encode(_photograph()[:96, :96], tune="visual", **budget).stats  # type: ignore[arg-type]
+    assert stats.bytes <= budget.get("bytes", math.inf)
+    assert stats.gaussians <= budget.get("gaussians", math.inf)
+    assert stats.psnr > 18
+
+
+def test_odd_pictures() -> None:
+    grey = _photograph()[:64, :80, 1]
+    decoded = decode(encode(grey, bpp=1, tune="visual").data)
+    assert (decoded == decoded[:, :, :1]).all()
+    flat = np.full((50, 70, 3), (10, 200, 90), np.uint8)
+    assert (decode(encode(flat, bpp=1, tune="visual").data) == flat).all()
+    for shape in ((1, 1, 3), (1, 9, 3), (5, 2, 3), (3, 40, 3)):
+        pixels = np.random.default_rng(9).integers(0, 256, shape, np.uint8)
+        encoded = encode(pixels, bytes=200, tune="visual")
+        assert encoded.stats.bytes <= 200
+        assert decode(encoded.data).shape == shape
