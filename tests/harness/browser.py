@@ -13,7 +13,14 @@ import httpx
 HINT = "Chromium is not installed, so the page was not tested: sudo apt install chromium chromium-driver"
 REQUIRED = "SGMETHOD_TEST_BROWSER"  # set to "required", a missing browser fails the tests
 ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the protocol's name for a reference to one
-OPTIONS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1000,1000")
+OPTIONS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--enable-unsafe-swiftshader",  # WebGL without a graphics processor
+    "--disable-dev-shm-usage",
+    "--window-size=1000,1000",
+)
 
 
 def find_driver() -> str | None:
@@ -72,6 +79,11 @@ class Browser:
     def run(self, script: str) -> Any:
         """What a script returns."""
         return self._ask("POST", "execute/sync", script=script, args=[])
+
+    def prefer(self, scheme: str) -> None:
+        """Dark or light, as a person's system asks for it."""
+        features = [{"name": "prefers-color-scheme", "value": scheme}]
+        self._ask("POST", "goog/cdp/execute", cmd="Emulation.setEmulatedMedia", params={"features": features})
 
     def complaints(self) -> list[str]:
         """What the console has said since the last call: errors of scripts, policies that were broken."""

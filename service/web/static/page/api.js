@@ -1,0 +1,61 @@
+// The service's public API, and words for what it refuses.
+
+import { $ } from "./parts.js";
+
+/** What came in place of what was asked for. */
+export class Refusal extends Error {
+  constructor(status, detail) {
+    super(detail);
+    this.status = status;
+  }
+}
+
+const WORDS = {
+  413: "The picture is too large for this service.",
+  429: "The service has enough to do. Please try again in a moment.",
+  503: "The service cannot take more now. Please try again in a moment.",
+};
+
+export async function ask(path, options = {}) {
+  const key = $("key").value.trim();
+  if (key) options = { ...options, headers: { ...options.headers, Authorization: `Bearer ${key}` } };
+  const response = await fetch(path, options).catch(() => {
+    throw new Refusal(503, "The service cannot be reached.");
+  });
+  if (response.ok) return response;
+  if (response.status === 401) {
+    $("key-field").hidden = false;
+    $("key").focus();
+    throw new Refusal(401, key ? "This API key is not known here." : "This service needs an API key.");
+  }
+  const problem = await response.json().catch(() => ({})); // a proxy's answer may be anything
+  const said = problem.detail ? ` (${problem.detail})` : "";
+  const words = WORDS[response.status];
+  const detail = problem.detail ?? `The service answers ${response.status}.`;
+  throw new Refusal(response.status, words ? words + said : detail);
+}
+
+export const json = async (path, options) => (await ask(path, options)).json();
+export const bytesOf = async (path, options) => new Uint8Array(await (await ask(path, options)).arrayBuffer());
+export const hasKey = () => $("key").value.trim() !== "";
+
+export const jobPath = (id) => `/jobs/${id}`;
+
+/** A new job, within a budget; timeLimit: in seconds. */
+export function submit(file, { kind, value, tune, timeLimit }) {
+  const form = new FormData();
+  form.append("image", file);
+  form.append(kind, value);
+  if (tune !== "psnr") form.append("tune", tune);
+  if (timeLimit) form.append("time_limit_s", timeLimit);
+  return json("/encode", { method: "POST", body: form });
+}
+
+/** The picture in a file, drawn by the service. */
+export async function drawn(sg, kind, { width, prefix } = {}) {
+  const query = new URLSearchParams();
+  if (width) query.set("width", width);
+  if (prefix && prefix < 1) query.set("prefix", prefix);
+  const answer = await ask(`/decode.${kind}?${query}`, { method: "POST", body: sg });
+  return answer.blob();
+}

@@ -1,0 +1,72 @@
+// How pictures come in: picked, dropped anywhere, pasted; and within what budget they are encoded.
+
+import { remembered } from "./keeping.js";
+import { $ } from "./parts.js";
+import { expected, size, smaller } from "./words.js";
+
+const AIMS = { bytes: ["Bytes", 20000], psnr: ["dB", 32] };
+
+/** Call `given` with the files, however they come. */
+export function listen(given) {
+  $("file").addEventListener("change", () => {
+    given([...$("file").files]);
+    $("file").value = ""; // so that the same file can be picked again
+  });
+  let inside = 0; // of how many nested elements the pointer is
+  const over = (change) => {
+    inside = change === 0 ? 0 : inside + change;
+    $("over").hidden = inside <= 0;
+  };
+  const files = (event) => event.dataTransfer?.types.includes("Files");
+  addEventListener("dragenter", (event) => files(event) && over(1));
+  addEventListener("dragleave", (event) => files(event) && over(-1));
+  addEventListener("dragover", (event) => event.preventDefault());
+  addEventListener("drop", (event) => {
+    event.preventDefault();
+    over(0);
+    if (event.dataTransfer.files.length) given([...event.dataTransfer.files]);
+  });
+  addEventListener("paste", (event) => {
+    if (!event.clipboardData.files.length) return;
+    event.preventDefault();
+    given([...event.clipboardData.files]);
+  });
+}
+
+/** The slider's bits per pixel: 0.05 to 2, each step 3.8 % more. */
+export const rate = () => Number((0.05 * 40 ** ($("bpp").value / 100)).toFixed(3));
+
+export function budget() {
+  const timeLimit = Number($("time-limit").value) || null;
+  const kind = $("aim").value;
+  return { kind, value: kind === "bpp" ? rate() : Number($("aim-value").value), tune: $("tune").value, timeLimit };
+}
+
+/** Say what the slider means for a picture, or for any. */
+export function sayRate(item) {
+  const bpp = rate();
+  const words = [expected(bpp)];
+  if (item?.size && item.originalBytes) {
+    const bytes = (bpp * item.size[0] * item.size[1]) / 8;
+    $("rate").textContent = `about ${size(Math.round(bytes))}`;
+    words.unshift(smaller(item.originalBytes, bytes));
+  } else $("rate").textContent = `${size(Math.round((bpp / 8) * 1e6))} a megapixel`;
+  const sentence = words.join(", ");
+  $("rate-words").textContent = `${sentence[0].toUpperCase()}${sentence.slice(1)} (${bpp.toFixed(2)} bits per pixel)`;
+}
+
+export function rememberBudget(changed) {
+  for (const id of ["bpp", "aim", "aim-value", "tune", "time-limit"]) remembered($(id), localStorage);
+  remembered($("key"), sessionStorage);
+  $("key-field").hidden = !$("key").value;
+  const showAim = (isNew) => {
+    const aim = AIMS[$("aim").value];
+    $("aim-field").hidden = !aim;
+    if (!aim) return;
+    $("aim-name").textContent = aim[0];
+    if (isNew || !$("aim-value").value) $("aim-value").value = aim[1];
+  };
+  $("aim").addEventListener("change", () => showAim(true));
+  $("bpp").addEventListener("input", changed);
+  showAim(false);
+}

@@ -1,0 +1,48 @@
+// What a reload finds again: the originals of jobs in the browser's own database, the budget and the key.
+
+const MOST = 12;
+const NAME = "sgmethod";
+
+function opened() {
+  return new Promise((done, failed) => {
+    const request = indexedDB.open(NAME, 1);
+    request.onupgradeneeded = () => request.result.createObjectStore("originals", { keyPath: "id" });
+    request.onsuccess = () => done(request.result);
+    request.onerror = () => failed(request.error);
+  });
+}
+
+function finished(request) {
+  return new Promise((done, failed) => {
+    request.onsuccess = () => done(request.result);
+    request.onerror = () => failed(request.error);
+  });
+}
+
+/** Keep the original of a job; the oldest go. A browser that keeps nothing is no error. */
+export async function keep(id, file, name) {
+  try {
+    const store = (await opened()).transaction("originals", "readwrite").objectStore("originals");
+    await finished(store.put({ id, file, name, at: Date.now() }));
+    const all = await finished(store.getAll());
+    all.sort((one, other) => other.at - one.at);
+    for (const old of all.slice(MOST)) store.delete(old.id);
+  } catch {
+    return;
+  }
+}
+
+/** { file, name } of a job, or undefined. */
+export async function kept(id) {
+  try {
+    return await finished((await opened()).transaction("originals").objectStore("originals").get(id));
+  } catch {
+    return undefined;
+  }
+}
+
+export function remembered(input, storage) {
+  const name = `sgmethod-${input.id}`;
+  input.value = storage.getItem(name) ?? input.value;
+  input.addEventListener("input", () => storage.setItem(name, input.value));
+}

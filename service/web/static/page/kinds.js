@@ -1,0 +1,24 @@
+// What a file is, by its first bytes, before it is sent anywhere.
+
+const text = (bytes, from, to) => String.fromCharCode(...bytes.subarray(from, to));
+
+const REFUSED = [
+  [(b) => text(b, 0, 4) === "%PDF", "a PDF"],
+  [(b) => text(b, 0, 4) === "\x1aE\xdf\xa3", "a video"],
+  [(b) => text(b, 4, 8) === "ftyp" && /^(isom|mp4|qt  |M4V|iso)/.test(text(b, 8, 12)), "a video"],
+  [(b) => /^\s*<(\?xml|svg)/.test(text(b, 0, 64)), "an SVG drawing"],
+  [(b) => text(b, 0, 2) === "PK", "a ZIP archive"],
+  [(b) => text(b, 0, 12) === "\0\0\0\x0cJXL \r\n\x87\n" || text(b, 0, 2) === "\xff\x0a", "a JPEG XL"],
+  [(b) => text(b, 0, 4) === "8BPS", "a Photoshop file"],
+];
+
+/** "sg" or "image"; { refused } with a sentence for what no service takes. */
+export async function kindOf(file) {
+  const bytes = new Uint8Array(await file.slice(0, 64).arrayBuffer());
+  if (text(bytes, 0, 3) === "SGM") return { kind: "sg" };
+  for (const [matches, name] of REFUSED) {
+    if (matches(bytes)) return { refused: `${file.name} is ${name}, not a photograph. Save it as PNG or JPEG first.` };
+  }
+  if (bytes.length === 0) return { refused: `${file.name} is empty.` };
+  return { kind: "image" };
+}

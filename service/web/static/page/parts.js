@@ -1,0 +1,74 @@
+// Elements of the page by their id, and a few ways to make new ones.
+
+export const $ = (id) => document.getElementById(id);
+
+/** A new element: properties, then children, which are elements or text. */
+export function element(tag, properties = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name in made) made[name] = value;
+    else made.setAttribute(name, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+/** A new element of a drawing. */
+export function shape(tag, attributes = {}, text = "") {
+  const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  made.textContent = text;
+  return made;
+}
+
+export const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
+
+/** Calls of a worker, which starts with the first, each with a promise of its answer. */
+export class Remote {
+  #calls = new Map();
+  #next = 0;
+  #worker = null;
+
+  constructor(url) {
+    this.url = url;
+  }
+
+  #start() {
+    this.#worker = new Worker(this.url, { type: "module" });
+    this.#worker.addEventListener("message", ({ data: { call, value, error } }) => {
+      const { done, failed } = this.#calls.get(call);
+      this.#calls.delete(call);
+      if (error) failed(Object.assign(new Error(error.message), error));
+      else done(value);
+    });
+  }
+
+  ask(name, given) {
+    if (!this.#worker) this.#start();
+    return new Promise((done, failed) => {
+      const call = this.#next++;
+      this.#calls.set(call, { done, failed });
+      this.#worker.postMessage({ call, name, given });
+    });
+  }
+}
+
+/** Runs one task at a time, and of those that wait only the last. */
+export function latest(task) {
+  let [busy, waiting] = [false, null];
+  return async function run(...given) {
+    if (busy) {
+      waiting = given;
+      return;
+    }
+    busy = true;
+    try {
+      await task(...given);
+    } finally {
+      busy = false;
+      const next = waiting;
+      waiting = null;
+      if (next) run(...next);
+    }
+  };
+}

@@ -1,0 +1,33 @@
+// The pictures that come with the page: an original, its .sg file, and an AVIF of the same bytes.
+
+import { $, element } from "./parts.js";
+import { size } from "./words.js";
+
+export const SAMPLES = ["astronaut", "coffee", "cat"];
+const at = (name, suffix) => `/static/samples/${name}.${suffix}`;
+
+/** Fill an item with a sample: first the .sg file, which is the smallest. */
+export async function openSample(item, sample) {
+  const bytes = await (await fetch(at(sample, "sg"))).arrayBuffer();
+  Object.assign(item, { sample, url: at(sample, "sg"), rivalUrls: { AVIF: at(sample, "avif") } });
+  await item.setFile(new Uint8Array(bytes));
+  await item.setOriginal(await (await fetch(at(sample, "webp"))).blob());
+}
+
+/** The buttons: each picture is drawn from its .sg file, a few kilobytes. */
+export async function showSamples(opened, thumbnail) {
+  const buttons = SAMPLES.map((sample) => {
+    const canvas = element("canvas", { width: 216, height: 144 });
+    const words = element("span", {}, sample);
+    const button = element("button", { type: "button", id: `sample-${sample}` }, canvas, words);
+    button.addEventListener("click", () => opened(sample));
+    return { sample, canvas, words, button };
+  });
+  $("samples").replaceChildren(...buttons.map(({ button }) => button));
+  for (const { sample, canvas, words } of buttons) {
+    const bytes = new Uint8Array(await (await fetch(at(sample, "sg"))).arrayBuffer());
+    words.append(element("span", { className: "quiet" }, size(bytes.length)));
+    const { data, width } = await thumbnail(bytes);
+    canvas.getContext("2d").putImageData(new ImageData(data, width), 0, 0);
+  }
+}

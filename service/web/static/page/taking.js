@@ -1,0 +1,84 @@
+// Take away: the file, pictures of any size, lines to do it again, a link, and a page that shows it.
+
+import { drawn, hasKey, json } from "./api.js";
+import { $ } from "./parts.js";
+import { withoutSuffix } from "./words.js";
+
+const IN_BROWSER = { png: "image/png", jpg: "image/jpeg", webp: "image/webp" };
+const SOURCES = ["models.js", "coder.js", "file.js", "drawing.js", "decoder.js"];
+
+export function save(blob, name) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(blob);
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+}
+
+export const saveFile = (item) => save(new Blob([item.sg]), `${withoutSuffix(item.name)}.sg`);
+
+/** Save a picture of some width: drawn here where that is possible, else by the service. */
+export async function savePicture(item, kind, width, draw) {
+  const [whole] = item.size;
+  const name = width === whole ? `${withoutSuffix(item.name)}.${kind}` : `${withoutSuffix(item.name)}-${width}.${kind}`;
+  if (!item.file || !(kind in IN_BROWSER)) return save(await drawn(item.sg, kind, { width }), name);
+  const picture = await draw(item.file, { scale: width / whole });
+  const canvas = new OffscreenCanvas(picture.width, picture.height);
+  canvas.getContext("2d").putImageData(new ImageData(picture.data, picture.width), 0, 0);
+  const blob = await canvas.convertToBlob({ type: IN_BROWSER[kind], quality: 0.9 });
+  if (blob.type !== IN_BROWSER[kind]) return save(await drawn(item.sg, kind, { width }), name);
+  return save(blob, name);
+}
+
+/** Lines that make exactly this file again, or fetch it. */
+export function fillLines(item) {
+  const { origin } = location;
+  const file = `${withoutSuffix(item.name)}.sg`.replace(/[^\w.-]/g, "_");
+  const source = item.name.replace(/[^\w.-]/g, "_");
+  const key = hasKey() ? "-H 'Authorization: Bearer KEY' " : "";
+  if (item.budget) {
+    const { kind, value, tune, timeLimit } = item.budget;
+    const fields = [[kind, value]];
+    if (tune !== "psnr") fields.push(["tune", tune]);
+    if (timeLimit) fields.push(["time_limit_s", timeLimit]);
+    const form = fields.map(([name, text]) => `-F ${name}=${text}`).join(" ");
+    const named = fields.map(([name, text]) => `${name}=${name === "tune" ? `"${text}"` : text}`).join(", ");
+    $("curl").textContent = `curl ${key}-F image=@${source} ${form} '${origin}/encode?wait=60' -o ${file}`;
+    $("python").textContent = `import sgmethod\nsgmethod.encode("${source}", ${named}).save("${file}")`;
+  } else {
+    const from = item.id ? `/bitstreams/${item.id}.sg` : item.url;
+    $("curl").textContent = from
+      ? `curl ${key}${origin}${from} -o ${file}`
+      : `curl ${key}--data-binary @${file} ${origin}/decode.png -o ${withoutSuffix(file)}.png`;
+    $("python").textContent = `import sgmethod\npixels = sgmethod.decode("${file}")`;
+  }
+}
+
+/** A link to the page with this picture; with keys, one to its PNG that lasts an hour. */
+export async function linkOf(item) {
+  if (!item.id) return item.url ? `${location.origin}/#${item.sample}` : null;
+  if (!hasKey()) return `${location.origin}/#${item.id}`;
+  return location.origin + (await json(`/jobs/${item.id}/links`, { method: "POST" })).decode_url;
+}
+
+/** HTML that shows the picture from its .sg file, with the decoder in it: no other file is needed. */
+export async function snippetOf(item) {
+  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`/static/decoder/${name}`)).text()));
+  const decoder = sources
+    .join("\n")
+    .replace(/^(import|export) \{.*$/gm, "")
+    .replace(/^export /gm, "")
+    .replace(/^ *(\/\/|\/?\*).*\n/gm, "")
+    .replace(/\n\s*\n/g, "\n");
+  let binary = "";
+  for (const byte of item.sg) binary += String.fromCharCode(byte);
+  const [width, height] = item.size;
+  return `<canvas id="sg-picture" width="${width}" height="${height}" role="img" aria-label="A photograph"></canvas>
+<script type="module">
+${decoder}
+const file = Uint8Array.from(atob("${btoa(binary)}"), (letter) => letter.charCodeAt(0));
+const { data } = decode(file);
+document.getElementById("sg-picture").getContext("2d").putImageData(new ImageData(data, ${width}), 0, 0);
+</script>
+`;
+}

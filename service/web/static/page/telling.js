@@ -1,0 +1,88 @@
+// What is said of a picture: its labels, its state, its row in the list.
+
+import { $, element } from "./parts.js";
+import { drawTrace } from "./watching.js";
+import { count, decibels, size, smaller } from "./words.js";
+
+const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
+
+/** For screen readers, and not more often than something really is new. */
+function say(words) {
+  if ($("said").textContent !== words) $("said").textContent = words;
+}
+
+export function trouble(words) {
+  $("trouble").textContent = words;
+  $("trouble").hidden = !words;
+  if (words) setTimeout(() => $("trouble").textContent === words && trouble(""), 12_000);
+}
+
+function label(id, seen, name, ...words) {
+  $(id).hidden = !seen;
+  $(id).replaceChildren(element("b", {}, name), ...words.filter(Boolean).map((text) => element("span", {}, text)));
+}
+
+/** The labels on the picture; leftName: what is on the left; part: bytes of the file that are drawn, 0 for all. */
+export function showLabels(item, leftName, isLeft, part) {
+  const rival = item.rivals?.[leftName];
+  if (rival && isLeft) label("left-label", true, leftName, size(rival.bytes), decibels(rival.psnr));
+  else label("left-label", isLeft, "Original", size(item.originalBytes ?? 0));
+  const bytes = item.sg && size(item.sg.length);
+  const psnr = item.measured?.psnr ?? item.job?.result?.psnr;
+  if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
+  else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
+  const unseen = item.source && !item.original && "This browser cannot show the original.";
+  const note = item.busy || item.state === "failed" ? item.words : item.note || unseen;
+  $("note").hidden = !note;
+  $("note").textContent = note || "";
+}
+
+/** How far its job is, and how the fit went. */
+export function showWork(item) {
+  $("work").hidden = !item.busy && item.state !== "failed" && item.state !== "cancelled";
+  $("work").classList.toggle("bad", item.state === "failed");
+  $("work").querySelector("h2").textContent = TITLES[item.state] ?? "On its way";
+  $("status").textContent = item.words;
+  $("progress").hidden = !item.busy;
+  if (item.done === null) $("progress").removeAttribute("value");
+  else $("progress").value = item.done;
+  $("cancel").hidden = !item.busy;
+  if (item.busy) say(item.state === "running" ? "Encoding" : item.words);
+  else if (item.state === "done") say(`${item.name} is done: ${size(item.sg.length)}`);
+  else say(item.words);
+  drawTrace(item.trace, item.state === "done" ? (item.job?.result?.psnr ?? null) : null);
+  const isTraced = !$("chart").hasAttribute("hidden");
+  $("chart-card").hidden = !isTraced && !item.decoded;
+  $("chart-card").querySelector("h2").textContent = isTraced ? "How it went" : "In the file";
+  $("figures").textContent = item.decoded ? figuresOf(item) : "";
+}
+
+function figuresOf({ sg, file, size: [width, height], originalBytes, job }) {
+  const gaussians = file?.count ?? job?.result?.gaussians;
+  const parts = [`${width} × ${height} pixels`];
+  if (gaussians) parts.push(`${count(gaussians)} Gaussians`);
+  parts.push(`${size(sg.length)}, ${((8 * sg.length) / (width * height)).toFixed(2)} bits per pixel`);
+  if (originalBytes) parts.push(smaller(originalBytes, sg.length));
+  return `${parts.join(" · ")}.`;
+}
+
+function stateInShort({ state, sg, done }) {
+  if (state === "done") return size(sg.length);
+  if (state === "running") return `${Math.round(100 * (done ?? 0))} %`;
+  return { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled" }[state] ?? "";
+}
+
+/** One row for each picture; show and remove are called with the one that is clicked. */
+export function showRows(items, current, show, remove) {
+  $("rows-card").hidden = items.length < 2;
+  const rows = items.map((item) => {
+    const state = stateInShort(item);
+    const pick = element("button", { type: "button", className: "pick", ariaPressed: String(item === current) });
+    pick.append(element("span", { className: "name" }, item.name), element("span", { className: "quiet" }, state));
+    pick.addEventListener("click", () => show(item));
+    const close = element("button", { type: "button", ariaLabel: `Remove ${item.name} from the list` }, "×");
+    close.addEventListener("click", () => remove(item));
+    return element("li", {}, pick, close);
+  });
+  $("rows").replaceChildren(...rows);
+}

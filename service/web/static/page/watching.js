@@ -1,0 +1,80 @@
+// A job on its way: place in the queue, seconds left, and the error against time.
+
+import { $, shape } from "./parts.js";
+import { decibels, seconds, size } from "./words.js";
+
+const [WIDTH, HEIGHT] = [560, 200];
+const [LEFT, RIGHT, TOP, BOTTOM] = [46, 14, 14, 40];
+
+/** About `most` round numbers from low to high. */
+function ticks(low, high, most) {
+  const rough = (high - low) / most || 1;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough);
+  const found = [];
+  for (let at = Math.ceil(low / step) * step; at <= high + 1e-9; at += step) found.push(Number(at.toFixed(6)));
+  return found;
+}
+
+/** The trace as a drawing with axes. `end`: the PSNR of the finished file, a point of its own. */
+export function drawTrace(trace, end = null) {
+  const chart = $("chart");
+  // The last points are of the file's rounded numbers; the file itself has its own dot.
+  const points = trace.filter((point) => point.psnr !== null && point.phase !== "done");
+  chart.toggleAttribute("hidden", points.length < 2);
+  $("chart-words").hidden = points.length < 2;
+  if (points.length < 2) return;
+  const all = [...points.map((point) => point.psnr), ...(end === null ? [] : [end])];
+  const last = Math.max(trace.at(-1).seconds, 0.1);
+  const low = Math.floor(Math.min(...all));
+  const high = Math.max(Math.ceil(Math.max(...all)), low + 1);
+  const x = (s) => LEFT + ((WIDTH - LEFT - RIGHT) * s) / last;
+  const y = (psnr) => TOP + ((HEIGHT - TOP - BOTTOM) * (high - psnr)) / (high - low);
+  const parts = [];
+  for (const psnr of ticks(low, high, 4)) {
+    parts.push(shape("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: y(psnr), y2: y(psnr), class: "grid" }));
+    parts.push(shape("text", { x: LEFT - 8, y: y(psnr) + 4, "text-anchor": "end" }, psnr));
+  }
+  for (const at of ticks(0, last, 5)) {
+    parts.push(shape("text", { x: x(at), y: HEIGHT - BOTTOM + 18, "text-anchor": "middle" }, at));
+  }
+  parts.push(shape("text", { x: (LEFT + WIDTH - RIGHT) / 2, y: HEIGHT - 4, "text-anchor": "middle" }, "seconds"));
+  const middle = (TOP + HEIGHT - BOTTOM) / 2;
+  const side = { x: 12, y: middle, "text-anchor": "middle", transform: `rotate(-90 12 ${middle})` };
+  parts.push(shape("text", side, "PSNR, dB"));
+  const places = points.map((point) => `${x(point.seconds).toFixed(1)},${y(point.psnr).toFixed(1)}`);
+  parts.push(shape("polyline", { points: places.join(" ") }));
+  if (end !== null) {
+    parts.push(shape("circle", { cx: x(last), cy: y(end), r: 4 }));
+    const label = { x: x(last) - 8, y: y(end) + (y(end) > middle ? -9 : 18), "text-anchor": "end", class: "end" };
+    parts.push(shape("text", label, `the file: ${decibels(end)}`));
+  }
+  $("chart-words").textContent = wordsOf(points);
+  chart.setAttribute("aria-label", `Quality against time: ${decibels(points.at(-1).psnr)} after ${seconds(last)}`);
+  chart.replaceChildren(...parts);
+}
+
+/** Why the curve falls, if it does: what was taken beyond the budget is given back. */
+function wordsOf(points) {
+  const most = Math.max(...points.map(({ bytes }) => bytes));
+  const last = points.at(-1).bytes;
+  if (most < 1.2 * last) return "Higher is closer to the original.";
+  return (
+    `Higher is closer to the original. The fit first takes more Gaussians than it may keep, ${size(most)} of them, ` +
+    "and then gives back those that help least: that is the fall."
+  );
+}
+
+/** What a job is doing, in words, and how much of it is done, from 0 to 1; null where that is not known. */
+export function stateOf(job) {
+  if (job.state === "queued") {
+    const ahead = job.position - 1;
+    const words = ahead === 0 ? "next in the queue" : `in the queue, ${ahead} before it`;
+    return { words: `Waiting: ${words}`, done: null };
+  }
+  const last = job.trace.at(-1);
+  if (!last) return { words: "Starting the encoder", done: null };
+  const left = job.progress > 0.05 ? (last.seconds * (1 - job.progress)) / job.progress : null;
+  const rest = left === null ? "" : `, about ${seconds(left)} left`;
+  return { words: `Fitting ${last.gaussians ?? ""} Gaussians, ${decibels(last.psnr)}${rest}`, done: job.progress };
+}
