@@ -282,6 +282,8 @@ def test_the_decoder_of_the_page(page: Browser, web: Service) -> None:
     assert_same(page, COFFEE, "{ scale: 0.3 }", scale=0.3)
     assert_same(page, COFFEE, "{ scale: 3, region: [100, 50, 60, 40] }", scale=3, region=(100, 50, 60, 40))
     assert_same(page, COFFEE, "{ prefix: 0.2 }", prefix=0.2)
+    assert_same(page, golden(4)["v4-texture"], "{ scale: 0.4 }", scale=0.4)
+    assert_same(page, golden(4)["v4-texture"], "{ scale: 2, region: [5, 60, 50, 90] }", scale=2, region=(5, 60, 50, 90))
     for hostile in (OLD, COFFEE[:100], b"", COFFEE[:-1] + b"\1"):
         with pytest.raises(AssertionError, match=r"not known here|is damaged|no \.sg file"):
             decoded(page, hostile)

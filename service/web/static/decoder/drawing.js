@@ -1,6 +1,6 @@
 // Gaussians to pixels: docs/format.md, "The pyramid" and "Views".
 
-import { SgError } from "./file.js";
+import { CELL, OCTAVES, SgError } from "./file.js";
 
 const CUTOFF = 3;
 const EDGE = Math.exp(-CUTOFF);
@@ -142,6 +142,63 @@ class Plane {
   }
 }
 
+const product = Math.imul;
+
+function mix(h) {
+  h ^= h >>> 16;
+  h = product(h, 0x7feb352d);
+  h ^= h >>> 15;
+  h = product(h, 0x846ca68b);
+  return h ^ (h >>> 16);
+}
+
+/** Two neighbours of a place among so many cells, and how far it is between them. */
+function between(place, cells) {
+  const at = Math.min(max(place / CELL - 0.5, 0), cells - 1);
+  const low = Math.floor(at);
+  return [low, Math.min(low + 1, cells - 1), at - low];
+}
+
+/** Noise from a seed, as strong as an octave's codes say, on a level of a view. */
+function addTexture(plane, texture, octave, level, { x, y, sx, sy, ox, oy }, gain) {
+  const { columns, rows } = texture;
+  const strengths = Float64Array.from(texture.octaves[octave], (code) =>
+    code === 0 ? 0 : (gain * 2 ** ((code - 1) / 2)) / (2 * 148 * 255),
+  );
+  const side = 2 ** level;
+  const most = 65536 / side;
+  const seed = mix(octave + 1);
+  const across = Array.from({ length: plane.width }, (_, i) =>
+    between(((plane.left + i + 0.5) * side - ox + x * sx) / sx, columns),
+  );
+  for (let j = 0, at = 0; j < plane.height; j++) {
+    const down = ((plane.top + j + 0.5) * side - oy + y * sy) / sy;
+    const [above, below, share] = between(down, rows);
+    const row = (((plane.top + j) % most) + most) % most;
+    const rowSeed = mix(seed + (row >> 2));
+    for (let i = 0; i < plane.width; i++, at += 3) {
+      const [left, right, part] = across[i];
+      const along = (r) => strengths[r * columns + left] * (1 - part) + strengths[r * columns + right] * part;
+      const strength = along(above) * (1 - share) + along(below) * share;
+      if (strength === 0) continue;
+      const column = (((plane.left + i) % most) + most) % most;
+      const byte = (mix(column + rowSeed) >>> (8 * (row & 3))) & 255;
+      for (let c = 0; c < 3; c++) plane.samples[at + c] += (2 * byte - 255) * strength;
+    }
+  }
+}
+
+/** On which level of a view each octave is drawn, and how strongly; none where it is finer than the view. */
+function octavesOf({ sx, sy }) {
+  const n = Math.floor(Math.log2(2 * sx * sy) / 2);
+  const found = [];
+  for (let octave = 0; octave < OCTAVES; octave++) {
+    const level = octave + n;
+    if (level >= 0 && level <= TOP_LEVEL) found.push({ octave, level, gain: n < 0 && level === 0 ? 0.75 : 1 });
+  }
+  return found;
+}
+
 /** The first `count` Gaussians of a file as a picture: { width, height, data }, RGBA of 8 bits. Throws SgError. */
 export function draw(file, { scale = 1, region = null, count = file.count } = {}) {
   const view = viewOf(file, scale, region);
@@ -155,8 +212,9 @@ export function draw(file, { scale = 1, region = null, count = file.count } = {}
     place(file.values, 8 * i, placing, g);
     byLevel[levelOf(g[2], g[3], g[4])].push(i);
   }
+  const octaves = file.texture ? octavesOf(view) : [];
   let top = TOP_LEVEL;
-  while (top > 0 && byLevel[top].length === 0) top--;
+  while (top > 0 && byLevel[top].length === 0 && !octaves.some(({ level }) => level === top)) top--;
   const planes = [new Plane(ox, oy, ox + width, oy + height)];
   while (planes.length <= top) planes.push(planes.at(-1).above());
   for (let level = top; level >= 0; level--) {
@@ -165,6 +223,9 @@ export function draw(file, { scale = 1, region = null, count = file.count } = {}
       place(file.values, 8 * i, placing, g);
       toLevel(g, level);
       planes[level].add(g, level === 0 ? 0.5 : 2.5);
+    }
+    for (const { octave, level: its, gain } of octaves) {
+      if (its === level) addTexture(planes[level], file.texture, octave, level, placing, gain);
     }
   }
   return { width, height, data: toBytes(planes[0].samples, file.background) };

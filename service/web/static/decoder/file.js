@@ -3,11 +3,14 @@
 import { COLOUR, Coder, NONE, SHAPE } from "./coder.js";
 import { newModels } from "./models.js";
 
-export const HEADER_BYTES = 18;
+const HEADER_BYTES = 18;
 const MOST = { colour: 2 ** 22, exponent: 18, uBits: 12, partBits: 16, rawBits: 24, v: 8, r: 4096 };
 const LEAST_COLOUR_STEP = 2 ** -16;
 const LEAST_WIDTH = Math.fround(0.3);
-const [GREY, UPRIGHT] = [1, 2];
+const [GREY, UPRIGHT, TEXTURE] = [1, 2, 4];
+export const OCTAVES = 2;
+export const CELL = 64; // pixels along a side of a cell of texture
+const MOST_STRENGTH = 15;
 
 /** A file that cannot be decoded. unknown: it may be a good one, of a kind that this decoder does not know. */
 export class SgError extends Error {
@@ -41,7 +44,7 @@ export function readHeader(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   refuseUnless(view.getUint32(4) === crc32(bytes.subarray(8)), "its checksum is wrong");
   const flags = view.getUint8(8);
-  if (flags > 3) throw new SgError("the file has a part that is not known here", true);
+  if (flags > 7) throw new SgError("the file has a part that is not known here", true);
   const code = view.getUint16(13);
   const [width, height] = [view.getUint16(9), view.getUint16(11)];
   refuseUnless(width > 0 && height > 0, "it has no size");
@@ -51,13 +54,40 @@ export function readHeader(bytes) {
     height,
     grey: Boolean(flags & GREY),
     upright: Boolean(flags & UPRIGHT),
+    textured: Boolean(flags & TEXTURE),
     quantum: (1 + (code & 255) / 256) * 2 ** (4 - (code >> 8)),
     background: [view.getUint8(15), view.getUint8(16), view.getUint8(17)],
   };
 }
 
+/** The texture part: codes of strength for each octave, row by row, and where the payload begins. */
+function readTexture(bytes, width, height) {
+  const [columns, rows] = [Math.ceil(width / CELL), Math.ceil(height / CELL)];
+  let at = 8 * HEADER_BYTES; // bits
+  const bit = () => {
+    refuseUnless(at >> 3 < bytes.length, "it ends within its texture");
+    return (bytes[at >> 3] >> (7 - (at++ & 7))) & 1;
+  };
+  const octaves = [];
+  for (let octave = 0; octave < OCTAVES; octave++) {
+    const sums = new Int32Array(columns * rows);
+    const codes = sums.map((_, i) => {
+      let ones = 0;
+      while (bit()) ones++;
+      const before = i % columns ? sums[i - 1] : i ? sums[i - columns] : 0;
+      sums[i] = before + (ones & 1 ? -(ones + 1) / 2 : ones / 2);
+      const code = sums[i] + (octave ? octaves[octave - 1][i] : 0);
+      refuseUnless(code >= 0 && code <= MOST_STRENGTH, "a strength of texture is out of range");
+      return code;
+    });
+    octaves.push(codes);
+  }
+  while (at & 7) refuseUnless(!bit(), "its texture does not end as it should");
+  return { columns, rows, octaves, end: at >> 3 };
+}
+
 /** The Gaussians of a file, in its order: each has 8 numbers in `values` (x, y, l1, l2, l3, red, green, blue), how many
- * bits it took in `bits`, and in `ends` how many bytes of the file are needed for it. */
+ * bits it took in `bits`, and in `ends` how many bytes of the payload are needed for it. */
 class Gaussians {
   constructor(room) {
     this.values = new Float32Array(8 * room);
@@ -85,12 +115,16 @@ class Gaussians {
 /** Header and Gaussians of a file. Throws SgError. */
 export function readFile(bytes) {
   const header = readHeader(bytes);
-  const payload = bytes.subarray(HEADER_BYTES);
+  const texture = header.textured ? readTexture(bytes, header.width, header.height) : null;
+  const start = texture ? texture.end : HEADER_BYTES;
+  const payload = bytes.subarray(start);
   const found = new Gaussians(Math.ceil(payload.length / 3));
   if (payload.length) readGaussians(header, new Coder(payload), found);
   const { values, bits, ends, count } = found;
   return {
     ...header,
+    texture,
+    start, // of the payload
     bytes: bytes.length,
     count,
     values: values.slice(0, 8 * count),
@@ -102,11 +136,11 @@ export function readFile(bytes) {
 /** How many of the Gaussians are in the first part of a file, above 0 to 1. */
 export function countInPart(file, part) {
   if (part >= 1) return file.count;
-  const bytes = Math.ceil(part * (file.bytes - HEADER_BYTES));
+  const bytes = Math.ceil(part * (file.bytes - file.start));
   let [low, high] = [0, Math.min(file.count, 8 * bytes + 64)];
   while (low < high) {
     const middle = (low + high + 1) >> 1;
-    if (file.ends[middle - 1] <= bytes + HEADER_BYTES) low = middle;
+    if (file.ends[middle - 1] <= bytes) low = middle;
     else high = middle - 1;
   }
   return low;
@@ -141,7 +175,7 @@ function readGaussians(header, coder, found) {
       now = readTurn(header, coder, models, ofClass, i < n, before);
       if (!before) continue;
       refuseUnless(!coder.pastEnd, "it ends too early");
-      found.add(before.values, before.bits, coder.at + HEADER_BYTES);
+      found.add(before.values, before.bits, coder.at);
     }
   }
   refuseUnless(coder.ended, "its end is not as it should be");

@@ -1,6 +1,6 @@
 // The page: what is shown, and what happens when something is clicked.
 
-import { countInPart, HEADER_BYTES } from "../decoder/file.js";
+import { countInPart } from "../decoder/file.js";
 import { openGpu } from "../viewer/gpu.js";
 import { heatOf, heatPicture } from "../viewer/overlays.js";
 import { fillTable, measure } from "../viewer/rivals.js";
@@ -88,7 +88,7 @@ function showZoom() {
   $("zoom").textContent = `${Math.round(100 * viewer.zoom)} %`;
 }
 
-const bytesInPart = (file) => Math.ceil(($("prefix").value / 100) * (file.bytes - HEADER_BYTES)) + HEADER_BYTES;
+const bytesInPart = (file) => Math.ceil(($("prefix").value / 100) * (file.bytes - file.start)) + file.start;
 
 function showPrefix() {
   const { file } = viewer;

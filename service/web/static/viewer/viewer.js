@@ -161,7 +161,7 @@ export class Viewer {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    if (fromGaussians && this.gpu && !this.gpu.lost) {
+    if (fromGaussians && this.gpu && !this.gpu.lost && !file.texture) {
       const drawn = this.gpu.draw(file, count, [-x / zoom, -y / zoom], zoom, canvas.width, canvas.height);
       context.drawImage(drawn, 0, 0);
     } else {
