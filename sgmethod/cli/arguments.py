@@ -59,6 +59,14 @@ COMPARE = (
   sgmethod compare photo.jpg photo.sg
   sgmethod compare a.png b.png --json""",
 )
+PLOT = (
+    "Draw the trace of an encode: error against time.",
+    """The suffix of OUT decides the format: .svg, .png or .pdf. It takes matplotlib: pip install 'sgmethod[plot]'.
+
+examples:
+  sgmethod encode photo.jpg --trace fit.json
+  sgmethod plot fit.json fit.svg""",
+)
 
 
 def one_line(message: str) -> str:
@@ -107,6 +115,7 @@ def parser() -> argparse.ArgumentParser:
     two.add_argument("first", metavar="A")
     two.add_argument("second", metavar="B")
     two.add_argument("--json", action="store_true", help="print one JSON object")
+    _add_plot_arguments(command("plot", PLOT))
     return whole
 
 
@@ -157,6 +166,12 @@ def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
         "--prefix", type=float, default=1.0, metavar="P", help="from this part of the file, of profile rd alone"
     )
     parser.add_argument("--no-texture", action="store_true", help="leave out the texture that a file may ask for")
+    _add_common_arguments(parser)
+
+
+def _add_plot_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("input", metavar="TRACE.json", help="- for standard input")
+    parser.add_argument("output", metavar="OUT", help="- for standard output, as SVG")
     _add_common_arguments(parser)
 
 

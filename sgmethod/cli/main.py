@@ -1,4 +1,4 @@
-"""The command line: sgmethod encode, decode, info and compare.
+"""The command line: sgmethod encode, decode, info, compare and plot.
 
 Exit status: 0 when all is done; 1 when some of several pictures could not be encoded; 2 when it cannot be done as
 asked, with one line on stderr that says why; 130 after Ctrl-C; 141 when nobody reads stdout any more. A file is
@@ -54,6 +54,10 @@ def _run(arguments: argparse.Namespace) -> int:
         from sgmethod.cli.encoding import run_encode
 
         return run_encode(arguments)
+    if arguments.run == "plot":
+        from sgmethod.cli.plotting import run_plot
+
+        return run_plot(arguments)
     from sgmethod.cli import commands
 
     run = {"decode": commands.run_decode, "info": commands.run_info, "compare": commands.run_compare}

@@ -223,7 +223,7 @@ def test_version(module: bool) -> None:
     assert err == ""
 
 
-@pytest.mark.parametrize("command", [[], ["encode"], ["decode"], ["info"], ["compare"]])
+@pytest.mark.parametrize("command", [[], ["encode"], ["decode"], ["info"], ["compare"], ["plot"]])
 def test_help(run: Run, command: list[str]) -> None:
     ran = run(*command, "--help")
     assert (ran.status, ran.err) == (0, "")
@@ -584,8 +584,8 @@ def test_commands_of_the_readme(run: Run, line: str) -> None:
     Path("photo.sg").write_bytes(golden_path("v3-color.sg").read_bytes())  # 48 x 40
     line = re.sub(r"#.*", "", line).replace("--gaussians 5000", "--gaussians 50").replace("--psnr 32", "--psnr 12")
     line = line.replace("--region 100,50,320,240", "--region 8,5,32,24").replace("*.jpg", "photo.jpg")
-    if line.startswith("sgmethod compare"):
-        assert run("encode", "photo.jpg", "--quiet").status == 0
+    if line.startswith(("sgmethod compare", "sgmethod plot")):
+        assert run("encode", "photo.jpg", "--trace", "fit.json", "--quiet").status == 0
     ran = run(*shlex.split(line)[1:])
     assert (ran.status, ran.err) == (0, "")
 

@@ -1,0 +1,95 @@
+"""The command plot: the trace of an encode as a picture. Only it needs matplotlib."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from io import BytesIO
+from itertools import cycle, groupby
+from pathlib import Path
+from typing import Any
+
+from sgmethod.cli import files
+from sgmethod.cli.arguments import one_line
+from sgmethod.cli.files import STREAM, CommandError
+
+KINDS = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
+SIZE_IN, DPI = (7.2, 5.0), 120
+DASHES = ("-", "--", "-.")
+Point = dict[str, Any]
+
+
+def run_plot(arguments: argparse.Namespace) -> int:
+    """sgmethod plot"""
+    source, target = arguments.input, arguments.output
+    kind = "svg" if files.is_device(target) else KINDS.get(Path(target).suffix.lower())
+    files.check_outputs([source], [target])
+    if kind is None:
+        raise CommandError(f"cannot write {target}: its name must end in {', '.join(KINDS)}")
+    if arguments.no_clobber and target != STREAM and Path(target).is_file():
+        said = f"{target} is there already: skipped"
+    else:
+        points = _points(files.read(source), files.name_of(source))
+        files.write(target, _drawn(points, kind))
+        said = f"{files.name_of(source)} -> {target}: {len(points)} points, {points[-1]['seconds']:.1f} s"
+    if not arguments.quiet and target != STREAM:
+        print(one_line(said))
+    return 0
+
+
+def _points(data: bytes, name: str) -> list[Point]:
+    """The trace of a file that encode --trace wrote. Raises CommandError."""
+    try:
+        points: list[Point] = json.loads(data)["trace"]
+        for point in points:
+            numbers = [point[field] for field in ("seconds", "psnr", "bytes", "gaussians")]
+            if not (all(math.isfinite(number) for number in numbers) and isinstance(point["phase"], str)):
+                raise ValueError
+        if not points:
+            raise ValueError
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise CommandError(f"{name} is no trace; encode --trace writes one") from error
+    return points
+
+
+def _drawn(points: list[Point], kind: str) -> bytes:
+    """PSNR above, size and Gaussians below, against time; phases differ by dashes, so that no colour is needed."""
+    try:
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise CommandError(f"plot needs another package ({error}): pip install 'sgmethod[plot]'") from error
+    style = {"svg.hashsalt": "sgmethod", "axes.grid": True, "grid.color": "0.9", "font.size": 9}
+    with mpl.rc_context(style):
+        figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")
+        errors, sizes = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+        _draw_errors(errors, points)
+        seconds = [point["seconds"] for point in points]
+        known = [(point["seconds"], point["bytes"]) for point in points if point["bytes"] > 0]
+        if known:
+            sizes.plot(*zip(*known, strict=True), color="0", label="bytes")
+        sizes.set(xlabel="seconds", ylabel="bytes, estimated")
+        numbers = sizes.twinx()
+        numbers.grid(False)
+        numbers.plot(seconds, [point["gaussians"] for point in points], ":", color="0.4", label="Gaussians")
+        numbers.set_ylabel("Gaussians (dotted)")
+        out = BytesIO()
+        figure.savefig(out, format=kind, metadata={"Date": None} if kind == "svg" else None)
+    return out.getvalue()
+
+
+def _draw_errors(axes: Any, points: list[Point]) -> None:
+    """A line for each phase, and a mark at the end: the file."""
+    dashes = cycle(DASHES)
+    before: list[Point] = []
+    for phase, group in groupby(points[:-1], key=lambda point: point["phase"]):
+        shown = [*before, *group]
+        axes.plot([p["seconds"] for p in shown], [p["psnr"] for p in shown], next(dashes), color="0", label=phase)
+        before = shown[-1:]
+    end = points[-1]
+    axes.plot(
+        end["seconds"], end["psnr"], "o", color="0", label=f"the file: {end['psnr']:.2f} dB, {end['bytes']:,} bytes"
+    )
+    axes.set_ylabel("PSNR, dB")
+    axes.legend(loc="lower right", frameon=False)
