@@ -5,6 +5,8 @@
 #              check on further interpreters what needs no torch
 # make sanitize [MUTATIONS=n] [SEED=n]
 #              the native code under sanitizers: its own tests, golden files, n damaged files
+# make bench [FULL=yes IMAGES=folder]
+#              a small set of all measurements in at most ten minutes, or everything that docs/results.md shows
 # make fuzz [MINUTES=n]
 #              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
 # make cross   compile the kernels for other machines, and run what can be run here; takes what compilers there are
@@ -34,7 +36,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check test measured measured-service unmeasured versions sanitize fuzz cross wasm
+.PHONY: serve check test measured measured-service unmeasured versions sanitize fuzz cross wasm bench
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -97,6 +99,9 @@ build/wasm/decoder.wasm: $(COMPILED) sgmethod/native/wasm/decoder.js
 	mkdir -p build/wasm
 	$(WASM_CLANG) $(WASM_FLAGS) $(WASM_SOURCES) -o $@
 	cp sgmethod/native/wasm/decoder.js build/wasm/
+
+bench: $(STAMP)
+	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES))
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 $(STAMP): pyproject.toml $(COMPILED)

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from benchmarks.machine import RESULTS, in_words, origin, write_json
-from benchmarks.pictures import pictures_in
+from benchmarks.machine import RESULTS, Record, in_words
+from benchmarks.pictures import chosen_from
 from sgmethod import Budget
 from sgmethod.codec import encode
 from sgmethod.io.image import read_image
@@ -80,24 +80,14 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
     parser.add_argument("--out", type=Path, default=RESULTS / "ablation.json")
     options = parser.parse_args()
-    every = pictures_in(options.images)
-    pictures = every[:: max(len(every) // options.most, 1)][: options.most]
-    if not pictures:
-        raise SystemExit(f"there is no picture in {options.images}")
-    settings = replace(RD, steps=options.steps)
-    print("| without | PSNR | change | bpp | Gaussians | seconds |\n|---|---|---|---|---|---|")
-    rows: list[dict[str, Any]] = []
-    for part in PARTS:
-        rows.append(measure(part, pictures, options.bpp, settings))
-        row, change = rows[-1], rows[-1]["psnr"] - rows[0]["psnr"]
-        figures = (
-            f"{row['psnr']:.2f} | {change:+.2f} | {row['bpp']:.4f} | {row['gaussians']:.0f} | {row['seconds']:.1f}"
-        )
-        print(f"| {row['without']} | {figures} |", flush=True)
-    where = origin()
+    pictures = chosen_from(options.images, options.most)
     names = [p.name for p in pictures]
-    write_json(options.out, {**where, "pictures": names, "steps": options.steps, "bpp": options.bpp, "rows": rows})
-    print(f"\nMeans over {', '.join(names)}; {options.steps} steps.\n\n{in_words(where)}")
+    settings = {"pictures": names, "steps": options.steps, "bpp": options.bpp}
+    record = Record(options.out, "benchmarks.ablation", settings)
+    for part in PARTS:
+        if not record.has(without=part.name):
+            record.add(measure(part, pictures, options.bpp, replace(RD, steps=options.steps)))
+    print(f"\nMeans over {', '.join(names)}; {options.steps} steps.\n\n{in_words(record.content)}")
 
 
 if __name__ == "__main__":

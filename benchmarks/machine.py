@@ -1,4 +1,4 @@
-"""What a result must say of its origin: the machine, the commit, the date."""
+"""The form that all results have: the command, where they come from (machine, commit, date), settings and rows."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import os
 import platform
 import subprocess
+import sys
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,7 +19,7 @@ from tests.harness.data import ROOT
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"
-PACKAGES = ("numpy", "torch", "imagecodecs")
+PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 
 
 def origin() -> dict[str, object]:
@@ -56,19 +57,59 @@ def commit() -> str:
     return f"{head}+{hashlib.sha256(difference.encode()).hexdigest()[:8]}"
 
 
-def kept_rows(path: Path, where: dict[str, object]) -> list[dict[str, Any]]:
-    """The rows of an earlier run of the same commit on the same machine, from the JSON it wrote."""
+def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:
+    """The rows of an earlier run of the same commit on the same machine, of the same settings if there are any, from
+    the JSON it wrote."""
     if not path.exists():
         return []
     content = json.loads(path.read_text())
-    same = all(content[name] == where[name] for name in ("commit", "machine"))
+    same = all(content.get(name) == where[name] for name in ("commit", "machine", "settings") if name in where)
     return list(content["rows"]) if same else []
+
+
+class Record:
+    """The JSON of one run, written after every row. What is there already of the same commit, machine and settings is
+    kept, so that an interrupted run goes on where it stopped.
+
+    remark: what a reader must know of this run, put in by hand; settings: what changes the meaning of the rows.
+    """
+
+    def __init__(self, path: Path, module: str, settings: dict[str, Any]) -> None:
+        self.path = path
+        self.content = {"command": command(module), **origin(), "remark": "", "settings": settings}
+        self.rows = kept_rows(path, self.content)
+
+    def has(self, **key: object) -> bool:
+        """Whether there is a row with these values."""
+        return any(all(row.get(name) == value for name, value in key.items()) for row in self.rows)
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Write it down, and print it."""
+        self.rows.append(row)
+        write_json(self.path, {**self.content, "rows": self.rows})
+        print(", ".join(f"{name} {_short(value)}" for name, value in row.items() if value is not None), flush=True)
+
+
+def command(module: str) -> str:
+    """What was typed, but where the JSON goes. A folder is named by its last part in capitals: where it lies on this
+    machine says nothing."""
+    words = [Path(word).name.upper() if "/" in word else word for word in sys.argv[1:]]
+    for option in ("--out", "--json"):
+        if option in words:
+            del words[words.index(option) : words.index(option) + 2]
+    return " ".join(["python -m", module, *words])
 
 
 def write_json(path: Path, content: object) -> None:
     """Whole or not at all: an interrupted benchmark leaves the results before it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def _short(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return f"{len(value)} values" if isinstance(value, list) else str(value)
 
 
 def _git(*arguments: str) -> str:

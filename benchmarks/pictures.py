@@ -1,12 +1,59 @@
-"""Which files of a folder are pictures to measure with."""
+"""Which files of a folder are pictures to measure with, and pictures of any size made from them."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.io.image import read_image_8_bit
+
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
+RATIO = 4 / 3  # of a mosaic's sides
+Pixels = NDArray[np.uint8]
 
 
 def pictures_in(folder: Path) -> list[Path]:
     """The folder's pictures, by name; none if it has none. Raises OSError if it cannot be read."""
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
+
+
+def chosen_from(folder: Path, most: int) -> list[Path]:
+    """So many of the folder's pictures, evenly spread. Raises SystemExit if there is none."""
+    every = pictures_in(folder)
+    if not every:
+        raise SystemExit(f"there is no picture in {folder}")
+    return [every[k * len(every) // most] for k in range(most)] if most < len(every) else every
+
+
+def sized(paths: Sequence[Path], first: int, megapixels: float) -> Pixels:
+    """A picture [H, W, 3] of about that size: the middle of the first one, or a mosaic that begins with it where it is
+    too small. A mosaic has sides of 4 to 3; its pictures lie at their own size."""
+    own = read_image_8_bit(paths[first].read_bytes())
+    pixels = megapixels * 1e6
+    if own.shape[0] * own.shape[1] >= 0.9 * pixels:
+        scale = min(math.sqrt(pixels / (own.shape[0] * own.shape[1])), 1.0)
+        return _middle(own, round(own.shape[0] * scale), round(own.shape[1] * scale))
+    height = round(math.sqrt(pixels / RATIO))
+    width = round(pixels / height)
+    canvas = np.zeros((height, width, 3), np.uint8)
+    y = number = 0
+    while y < height:
+        x, band = 0, height - y
+        row = []
+        while x < width:
+            row.append(read_image_8_bit(paths[(first + number) % len(paths)].read_bytes()))
+            x, number = x + row[-1].shape[1], number + 1
+            band = min(band, row[-1].shape[0])
+        laid = np.concatenate([_middle(one, band, one.shape[1]) for one in row], axis=1)
+        canvas[y : y + band] = laid[:, :width]
+        y += band
+    return canvas
+
+
+def _middle(pixels: Pixels, height: int, width: int) -> Pixels:
+    y, x = (pixels.shape[0] - height) // 2, (pixels.shape[1] - width) // 2
+    return np.ascontiguousarray(pixels[y : y + height, x : x + width])

@@ -9,7 +9,6 @@ go, bits have their price: it decides well which Gaussians stay. At the end bits
 from __future__ import annotations
 
 import argparse
-import statistics
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.machine import RESULTS, in_words, origin, write_json
-from benchmarks.pictures import pictures_in
+from benchmarks.machine import RESULTS, Record, in_words
+from benchmarks.pictures import chosen_from
 from sgmethod.bitstream import v3
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.schedule import Schedule
@@ -88,30 +87,20 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.representation", description=__doc__)
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
+    parser.add_argument("--most", type=int, default=24, help="pictures, evenly spread over the folder")
     parser.add_argument("--gaussians", default="5000,10000", help="numbers, separated by commas")
     parser.add_argument("--steps", type=int, default=RD.steps)
     parser.add_argument("--out", type=Path, default=RESULTS / "representation.json")
     options = parser.parse_args()
-    pictures = pictures_in(options.images)
-    if not pictures:
-        raise SystemExit(f"there is no picture in {options.images}")
+    pictures = chosen_from(options.images, options.most)
     settings = lengthened(options.steps)
     torch.set_num_threads(1)
-    rows: list[dict[str, Any]] = []
-    print("| Gaussians | image | used | PSNR | MS-SSIM | seconds |\n|---|---|---|---|---|---|")
+    record = Record(options.out, "benchmarks.representation", {"steps": options.steps})
     for asked in (int(n) for n in options.gaussians.split(",")):
         for picture in pictures:
-            row = measure(picture, asked, settings)
-            rows.append({"asked": asked, **row})
-            figures = f"{row['gaussians']} | {row['psnr']:.2f} | {row['ms_ssim'] or 0:.4f} | {row['seconds']:.1f}"
-            print(f"| {asked} | {row['image']} | {figures} |", flush=True)
-        mine = [r for r in rows if r["asked"] == asked]
-        mean = {key: statistics.fmean(r[key] or 0 for r in mine) for key in ("gaussians", "psnr", "ms_ssim", "seconds")}
-        figures = f"{mean['gaussians']:.0f} | {mean['psnr']:.2f} | {mean['ms_ssim']:.4f} | {mean['seconds']:.1f}"
-        print(f"| {asked} | mean of {len(mine)} | {figures} |", flush=True)
-    where = origin()
-    write_json(options.out, {**where, "steps": options.steps, "rows": rows})
-    print(f"\n{in_words(where)}")
+            if not record.has(asked=asked, image=picture.name):
+                record.add({"asked": asked, **measure(picture, asked, settings)})
+    print(f"\n{in_words(record.content)}")
 
 
 if __name__ == "__main__":

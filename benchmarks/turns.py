@@ -16,7 +16,8 @@ import sys
 import time
 from pathlib import Path
 
-from benchmarks.machine import RESULTS, in_words, origin, write_json
+from benchmarks.machine import RESULTS, Record, in_words
+from benchmarks.pictures import pictures_in
 from benchmarks.rd.codecs import Avif, Jpeg
 from sgmethod.io import read_image_8_bit
 from tests.harness.data import ROOT
@@ -82,11 +83,13 @@ def main() -> None:
     options = parser.parse_args()
     other = Checkout(options.other, str(options.other.resolve() / ".venv" / "bin" / "python"))
     this = Checkout(ROOT, sys.executable)
-    rows = []
-    for path in sorted(p for p in options.images.iterdir() if p.suffix == ".png"):
+    record = Record(options.out, "benchmarks.turns", {"bpp": options.bpp})
+    rows = record.rows
+    for path in pictures_in(options.images):
+        if record.has(image=path.stem):
+            continue
         row = {"image": path.stem, "other": other.run(path, options.bpp), "this": this.run(path, options.bpp)}
-        rows.append(row | ({"rivals": rivals(path, options.bpp)} if options.rivals else {}))
-        print(json.dumps(rows[-1]), flush=True)
+        record.add(row | ({"rivals": rivals(path, options.bpp)} if options.rivals else {}))
 
     def mean(who: str, what: str) -> float:
         return statistics.fmean(row[who][what] for row in rows)
@@ -98,9 +101,7 @@ def main() -> None:
             decode = mean(who, "decode_ms") / mean("rivals", "jpeg_decode_ms")
             encode = mean(who, "encode_s") / mean("rivals", "avif_encode_s")
             print(f"{who}: decode {decode:.2f} of libjpeg-turbo's, encode {encode:.2f} of libavif's")
-    where = origin()
-    write_json(options.out, {**where, "bpp": options.bpp, "rows": rows})
-    print(in_words(where))
+    print(in_words(record.content))
 
 
 if __name__ == "__main__":

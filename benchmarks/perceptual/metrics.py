@@ -49,7 +49,7 @@ class Metrics:
         """Of pictures [H, W, 3] with sides that MS-SSIM is defined for."""
         near = ms_ssim(decoded, source)
         assert near is not None
-        first, second = (torch.from_numpy(p.astype(np.float32) / 255).permute(2, 0, 1)[None] for p in (source, decoded))
+        first, second = _tensor(source), _tensor(decoded)
         return {
             "psnr": psnr(decoded, source),
             "ms_ssim": near,
@@ -57,6 +57,11 @@ class Metrics:
             "lpips": self._lpips(first, second),
             "dists": self._dists(first, second),
         }
+
+    @torch.no_grad()
+    def lpips(self, decoded: Pixels, source: Pixels) -> float:
+        """That alone, of pictures [H, W, 3] of 64 pixels a side or more."""
+        return self._lpips(_tensor(source), _tensor(decoded))
 
     def _lpips(self, first: Tensor, second: Tensor) -> float:
         found = torch.zeros(())
@@ -95,6 +100,10 @@ class Metrics:
             x = functional.relu(functional.conv2d(x, kernel, bias, padding=1))
             if i in (1, 3, 6, 9, 12):
                 yield x
+
+
+def _tensor(pixels: Pixels) -> Tensor:
+    return torch.from_numpy(pixels.astype(np.float32) / 255).permute(2, 0, 1)[None]
 
 
 def _pooled(x: Tensor) -> Tensor:

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import math
 import statistics
-import sys
 import tempfile
 import time
 from dataclasses import asdict
@@ -20,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import RESULTS, in_words, kept_rows, origin, write_json
+from benchmarks.machine import RESULTS, Record, in_words
 from benchmarks.pictures import pictures_in
 from benchmarks.rd.codecs import RIVALS, Codec, Pixels, Sg
 from benchmarks.rd.report import Row, report
@@ -74,17 +73,17 @@ def main() -> None:
     if not paths:
         parser.error(f"there is no picture in {options.images}")
 
-    where = origin()
-    kept = {row.key: row for row in (Row(**kept) for kept in kept_rows(options.out, where))}
+    record = Record(options.out, "benchmarks.rd", {})
+    kept = {row.key: row for row in (Row(**kept) for kept in record.rows)}
     wanted = [(codec, rate, path) for codec in codecs for rate in rates for path in paths]
     for codec, rate, path in wanted:
         key = codec.name, rate, path.name
         if key not in kept:
             pixels = np.round(read_image(path.read_bytes()) * 255).astype(np.uint8)
-            kept[key] = row = measure(codec, path.name, pixels, rate)
-            write_json(options.out, {**where, "rows": [asdict(r) for r in kept.values()]})
-            print(f"{row.codec} {row.image} {row.bpp:.4f} bpp {row.psnr} dB {row.encode_s} s", file=sys.stderr)
-    print(report([kept[codec.name, rate, path.name] for codec, rate, path in wanted]), in_words(where), sep="\n\n")
+            kept[key] = measure(codec, path.name, pixels, rate)
+            record.add(asdict(kept[key]))
+    shown = report([kept[codec.name, rate, path.name] for codec, rate, path in wanted])
+    print(shown, in_words(record.content), sep="\n\n")
 
 
 if __name__ == "__main__":

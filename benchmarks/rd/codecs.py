@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod import Budget, decode, encode, info
+from sgmethod.native import native
 
 Pixels = NDArray[np.uint8]
 
@@ -100,42 +101,51 @@ class Jpeg2000(Rival):
 
 
 class WebP(Rival):
-    """libwebp, slowest method."""
+    """libwebp; the slowest method if not told."""
 
     name, qualities = "webp", range(101)
 
+    def __init__(self, method: int = 6) -> None:
+        self.method = method
+
     def encode(self, pixels: Pixels, quality: float) -> bytes:
-        return bytes(imagecodecs().webp_encode(pixels, level=int(quality), method=6, lossless=False))
+        return bytes(imagecodecs().webp_encode(pixels, level=int(quality), method=self.method, lossless=False))
 
     def decode(self, data: bytes) -> Pixels:
         return np.asarray(imagecodecs().webp_decode(data, hasalpha=False))
 
 
 class Avif(Rival):
-    """libavif, speed 4, 4:2:0, two threads."""
+    """libavif, 4:2:0, on every core; speed 4 if not told."""
 
     name, qualities = "avif", range(100)
 
+    def __init__(self, speed: int = 4) -> None:
+        self.settings = {"speed": speed, "pixelformat": "420", "numthreads": native.thread_count()}
+
     def encode(self, pixels: Pixels, quality: float) -> bytes:
-        return bytes(imagecodecs().avif_encode(pixels, level=int(quality), speed=4, pixelformat="420", numthreads=2))
+        return bytes(imagecodecs().avif_encode(pixels, level=int(quality), **self.settings))
 
     def decode(self, data: bytes) -> Pixels:
         return np.asarray(imagecodecs().avif_decode(data))
 
 
 class JpegXl(Rival):
-    """libjxl, effort 7; quality = minus the distance."""
+    """libjxl, on every core; effort 7 if not told; quality = minus the distance."""
 
     name, qualities = "jpegxl", [-q / 20 for q in range(25 * 20, 1, -1)]
 
+    def __init__(self, effort: int = 7) -> None:
+        self.settings = {"effort": effort, "lossless": False, "numthreads": native.thread_count()}
+
     def encode(self, pixels: Pixels, quality: float) -> bytes:
-        return bytes(imagecodecs().jpegxl_encode(pixels, distance=-quality, effort=7, lossless=False))
+        return bytes(imagecodecs().jpegxl_encode(pixels, distance=-quality, **self.settings))
 
     def decode(self, data: bytes) -> Pixels:
         return np.asarray(imagecodecs().jpegxl_decode(data))
 
 
-RIVALS = (Jpeg, Jpeg2000, WebP, Avif, JpegXl)
+RIVALS: tuple[Callable[[], Rival], ...] = (Jpeg, Jpeg2000, WebP, Avif, JpegXl)
 
 
 def imagecodecs() -> Any:
@@ -145,3 +155,13 @@ def imagecodecs() -> Any:
     except ImportError as error:
         raise SystemExit("--rivals needs the package imagecodecs: pip install '.[benchmark]'") from error
     return package
+
+
+def versions() -> list[str]:
+    """Of the libraries in the package, none where it is missing."""
+    try:
+        import imagecodecs as package
+    except ImportError:
+        return []
+    wanted = ("libjpeg_turbo-", "openjpeg-", "libwebp-", "libavif-", "libjxl-")
+    return [name for name in package.version().split(", ") if name.startswith(wanted)]

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.machine import RESULTS, in_words, kept_rows, origin, write_json
+from benchmarks.machine import RESULTS, command, in_words, kept_rows, origin, write_json
 from benchmarks.stiff.pictures import PICTURES
 from benchmarks.stiff.report import counted, report, violation
 from benchmarks.stiff.rows import Key, Row, measure
@@ -44,7 +44,7 @@ def draw(names: Sequence[str], folder: Path) -> None:
 
 def run(names: Sequence[str], seeds: int, kinds: Sequence[BudgetKind], path: Path) -> None:
     """Encode what the JSON at the path does not hold yet, and add it there row by row."""
-    where = origin()
+    where = {"command": command("benchmarks.stiff"), **origin(), "remark": "", "settings": {}}
     rows: dict[Key, Row] = {}
     for kept in kept_rows(path, where):
         rows[Row(**kept).key] = Row(**kept)

@@ -1,0 +1,107 @@
+"""A small set of all measurements, in ten minutes at most, or everything that docs/results.md shows.
+
+    python -m benchmarks [--full --images KODAK] [--only rd,needs] [--weights FOLDER]
+
+The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
+where it was stopped, as long as commit and machine are the same; python -m benchmarks.report then makes the documents.
+Each command's own text has its options.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.machine import RESULTS
+from tests.harness.data import PHOTOGRAPHS, ROOT
+
+SMALL = ROOT / "build" / "bench"
+IMAGES = "--images {images}"
+FEW = "--bpp 0.5 --most 1"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One command: the JSON that it writes, and its arguments in the small set and in the whole."""
+
+    module: str
+    result: str
+    small: str
+    full: str
+    rivals: str = ""  # added where imagecodecs is there
+    option: str = "--out"
+
+
+PARTS = (
+    Part(
+        "rd", "kodak-rd", f"{IMAGES} --profiles rd --bpp 0.5", f"{IMAGES} --profiles rd --bpp 0.15,0.25,0.4", "--rivals"
+    ),
+    Part("rd", "kodak-paper", "", f"{IMAGES} --profiles paper,baseline --bpp 0.147,0.43"),
+    Part(
+        "convergence",
+        "convergence",
+        f"{IMAGES} {FEW} --megapixels 0.1 --seconds 6 --limits 0.25,0.5,1 --few",
+        f"{IMAGES} --most 5",
+    ),
+    Part("needs", "needs", "--repeats 1", ""),
+    Part("stability", "stability", "--seeds 3 --generations 4 --mutations 2000", "--mutations 1000000 --sanitize"),
+    Part("stiff", "version4/stiff", "--pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp", "", option="--json"),
+    Part(
+        "speed",
+        "speed",
+        f"{IMAGES} --megapixels 0.1,0.4 --gaussians 1000,5000 --repeats 1 --steps 100 --rounds 10",
+        IMAGES,
+    ),
+    Part(
+        "representation", "representation", f"{IMAGES} --most 1 --gaussians 500 --steps 300", f"{IMAGES} --steps 3000"
+    ),
+    Part("ablation", "ablation", f"{IMAGES} {FEW} --steps 100", f"{IMAGES} --most 6"),
+)
+
+
+def run(part: Part, options: argparse.Namespace) -> float:
+    """Seconds that the command took. Its failure does not keep others from running."""
+    words = (part.full if options.full else part.small).format(images=options.images).split()
+    if part.module == "convergence":
+        words += ["--weights", str(options.weights)] if options.weights else []
+        words += [] if has_rivals() else ["--methods", "rd,paper,baseline,plain Adam,siren,hash grid"]
+    elif has_rivals():
+        words += part.rivals.split()
+    out = (RESULTS if options.full else SMALL) / f"{part.result}.json"
+    print(f"--- {part.module}: {' '.join(words)}", flush=True)
+    began = time.monotonic()
+    command = [sys.executable, "-m", f"benchmarks.{part.module}", *words, part.option, str(out)]
+    done = subprocess.run(command, cwd=ROOT, check=False)
+    if done.returncode != 0:
+        print(f"{part.module} failed with status {done.returncode}", file=sys.stderr)
+    return time.monotonic() - began
+
+
+def has_rivals() -> bool:
+    """Whether other codecs can be measured."""
+    from benchmarks.rd.codecs import versions
+
+    return bool(versions())
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--full", action="store_true")
+    parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
+    parser.add_argument("--only", default=",".join(dict.fromkeys(part.module for part in PARTS)), help="commands")
+    parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS")
+    options = parser.parse_args()
+    if options.full and options.images == PHOTOGRAPHS:
+        parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
+    wanted = [part for part in PARTS if part.module in options.only.split(",") and (options.full or part.small)]
+    taken = [(part.result, run(part, options)) for part in wanted]
+    print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""Error against run time: one curve for each method on one clock, and other codecs as points.
+
+    python -m benchmarks.convergence --images FOLDER [--most 5] [--megapixels 0.4,2,12] [--bpp 0.25] [--seconds 60]
+                                     [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg] [--few] [--weights FOLDER]
+
+The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
+and baseline: the trace of one encode, whose last point is the file; rd again under each time limit. plain Adam: as many
+Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget, in half precision. Other codecs:
+each speed or effort at the best quality within the budget. --seconds: for all but rd. --few: two settings of each other
+codec. --weights: a folder as benchmarks.perceptual takes it, for LPIPS.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
+from benchmarks.machine import RESULTS, Record
+from benchmarks.perceptual.metrics import Metrics
+from benchmarks.pictures import Pixels, chosen_from, sized
+from benchmarks.rd.codecs import Avif, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
+from sgmethod import Budget, decode, encode
+from sgmethod.metrics import psnr
+
+OURS = ("rd", "paper", "baseline")
+Start = Callable[[Pixels, float, int], Shown]
+NETWORKS: dict[str, Start] = {"siren": siren, "hash grid": hash_grid}
+RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]]] = {
+    "jpeg": (lambda _: Jpeg(), (0,), (0,)),
+    "jpeg2000": (lambda _: Jpeg2000(), (0,), (0,)),
+    "webp": (WebP, tuple(range(7)), (0, 4)),
+    "avif": (Avif, tuple(range(11)), (6, 10)),
+    "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
+}
+METHODS = (*OURS, "plain Adam", *NETWORKS, *RIVALS)
+Row = dict[str, Any]
+Measure = Callable[[Pixels, Pixels], float | None]
+
+
+def ours(pixels: Pixels, profile: str, bpp: float, limit_s: float | None, lpips: Measure) -> Row:
+    """One encode with its trace: seconds and dB."""
+    encoded = encode(pixels, Budget("bpp", bpp), profile, time_limit_s=limit_s)
+    stats = encoded.stats
+    return {
+        "bytes": stats.bytes,
+        "gaussians": stats.gaussians,
+        "seconds": stats.seconds,
+        "psnr": stats.psnr,
+        "lpips": lpips(decode(encoded.data), pixels),
+        "curve": [[point.seconds, point.psnr] for point in encoded.trace],
+    }
+
+
+def learned(start: Start, pixels: Pixels, seconds: float, amount: int, size: int | None, lpips: Measure) -> Row:
+    """The curve of the pictures that a method shows. amount: what it has, Gaussians or bytes; size: bytes, if any."""
+    curve = []
+    for run_s, picture in start(pixels, seconds, amount):
+        curve.append([round(run_s, 4), round(psnr(picture, pixels), 4)])
+    return {
+        "bytes": size,
+        "gaussians": None,
+        "seconds": curve[-1][0],
+        "psnr": curve[-1][1],
+        "lpips": lpips(picture, pixels),
+        "curve": curve,
+    }
+
+
+def point(make: Callable[[int], Rival], setting: int, pixels: Pixels, bpp: float, lpips: Measure) -> Row:
+    """Another codec's file within the budget; the seconds are those of its last encode."""
+    made = make(setting).run(pixels, bpp)
+    decoded = made.decode(made.data)
+    found: Row = {"bytes": len(made.data), "gaussians": None, "seconds": made.encode_s}
+    return found | {"psnr": psnr(decoded, pixels), "lpips": lpips(decoded, pixels), "curve": None}
+
+
+class Run:
+    """What is measured, into one JSON."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+        settings = {
+            "bpp": options.bpp,
+            "seconds": options.seconds,
+            "codecs": versions(),
+            "lpips": bool(options.weights),
+        }
+        self.record = Record(options.out, "benchmarks.convergence", settings)
+        encode(
+            np.zeros((16, 16, 3), np.uint8), bytes=100
+        )  # what the first encode of a process loads is no part of any method
+        self.lpips: Measure = Metrics(options.weights).lpips if options.weights else lambda *_: None
+
+    def all_of(self, picture: str, megapixels: float, pixels: Pixels) -> None:
+        """Every method on one picture."""
+        o = self.options
+        size = int(o.bpp * pixels.shape[0] * pixels.shape[1] / 8)
+
+        def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
+            key = {"method": method, "setting": setting, "picture": picture, "megapixels": megapixels}
+            if method in o.methods.split(",") and not self.record.has(**key):
+                self.record.add({**key, **measure()})
+
+        for profile in OURS:
+            limit = None if profile == "rd" else o.seconds
+            once(profile, "", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
+        for limit in (float(seconds) for seconds in o.limits.split(",")):
+            once("rd", f"{limit:g} s", partial(ours, pixels, "rd", o.bpp, limit, self.lpips))
+        if gaussians := self._gaussians(picture, megapixels):
+            once("plain Adam", "", partial(learned, plain_adam, pixels, o.seconds, gaussians, None, self.lpips))
+        for method, network in NETWORKS.items():
+            once(method, "", partial(learned, network, pixels, o.seconds, size, size, self.lpips))
+        for method, (make, every, few) in RIVALS.items():
+            for setting in few if o.few else every:
+                once(method, str(setting), partial(point, make, setting, pixels, o.bpp, self.lpips))
+
+    def _gaussians(self, picture: str, megapixels: float) -> int | None:
+        """As many as rd's file of the picture has."""
+        key = ("rd", "", picture, megapixels)
+        found = [r for r in self.record.rows if (r["method"], r["setting"], r["picture"], r["megapixels"]) == key]
+        return found[0]["gaussians"] if found else None
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=Path, required=True)
+    parser.add_argument("--most", type=int, default=5, help="pictures, evenly spread over the folder")
+    parser.add_argument("--megapixels", default="0.4,2,12")
+    parser.add_argument("--bpp", type=float, default=0.25)
+    parser.add_argument("--seconds", type=float, default=60)
+    parser.add_argument("--limits", default="0.25,0.5,1,2,4")
+    parser.add_argument("--methods", default=",".join(METHODS), help="those that are measured")
+    parser.add_argument("--few", action="store_true")
+    parser.add_argument("--weights", type=Path)
+    parser.add_argument("--out", type=Path, default=RESULTS / "convergence.json")
+    options = parser.parse_args()
+    unknown = {*options.methods.split(",")} - {*METHODS}
+    if unknown:
+        parser.error(f"{', '.join(sorted(unknown))}: no such method; there are {', '.join(METHODS)}")
+    run = Run(options)
+    paths = chosen_from(options.images, options.most)
+    for megapixels in (float(size) for size in options.megapixels.split(",")):
+        for k, path in enumerate(paths):
+            run.all_of(path.stem, megapixels, sized(paths, k, megapixels))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""Time and memory: by size of the picture, by number of Gaussians, of the kernels alone.
+
+    python -m benchmarks.speed [--images FOLDER] [--only sizes,gaussians,kernels] [--megapixels 0.1,0.4,1.6,6,24]
+                               [--gaussians 1000,3000,10000,30000,70000] [--bpp 0.25] [--repeats 3] [--out FILE]
+
+sizes: encode, decode and peak of memory of profile rd, each in a process of its own, beside other codecs on the same
+cores. gaussians: drawing and gradients of so many at 768x512. kernels: every instruction set, one thread and all,
+beside what a product of matrices and a copy reach. Pictures larger than those of the folder are mosaics of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.machine import RESULTS, Record
+from benchmarks.pictures import chosen_from
+from benchmarks.rd.codecs import versions
+from benchmarks.speed import kernels, sizes
+from sgmethod.native import native
+from tests.harness.data import PHOTOGRAPHS
+
+PARTS = ("sizes", "gaussians", "kernels")
+
+
+def measure_gaussians(record: Record, path: Path, numbers: list[int], steps: int, rounds: int) -> None:
+    """Drawing and gradients with every thread and the best instruction set."""
+    pixels = kernels.load(path)
+    best = range(native.best_isa(), native.best_isa() + 1)
+    for n in numbers:
+        if record.has(what="gaussians", gaussians=n):
+            continue
+        p, step_s = kernels.fitted(pixels, n, steps)
+        row = {"what": "gaussians", "gaussians": n, "covered": kernels.covered(p), "step_ms": round(1e3 * step_s, 3)}
+        for found in kernels.measure(kernels.Jobs(p), rounds, best):
+            if found["threads"] == native.thread_count():
+                row[f"{found['job']}_ms"] = found["median_ms"]
+        record.add(row)
+
+
+def measure_kernels(record: Record, path: Path, steps: int, rounds: int) -> None:
+    """Every instruction set and number of threads, and the ceilings."""
+    if record.has(what="kernel"):
+        return
+    for ceiling in kernels.ceilings(rounds):
+        record.add({"what": "ceiling", **ceiling})
+    p, _ = kernels.fitted(kernels.load(path), 5000, steps)
+    for found in kernels.measure(kernels.Jobs(p), rounds, range(native.best_isa() + 1)):
+        record.add({"what": "kernel", **found, "covered": kernels.covered(p)})
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
+    parser.add_argument("--only", default=",".join(PARTS))
+    parser.add_argument("--megapixels", default="0.1,0.4,1.6,6,24")
+    parser.add_argument("--gaussians", default="1000,3000,10000,30000,70000")
+    parser.add_argument("--bpp", type=float, default=0.25)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=300, help="of the fit before kernels are timed")
+    parser.add_argument("--rounds", type=int, default=40)
+    parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
+    options = parser.parse_args()
+    if unknown := {*options.only.split(",")} - {*PARTS}:
+        parser.error(f"{', '.join(sorted(unknown))}: no such part; there are {', '.join(PARTS)}")
+    settings = {"bpp": options.bpp, "repeats": options.repeats, "steps": options.steps, "codecs": versions()}
+    record = Record(options.out, "benchmarks.speed", settings)
+    paths = chosen_from(options.images, 64)
+    if "sizes" in options.only:
+        for megapixels in (float(size) for size in options.megapixels.split(",")):
+            if not record.has(what="size", megapixels=megapixels):
+                record.add(sizes.row(paths, megapixels, options.bpp, options.repeats))
+    if "gaussians" in options.only:
+        numbers = [int(n) for n in options.gaussians.split(",")]
+        measure_gaussians(record, paths[0], numbers, options.steps, options.rounds)
+    if "kernels" in options.only:
+        measure_kernels(record, paths[0], options.steps, options.rounds)
+
+
+if __name__ == "__main__":
+    main()

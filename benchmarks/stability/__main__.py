@@ -1,0 +1,47 @@
+"""Stiff and extreme cases: what was tried, the rule, the worst figure seen, the verdict.
+
+    python -m benchmarks.stability [--sets kernels,fits,files] [--mutations 1000000] [--sanitize] [--out FILE]
+
+kernels: extreme Gaussians against the definition in float64. fits: bad starts, rates, budgets; seeds and generations.
+files: mutations, a second decoder and, with --sanitize, the native code under sanitizers. python -m benchmarks.stiff
+has the pictures that are hard to code.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.machine import RESULTS, Record
+from benchmarks.stability import files, fits, kernels
+from benchmarks.stability.case import Cases
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--sets", default="kernels,fits,files")
+    parser.add_argument("--side", type=int, default=fits.Size.side, help="pixels along the picture that is fitted")
+    parser.add_argument("--seeds", type=int, default=fits.Size.seeds)
+    parser.add_argument("--generations", type=int, default=fits.Size.generations)
+    parser.add_argument("--mutations", type=int, default=files.AT_A_TIME)
+    parser.add_argument("--sanitize", action="store_true")
+    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
+    options = parser.parse_args()
+    sets: dict[str, Callable[[], Cases]] = {
+        "kernels": kernels.cases,
+        "fits": lambda: fits.cases(fits.Size(options.side, options.seeds, options.generations)),
+        "files": lambda: files.cases(options.mutations, options.sanitize),
+    }
+    if unknown := {*options.sets.split(",")} - {*sets}:
+        parser.error(f"{', '.join(sorted(unknown))}: no such set; there are {', '.join(sets)}")
+    record = Record(options.out, "benchmarks.stability", {"side": options.side})
+    for name in options.sets.split(","):
+        for case in sets[name]():
+            if not record.has(set=name, case=case.name, rule=case.rule):
+                record.add({"set": name, **case.row()})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Fits from bad starts, at rates that are too high, with too few and too many Gaussians, under impossible budgets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.needs import photograph
+from benchmarks.pictures import Pixels
+from benchmarks.stability.case import Case, Cases, Found
+from sgmethod import Budget, BudgetError, Encoded, decode, encode, open
+from sgmethod.metrics import psnr
+from sgmethod.profiles import PROFILES, RD
+from sgmethod.rd import fit
+from sgmethod.scene import Gaussians
+from sgmethod.start.placement import place
+
+BPP = 1.0
+RULE = "dB that the file is worse than the first error of its trace, or than one colour"
+SIZE_RULE = "bytes above the budget, or an error that is no BudgetError"
+SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB, CONDITION_LIMIT = 0.5, 1.0, 1e7
+WEIGHT_LEAST = 1e-6  # a Gaussian with no weight on any pixel has no say in the system
+Patch = Callable[[], AbstractContextManager[Any]]
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is tried: pixels along a side, seeds, generations."""
+
+    side: int = 64
+    seeds: int = 10
+    generations: int = 10
+
+
+def cases(size: Size) -> Cases:
+    """All, on one picture."""
+    pixels = photograph(size.side)
+    for name, patched in starts().items():
+        yield Case(name, RULE, 0.0, partial(worse, pixels, Budget("bpp", BPP), patched))
+    for n in (1, 2, pixels.shape[0] * pixels.shape[1]):
+        yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n)))
+    for count in (1, 17, 18, 19, 30, 100, pixels.size, 10 * pixels.size):
+        yield Case(f"{count:,} bytes", SIZE_RULE, 0, partial(beyond, pixels, count))
+    yield Case(
+        f"{size.seeds} seeds", "dB between the best and the worst", SPREAD_LIMIT_DB, partial(spread, pixels, size.seeds)
+    )
+    yield Case(
+        f"{size.generations} generations",
+        "dB lost from the first to the last, each encoded from the one before",
+        GENERATIONS_LIMIT_DB,
+        partial(lost, pixels, size.generations),
+    )
+    yield Case(
+        "colours of the file's Gaussians",
+        "condition number of their linear system, each Gaussian of norm 1",
+        CONDITION_LIMIT,
+        partial(condition, pixels),
+    )
+
+
+def starts() -> dict[str, Patch]:
+    """Other places of the first Gaussians, and other rates."""
+
+    def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
+        def placed(*arguments: Any) -> Gaussians:
+            gaussians = place(*arguments)
+            copied = Gaussians(*(np.array(a) for a in (gaussians.means, gaussians.factors, gaussians.colors)))
+            spoil(copied)
+            return copied
+
+        return lambda: patch.object(fit, "place", placed)
+
+    def equal(g: Gaussians) -> None:
+        for values in (g.means, g.factors, g.colors):
+            values[:] = values[0]
+
+    def singular(g: Gaussians) -> None:
+        g.factors[:, 0::2] = 0
+
+    def some(value: float, name: str) -> Callable[[Gaussians], None]:
+        def spoil(g: Gaussians) -> None:
+            getattr(g, name)[::2, 0] = value
+
+        return spoil
+
+    fast = {name: 10 * getattr(RD, name) for name in ("mean_rate", "factor_rate", "color_rate")}
+    bad = [(math.nan, "not a number"), (math.inf, "infinite")]
+    return {
+        "as it is": nullcontext,
+        "all Gaussians equal at the start": spoiled(equal),
+        "singular shapes at the start": spoiled(singular),
+        **{
+            f"every second {name[:-1]} {word} at the start": spoiled(some(v, name))
+            for v, word in bad
+            for name in ("means", "factors")
+        },
+        "rates ten times too high": lambda: patch.dict(PROFILES, {"rd": replace(RD, **fast)}),
+    }
+
+
+def worse(pixels: Pixels, budget: Budget, patched: Patch = nullcontext) -> Found:
+    """How far the file is below the start of its own fit, and below a picture of one colour."""
+    with patched():
+        encoded = encode(pixels, budget)
+    mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
+    least = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
+    return max(least - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"
+
+
+def beyond(pixels: Pixels, count: int) -> Found:
+    """The budget is kept, or refused by name."""
+    try:
+        encoded = encode(pixels, Budget("bytes", count))
+    except BudgetError as error:
+        return 0.0, f"refused: {error}"
+    return float(max(encoded.stats.bytes - count, 0)), f"{encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB"
+
+
+def spread(pixels: Pixels, seeds: int) -> Found:
+    """Of the same encode."""
+    found = [encode(pixels, Budget("bpp", BPP), seed=seed).stats.psnr for seed in range(seeds)]
+    return max(found) - min(found), f"{min(found):.2f} to {max(found):.2f} dB"
+
+
+def lost(pixels: Pixels, generations: int) -> Found:
+    """PSNR against the first picture."""
+    shown, found = pixels, []
+    for _ in range(generations):
+        shown = decode(encode(shown, Budget("bpp", BPP)).data)
+        found.append(psnr(shown, pixels))
+    return found[0] - found[-1], " ".join(f"{db:.2f}" for db in found)
+
+
+def condition(pixels: Pixels) -> Found:
+    """In float64, from the weights of every Gaussian on every pixel."""
+    encoded: Encoded = encode(pixels, Budget("bpp", BPP))
+    scene = open(encoded.data)._stream.scene()
+    x, y = np.arange(scene.width) + 0.5, np.arange(scene.height) + 0.5
+    weights = []
+    for mean, (l1, l2, l3) in zip(
+        scene.gaussians.means.astype(float), scene.gaussians.factors.astype(float), strict=True
+    ):
+        z1 = (x[None, :] - mean[0]) / l1
+        z2 = (y[:, None] - mean[1] - l2 * z1) / l3
+        weights.append((np.exp(-(z1 * z1 + z2 * z2) / 2) - math.exp(-scene.cutoff)).clip(0).ravel())
+    matrix = np.array(weights)
+    norms = np.linalg.norm(matrix, axis=1, keepdims=True)
+    matrix = (matrix / norms.clip(WEIGHT_LEAST))[norms[:, 0] > WEIGHT_LEAST]
+    return float(np.linalg.cond(matrix @ matrix.T)), f"{len(matrix)} Gaussians"
