@@ -1,0 +1,1 @@
+"""The documents' figures from the JSON of benchmarks/results: python -m benchmarks.report"""

@@ -1,0 +1,68 @@
+"""Make docs/results.md, its plots and the README's tables from the JSON of benchmarks/results.
+
+    python -m benchmarks.report [--check] [--root FOLDER]
+
+Nobody types a figure. --check writes nothing, and exits with 1 where a document differs from the JSON; it needs no
+matplotlib, as plots are not compared. --root: a folder with benchmarks/results, docs and README.md; this checkout's.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.report import convergence, fits, needs, rate, readme, speed, stability
+from benchmarks.report.plots import save
+from benchmarks.report.section import Section
+from sgmethod.io.files import write_atomically
+from tests.harness.data import ROOT
+
+MAKERS = (
+    rate.section,
+    convergence.section,
+    needs.section,
+    stability.section,
+    speed.section,
+    fits.representation,
+    fits.ablation,
+)
+HEAD = """# Results
+
+Made from the JSON of [benchmarks/results](../benchmarks/results) by `python -m benchmarks.report`; nothing was typed.
+Each section says what was asked and what came out, then what it does not show. The line below its tables has the
+command, the machine, the commit and the date. "Quoted" marks figures that others published, with their source in
+[benchmarks/published](../benchmarks/published); nobody measured them here."""
+
+
+def sections(results: Path) -> list[Section]:
+    """Those that have been measured."""
+    return [section for make in MAKERS if (section := make(results)) is not None]
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true")
+    parser.add_argument("--root", type=Path, default=ROOT)
+    options = parser.parse_args()
+    root: Path = options.root
+    results = root / "benchmarks" / "results"
+    made = sections(results)
+    texts = {
+        root / "docs" / "results.md": "\n\n".join([HEAD, *(section.text() for section in made)]) + "\n",
+        root / "README.md": readme.filled((root / "README.md").read_text(), results),
+    }
+    if options.check:
+        stale = [path.name for path, text in texts.items() if not path.exists() or path.read_text() != text]
+        if stale:
+            raise SystemExit(f"{' and '.join(stale)}: not what the JSON says; run python -m benchmarks.report")
+        return
+    for section in made:
+        if section.draw is not None:
+            save(section.draw, section.title, root / "docs" / "plots" / section.name)
+    for path, text in texts.items():
+        write_atomically(path, text.encode())
+
+
+if __name__ == "__main__":
+    main()

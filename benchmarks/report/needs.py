@@ -1,0 +1,55 @@
+"""What a scene did not need."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from benchmarks.report.section import Section, load, number, table
+
+REFERENCE = "photograph"
+
+
+def section(results: Path) -> Section | None:
+    """From needs.json."""
+    content = load(results, "needs")
+    if content is None:
+        return None
+    rows = content["rows"]
+    by_name = {row["scene"]: row for row in rows}
+    least, most = (find(rows, key=lambda row: row["bytes"]) for find in (min, max))
+    saved = max(rows, key=lambda row: row["seconds_whole"] / row["seconds"])
+    said = (
+        f"What does profile `rd` leave out where a scene of {content['settings']['side']} pixels a side does not need "
+        f"it, at one quality ({content['settings']['quality']:g}) for all? From {least['bytes']:,} bytes "
+        f"({least['scene']}) to {most['bytes']:,} ({most['scene']}); without smaller pictures at first "
+        f"{saved['scene']} "
+        f"would take {saved['seconds_whole'] / saved['seconds']:.1f} times as long. One picture of each "
+        f"kind is no average "
+        "of its kind, and parts that no count shows (a Gaussian that could have been wider) are not seen."
+    )
+    reference = by_name.get(REFERENCE)
+    lines = [line(row, reference) for row in rows]
+    titles = "scene | bytes | bits by kind | PSNR | Gaussians | left out of the file | steps, of those scheduled | "
+    titles += "steps at full size, 1/2, 1/4, 1/8 | seconds | of the photograph's | saved by smaller pictures"
+    return Section("needs", "What a scene did not need", said, [table(titles, lines)], [content])
+
+
+def line(row: dict[str, Any], reference: dict[str, Any] | None) -> list[object]:
+    """The cells of one scene."""
+    bits = ", ".join(f"{name} {count:,}" for name, count in row["bits"].items())
+    sizes = " ".join(str(row["steps_by_spacing"].get(str(2**k), 0)) for k in range(4))
+    part = None if reference is None else row["seconds"] / reference["seconds"]
+    return [
+        row["scene"],
+        f"{row['bytes']:,}",
+        bits,
+        number(row["psnr"], ".2f"),
+        f"{row['gaussians']:,}",
+        ", ".join(row["left_out_of_the_file"]) or "-",
+        f"{row['steps']} of {row['steps_scheduled']}",
+        sizes,
+        f"{row['seconds']:.2f}",
+        number(part, ".2f"),
+        f"{row['seconds_whole'] - row['seconds']:.2f} s",
+    ]

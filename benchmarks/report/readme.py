@@ -1,0 +1,66 @@
+"""The README's tables, between marks: <!-- table NAME --> and <!-- end -->."""
+
+from __future__ import annotations
+
+import re
+import statistics
+from pathlib import Path
+
+from benchmarks.rd.report import means
+from benchmarks.report import rate
+from benchmarks.report.section import load, number, table
+
+MARKED = r"<!-- table {} -->\n.*?<!-- end -->"
+
+
+def filled(text: str, results: Path) -> str:
+    """The README with its tables as the JSON has them. Raises SystemExit where marks are missing."""
+    for name, make in {"codecs": codecs, "versions": versions, "profiles": profiles}.items():
+        made = f"<!-- table {name} -->\n{make(results)}\n<!-- end -->"
+        text, count = re.subn(MARKED.format(name), lambda _, made=made: made, text, flags=re.DOTALL)  # type: ignore[misc]
+        if count != 1:
+            raise SystemExit(f"the README has {count} tables {name}, and not one")
+    return text
+
+
+def codecs(results: Path) -> str:
+    """All codecs of one run at 0.25 bits per pixel, the best PSNR first."""
+    average = means(rate.rows_of(load(results, "kodak-rd") or {"rows": []}))
+    chosen = sorted(
+        ((c, m) for (c, limit), m in average.items() if limit == 0.25), key=lambda cm: -(cm[1]["psnr"] or 0)
+    )
+    forms = {"bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f", "decode_ms": ".2f"}
+    lines = [[rate.NAMES[c], *(number(m[name], form) for name, form in forms.items())] for c, m in chosen]
+    return table("codec | bpp | PSNR | MS-SSIM | decode ms", lines)
+
+
+def versions(results: Path) -> str:
+    """Version 4 beside version 3, which took turns."""
+    content = load(results, "version4/turns") or {"rows": []}
+
+    def mean(who: str, what: str) -> float:
+        return statistics.fmean(row[who][what] for row in content["rows"])
+
+    decode, encode = (mean("this", what) / mean("other", what) for what in ("decode_ms", "encode_s"))
+    db = mean("this", "psnr") - mean("other", "psnr")
+    behind = f"{abs(db):.2f} dB {'behind' if db < 0 else 'ahead'}"
+    return (
+        f"Those are files of version 3. Version 4 is decoded in {decode:.2f} of the time and encoded in "
+        f"{encode:.2f} of "
+        f"it, {behind}\n([in turns](benchmarks/results/version4)): {mean('this', 'encode_s'):.1f} s "
+        f"where version 3 took "
+        f"{mean('other', 'encode_s'):.1f}."
+    )
+
+
+def profiles(results: Path) -> str:
+    """Profiles rd and paper at two rates, and against GaussianImage as published."""
+    average = means(rate.rows_of(*(load(results, name) or {"rows": []} for name in ("kodak-rd", "kodak-paper"))))
+    lines = []
+    for profile, low, high in (("rd", 0.15, 0.4), ("paper", 0.147, 0.43)):
+        psnrs = [number(average[profile, limit]["psnr"], ".2f") + " dB" for limit in (low, high)]
+        lines.append([f"`{profile}`", *psnrs, number(rate.rate_against_quoted(average, profile), "+.1f") + " %"])
+    titles = (
+        "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted) for the same PSNR"
+    )
+    return table(titles, lines)

@@ -1,0 +1,60 @@
+"""What a section of the document is made of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.machine import in_words
+
+Content = dict[str, Any]  # of a JSON
+Draw = Callable[[Any], None]  # on the axes of matplotlib
+MISSING = "-"
+
+
+@dataclass(frozen=True)
+class Section:
+    """One question. said: what was asked, what came out, what it does not show; contents: the JSON of each table and
+    plot; draw: the plot, if there is one."""
+
+    name: str
+    title: str
+    said: str
+    tables: Sequence[str]
+    contents: Sequence[Content]
+    draw: Draw | None = None
+
+    def text(self) -> str:
+        """Markdown."""
+        plot = [] if self.draw is None else [f"![{self.title}](plots/{self.name}.svg)"]
+        return "\n\n".join([f"## {self.title}", self.said, *plot, *self.tables, *map(origin, self.contents)])
+
+
+def origin(content: Content) -> str:
+    """By which command, where and when; and what else must be known."""
+    remark = f" {content['remark']}" if content.get("remark") else ""
+    return f"`{content['command']}`: {in_words(content)}.{remark}"
+
+
+def load(results: Path, name: str) -> Content | None:
+    """The JSON of that name, None where it was not measured yet."""
+    path = results / f"{name}.json"
+    content: Content | None = json.loads(path.read_text()) if path.exists() else None
+    return content
+
+
+def table(titles: str, rows: Sequence[Sequence[object]]) -> str:
+    """Markdown; titles separated by bars."""
+    names = [title.strip() for title in titles.split("|")]
+    lines = [names, ["---"] * len(names), *[[str(cell) for cell in row] for row in rows]]
+    return (
+        "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("| --- ", "|---").replace("--- |", "---|")
+    )
+
+
+def number(value: float | None, form: str) -> str:
+    """With so many digits, or a dash."""
+    return MISSING if value is None else format(value, form)

@@ -1,0 +1,126 @@
+"""Time and memory."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.report.section import Section, load, table
+from benchmarks.speed import FLOPS
+
+Rows = Sequence[dict[str, Any]]
+
+
+def section(results: Path) -> Section | None:
+    """From speed.json."""
+    content = load(results, "speed")
+    if content is None:
+        return None
+    by_what = {what: [r for r in content["rows"] if r["what"] == what] for what in ("size", "gaussians", "kernel")}
+    ceilings = {row["ceiling"]: row["value"] for row in content["rows"] if row["what"] == "ceiling"}
+    makers = {"size": sizes_table, "gaussians": gaussians_table}
+    tables = [make(by_what[what]) for what, make in makers.items() if by_what[what]]
+    if by_what["kernel"]:
+        tables.append(kernels_table(by_what["kernel"], ceilings))
+    said = (
+        "How do time and memory grow with the picture and the Gaussians, and how near do kernels come to what the "
+        f"machine can do? {found(by_what)} Medians of one machine are no promise for another, and ratios "
+        f"count more than "
+        "seconds."
+    )
+    return Section("speed", "Time and memory", said, tables, [content])
+
+
+def found(by_what: Mapping[str, Rows]) -> str:
+    """What came out."""
+    parts = []
+    sizes, gaussians = by_what["size"], by_what["gaussians"]
+    if len(sizes) > 1:
+        pixels = [row["pixels"] for row in sizes]
+        encode, decode, memory = (
+            exponent(pixels, values)
+            for values in (
+                [statistics.median(row["encode_s"]) for row in sizes],
+                [row["decode_ms"] for row in sizes],
+                [row["encode_mib"] for row in sizes],
+            )
+        )
+        parts.append(
+            f"with the pixels to the power of {encode:.2f} an encode, {decode:.2f} a decode, {memory:.2f} an encode's "
+            "memory"
+        )
+    if len(gaussians) > 1:
+        power = exponent([row["gaussians"] for row in gaussians], [row["forward_ms"] for row in gaussians])
+        parts.append(f"with the Gaussians to the power of {power:.2f} drawing them")
+    if not parts and by_what["kernel"]:
+        rows = by_what["kernel"]
+        most = max(row["threads"] for row in rows)
+        best = [row for row in rows if row["threads"] == most and row["isa"] == rows[-1]["isa"]]
+        parts = [f"{row['job']} takes {row['median_ms']:.2f} ms with {most} threads" for row in best]
+    sentence = "; ".join(parts)
+    return f"{sentence[:1].upper()}{sentence[1:]}."
+
+
+def exponent(x: Sequence[float], y: Sequence[float]) -> float:
+    """The slope of the line through the logarithms."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def sizes_table(rows: Rows) -> str:
+    """By megapixels, with the other codecs' times as ratios."""
+    names = list(dict.fromkeys(name for row in rows for name in row["rivals_decode_ms"]))
+    lines = []
+    for row in rows:
+        encode = statistics.median(row["encode_s"])
+        ratios = [encode / row["rivals_encode_s"][name] for name in names]
+        ratios += [row["decode_ms"] / row["rivals_decode_ms"][name] for name in names]
+        spread = f"{min(row['encode_s']):.2f} to {max(row['encode_s']):.2f}"
+        memory = [f"{row['encode_mib']:.0f}", f"{row['decode_mib']:.0f}"]
+        sizes = [f"{row['megapixels']:g}", f"{row['bytes']:,}", f"{row['psnr']:.2f}", f"{row['gaussians']:,}"]
+        lines.append(
+            [*sizes, f"{encode:.2f}", spread, f"{row['decode_ms']:.2f}", *memory, *(f"{r:.2f}" for r in ratios)]
+        )
+    titles = [
+        "megapixels",
+        "bytes",
+        "PSNR",
+        "Gaussians",
+        "encode s",
+        "from, to",
+        "decode ms",
+        "encode MiB",
+        "decode MiB",
+    ]
+    titles += [f"encode over {name}'s" for name in names] + [f"decode over {name}'s" for name in names]
+    return table(" | ".join(titles), lines)
+
+
+def gaussians_table(rows: Rows) -> str:
+    """By number of Gaussians."""
+    lines = [
+        [
+            f"{r['gaussians']:,}",
+            *(f"{r[name]:.2f}" for name in ("binning_ms", "forward_ms", "forward + backward_ms", "step_ms")),
+        ]
+        for r in rows
+    ]
+    return table("Gaussians at 768x512 | binning ms | forward ms | forward and backward ms | step of a fit ms", lines)
+
+
+def kernels_table(rows: Rows, ceilings: dict[str, float]) -> str:
+    """By instruction set and threads. How near drawing comes to arithmetic: operations on covered pixels alone."""
+    lines = []
+    most = max(row["threads"] for row in rows)
+    for row in rows:
+        part = None
+        if row["job"] == "forward" and row.get("covered") and ceilings and row["threads"] == most:
+            part = 100 * FLOPS * row["covered"] / row["median_ms"] / 1e6 / ceilings["arithmetic, GFLOP/s"]
+        times = [f"{row[name]:.2f}" for name in ("median_ms", "p10_ms", "p90_ms")]
+        lines.append([row["job"], row["isa"], row["threads"], *times, f"{part:.0f} %" if part else "-"])
+    told = ", ".join(f"{name.replace(', ', ': ')} {value:.1f}" for name, value in ceilings.items())
+    titles = "job | instruction set | threads | median ms | p10 | p90 | of the arithmetic of a product of matrices"
+    return (f"The machine reaches {told}.\n\n" if told else "") + table(titles, lines)
