@@ -84,7 +84,7 @@ def test_stream_round_trip(stream_of: type[StreamV3]) -> None:
     ("at", "value", "why"),
     [
         (4, b"\0\0\0\0", "checksum"),
-        (8, b"\4", "flags"),
+        (8, b"\x08", "flags"),
         (9, b"\0\0", "size is 0 x"),
         (11, b"\0\0", "x 0"),
         (13, b"\0\1", "quantum"),
@@ -97,6 +97,12 @@ def test_refused_headers(at: int, value: bytes, why: str, stream_of: type[Stream
     data = data[:at] + value + data[at + len(value) :]
     with pytest.raises(BitstreamError, match=why):
         container.parse(data if at == 4 else with_checksum(data)).gaussians()
+
+
+def test_version_3_has_no_texture() -> None:
+    data = container.serialise(StreamV3.of(scattered(40, (70, 50)), (70, 50), 0.1, (9, 8, 7), False))
+    with pytest.raises(BitstreamError, match="flags is 4"):
+        container.parse(with_checksum(data[:8] + b"\4" + data[9:]))
 
 
 @STREAMS
