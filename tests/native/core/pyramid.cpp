@@ -140,7 +140,7 @@ Matrix red(sg::Planes& planes, int level) {
 // Calls visit(i, level, its patch, its gain) for each Gaussian of a coarse level that is seen.
 template <typename Visit>
 void for_patches(const sg::GaussianArrays& g, const std::vector<sg::Grid>& grids, const Visit& visit) {
-  const sg::Gram gram(grids);
+  const sg::Gram gram(grids, nullptr);
   for (size_t i = 0; i < kAll; ++i) {
     const int level = sg::level_of(&g.factors[3 * i]);
     if (level == 0) continue;

@@ -183,9 +183,6 @@ function readGaussians(header, coder, found) {
 
 const level = ({ symbol }) => (symbol === 0 ? 0 : symbol <= 2 ? 1 : symbol <= 5 ? 2 : 3);
 
-/** The model of r, by what is known of |v|: what is long is slanted more. */
-const slant = (h, { least }) => Math.min(h + Math.floor((2 * least) / 2 ** h), 7);
-
 /** Cell and colour of the next Gaussian, if there are more; shape and place of `now`, the one before, if any. */
 function readTurn(header, coder, models, { k, t, columns, rows }, more, now) {
   let [distance, y, a, b, v, r] = [NONE, NONE, NONE, NONE, NONE, NONE];
@@ -214,7 +211,7 @@ function readTurn(header, coder, models, { k, t, columns, rows }, more, now) {
   if (more) y = ofNext(() => coder.number(COLOUR, models.luma[0]));
   if (now) v = ofNow(() => coder.number(SHAPE, models.v[bucket]));
   if (more && !header.grey) a = ofNext(() => coder.number(COLOUR, models.a[level(y)]));
-  if (now && !header.upright) r = ofNow(() => coder.number(SHAPE, models.r[slant(now.h, v)]));
+  if (now && !header.upright) r = ofNow(() => coder.number(SHAPE, models.r[bucket]));
   if (more && !header.grey) b = ofNext(() => coder.number(COLOUR, models.b[level(a)]));
 
   coder.fetch(v.rest + r.rest + (now ? now.uBits : 0) + (more ? t : 0));

@@ -73,8 +73,9 @@ export class Model {
 
   adapt(symbol) {
     const { fast, slow } = this;
-    const j = this.seen++ < 64 ? 6 : 7;
+    const j = this.seen < 112 ? 31 - Math.clz32(this.seen + 16) : 7;
     const half = (1 << (j - 1)) - 1;
+    this.seen++;
     for (let i = 1; i < 16; i++) {
       const aim = i > symbol ? 4 * i + 32704 : 4 * i;
       fast[i] += (aim - fast[i] + 15) >> 5;
