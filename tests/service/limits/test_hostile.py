@@ -178,7 +178,7 @@ def test_there_are_no_websockets_anywhere(strict: Service) -> None:
     """The server by itself would answer the handshake like any request, and log two lines of advice."""
     websocket = {"Connection": "Upgrade", "Upgrade": "WebSocket", "Sec-WebSocket-Key": "x"}
     document = strict.client.get("/openapi.json").json()
-    for path in (*document["paths"], "/", "/openapi.json", "/static/app.js", "/no/such/path"):
+    for path in (*document["paths"], "/", "/openapi.json", "/static/page/main.js", "/no/such/path"):
         answer = strict.client.get(path.format(job_id="0" * 32, kind="png"), headers=websocket)
         assert_problem(answer, 404, "no WebSockets")
         assert answer.headers["connection"] == "close"
@@ -365,7 +365,12 @@ def test_polyglots_come_back_as_pixels_alone(service: Service) -> None:
     [
         *("/jobs/../../etc/passwd", "/decode/..%2f..%2fjobs.sqlite3.png", "/bitstreams/../jobs.sqlite3"),
         *("/bitstreams/....//jobs.sg", "/static/../app.py", "/static/..%2fapp.py", "/static/%2e%2e/settings.py"),
-        *("/static//etc/passwd", "/static/app.js%00.png", "/bitstreams/%2e%2e%2fsources.sg", "/static/..\\app.py"),
+        *(
+            "/static//etc/passwd",
+            "/static/page/main.js%00.png",
+            "/bitstreams/%2e%2e%2fsources.sg",
+            "/static/..\\app.py",
+        ),
         "/static/" + "a" * 3000,
     ],
 )

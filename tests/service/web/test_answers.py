@@ -139,7 +139,7 @@ def test_head_of_everything(web: Service, done: str) -> None:
     document = web.client.get("/openapi.json").json()
     paths = [path for path, methods in document["paths"].items() if "get" in methods and "events" not in path]
     assert len(paths) >= 8
-    for path in (*paths, "/", "/docs", "/openapi.json", "/static/app.js"):
+    for path in (*paths, "/", "/docs", "/openapi.json", "/static/page/main.js"):
         url = path.format(job_id=done, kind="png")
         head, get = web.client.head(url), web.client.get(url)
         assert (head.status_code, head.content) == (200, b""), url

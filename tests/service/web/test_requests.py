@@ -15,6 +15,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from service.web.app import STATIC
 from tests.harness.pictures import SMALL, png
 from tests.harness.service import SMALL_QUEUE, Service, assert_problem
 
@@ -38,7 +39,7 @@ def test_health(web: Service) -> None:
 
 
 def test_every_answer_has_the_security_headers(web: Service) -> None:
-    for path in ("/", "/docs", "/livez", "/nowhere", f"/jobs/{GOOD_ID}", "/static/app.js"):
+    for path in ("/", "/docs", "/livez", "/nowhere", f"/jobs/{GOOD_ID}", "/static/page/main.js"):
         headers = web.client.get(path).headers
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["referrer-policy"] == "no-referrer"
@@ -49,7 +50,9 @@ def test_page_names_nothing_elsewhere(web: Service) -> None:
     page = web.client.get("/")
     assert page.headers["content-type"].startswith("text/html")
     assert "script-src 'self'" in page.headers["content-security-policy"]
-    for path in ("/", "/docs", "/static/app.js", "/static/docs.js", "/static/style.css"):
+    files = [f"/static/{file.relative_to(STATIC)}" for kind in ("js", "css") for file in STATIC.rglob(f"*.{kind}")]
+    assert len(files) > 10
+    for path in ("/", "/docs", *files):
         answer = web.client.get(path)
         assert answer.status_code == 200
         assert "://" not in answer.text.replace("http://www.w3.org", "").replace("http://127.0.0.1:8000", "")
