@@ -65,7 +65,7 @@ def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: 
 
 
 def test_gradients_are_those_of_finite_differences() -> None:
-    """Seen: within 2 % of the largest of each kind."""
+    """The worst seen is off by 0.3 % of the largest of its kind."""
     rng = np.random.default_rng(5)
     pixels = rng.integers(0, 256, (40, 56, 3), np.uint8)
     fitted = Picture(target_of(pixels), 0.0, CUTOFF, pyramid=True, visibility=visibility(56, 40))
@@ -80,9 +80,8 @@ def test_gradients_are_those_of_finite_differences() -> None:
                 values[index] = before + sign * step
                 errors.append(fitted.gradients(p)[0])
             values[index] = before
-            assert (errors[0] - errors[1]) / (2 * step) == pytest.approx(
-                float(by[index]), abs=0.06 * float(by.abs().max())
-            )
+            slope, tolerance = (errors[0] - errors[1]) / (2 * step), 0.01 * float(by.abs().max())
+            assert slope == pytest.approx(float(by[index]), abs=tolerance)
 
 
 def test_squares_of_amplitudes_are_what_is_seen() -> None:
