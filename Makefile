@@ -30,6 +30,8 @@ TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/tes
 # The second decoders are plain Python, which takes twice as long when it is measured, and are no part of the packages.
 UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/test_fuzz_*.py)
 COVERAGE ?=
+# Further targets, made beside the measured tests.
+ALSO ?=
 VERSIONS ?= 3.12 3.13 3.14
 # The fuzzer of Python code.
 ATHERIS := atheris>=3
@@ -55,7 +57,7 @@ ifeq ($(COVERAGE),)
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(MAKE) --jobs 2 measured-service measured unmeasured
+	$(MAKE) --jobs 2 measured-service measured unmeasured $(ALSO)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif
