@@ -57,7 +57,7 @@ ifeq ($(COVERAGE),)
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(MAKE) --jobs 2 measured-service measured unmeasured $(ALSO)
+	$(MAKE) --jobs 3 measured-service measured unmeasured $(ALSO)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif
