@@ -233,6 +233,7 @@ def _outcomes(conversions: list[Conversion], arguments: argparse.Namespace) -> I
     if jobs <= 1:
         yield from (_attempt(conversion, arguments) for conversion in conversions)
         return
+    import signal
     from multiprocessing import get_context
 
     from sgmethod.native import native
@@ -241,7 +242,10 @@ def _outcomes(conversions: list[Conversion], arguments: argparse.Namespace) -> I
     context = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads
     plain = argparse.Namespace(**{name: value for name, value in vars(arguments).items() if name != "run"})
     with ProcessPoolExecutor(jobs, context, _begin_worker, (threads,)) as pool:
+        # Ctrl-C is for this process alone. The others inherit that they ignore it: they may not even have begun Python.
+        interrupted = signal.signal(signal.SIGINT, signal.SIG_IGN)
         running = {pool.submit(_attempt, conversion, plain): conversion for conversion in conversions}
+        signal.signal(signal.SIGINT, interrupted)
         try:
             for future in as_completed(running):
                 try:
@@ -258,14 +262,14 @@ def _outcomes(conversions: list[Conversion], arguments: argparse.Namespace) -> I
 
 
 def _begin_worker(threads: int) -> None:
-    """In a process of its own: end with the one that started it, and without a word at Ctrl-C."""
+    """In a process of its own: end with the one that started it, and never by Ctrl-C."""
     import signal
     from multiprocessing import parent_process
     from threading import Thread
 
     from sgmethod.native import native
 
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows lets nothing be inherited
     parent = parent_process()
     if parent is not None:
         Thread(target=_end_with, args=(parent,), daemon=True).start()

@@ -179,8 +179,9 @@ def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None
     assert ran.err.count("was killed\n") == 2
 
 
-def test_interrupted_jobs_end() -> None:
-    """Ctrl-C, while two processes encode; and none is left."""
+@pytest.mark.parametrize("after", [0, 2])
+def test_interrupted_jobs_end(after: float) -> None:
+    """Ctrl-C, while two processes start or encode, so many seconds after both are there; and none is left."""
     for name in ("one.png", "two.png", "three.png"):
         PHOTO.resize((512, 384)).save(name)
     pictures = ["one.png", "two.png", "three.png"]
@@ -195,7 +196,7 @@ def test_interrupted_jobs_end() -> None:
     until = time.monotonic() + 60
     while len(group(process.pid)) < 4 and time.monotonic() < until:  # us, two jobs, and multiprocessing's tracker
         time.sleep(0.05)
-    time.sleep(1)
+    time.sleep(after)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert (process.returncode, out) == (130, "")
