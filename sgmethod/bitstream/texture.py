@@ -34,20 +34,7 @@ def pack(codes: Codes) -> bytes:
 
 def unpack(data: bytes, width: int, height: int) -> tuple[Codes, int]:
     """The codes of a picture, given in pixels, and how many bytes they took. Raises BitstreamError."""
-    rows, columns = cells(width, height)
-    count = native.TEXTURE_OCTAVES * rows * columns
-    longest = 4 * native.TEXTURE_STRENGTHS  # bits of a difference between differences
-    bits = np.unpackbits(np.frombuffer(data[: count * longest // 8 + 1], np.uint8))
-    ends = np.flatnonzero(bits == 0)[:count]
-    if len(ends) < count:
-        raise BitstreamError("the file ends within its texture")
-    length = int(ends[-1]) // 8 + 1
-    if bits[ends[-1] : 8 * length].any():
-        raise BitstreamError("the padding of the file's texture is not zero")
-    ones = np.diff(ends, prepend=-1) - 1
-    steps = np.where(ones % 2 == 1, -(ones + 1) // 2, ones // 2).reshape(-1, rows, columns)
-    steps[:, :, 0] = np.cumsum(steps[:, :, 0], axis=1)
-    codes = np.cumsum(np.cumsum(steps, axis=2), axis=0)
-    if codes.min() < 0 or codes.max() >= native.TEXTURE_STRENGTHS:
-        raise BitstreamError("a strength of the file's texture is out of range")
-    return codes.astype(np.uint8), length
+    try:
+        return native.unpack_texture(data, width, height)
+    except RuntimeError as error:
+        raise BitstreamError(str(error)) from error

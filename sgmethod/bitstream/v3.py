@@ -100,9 +100,11 @@ class StreamV3:
 
     def body(self) -> bytes:
         """What follows the checksum."""
-        flags = FLAG_GREY * self.grey | FLAG_UPRIGHT * self.upright
         code = quantum_code(self.quantum)
-        return HEADER.pack(flags, self.width, self.height, code, *self.background) + self.payload
+        return HEADER.pack(self._flags(), self.width, self.height, code, *self.background) + self.payload
+
+    def _flags(self) -> int:
+        return FLAG_GREY * self.grey | FLAG_UPRIGHT * self.upright
 
     def gaussians(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Gaussians:
         """The Gaussians, largest first; with prefix < 1 those in that part of the payload.

@@ -47,8 +47,10 @@ class StreamV4(StreamV3):
         body = super().body()
         if self.texture is None:
             return body
-        header, payload = body[: HEADER.size], body[HEADER.size :]
-        return bytes([header[0] | FLAG_TEXTURE]) + header[1:] + pack(self.texture) + payload
+        return body[: HEADER.size] + pack(self.texture) + self.payload
+
+    def _flags(self) -> int:
+        return super()._flags() | FLAG_TEXTURE * (self.texture is not None)
 
     def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn, as far as that part of the payload tells. Raises BitstreamError."""

@@ -34,6 +34,8 @@ BAND = 256  # rows, a multiple of SHRINK
 LUMA = np.array([0.26, 0.66, 0.08], np.float32)  # about what the eye's cones add up to
 
 COLOR = native.SEEN_COLOR * np.eye(3) + np.outer(native.SEEN_LUMA, native.SEEN_LUMA)
+_VALUES, _AXES = np.linalg.eigh(COLOR)
+COLOR_ROOT = ((_AXES * np.sqrt(_VALUES)) @ _AXES.T).astype(np.float32)
 
 
 def visibility_of(pixels: NDArray[np.uint8]) -> Visibility:
@@ -95,18 +97,16 @@ def halved(visibility: Visibility) -> Visibility:
 
 def amplitudes(visibility: Visibility, planes: FloatArray) -> FloatArray:
     """An error [3, H, W] whose plain squares are what the eye sees of it."""
-    values, axes = np.linalg.eigh(COLOR)
-    root = ((axes * np.sqrt(values)) @ axes.T).astype(np.float32)
     seen = np.sqrt(visibility.astype(np.float32) / native.VISIBLE)
-    return np.asarray(np.tensordot(root, planes, 1) * seen, np.float32)
+    return np.asarray(np.tensordot(COLOR_ROOT, planes, 1) * seen, np.float32)
 
 
 def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:
     """What the eye sees of the error of a decoded picture [H, W, 3], summed; in squared levels of 255."""
-    total = 0.0
+    total, color = 0.0, COLOR.astype(np.float32)
     for row, (a, b) in enumerate(zip(decoded, source, strict=True)):
         e = a.astype(np.float32) - b
-        total += float(((e @ COLOR.astype(np.float32)) * e).sum(1) @ visibility[row].astype(np.float32))
+        total += float(((e @ color) * e).sum(1) @ visibility[row].astype(np.float32))
     return total / native.VISIBLE
 
 

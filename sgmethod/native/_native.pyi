@@ -43,6 +43,10 @@ def set_thread_count(count: int) -> None: ...
 def release_memory() -> None:
     """Give back to the system what is kept of freed memory: before work that needs other sizes."""
 
+def unpack_texture(data: bytes, width: int, height: int) -> tuple[NDArray[np.uint8], int]:
+    """The codes of a picture's texture [TEXTURE_OCTAVES, rows, columns], and how many bytes say them. Raises
+    RuntimeError for what no encoder writes."""
+
 class Texture:
     """Noise from a seed (sgmethod/native/texture/texture.h). Raises ValueError for codes and cells that cannot be."""
 

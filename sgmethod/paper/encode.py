@@ -9,7 +9,7 @@ import numpy as np
 
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.v1 import StreamV1
-from sgmethod.decoder import decode
+from sgmethod.decoder import draw
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.request import Request
@@ -74,7 +74,7 @@ class _Encoder:
         limit = self.request.until_s()
         for attempt in range(PSNR_ATTEMPTS):
             stream = self.run(n, None, None if limit is None else limit * (attempt + 1) / PSNR_ATTEMPTS)
-            tried[n] = (psnr(decode(container.serialise(stream)), self.request.pixels), stream)
+            tried[n] = (psnr(draw(stream.scene()), self.request.pixels), stream)
             n = _next_count(tried, target_db, pixels)
             if n in tried:
                 break

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, pack
 from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.decoder import decode
+from sgmethod.decoder import draw
 from sgmethod.fitting import eye
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
@@ -54,7 +53,7 @@ class Finish:
         """That goes with the Gaussians as they would be rounded now; the quantum found later differs little."""
         if self.settings.tune == "psnr":
             return None
-        drawn = decode(container.serialise(self.coder.stream(self.p)))
+        drawn = draw(self.coder.stream(self.p).scene())
         codes = estimate(self.source, drawn, self.settings)
         most = self.settings.texture_share * (self.control.max_bytes or math.inf)
         return codes if codes is not None and len(pack(codes)) <= most else None
@@ -69,13 +68,13 @@ class Finish:
 
     def _psnr(self, stream: StreamV4) -> float:
         """Without texture, which is there to be seen and not to be measured."""
-        return min(psnr(decode(container.serialise(stream)), self.source), EXACT_DB)
+        return min(psnr(draw(stream.scene()), self.source), EXACT_DB)
 
     def _quality(self, stream: StreamV4) -> float:
         """By which streams of one budget are compared: PSNR, or less of the error that the eye sees."""
         if self.picture.visibility is None:
             return self._psnr(stream)
-        return -eye.error(self.picture.visibility, decode(container.serialise(stream)), self.source)
+        return -eye.error(self.picture.visibility, draw(stream.scene()), self.source)
 
     def _within(self, limit: int) -> StreamV4:
         """The best with a payload of at most `limit` bytes.

@@ -58,13 +58,19 @@ inline const int16_t* values_of(const std::optional<Visibility>& visibility, int
   return visibility->data();
 }
 
-// A numpy array that owns the values.
+// A numpy array of that shape that owns the values.
+template <typename Array, typename T>
+Array own(std::vector<T>&& values, std::initializer_list<size_t> shape) {
+  auto kept = std::make_unique<std::vector<T>>(std::move(values));
+  nb::capsule owner(kept.get(), [](void* p) noexcept { delete static_cast<std::vector<T>*>(p); });
+  return Array(kept.release()->data(), shape, owner);
+}
+
+// Rows of so many floats.
 template <size_t Columns>
-nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>> own(std::vector<float>&& values) {
-  auto kept = std::make_unique<std::vector<float>>(std::move(values));
-  nb::capsule owner(kept.get(), [](void* p) noexcept { delete static_cast<std::vector<float>*>(p); });
-  std::vector<float>& held = *kept.release();
-  return nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>(held.data(), {held.size() / Columns, Columns}, owner);
+auto own_rows(std::vector<float>&& values) {
+  const size_t rows = values.size() / Columns;
+  return own<nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>>(std::move(values), {rows, Columns});
 }
 
 // What each room adds to the module.

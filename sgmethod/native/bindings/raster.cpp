@@ -25,6 +25,14 @@ sg::Rasterization* rasterization(Rows<2> means, Rows<3> factors, int width, int 
                                max_pairs);
 }
 
+auto unpack_texture(nb::bytes data, int width, int height) {
+  require(width > 0 && height > 0, "the picture has no pixels");
+  size_t used = 0;
+  auto codes = sg::unpack_texture(static_cast<const uint8_t*>(data.data()), data.size(), width, height, used);
+  const std::initializer_list<size_t> shape = {sg::kTextureOctaves, sg::texture_cells(height), sg::texture_cells(width)};
+  return std::make_tuple(own<nb::ndarray<nb::numpy, uint8_t, nb::ndim<3>>>(std::move(codes), shape), used);
+}
+
 sg::Texture* texture(Codes codes, double cell_x, double cell_y, double x, double y, int shift) {
   require(codes.shape(0) == sg::kTextureOctaves, "one plane of codes for each octave");
   return new sg::Texture(codes.data(), {side(codes, 2), side(codes, 1), cell_x, cell_y, x, y, shift});
@@ -90,6 +98,7 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
 }  // namespace
 
 void bind_raster(nb::module_& m) {
+  m.def("unpack_texture", &unpack_texture, "data"_a, "width"_a, "height"_a);
   nb::class_<sg::Texture>(m, "Texture")
       .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0);
   nb::class_<sg::Rasterization>(m, "Rasterization")

@@ -62,8 +62,8 @@ auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max
     nb::gil_scoped_release release;
     decoded = sg::rd_decode(p, bytes, size, prefix, max_gaussians);
   }
-  return std::make_tuple(own<2>(std::move(decoded.means)), own<3>(std::move(decoded.factors)),
-                         own<3>(std::move(decoded.colors)));
+  return std::make_tuple(own_rows<2>(std::move(decoded.means)), own_rows<3>(std::move(decoded.factors)),
+                         own_rows<3>(std::move(decoded.colors)));
 }
 
 }  // namespace

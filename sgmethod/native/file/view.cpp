@@ -58,8 +58,6 @@ GaussianArrays resized(const GaussianArrays& g, const View& part, const double (
   return out;
 }
 
-int cells(int pixels) { return (pixels + kTextureCell - 1) / kTextureCell; }
-
 // The largest whole number with 4^shift <= area.
 int shift_of(double area) {
   int exponent;
@@ -82,6 +80,7 @@ void draw(const File& file, const View& view, uint8_t* pixels) {
   const Size size = size_of(header, view);
   GaussianArrays g = file.gaussians(view.prefix);
   Canvas canvas{0, 0, size.width, size.height, header.cutoff, header.pyramid};
+  const auto cells = [](int pixels) { return static_cast<int>(texture_cells(pixels)); };
   TextureGrid grid{cells(header.width), cells(header.height), kTextureCell, kTextureCell, 0, 0, 0};
   if (view.scale != 1 || !view.whole) {
     const View part = area(header, view);

@@ -186,10 +186,7 @@ class Refinement {
         const Candidate c = state_.decoded(all_[i]);
         float products[4];
         visitor.project(c, products);
-        double loss = 0;  // without the Gaussian, what is left of the target grows by it
-        float seen[3] = {c.color[0], c.color[1], c.color[2]};
-        if (state_.visibility != nullptr) as_seen(seen);
-        for (int k = 0; k < 3; ++k) loss += seen[k] * (static_cast<double>(c.color[k]) * products[3] + 2.0 * products[k]);
+        const double loss = state_.change(c, products, 2.0);
         sizes[i] = state_.bits(c.symbols);
         order[i] = {loss / sizes[i], static_cast<size_t>(i)};
       }

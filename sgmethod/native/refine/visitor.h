@@ -66,6 +66,16 @@ struct State {
     return c;
   }
 
+  // What the error changes by if the Gaussian is taken from what is left, with times = -2, or added to it, with 2. products:
+  // of FitKernels::project.
+  double change(const Candidate& c, const float* products, double times) const {
+    float seen[3] = {c.color[0], c.color[1], c.color[2]};
+    if (visibility != nullptr) as_seen(seen);
+    double error = 0;
+    for (int k = 0; k < 3; ++k) error += seen[k] * (static_cast<double>(c.color[k]) * products[3] + times * products[k]);
+    return error;
+  }
+
   double bits(const Symbols& s) {
     constexpr SizeClass kAny{0, 0, ~0u, ~0u};
     BitCounter counter;
@@ -192,11 +202,7 @@ class Visitor {
   }
 
   double cost(const Candidate& c, const float* products) {
-    double error = 0;
-    float seen[3] = {c.color[0], c.color[1], c.color[2]};
-    if (state_.visibility != nullptr) as_seen(seen);
-    for (int k = 0; k < 3; ++k) error += seen[k] * (static_cast<double>(c.color[k]) * products[3] - 2.0 * products[k]);
-    return error + state_.settings.price * state_.bits(c.symbols);
+    return state_.change(c, products, -2.0) + state_.settings.price * state_.bits(c.symbols);
   }
 
   // Compares c with the best so far, and then c with the colour that is best for its geometry.

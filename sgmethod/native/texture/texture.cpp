@@ -127,8 +127,7 @@ float strength_of(int code) {
 }  // namespace
 
 std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width, int height, size_t& used) {
-  const int rows = (height + kTextureCell - 1) / kTextureCell, columns = (width + kTextureCell - 1) / kTextureCell;
-  const size_t cells = static_cast<size_t>(rows) * static_cast<size_t>(columns);
+  const size_t rows = texture_cells(height), columns = texture_cells(width), cells = rows * columns;
   std::vector<uint8_t> codes;
   uint64_t at = 0;  // bit
   const auto bit = [&] {
@@ -139,9 +138,9 @@ std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width,
   };
   for (int octave = 0; octave < kTextureOctaves; ++octave) {
     int64_t above = 0;
-    for (int row = 0; row < rows; ++row) {
+    for (size_t row = 0; row < rows; ++row) {
       int64_t told = above;
-      for (int column = 0; column < columns; ++column) {
+      for (size_t column = 0; column < columns; ++column) {
         int64_t ones = 0;
         while (bit() != 0) ++ones;
         told += ones % 2 == 0 ? ones / 2 : -(ones + 1) / 2;

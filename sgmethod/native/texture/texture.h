@@ -15,6 +15,9 @@ constexpr int kTextureOctaves = 2;
 constexpr int kTextureCell = 64;      // pixels of the picture along a side of a cell
 constexpr int kTextureStrengths = 16; // codes of a strength; 0 is none
 
+// Cells along a side of so many pixels.
+constexpr size_t texture_cells(int pixels) { return (static_cast<size_t>(pixels) + kTextureCell - 1) / kTextureCell; }
+
 // The codes [kTextureOctaves, rows, columns] that a file says of a picture, given in pixels; used: the bytes that say it.
 // Throws std::runtime_error for what no encoder writes.
 std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width, int height, size_t& used);
