@@ -14,7 +14,6 @@
 #include "raster/levels.h"
 #include "raster/planes.h"
 #include "raster/rasterization.h"
-#include "texture/texture.h"
 
 namespace sg {
 namespace {
@@ -85,7 +84,7 @@ void Rasterization::begin_tile(Rows rows, Samples coarse, const float* backgroun
 void Rasterization::draw_tile(int tile, Rows rows, Samples coarse, const float* background, const float* colors,
                               float* accumulators) const {
   begin_tile(rows, coarse, background, accumulators);
-  if (canvas_.texture != nullptr) add_texture(tile, rows, accumulators);
+  if (!texture_.empty()) add_texture(tile, rows, accumulators);
   const Pair *begin = tile_begin(tile), *const end = tile_end(tile);
   if (rows.first == 0 && rows.end == rows_of(tile)) {
     kernels(isa_).forward(*this, tile, begin, end, colors, accumulators);
@@ -109,9 +108,9 @@ void Rasterization::draw_tile(int tile, Rows rows, Samples coarse, const float* 
 }
 
 void Rasterization::add_texture(int tile, Rows rows, float* accumulators) const {
-  const int level = level_of_tile(tile), border = level == 0 ? 0 : kBorder;
+  const int level = level_of_tile(tile), border = border_of(level);
   const auto [x, y] = corner(tile);
-  canvas_.texture->add(isa_, level, x - border, y - border, rows.first, rows.end, accumulators);
+  texture_[level].add(isa_, x - border, y - border, rows.first, rows.end, accumulators);
 }
 
 // Rows of a tile, as far as its level goes.

@@ -19,6 +19,7 @@ constexpr double kNarrowest = 1.4;  // samples
 // Sample i of a coarse level has its centre at (i - kBorder + 0.5) 2^l pixels. Enlarging needs one sample beyond each edge
 // of the picture; two make the two nearest samples of an even one the same on every level.
 constexpr int kBorder = 2;
+inline int border_of(int level) { return level == 0 ? 0 : kBorder; }
 
 // The level of a Gaussian of factor (l1, l2, l3). The same on every machine: double precision, root and comparison alone.
 int level_of(const float* factor);

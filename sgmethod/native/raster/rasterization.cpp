@@ -10,7 +10,6 @@
 #include "raster/crossings.h"
 #include "raster/kernels.h"
 #include "raster/levels.h"
-#include "texture/texture.h"
 
 namespace sg {
 namespace {
@@ -58,6 +57,12 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, co
   if (pairs > max_pairs) refuse<std::overflow_error>("too many pairs of Gaussian and tile");
   if (pairs > kPairsAtOnce) find_pairs(means, max_pairs, max_pairs);
   sort_pairs();
+  if (canvas.texture == nullptr) return;
+  for (int level = 0; level <= top(); ++level) {
+    const Grid& grid = grids_[level];
+    const int border = border_of(level);
+    texture_.emplace_back(*canvas.texture, level, grid.x - border, grid.y - border, grid.strips() * kTileWidth, grid.height);
+  }
 }
 
 Rasterization::Bin::Bin(int first_gaussian, int end, int tiles) : first(first_gaussian), counts(end - first), next(tiles) {

@@ -12,6 +12,7 @@
 
 #include "raster/crossings.h"
 #include "raster/footprint.h"
+#include "texture/texture.h"
 
 namespace sg {
 
@@ -29,8 +30,6 @@ struct Gradients {
   float* factors;  // [n, 3]
   float* colors;   // [n, 3]
 };
-
-class Texture;
 
 // What is drawn of a picture, and by which rules.
 struct Canvas {
@@ -159,6 +158,7 @@ class Rasterization {
   std::vector<float> factors_;  // in pixels
   std::vector<uint8_t> levels_;
   std::vector<Grid> grids_;       // of level 0, 1, ...
+  std::vector<TextureLayer> texture_;  // of level 0, 1, ...; none without texture
   std::vector<int> first_tile_;   // [levels + 1]
   std::vector<Bin> bins_;
   std::unique_ptr<Pair[]> pairs_;    // sorted by tile, then by Gaussian

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "core/constants.h"
 #include "core/errors.h"
@@ -42,8 +43,7 @@ SG_INLINE U mixed(U h) {
 // What all rows of a tile that lie between the same cells share.
 struct Strip {
   alignas(64) uint32_t columns[kTileWidth];  // places, within kRepeat
-  alignas(64) float upper[kTileWidth];       // strengths in the row of cells above
-  alignas(64) float change[kTileWidth];      // from there to the row below
+  const float *upper, *lower;                // strengths in the rows of cells above and below
 };
 
 // Rows of a tile from `first` to before `end`; place: of row 0; part: of the way from upper to lower, for each row. A word
@@ -57,7 +57,10 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, int mask
   using U = typename UnsignedLanes<W>::U;
   constexpr int kVectors = kTileWidth / W;
   F upper[kVectors], change[kVectors];
-  for (int i = 0; i < kVectors; ++i) upper[i] = V::load(strip.upper + i * W), change[i] = V::load(strip.change + i * W);
+  for (int i = 0; i < kVectors; ++i) {
+    upper[i] = V::load(strip.upper + i * W);
+    change[i] = V::load(strip.lower + i * W) - upper[i];
+  }
   for (int row = first; row < end;) {
     const int at = (place + row) & mask;
     const uint32_t key = mixed(mixed(octave + 1) + static_cast<uint32_t>(at >> 2));
@@ -101,10 +104,9 @@ constexpr Add kAdd[] = {add_baseline};
 
 // Between which cells samples of a level lie, along one axis: the cell before each, or the last or the first of all, and the
 // part of the way to the next.
-template <int N>
 struct Between {
   // cell, corner: output pixels. From a place on, so many.
-  Between(int level, double cell, double corner, int number, int place, int count = N) {
+  Between(int level, double cell, double corner, int number, int place, int count) : cells(count), parts(count) {
     const double step = std::ldexp(1.0, level) / cell, first = 0.5 * step - corner / cell - 0.5, last = number - 1;
     for (int i = 0; i < count; ++i) {
       const double at = std::min(std::max(first + (place + i) * step, 0.0), last);
@@ -112,8 +114,8 @@ struct Between {
       parts[i] = static_cast<float>(at - cells[i]);
     }
   }
-  int cells[N];
-  float parts[N];
+  std::vector<int> cells;
+  std::vector<float> parts;
 };
 
 // The strength of a code, of noise from -127.5 to 127.5, whose spread is 74: half a level for code 1, and half a power of
@@ -176,35 +178,40 @@ Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
   }
 }
 
-void Texture::add(int isa, int level, int x, int y, int first_row, int end_row, float* accumulators) const {
-  const int octave = level - grid_.shift;
-  if (octave < 0 || octave >= kTextureOctaves || level > top_) return;
-  const float* strengths = strengths_.data() + static_cast<int64_t>(octave) * grid_.rows * grid_.columns;
-  const int mask = (kRepeat >> level) - 1;
-  const Between<kTileWidth> across(level, grid_.cell_x, grid_.x, grid_.columns, x);
-  const Between<kTileHeight> down(level, grid_.cell_y, grid_.y, grid_.rows, y, end_row);
+TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int columns, int rows)
+    : octave_(level - texture.grid_.shift), mask_((kRepeat >> level) - 1), x_(x), y_(y), stride_(columns) {
+  const TextureGrid& grid = texture.grid_;
+  if (octave_ < 0 || octave_ >= kTextureOctaves || level > texture.top()) return;
+  const Between across(level, grid.cell_x, grid.x, grid.columns, x, columns);
+  Between down(level, grid.cell_y, grid.y, grid.rows, y, rows);
+  const int first = down.cells.front(), end = down.cells.back() + 2;  // one more, which the last rows go towards
+  strengths_.reserve(static_cast<size_t>(end - first) * static_cast<size_t>(columns));
+  for (int row = first; row < end; ++row) {
+    const float* from = &texture.strengths_[(int64_t{octave_} * grid.rows + std::min(row, grid.rows - 1)) * grid.columns];
+    for (int i = 0; i < columns; ++i) {
+      const float left = from[across.cells[i]], right = from[std::min(across.cells[i] + 1, grid.columns - 1)];
+      strengths_.push_back(left + (right - left) * across.parts[i]);
+    }
+  }
+  for (int& cell : down.cells) cell -= first;
+  cells_ = std::move(down.cells);
+  parts_ = std::move(down.parts);
+}
+
+void TextureLayer::add(int isa, int x, int y, int first_row, int end_row, float* accumulators) const {
+  if (strengths_.empty()) return;
+  const int* cells = &cells_[y - y_];
   Strip strip;
-  for (int i = 0; i < kTileWidth; ++i) strip.columns[i] = static_cast<uint32_t>((x + i) & mask);
-  // Strengths of the tile's columns in a row of cells; returns the largest.
-  const auto along = [&](int row, float* out) {
-    const float* from = strengths + static_cast<int64_t>(std::min(row, grid_.rows - 1)) * grid_.columns;
-    float most = 0.0f;
-    for (int i = 0; i < kTileWidth; ++i) {
-      const float left = from[across.cells[i]], right = from[std::min(across.cells[i] + 1, grid_.columns - 1)];
-      out[i] = left + (right - left) * across.parts[i];
-      most = std::max(most, out[i]);
-    }
-    return most;
-  };
+  for (int i = 0; i < kTileWidth; ++i) strip.columns[i] = static_cast<uint32_t>((x + i) & mask_);
   for (int row = first_row; row < end_row;) {
-    const int cell = down.cells[row];
-    int end = row;
-    while (end < end_row && down.cells[end] == cell) ++end;
-    float lower[kTileWidth];
-    if (std::max(along(cell, strip.upper), along(cell + 1, lower)) > 0.0f) {
-      for (int i = 0; i < kTileWidth; ++i) strip.change[i] = lower[i] - strip.upper[i];
-      kAdd[isa](strip, static_cast<uint32_t>(octave), y, mask, down.parts, row, end, accumulators);
-    }
+    int end = row + 1;
+    while (end < end_row && cells[end] == cells[row]) ++end;
+    strip.upper = &strengths_[int64_t{cells[row]} * stride_ + (x - x_)];
+    strip.lower = strip.upper + stride_;
+    float most = 0.0f;
+    for (int i = 0; i < kTileWidth; ++i) most = std::max({most, strip.upper[i], strip.lower[i]});
+    if (most > 0.0f)
+      kAdd[isa](strip, static_cast<uint32_t>(octave_), y, mask_, &parts_[y - y_], row, end, accumulators);
     row = end;
   }
 }

@@ -30,6 +30,7 @@ struct TextureGrid {
   int shift;              // octave o is drawn on level o + shift; on none below level 0
 };
 
+// The codes of a picture, and where their cells lie.
 class Texture {
  public:
   // codes [kTextureOctaves, rows, columns]. Throws std::invalid_argument for codes or grids that cannot be.
@@ -37,14 +38,28 @@ class Texture {
 
   // The highest level that noise is added to; -1 if none is.
   int top() const { return top_; }
-  // Adds the noise of a level to some rows of a tile, accumulators [kTileHeight][3][kTileWidth]. x, y: the place of the
-  // tile's first sample on the level, 0 for the sample whose corner is that of the picture. isa: core/isa.h.
-  void add(int isa, int level, int x, int y, int first_row, int end_row, float* accumulators) const;
 
  private:
+  friend class TextureLayer;
   TextureGrid grid_;
   int top_ = -1;
   std::vector<float> strengths_;  // [kTextureOctaves, rows, columns], of the noise's unit
+};
+
+// The noise of one level, over so many columns and rows of its samples from (x, y) on. There 0 is the sample whose corner is
+// that of the picture.
+class TextureLayer {
+ public:
+  TextureLayer(const Texture& texture, int level, int x, int y, int columns, int rows);
+  // Adds it to some rows of a tile, accumulators [kTileHeight][3][kTileWidth]. x, y: of the tile's first sample. isa:
+  // core/isa.h.
+  void add(int isa, int x, int y, int first_row, int end_row, float* accumulators) const;
+
+ private:
+  int octave_, mask_, x_, y_, stride_;
+  std::vector<int> cells_;        // of each row: the row of cells before it, counted from that of the first
+  std::vector<float> parts_;      // of each row: the part of the way to the next row of cells
+  std::vector<float> strengths_;  // [rows of cells, columns]; empty where there is no noise
 };
 
 }  // namespace sg
