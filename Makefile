@@ -29,6 +29,8 @@ TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/tes
 
 # The second decoders are plain Python, which takes twice as long when it is measured, and are no part of the packages.
 UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/test_fuzz_*.py)
+# About half of the service's tests, all of which mostly wait: for processes that start, end or are killed.
+WHOLE := tests/service/whole tests/service/process tests/service/worker
 COVERAGE ?=
 # Further targets, made beside the measured tests.
 ALSO ?=
@@ -38,7 +40,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check test measured measured-service unmeasured versions sanitize fuzz cross wasm bench
+.PHONY: serve check test measured measured-service measured-whole unmeasured versions sanitize fuzz cross wasm bench
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -57,7 +59,7 @@ ifeq ($(COVERAGE),)
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(MAKE) --jobs 3 measured-service measured unmeasured $(ALSO)
+	$(MAKE) --jobs 4 measured-whole measured-service measured unmeasured $(ALSO)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif
@@ -65,8 +67,11 @@ endif
 measured: $(STAMP)
 	$(BIN)/python -m coverage run -m pytest $(filter-out tests/service,$(TESTS)) $(addprefix --ignore=,$(UNMEASURED))
 
+measured-whole: $(STAMP)
+	$(BIN)/python -m coverage run -m pytest --quiet $(WHOLE)
+
 measured-service: $(STAMP)
-	$(BIN)/python -m coverage run -m pytest --quiet $(filter tests/service,$(TESTS))
+	$(BIN)/python -m coverage run -m pytest --quiet $(filter tests/service,$(TESTS)) $(addprefix --ignore=,$(WHOLE))
 
 unmeasured: $(STAMP)
 	$(BIN)/python -m pytest --quiet $(UNMEASURED)

@@ -84,13 +84,13 @@ def main() -> None:
     metrics, where = Metrics(options.weights), origin()
     rows: list[Row] = kept_rows(options.out, where)
     done = {(row["image"], row["max_bpp"]) for row in rows}
-    for bpp in map(float, options.bpp.split(",")):
-        for path in paths:
+    for path in paths:
+        pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
+        if min(pixels.shape[:2]) < MIN_SIDE:
+            parser.error(f"{path} has a side below {MIN_SIDE} pixels, for which MS-SSIM is not defined")
+        for bpp in map(float, options.bpp.split(",")):
             if (path.name, bpp) in done:
                 continue
-            pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
-            if min(pixels.shape[:2]) < MIN_SIDE:
-                parser.error(f"{path} has a side below {MIN_SIDE} pixels, for which MS-SSIM is not defined")
             for kind, size, texture, picture in decoded(pixels, bpp):
                 row = {"image": path.name, "max_bpp": bpp, "kind": kind, "bytes": size, "texture": round(texture, 5)}
                 rows.append({**row, **{name: round(v, 4) for name, v in metrics(picture, pixels).items()}})

@@ -10,7 +10,7 @@ Structure and Texture Similarity", 2020.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,10 @@ BETTER_IF_LOWER = ("lpips", "dists")
 
 
 class Metrics:
-    """All five of a picture: psnr (dB), ms_ssim, ssimulacra2, and lpips and dists, which are better if lower."""
+    """All five of a picture: psnr (dB), ms_ssim, ssimulacra2, and lpips and dists, which are better if lower.
+
+    What the networks see in a source is kept until another one comes.
+    """
 
     def __init__(self, weights: Path) -> None:
         alex, vgg = (np.load(weights / f"lpips_{name}.npz") for name in ("alexnet", "vgg16"))
@@ -39,6 +42,8 @@ class Metrics:
         whole = alpha.sum() + beta.sum()
         channels = [3, 64, 128, 256, 512, 512]
         self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
+        self._source: Pixels | None = None
+        self._seen: tuple[list[Tensor], list[Tensor]] = [], []
 
     @staticmethod
     def _layer(arrays: dict[str, NDArray[np.float32]], name: str) -> tuple[Tensor, Tensor]:
@@ -49,23 +54,26 @@ class Metrics:
         """Of pictures [H, W, 3] with sides that MS-SSIM is defined for."""
         near = ms_ssim(decoded, source)
         assert near is not None
-        first, second = _tensor(source), _tensor(decoded)
+        if self._source is not source:
+            image = _tensor(source)
+            self._source, self._seen = source, (list(self._alexnet(image)), list(self._vgg16(image)))
+        image = _tensor(decoded)
         return {
             "psnr": psnr(decoded, source),
             "ms_ssim": near,
             "ssimulacra2": _ssimulacra2(source, decoded),
-            "lpips": self._lpips(first, second),
-            "dists": self._dists(first, second),
+            "lpips": self._lpips(self._seen[0], self._alexnet(image)),
+            "dists": self._dists(self._seen[1], self._vgg16(image)),
         }
 
     @torch.no_grad()
     def lpips(self, decoded: Pixels, source: Pixels) -> float:
         """That alone, of pictures [H, W, 3] of 64 pixels a side or more."""
-        return self._lpips(_tensor(source), _tensor(decoded))
+        return self._lpips(self._alexnet(_tensor(source)), self._alexnet(_tensor(decoded)))
 
-    def _lpips(self, first: Tensor, second: Tensor) -> float:
+    def _lpips(self, first: Iterable[Tensor], second: Iterable[Tensor]) -> float:
         found = torch.zeros(())
-        for a, b, linear in zip(self._alexnet(first), self._alexnet(second), self._linear, strict=True):
+        for a, b, linear in zip(first, second, self._linear, strict=True):
             a, b = (f / (f.square().sum(1, keepdim=True).sqrt() + 1e-10) for f in (a, b))
             found = found + functional.conv2d((a - b).square(), linear).mean()
         return float(found)
@@ -79,10 +87,9 @@ class Metrics:
             x = functional.relu(functional.conv2d(x, kernel, bias, stride=stride, padding=padding))
             yield x
 
-    def _dists(self, first: Tensor, second: Tensor) -> float:
+    def _dists(self, first: Iterable[Tensor], second: Iterable[Tensor]) -> float:
         near = torch.zeros(())
-        features = zip(self._vgg16(first), self._vgg16(second), self._alpha, self._beta, strict=True)
-        for a, b, alpha, beta in features:
+        for a, b, alpha, beta in zip(first, second, self._alpha, self._beta, strict=True):
             mean_a, mean_b = a.mean((2, 3)), b.mean((2, 3))
             both = (a * b).mean((2, 3)) - mean_a * mean_b
             spread = a.var((2, 3), correction=0) + b.var((2, 3), correction=0)
