@@ -61,7 +61,7 @@ def measure(part: Part, pictures: list[Path], bpp: float, settings: RdSettings) 
         stack.enter_context(part.patched())
         stack.enter_context(patch.dict(PROFILES, {"rd": replace(settings, **part.without)}))
         for picture in pictures:
-            stats.append(encode(read_image(picture.read_bytes()), Budget("bpp", bpp), "rd").stats)
+            stats.append(encode(read_image(picture.read_bytes()), Budget("bpp", bpp), "rd", tune="psnr").stats)
     return {
         "without": part.name,
         "psnr": statistics.fmean(s.psnr for s in stats),

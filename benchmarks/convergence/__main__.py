@@ -45,7 +45,7 @@ Measure = Callable[[Pixels, Pixels], float | None]
 
 def ours(pixels: Pixels, profile: str, bpp: float, limit_s: float | None, lpips: Measure) -> Row:
     """One encode with its trace: seconds and dB."""
-    encoded = encode(pixels, Budget("bpp", bpp), profile, time_limit_s=limit_s)
+    encoded = encode(pixels, Budget("bpp", bpp), profile, tune="psnr", time_limit_s=limit_s)
     stats = encoded.stats
     return {
         "bytes": stats.bytes,

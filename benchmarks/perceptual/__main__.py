@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import statistics
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,16 +30,20 @@ KINDS = ("psnr", "visual", "visual, no texture", "avif")
 Row = dict[str, Any]
 
 
-def decoded(pixels: Pixels, bpp: float) -> Iterator[tuple[str, int, float, Pixels]]:
-    """Kind, bytes, the part of them that is texture, pixels."""
-    files = {tune: encode(pixels, bpp=bpp, tune=tune).data for tune in ("psnr", "visual")}
-    for kind, data in files.items():
-        yield kind, len(data), info(data).bits["texture"] / (8 * len(data)), decode(data)
-    visual = files["visual"]
-    yield "visual, no texture", len(visual), 0.0, decode(visual, texture=False)
-    avif = Avif().run(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1]))
-    if len(avif.data) <= len(visual):
-        yield "avif", len(avif.data), 0.0, avif.decode(avif.data)
+def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[str, int, float, Pixels]]:
+    """Kind, bytes, the part of them that is texture, pixels; of the kinds that are wanted."""
+    visual = encode(pixels, bpp=bpp, tune="visual").data
+    if "psnr" in kinds:
+        data = encode(pixels, bpp=bpp, tune="psnr").data
+        yield "psnr", len(data), 0.0, decode(data)
+    if "visual" in kinds:
+        yield "visual", len(visual), info(visual).bits["texture"] / (8 * len(visual)), decode(visual)
+    if "visual, no texture" in kinds:
+        yield "visual, no texture", len(visual), 0.0, decode(visual, texture=False)
+    if "avif" in kinds:
+        avif = Avif().run(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1]))
+        if len(avif.data) <= len(visual):
+            yield "avif", len(avif.data), 0.0, avif.decode(avif.data)
 
 
 def table(rows: list[Row]) -> str:
@@ -76,6 +80,9 @@ def main() -> None:
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--weights", type=Path, required=True, help="folder of the networks' weights")
     parser.add_argument("--bpp", default="0.1,0.25", help="rates, each an upper limit for every file")
+    parser.add_argument(
+        "--kinds", nargs="+", choices=KINDS, default=KINDS, help="some of them: networks take their time"
+    )
     parser.add_argument("--out", type=Path, default=RESULTS / "perceptual.json")
     options = parser.parse_args()
     paths = pictures_in(options.images)
@@ -91,7 +98,7 @@ def main() -> None:
         for bpp in map(float, options.bpp.split(",")):
             if (path.name, bpp) in done:
                 continue
-            for kind, size, texture, picture in decoded(pixels, bpp):
+            for kind, size, texture, picture in decoded(pixels, bpp, options.kinds):
                 row = {"image": path.name, "max_bpp": bpp, "kind": kind, "bytes": size, "texture": round(texture, 5)}
                 rows.append({**row, **{name: round(v, 4) for name, v in metrics(picture, pixels).items()}})
                 print(*rows[-1].values(), file=sys.stderr)

@@ -9,22 +9,24 @@ matplotlib, as plots are not compared. --root: a folder with benchmarks/results,
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.report import convergence, fits, needs, rate, readme, speed, stability
 from benchmarks.report.plots import save
-from benchmarks.report.section import Section
+from benchmarks.report.section import Section, load
 from sgmethod.io.files import write_atomically
 from tests.harness.data import ROOT
 
-MAKERS = (
-    rate.section,
-    convergence.section,
-    needs.section,
-    stability.section,
-    speed.section,
-    fits.representation,
-    fits.ablation,
+# Each section, and the JSON that it is made from.
+MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
+    (rate.section, ("kodak-rd", "kodak-paper")),
+    (convergence.section, ("convergence",)),
+    (needs.section, ("needs",)),
+    (stability.section, ("version4/stiff", "stability")),
+    (speed.section, ("speed",)),
+    (fits.representation, ("representation",)),
+    (fits.ablation, ("ablation",)),
 )
 HEAD = """# Results
 
@@ -36,7 +38,8 @@ command, the machine, the commit and the date. "Quoted" marks figures that other
 
 def sections(results: Path) -> list[Section]:
     """Those that have been measured."""
-    return [section for make in MAKERS if (section := make(results)) is not None]
+    found = [(make, [load(results, name) for name in names]) for make, names in MAKERS]
+    return [make(*contents) for make, contents in found if any(contents)]
 
 
 def main() -> None:

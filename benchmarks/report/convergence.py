@@ -6,12 +6,11 @@ import math
 import statistics
 from collections.abc import Sequence
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.report.section import Section, load, number, table
+from benchmarks.report.section import Content, Section, number, table
 
 WITHIN_DB = (1.0, 0.5, 0.1)
 Curve = list[tuple[float, float]]  # seconds, dB
@@ -19,11 +18,8 @@ UNITS = {"avif": "speed", "webp": "method", "jpegxl": "effort"}
 LIMITED = "rd, time limits"
 
 
-def section(results: Path) -> Section | None:
+def section(content: Content) -> Section:
     """From convergence.json."""
-    content = load(results, "convergence")
-    if content is None:
-        return None
     rows = content["rows"]
     tables = []
     for megapixels in sorted({row["megapixels"] for row in rows}):

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import statistics
-from pathlib import Path
 
 from benchmarks import published
-from benchmarks.report.section import Section, load, number, table
+from benchmarks.report.section import Content, Section, number, table
 
 
-def representation(results: Path) -> Section | None:
+def representation(content: Content) -> Section:
     """From representation.json."""
-    content = load(results, "representation")
-    if content is None:
-        return None
     rows = content["rows"]
     lines, found = [], []
     for asked in sorted({row["asked"] for row in rows}):
@@ -32,11 +28,8 @@ def representation(results: Path) -> Section | None:
     return Section("representation", "A fixed number of Gaussians", said, tables, [content])
 
 
-def ablation(results: Path) -> Section | None:
+def ablation(content: Content) -> Section:
     """From ablation.json."""
-    content = load(results, "ablation")
-    if content is None:
-        return None
     rows = content["rows"]
     whole = rows[0]["psnr"]
     lines = [

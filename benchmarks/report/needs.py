@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-from benchmarks.report.section import Section, load, number, table
+from benchmarks.report.section import Content, Section, number, table
 
 REFERENCE = "photograph"
 
 
-def section(results: Path) -> Section | None:
+def section(content: Content) -> Section:
     """From needs.json."""
-    content = load(results, "needs")
-    if content is None:
-        return None
     rows = content["rows"]
     by_name = {row["scene"]: row for row in rows}
     least, most = (find(rows, key=lambda row: row["bytes"]) for find in (min, max))
@@ -23,10 +19,9 @@ def section(results: Path) -> Section | None:
         f"What does profile `rd` leave out where a scene of {content['settings']['side']} pixels a side does not need "
         f"it, at one quality ({content['settings']['quality']:g}) for all? From {least['bytes']:,} bytes "
         f"({least['scene']}) to {most['bytes']:,} ({most['scene']}); without smaller pictures at first "
-        f"{saved['scene']} "
-        f"would take {saved['seconds_whole'] / saved['seconds']:.1f} times as long. One picture of each "
-        f"kind is no average "
-        "of its kind, and parts that no count shows (a Gaussian that could have been wider) are not seen."
+        f"{saved['scene']} would take {saved['seconds_whole'] / saved['seconds']:.1f} times as long. One picture of "
+        "each kind is no average of its kind, and parts that no count shows (a Gaussian that could have been wider) "
+        "are not seen."
     )
     reference = by_name.get(REFERENCE)
     lines = [line(row, reference) for row in rows]

@@ -13,7 +13,7 @@ from scipy.interpolate import PchipInterpolator
 
 from benchmarks import published
 from benchmarks.rd.report import Means, Row, bd_rate, curve, means, scaled
-from benchmarks.report.section import Content, Section, load, number, table
+from benchmarks.report.section import Content, Section, number, table
 
 NAMES = {
     "rd": "`rd`",
@@ -34,11 +34,9 @@ def rows_of(*contents: Content) -> list[Row]:
     return [Row(**row) for content in contents for row in content["rows"]]
 
 
-def section(results: Path) -> Section | None:
-    """From kodak-rd.json and kodak-paper.json."""
-    contents = [content for name in ("kodak-rd", "kodak-paper") if (content := load(results, name))]
-    if not contents:
-        return None
+def section(*measured_in: Content | None) -> Section:
+    """From kodak-rd.json and kodak-paper.json, as far as there are."""
+    contents = [content for content in measured_in if content]
     rows = rows_of(*contents)
     average = means(rows)
     told = [
@@ -53,8 +51,7 @@ def section(results: Path) -> Section | None:
     said = (
         "How many bits does each codec need for the same PSNR, by the sizes of real files and the pixels decoded from "
         f"them? Profile `rd` needs {', '.join(told)}. Kodak alone, and PSNR and MS-SSIM alone, are no "
-        f"statement on other "
-        "pictures, nor on what an eye sees."
+        "statement on other pictures, nor on what an eye sees."
     )
     tables = [measured(average), differences(rows, average), quoted()]
     return Section("rate", "Rate against quality", said, tables, contents, draw=lambda axes: draw(axes, average))

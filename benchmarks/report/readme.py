@@ -46,10 +46,9 @@ def versions(results: Path) -> str:
     behind = f"{abs(db):.2f} dB {'behind' if db < 0 else 'ahead'}"
     return (
         f"Those are files of version 3. Version 4 is decoded in {decode:.2f} of the time and encoded in "
-        f"{encode:.2f} of "
-        f"it, {behind}\n([in turns](benchmarks/results/version4)): {mean('this', 'encode_s'):.1f} s "
-        f"where version 3 took "
-        f"{mean('other', 'encode_s'):.1f}."
+        f"{encode:.2f} of it, {behind}\n([in turns](benchmarks/results/version4)): {mean('this', 'encode_s'):.1f} s "
+        f""
+        f"where version 3 took {mean('other', 'encode_s'):.1f}."
     )
 
 

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.report.section import Section, load, table
+from benchmarks.report.section import Content, Section, table
 from benchmarks.speed import FLOPS
 
 Rows = Sequence[dict[str, Any]]
 
 
-def section(results: Path) -> Section | None:
+def section(content: Content) -> Section:
     """From speed.json."""
-    content = load(results, "speed")
-    if content is None:
-        return None
     by_what = {what: [r for r in content["rows"] if r["what"] == what] for what in ("size", "gaussians", "kernel")}
     ceilings = {row["ceiling"]: row["value"] for row in content["rows"] if row["what"] == "ceiling"}
     makers = {"size": sizes_table, "gaussians": gaussians_table}
@@ -28,9 +24,8 @@ def section(results: Path) -> Section | None:
         tables.append(kernels_table(by_what["kernel"], ceilings))
     said = (
         "How do time and memory grow with the picture and the Gaussians, and how near do kernels come to what the "
-        f"machine can do? {found(by_what)} Medians of one machine are no promise for another, and ratios "
-        f"count more than "
-        "seconds."
+        f"machine can do? {found(by_what)} Medians of one machine are no promise for another, and ratios count "
+        "more than seconds."
     )
     return Section("speed", "Time and memory", said, tables, [content])
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
-from benchmarks.report.section import Content, Section, load, number, table
+from benchmarks.report.section import Content, Section, number, table
 
 SETS = {
     "kernels": "(b) Kernels against float64, every instruction set and number of threads",
@@ -15,28 +14,23 @@ SETS = {
 }
 
 
-def section(results: Path) -> Section | None:
-    """From stability.json and the stiff set."""
-    content, stiff = load(results, "stability"), load(results, "version4/stiff")
-    contents = [one for one in (stiff, content) if one is not None]
-    if not contents:
-        return None
+def section(stiff: Content | None, content: Content | None) -> Section:
+    """From the stiff set and stability.json, as far as there are."""
     rows = content["rows"] if content else []
     broken = [row for row in rows if row["verdict"] == "broken"]
     rules = stiff["rules"] if stiff else []
     failing = sum(rule["broken"] > 0 for rule in rules)
     said = (
         "What happens where pictures are hard to code, numbers extreme, starts bad and files damaged? "
-        f"{_counted(rules, failing, rows, len(broken))} Only what somebody thought of is tried, and a "
-        f"rule that is kept "
-        "on these cases may be broken on others."
+        f"{_counted(rules, failing, rows, len(broken))} Only what somebody thought of is tried, and a rule that is "
+        "kept on these cases may be broken on others."
     )
     tables = [stiff_table(stiff)] if stiff else []
     for name, title in SETS.items():
         if own := [row for row in rows if row["set"] == name]:
             make = kernels_table if name == "kernels" else cases_table
             tables.append(f"{title}\n\n{make(own)}")
-    return Section("stability", "Stiff and extreme cases", said, tables, contents)
+    return Section("stability", "Stiff and extreme cases", said, tables, [one for one in (stiff, content) if one])
 
 
 def _counted(rules: list[Any], failing: int, rows: list[Any], broken: int) -> str:

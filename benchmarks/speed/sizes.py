@@ -55,7 +55,7 @@ def encoded(paths: Sequence[Path], megapixels: float, bpp: float) -> dict[str, A
     from sgmethod import encode
 
     pixels = sized(paths, 0, megapixels)
-    found = encode(pixels, bpp=bpp)
+    found = encode(pixels, bpp=bpp, tune="psnr")
     size = {"pixels": pixels.shape[0] * pixels.shape[1], "data": found.data, "mib": peak_mib()}
     return {**size, "encode_s": found.stats.seconds, "psnr": found.stats.psnr, "gaussians": found.stats.gaussians}
 

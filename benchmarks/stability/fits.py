@@ -108,7 +108,7 @@ def starts() -> dict[str, Patch]:
 def worse(pixels: Pixels, budget: Budget, patched: Patch = nullcontext) -> Found:
     """How far the file is below the start of its own fit, and below a picture of one colour."""
     with patched():
-        encoded = encode(pixels, budget)
+        encoded = encode(pixels, budget, tune="psnr")
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
     least = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
     return max(least - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"
@@ -117,7 +117,7 @@ def worse(pixels: Pixels, budget: Budget, patched: Patch = nullcontext) -> Found
 def beyond(pixels: Pixels, count: int) -> Found:
     """The budget is kept, or refused by name."""
     try:
-        encoded = encode(pixels, Budget("bytes", count))
+        encoded = encode(pixels, Budget("bytes", count), tune="psnr")
     except BudgetError as error:
         return 0.0, f"refused: {error}"
     return float(max(encoded.stats.bytes - count, 0)), f"{encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB"
@@ -125,7 +125,7 @@ def beyond(pixels: Pixels, count: int) -> Found:
 
 def spread(pixels: Pixels, seeds: int) -> Found:
     """Of the same encode."""
-    found = [encode(pixels, Budget("bpp", BPP), seed=seed).stats.psnr for seed in range(seeds)]
+    found = [encode(pixels, Budget("bpp", BPP), tune="psnr", seed=seed).stats.psnr for seed in range(seeds)]
     return max(found) - min(found), f"{min(found):.2f} to {max(found):.2f} dB"
 
 
@@ -133,14 +133,14 @@ def lost(pixels: Pixels, generations: int) -> Found:
     """PSNR against the first picture."""
     shown, found = pixels, []
     for _ in range(generations):
-        shown = decode(encode(shown, Budget("bpp", BPP)).data)
+        shown = decode(encode(shown, Budget("bpp", BPP), tune="psnr").data)
         found.append(psnr(shown, pixels))
     return found[0] - found[-1], " ".join(f"{db:.2f}" for db in found)
 
 
 def condition(pixels: Pixels) -> Found:
     """In float64, from the weights of every Gaussian on every pixel."""
-    encoded: Encoded = encode(pixels, Budget("bpp", BPP))
+    encoded: Encoded = encode(pixels, Budget("bpp", BPP), tune="psnr")
     scene = open(encoded.data)._stream.scene()
     x, y = np.arange(scene.width) + 0.5, np.arange(scene.height) + 0.5
     weights = []

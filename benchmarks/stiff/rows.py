@@ -87,7 +87,7 @@ def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
     asked = Row(picture, seed, budget.kind, budget.value, max_bytes)
     clipped_before = native.rd_clipped_values()
     try:
-        encoded = encode(pixels.astype(np.float32) / np.float32(255), budget, PROFILE, seed=seed)
+        encoded = encode(pixels, budget, PROFILE, tune="psnr", seed=seed)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         small = isinstance(error, BudgetError) and max_bytes is not None
