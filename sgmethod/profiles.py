@@ -146,7 +146,7 @@ class RdSettings(OptimiserSettings):
     psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
     dearest_bit: float = 256.0  # times the price of refining, where a file is far above the PSNR asked for
     # Texture, of visual tuning alone.
-    texture_gain: tuple[float, float] = (0.7, 0.3)  # by octave, of the spread that is left
+    texture_gain: tuple[float, float] = (0.8, 0.4)  # by octave, of the spread that is left
     texture_floor: float = 1.5  # levels of 8 bits; less is grain that nobody sees
     texture_quantile: float = 0.3  # of the blocks of a cell, by what is left in them
     texture_share: float = 0.05  # of a budget of bytes, at most
