@@ -1,9 +1,9 @@
 """Encode and decode times of profile rd against another checkout, which takes turns with this one, picture by picture.
 
-    python -m benchmarks.turns --images FOLDER --other CHECKOUT [--bpp 0.25] [--rivals] [--out FILE]
+    python -m benchmarks.turns --images FOLDER --other CHECKOUT [--bpp 0.25] [--tune psnr] [--rivals] [--out FILE]
 
---other: a checkout with its own .venv. --rivals: libjpeg-turbo's decode and libavif's encode (speed 4, 4:2:0, two
-threads) take turns too, at no more bytes.
+--other: a checkout with its own .venv, which may know no tuning. --rivals: libjpeg-turbo's decode and libavif's encode
+(speed 4, 4:2:0, two threads) take turns too, at no more bytes.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from benchmarks.machine import RESULTS, Record, in_words
 from benchmarks.pictures import pictures_in
 from benchmarks.rd.codecs import Avif, Jpeg
 from sgmethod.io import read_image_8_bit
+from sgmethod.profiles import TUNES
 from tests.harness.data import ROOT
 
 DECODES = 30
@@ -28,7 +29,7 @@ WORKER = """
 import inspect, json, sys, time, statistics
 from sgmethod import Budget, decode, encode
 from sgmethod.io.image import read_image
-tuned = {"tune": "psnr"} if "tune" in inspect.signature(encode).parameters else {}
+tuned = {"tune": "TUNE"} if "tune" in inspect.signature(encode).parameters else {}
 for line in sys.stdin:
     path, bpp = json.loads(line)
     pixels = read_image(open(path, "rb").read())
@@ -49,8 +50,8 @@ for line in sys.stdin:
 class Checkout:
     """A process of a checkout, which waits for pictures."""
 
-    def __init__(self, root: Path, python: str) -> None:
-        command = [python, "-c", WORKER.replace("DECODES", str(DECODES))]
+    def __init__(self, root: Path, python: str, tune: str) -> None:
+        command = [python, "-c", WORKER.replace("DECODES", str(DECODES)).replace("TUNE", tune)]
         self.process = subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
     def run(self, path: Path, bpp: float) -> dict[str, float]:
@@ -79,12 +80,13 @@ def main() -> None:
     parser.add_argument("--images", type=Path, required=True)
     parser.add_argument("--other", type=Path, required=True)
     parser.add_argument("--bpp", type=float, default=0.25)
+    parser.add_argument("--tune", choices=TUNES, default="psnr")
     parser.add_argument("--rivals", action="store_true")
     parser.add_argument("--out", type=Path, default=RESULTS / "version4" / "turns.json")
     options = parser.parse_args()
-    other = Checkout(options.other, str(options.other.resolve() / ".venv" / "bin" / "python"))
-    this = Checkout(ROOT, sys.executable)
-    record = Record(options.out, "benchmarks.turns", {"bpp": options.bpp})
+    other = Checkout(options.other, str(options.other.resolve() / ".venv" / "bin" / "python"), options.tune)
+    this = Checkout(ROOT, sys.executable, options.tune)
+    record = Record(options.out, "benchmarks.turns", {"bpp": options.bpp, "tune": options.tune})
     rows = record.rows
     for path in pictures_in(options.images):
         if record.has(image=path.stem):
