@@ -30,3 +30,5 @@ class TracePoint:
 
 
 Progress = Callable[[TracePoint], None]
+Stop = Callable[[], bool]
+Preview = Callable[[bytes], None]

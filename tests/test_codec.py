@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from sgmethod.budget import BudgetKind
 from sgmethod.fitting.recorder import Clock
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.profiles import BASELINE, DEFAULT_TUNE, PAPER, PROFILES, RD, TUNES, tuning
+from sgmethod.trace import Stop
 from tests.harness.data import PHOTOGRAPHS
 
 FloatArray = NDArray[np.float32]
@@ -306,29 +308,41 @@ def test_the_trace_runs_through_all_phases(profile: str) -> None:
     assert encoded.stats.seconds >= last.seconds - 1e-4  # the trace rounds to that
 
 
+class SlowClock(Clock):
+    """Each look at it takes a hundredth of a second."""
+
+    made: ClassVar[list[SlowClock]] = []
+
+    def __init__(self, limit_s: float | None = None, stop: Stop | None = None) -> None:
+        super().__init__(limit_s, stop)
+        self.now = 0.0
+        self.made.append(self)
+
+    def seconds(self) -> float:
+        self.now += 0.01
+        return self.now
+
+
 @pytest.mark.parametrize(("kind", "value"), [("bytes", 400), ("psnr", 60)])
 def test_a_time_limit_shortens_the_encode(kind: BudgetKind, value: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    clocks: list[SlowClock] = []
-
-    class SlowClock(Clock):
-        """Each look at it takes a hundredth of a second."""
-
-        def __init__(self, limit_s: float | None = None) -> None:
-            super().__init__(limit_s)
-            self.now = 0.0
-            clocks.append(self)
-
-        def seconds(self) -> float:
-            self.now += 0.01
-            return self.now
-
     monkeypatch.setattr(codec, "Clock", SlowClock)
     encoded = encode(small(), Budget(kind, value), "paper", time_limit_s=2.0)
     assert_true_figures(encoded, small())
     assert 10 < encoded.stats.steps < 100
     assert {p.phase for p in encoded.trace} == {"fit", "tune", "done"}
-    (clock,) = clocks
-    assert clock.now < 2.2
+    assert SlowClock.made[-1].now < 2.2
+
+
+@pytest.mark.parametrize(("kind", "value"), [("bytes", 400), ("psnr", 60)])
+def test_an_encode_that_is_stopped_keeps_what_it_has(
+    kind: BudgetKind, value: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(codec, "Clock", SlowClock)
+    encoded = encode(small(), Budget(kind, value), "paper", stop=lambda: SlowClock.made[-1].now > 0.5)
+    assert_true_figures(encoded, small())
+    assert 10 < encoded.stats.steps < 100
+    assert {p.phase for p in encoded.trace} == {"fit", "tune", "done"}
+    assert 0.5 < SlowClock.made[-1].now < 0.9
 
 
 def test_a_limit_too_short_for_anything_still_gives_a_file() -> None:

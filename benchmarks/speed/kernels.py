@@ -48,7 +48,7 @@ def fitted(pixels: NDArray[np.uint8], n: int, steps: int) -> tuple[Parameters, f
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings, np.random.default_rng(0))
     picture = Picture(target_of(pixels), settings.lambda_g, native.CUTOFF_V1)
     clock = Clock()
-    gaussians, done = fit(picture, start, settings, Recorder(clock, None), None)
+    gaussians, done = fit(picture, start, settings, Recorder(clock, None))
     return Parameters.of(gaussians), clock.seconds() / done
 
 

@@ -6,28 +6,37 @@ import math
 import time
 from collections.abc import Callable
 
-from sgmethod.trace import Progress, TracePoint
+from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
 REPORT_INTERVAL_S = 0.1
 
 
 class Clock:
-    """Seconds since the encode began, and its limit."""
+    """Seconds since the encode began, its limit, and whether somebody wants it to stop, which stop() tells."""
 
-    def __init__(self, limit_s: float | None = None) -> None:
+    def __init__(self, limit_s: float | None = None, stop: Stop | None = None) -> None:
         self.start = time.perf_counter()
         self.limit_s = limit_s
+        self._stop = stop
+        self._stopped_s: float | None = None
 
     def seconds(self) -> float:
         """Seconds since the start."""
         return time.perf_counter() - self.start
 
+    def stopped_s(self) -> float | None:
+        """The second at which it was first seen that the encode is to stop; None before."""
+        if self._stopped_s is None and self._stop is not None and self._stop():
+            self._stopped_s = self.seconds()
+        return self._stopped_s
+
 
 class Recorder:
     """Collects the trace and hands it on, at most every REPORT_INTERVAL_S."""
 
-    def __init__(self, clock: Clock, on_progress: Progress | None) -> None:
+    def __init__(self, clock: Clock, on_progress: Progress | None, on_preview: Preview | None = None) -> None:
         self.clock, self.on_progress = clock, on_progress
+        self.preview: Preview = on_preview or (lambda _: None)
         self.points: list[TracePoint] = []
         self._interval_s = REPORT_INTERVAL_S
 

@@ -15,6 +15,8 @@ from sgmethod.profiles import Tune
 # Kept back of a time limit, for writing and measuring the file.
 RESERVE_S = 0.15
 RESERVE_S_PER_MEGAPIXEL = 0.5
+# Of the time so far, what an encode that is to stop takes to its end.
+WINDING_DOWN = 0.25
 
 
 @dataclass(frozen=True)
@@ -28,13 +30,18 @@ class Request:
     seed: int
     recorder: Recorder
 
-    def until_s(self) -> float | None:
-        """The second, on the recorder's clock, at which fitting must be over; None without a time limit."""
-        limit = self.recorder.clock.limit_s
-        if limit is None:
-            return None
-        megapixels = float(self.pixels.shape[0] * self.pixels.shape[1]) / 1e6
-        return limit - RESERVE_S - RESERVE_S_PER_MEGAPIXEL * megapixels
+    def until_s(self, share: float = 1.0) -> float | None:
+        """The second, on the recorder's clock, at which that share of the time for fitting is over; None without a
+        limit. A stop is a limit that comes late: what is left of the schedule is shortened, not cut off.
+        """
+        clock, found = self.recorder.clock, []
+        if clock.limit_s is not None:
+            megapixels = float(self.pixels.shape[0] * self.pixels.shape[1]) / 1e6
+            found.append(share * (clock.limit_s - RESERVE_S - RESERVE_S_PER_MEGAPIXEL * megapixels))
+        stopped_s = clock.stopped_s()
+        if stopped_s is not None:
+            found.append(stopped_s * (1 + share * WINDING_DOWN))
+        return min(found, default=None)
 
     def gaussians_asked(self) -> int:
         """The budget as a number of Gaussians. Raises BudgetError if it is more than pixels."""

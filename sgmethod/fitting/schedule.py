@@ -11,18 +11,24 @@ from sgmethod.fitting.recorder import Recorder
 PERFECT_MSE = 1e-7  # 70 dB: a tenth of what rounding to 8 bits leaves
 PROGRESS_DB = 0.01  # what counts as progress
 
+Until = Callable[[], float | None]
 Step = Callable[[float, float], tuple[float, tuple[int, int]]]
+
+
+def never() -> None:
+    """No limit."""
 
 
 @dataclass(frozen=True)
 class Schedule:
     """One phase of an encode: its name in the trace, its steps, the part of the rate at which it ends, the second at
-    which it must be over, and the part of it without progress after which it has converged."""
+    which it must be over (asked before each step, as it may come nearer), and the part of it without progress after
+    which it has converged."""
 
     phase: str
     steps: int
     final_rate: float
-    until_s: float | None = None
+    until: Until = never
     patience: float = 0.3
 
     def run(self, recorder: Recorder, step: Step, shown: Callable[[], float] | None = None) -> int:
@@ -40,8 +46,9 @@ class Schedule:
             mse, counts = step(rate, progress)
             done += 1
             progress = done / self.steps
-            if self.until_s is not None:
-                progress = max(progress, (recorder.clock.seconds() - begun) / max(self.until_s - begun, 1e-9))
+            until_s = self.until()
+            if until_s is not None:
+                progress = max(progress, (recorder.clock.seconds() - begun) / max(until_s - begun, 1e-9))
             recorder.report(self.phase, done if progress < 1 else self.steps, self.steps, shown or mse, counts)
             if mse < best * 10 ** (-PROGRESS_DB / 10):
                 best, best_at = mse, progress

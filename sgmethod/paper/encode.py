@@ -71,9 +71,8 @@ class _Encoder:
         pixels = self.request.pixels.shape[0] * self.request.pixels.shape[1]
         n = max(pixels // 300, 1)
         tried: dict[int, tuple[float, StreamV1]] = {}
-        limit = self.request.until_s()
         for attempt in range(PSNR_ATTEMPTS):
-            stream = self.run(n, None, None if limit is None else limit * (attempt + 1) / PSNR_ATTEMPTS)
+            stream = self.run(n, None, (attempt + 1) / PSNR_ATTEMPTS)
             tried[n] = (psnr(draw(stream.scene()), self.request.pixels), stream)
             n = _next_count(tried, target_db, pixels)
             if n in tried:
@@ -81,12 +80,19 @@ class _Encoder:
         reached = [m for m, (db, _) in tried.items() if db >= target_db]
         return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1]
 
-    def run(self, n: int, max_bytes: int | None, until_s: float | None = None) -> StreamV1:
-        """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b."""
+    def run(self, n: int, max_bytes: int | None, share: float = 1.0) -> StreamV1:
+        """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b. share: of the time, from the start
+        of the encode, at which it must be there."""
         request, settings = self.request, self.settings
-        tune_until = request.until_s() if until_s is None else until_s
         begun = request.recorder.clock.seconds()
-        fit_until = None if tune_until is None else begun + FIT_SHARE * (tune_until - begun)
+
+        def tune_until() -> float | None:
+            return request.until_s(share)
+
+        def fit_until() -> float | None:
+            until_s = tune_until()
+            return None if until_s is None else begun + FIT_SHARE * (until_s - begun)
+
         image = request.pixels.astype(np.float32)
         image /= 255
         picture = Picture(target_of(request.pixels), settings.lambda_g, native.CUTOFF_V1)

@@ -8,7 +8,7 @@ from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.fitting.schedule import Schedule
+from sgmethod.fitting.schedule import Schedule, Until, never
 from sgmethod.profiles import PaperSettings
 from sgmethod.scene import Gaussians
 
@@ -24,7 +24,7 @@ def add_energy_gradient(p: Parameters, grad: Parameters, weight: float) -> None:
 
 
 def fit(
-    picture: Picture, start: Gaussians, settings: PaperSettings, recorder: Recorder, until_s: float | None
+    picture: Picture, start: Gaussians, settings: PaperSettings, recorder: Recorder, until: Until = never
 ) -> tuple[Gaussians, int]:
     """Fitted Gaussians without any quantisation, and the steps that took."""
     p = Parameters.of(start)
@@ -37,5 +37,5 @@ def fit(
         adam.step(p, grad, rate)
         return mse, (len(start), 0)
 
-    done = Schedule("fit", settings.fit_steps, settings.final_rate, until_s).run(recorder, step)
+    done = Schedule("fit", settings.fit_steps, settings.final_rate, until).run(recorder, step)
     return p.numpy(), done

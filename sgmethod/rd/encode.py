@@ -43,12 +43,17 @@ def place(request: Request, control: RateControl) -> RdFit:
 
 
 def fit_and_grow(fit: RdFit, request: Request) -> int:
-    """Run the schedule, which a time limit shortens; returns the steps."""
-    settings, clock, until = fit.settings, request.recorder.clock, request.until_s()
-    fit_until = None if until is None else settings.fit_share * until
-    if fit_until is not None:
-        fit.hurry(fit_until - clock.seconds())
-    schedule = Schedule("joint", fit.control.steps(), settings.final_rate, fit_until, patience=1.0)
+    """Run the schedule, which a time limit or a stop shortens; returns the steps."""
+    settings, clock = fit.settings, request.recorder.clock
+
+    def until() -> float | None:
+        return request.until_s(settings.fit_share)
+
+    until_s = until()
+    fit.preview = request.recorder.preview
+    if until_s is not None:
+        fit.hurry(until_s - clock.seconds())
+    schedule = Schedule("joint", fit.control.steps(), settings.final_rate, until, patience=1.0)
     steps = schedule.run(request.recorder, fit.step, fit.decoded_mse)
     fit.settle()
     return steps

@@ -28,6 +28,7 @@ from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.start.placement import place
+from sgmethod.trace import Preview
 
 FEWEST_AT_START = 4
 MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
@@ -52,6 +53,7 @@ class RdFit:
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
         self.steps = 0
+        self.preview: Preview = lambda _: None  # is given the file as it would be now, whenever its size is looked at
         self.due = sorted([*settings.growth_at, *settings.trim_at])
         self.price_of_none = math.inf  # at which growth found next to nothing
         self.p = self._place(np.random.default_rng(seed))
@@ -145,7 +147,9 @@ class RdFit:
 
     def _steer(self, at: float) -> None:
         """Move the quantum as the rate control says."""
-        self.size = len(container.serialise(self.coder.stream(self.p)))
+        file = container.serialise(self.coder.stream(self.p))
+        self.size = len(file)
+        self.preview(file)
         psnrs = (lambda: self._rounded_psnr(self.p)), (lambda: self._psnr(self.p))
         quantum = self.control.steered(self.coder.quantum, at, self.size, *psnrs)
         if quantum != self.coder.quantum:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -220,7 +220,7 @@ def test_a_time_limit_shortens_the_schedule() -> None:
         return inner(rate)
 
     clock = FakeClock(0.01)
-    done = Schedule("fit", 10**9, 0.03, until_s=2.0).run(Recorder(clock, None), step)
+    done = Schedule("fit", 10**9, 0.03, lambda: 2.0).run(Recorder(clock, None), step)
     assert 10 < done == len(rates) < 201
     assert clock.now == pytest.approx(2.0, abs=0.1)
     assert rates[-1] == pytest.approx(0.03, abs=0.01)
@@ -229,7 +229,7 @@ def test_a_time_limit_shortens_the_schedule() -> None:
 
 def test_a_limit_that_has_passed_leaves_one_step() -> None:
     for until in (0.0, -5.0):
-        assert Schedule("fit", 1000, 0.03, until).run(recorder(), falling()) == 1
+        assert Schedule("fit", 1000, 0.03, partial(float, until)).run(recorder(), falling()) == 1
 
 
 def test_a_fit_that_no_longer_improves_ends_early() -> None:
@@ -290,7 +290,7 @@ def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -
     solved = picture.solve_colors(p.means, p.factors, steps=60)
     begun = psnr_of(Gaussians(start.means, start.factors, solved.numpy()), photo())
     kept = Recorder(FakeClock(0.02), None)
-    fitted, steps = fit(picture, start, settings, kept, None)
+    fitted, steps = fit(picture, start, settings, kept)
     assert psnr_of(fitted, photo()) > begun + 3
     assert len(fitted) == 150
     assert steps == 200
@@ -329,7 +329,7 @@ def test_extreme_pictures_stay_finite(name: str) -> None:
     for n in sorted({1, min(40, pixels), pixels}):
         start = place(image, n, settings, np.random.default_rng(0))
         kept = recorder()
-        fitted, _ = fit(Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, kept, None)
+        fitted, _ = fit(Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, kept)
         for array in (fitted.means, fitted.factors, fitted.colors):
             assert np.isfinite(array).all()
         assert (fitted.factors[:, [0, 2]] >= np.float32(settings.min_scale_px)).all()
@@ -341,9 +341,7 @@ def test_nothing_to_draw_is_soon_done() -> None:
     settings = replace(PAPER, fit_steps=400)
     image = np.zeros((30, 40, 3), np.float32)
     start = place(image, 20, settings, np.random.default_rng(0))
-    fitted, steps = fit(
-        Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, recorder(), None
-    )
+    fitted, steps = fit(Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, recorder())
     assert steps < 200
     assert not fitted.colors.any()
 
@@ -352,7 +350,7 @@ def test_the_same_start_gives_the_same_fit() -> None:
     settings = replace(PAPER, fit_steps=40)
     start = place(photo(), 60, settings, np.random.default_rng(0))
     fits = [
-        fit(Picture(target_of(to_8_bit(photo())), settings.lambda_g, CUTOFF), start, settings, recorder(), None)[0]
+        fit(Picture(target_of(to_8_bit(photo())), settings.lambda_g, CUTOFF), start, settings, recorder())[0]
         for _ in range(2)
     ]
     for one, other in zip(*((f.means, f.factors, f.colors) for f in fits), strict=True):

@@ -23,6 +23,7 @@ from sgmethod.profiles import RD
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
+from sgmethod.trace import Stop
 from tests.harness.data import PHOTOGRAPHS
 
 CUTOFF = native.CUTOFF_V3
@@ -242,8 +243,8 @@ def test_a_time_limit_shortens_the_schedule(budget: Budget, monkeypatch: pytest.
     class SlowClock(Clock):
         """Each look at it takes a hundredth of a second."""
 
-        def __init__(self, limit_s: float | None = None) -> None:
-            super().__init__(limit_s)
+        def __init__(self, limit_s: float | None = None, stop: Stop | None = None) -> None:
+            super().__init__(limit_s, stop)
             self.now = 0.0
 
         def seconds(self) -> float:
@@ -258,6 +259,15 @@ def test_a_time_limit_shortens_the_schedule(budget: Budget, monkeypatch: pytest.
     if budget.kind == "bytes":
         assert 0.9 * 400 <= len(encoded.data) <= 400
     assert encode(crop(), budget, time_limit_s=1e-9).stats.steps < 3
+
+    steps: list[int] = []
+    stopped = encode(
+        crop(), budget, on_progress=lambda point: steps.append(point.step), stop=lambda: max(steps, default=0) >= 40
+    )
+    assert_sound(stopped, crop())
+    assert 42 < stopped.stats.steps < 70
+    if budget.kind == "bytes":
+        assert 0.8 * 400 <= len(stopped.data) <= 400
 
 
 def found_in(residual: FloatArray, most: int, least_gain: float) -> tuple[FloatArray, FloatArray]:
@@ -309,6 +319,14 @@ def test_growth_on_odd_sizes(size: tuple[int, int]) -> None:
     assert (means > 0).all()
     assert (means < (size[1], size[0])).all()
     assert len(np.unique(means, axis=0)) == len(means)
+
+
+def test_previews_are_files_that_come_nearer() -> None:
+    files: list[bytes] = []
+    encode(crop(), Budget("bytes", 2000), on_preview=files.append)
+    errors = [np.square(decode(file).astype(float) - to_8_bit(crop())).mean() for file in files]
+    assert len(files) > 5
+    assert errors[0] > 1.5 * errors[-1]
 
 
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
