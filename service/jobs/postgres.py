@@ -23,18 +23,21 @@ from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
 # The database's clock: those of several machines differ.
 EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-UPGRADE_FROM_1 = """
+UPGRADE_FROM_2 = "ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;"
+UPGRADE_FROM_1 = f"""
 ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;
 UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN (result::json -> 'stats' ->> 'bytes')::BIGINT
     WHEN 'failed' THEN 0 ELSE (image::json ->> 'size_bytes')::BIGINT END, 0);
+{UPGRADE_FROM_2}
 """
+UPGRADES = {1: UPGRADE_FROM_1, 2: UPGRADE_FROM_2}
 # Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
 # stopped within a transaction must not hold its locks for ever.
 SESSION = {
@@ -117,8 +120,8 @@ class PostgresJobTable(SqlJobTable):
                 raise JobTableError("the database was written by a newer version of this service")
             if written == 0:
                 db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
-            if written == 1:
-                db.execute(UPGRADE_FROM_1.encode())
+            if written in UPGRADES:
+                db.execute(UPGRADES[written].encode())
             if versions.get("engine") != procrastinate.__version__:
                 # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
                 db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")

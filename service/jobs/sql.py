@@ -272,6 +272,17 @@ class SqlJobTable(ABC):
                 db.execute(TRACE_POINT, (place, json.dumps(point), claim.job_id))
             return True
 
+    def stop(self, job_id: str) -> bool:
+        with self._transaction() as db:
+            return db.execute("UPDATE jobs SET stopped = 1 WHERE id = ? AND state = 'running'", (job_id,)).rowcount == 1
+
+    def stop_wanted(self, claim: Claim) -> bool:
+        with self._connection() as db:
+            return (
+                db.execute(f"SELECT id FROM jobs {MINE} AND stopped = 1", (claim.job_id, claim.attempt)).fetchone()
+                is not None
+            )
+
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
         text = _json(result)
         with self._transaction() as db:

@@ -16,7 +16,7 @@ from service.process.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.2
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
 # From version 1, which knew no owners: new tables, filled from the old ones.
 UPGRADE_FROM_1 = f"""
@@ -36,8 +36,9 @@ COUNT_BYTES = """
 UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN json_extract(result, '$.stats.bytes')
     WHEN 'failed' THEN 0 ELSE json_extract(image, '$.size_bytes') END, 0);
 """
-UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;{COUNT_BYTES}"
-SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1 + COUNT_BYTES, 2: UPGRADE_FROM_2}
+UPGRADE_FROM_3 = "ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;"
+UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;{COUNT_BYTES}{UPGRADE_FROM_3}"
+SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1 + COUNT_BYTES, 2: UPGRADE_FROM_2, 3: UPGRADE_FROM_3}
 
 
 class SqliteJobTable(SqlJobTable):

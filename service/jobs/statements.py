@@ -27,6 +27,7 @@ CREATE TABLE jobs (
     result          TEXT CHECK ((state = 'done') = (result IS NOT NULL)),
     error           TEXT,
     stored_bytes    BIGINT NOT NULL DEFAULT 0,
+    stopped         INTEGER NOT NULL DEFAULT 0,
     UNIQUE (owner, idempotency_key)
 );
 CREATE INDEX jobs_by_state ON jobs (state, number);
@@ -59,7 +60,8 @@ SELECT jobs.*, waiting.position FROM jobs LEFT JOIN waiting USING (number)
 """
 # Owners take turns by what they have running just now, however many jobs of theirs wait.
 CLAIM = """
-UPDATE jobs SET state = 'running', attempt = attempt + 1, worker = ?, started_at = epoch(), lease_until = epoch() + ?
+UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = ?, started_at = epoch(),
+    lease_until = epoch() + ?
 WHERE state = 'queued' AND number = (
     WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
     SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner

@@ -168,6 +168,16 @@ class JobTable(Protocol):
         """
         ...
 
+    def stop(self, job_id: str) -> bool:
+        """Ask the worker of a running job to end the fit early and publish what there is; a later attempt at the job
+        knows nothing of it. False: the job is not running.
+        """
+        ...
+
+    def stop_wanted(self, claim: Claim) -> bool:
+        """Whether this attempt is asked to end early."""
+        ...
+
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
         """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
         ...

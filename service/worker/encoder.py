@@ -2,10 +2,12 @@
 
 It knows neither the job table nor the storage. SPEC is a JSON object (see Spec). The image comes in as standard
 input, and everything goes out as frames on standard output. When the process ends its memory is free again, and
-whatever an image broke is gone.
+whatever an image broke is gone. Once the first trace point is out, the signal END_EARLY asks it to stop fitting and to
+send what it has.
 
 A frame is one letter, the payload's length (32 bits, big-endian) and the payload:
     T  a trace point (JSON)          any number of times
+    P  a bitstream of what there is  now and then
     E  why the codec refused (text)  then nothing more
     R  the codec's figures (JSON)    then
     D  the bitstream                 the end
@@ -17,8 +19,12 @@ import json
 import math
 import os
 import resource
+import signal
 import struct
 import sys
+import threading
+import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, BinaryIO
 
@@ -26,11 +32,13 @@ from service.jobs.job import EncodeRequest
 from service.process import lifeline
 
 FRAME_HEADER = struct.Struct(">cI")
-TRACE, REFUSED, STATS, BITSTREAM = b"T", b"E", b"R", b"D"
+TRACE, PREVIEW, REFUSED, STATS, BITSTREAM = b"T", b"P", b"E", b"R", b"D"
 
 # Below the priority of the web process, so that answers come at once while every core encodes.
 NICENESS = 10
 PARENT_GONE = 3
+END_EARLY = signal.SIGUSR1
+PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
 NO_MEMORY = b"the encode needs more memory than it may have here"
 
 
@@ -90,8 +98,22 @@ def take_standard_output() -> BinaryIO:
     return pipe
 
 
+def _now_and_then(show: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    last = time.monotonic()
+
+    def preview(file: bytes) -> None:
+        nonlocal last
+        if time.monotonic() - last >= PREVIEW_EVERY_S:
+            last = time.monotonic()
+            show(file)
+
+    return preview
+
+
 def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     """Encode the image and send what comes of it."""
+    stopped = threading.Event()
+    signal.signal(END_EARLY, lambda *_: stopped.set())
     from sgmethod.budget import Budget
     from sgmethod.codec import encode
     from sgmethod.errors import SgError
@@ -105,6 +127,8 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
             tune=request.tune,
             time_limit_s=request.time_limit_s,
             on_progress=lambda point: send(pipe, TRACE, to_json(point.to_dict())),
+            stop=stopped.is_set,
+            on_preview=_now_and_then(lambda file: send(pipe, PREVIEW, file)),
         )
     except SgError as error:
         send(pipe, REFUSED, str(error).encode())

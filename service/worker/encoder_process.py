@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import BinaryIO
 
 from service.jobs.job import JsonObject
-from service.worker.encoder import BITSTREAM, FRAME_HEADER, REFUSED, STATS, TRACE
+from service.worker.encoder import BITSTREAM, END_EARLY, FRAME_HEADER, PREVIEW, REFUSED, STATS, TRACE
 
 READ_BYTES = 1 << 16
 STDERR_TAIL_BYTES = 4096
@@ -27,6 +27,13 @@ class TracePoint:
     """How far the fit is."""
 
     point: JsonObject
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A bitstream of what there is so far."""
+
+    bitstream: bytes
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,7 @@ class TimedOut:
 
 
 Outcome = Encoded | Refused | Crashed | TimedOut
-Message = TracePoint | Refused | Encoded
+Message = TracePoint | Preview | Refused | Encoded
 
 
 class EncoderProcess:
@@ -82,6 +89,7 @@ class EncoderProcess:
         self._output = bytearray()
         self._stderr_tail = bytearray()
         self._stats: JsonObject = {}
+        self._listens = False  # to the signal that ends it early, as it does once it fits
         self._selector = selectors.DefaultSelector()
         assert self._process.stdout is not None
         assert self._process.stderr is not None
@@ -123,6 +131,11 @@ class EncoderProcess:
         del self._stderr_tail[:-STDERR_TAIL_BYTES]
         return self._take_messages()
 
+    def end_early(self) -> None:
+        """Ask it, once it fits, to end soon with what it has. To ask again changes nothing."""
+        if self._listens:
+            self._process.send_signal(END_EARLY)
+
     def last_words(self) -> str:
         """One sentence on how the encoder process ended, once it has closed its pipes without an outcome."""
         try:
@@ -146,7 +159,10 @@ class EncoderProcess:
             payload = bytes(self._output[FRAME_HEADER.size : end])
             del self._output[:end]
             if kind == TRACE:
+                self._listens = True
                 messages.append(TracePoint(json.loads(payload)))
+            elif kind == PREVIEW:
+                messages.append(Preview(payload))
             elif kind == REFUSED:
                 messages.append(Refused(payload.decode()))
             elif kind == STATS:

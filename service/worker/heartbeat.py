@@ -1,4 +1,4 @@
-"""The heartbeat of a claim. It renews the lease, and brings the trace to the job table."""
+"""The heartbeat of a claim. It renews the lease, brings the trace to the job table, and hears of a stop there."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ class Heartbeat:
         self._claim = claim
         self._points: list[JsonObject] = []
         self._sent = 0
+        self.stop_wanted = False  # whether this attempt is to end early, with what it has
         self._heard = time.monotonic()
         self._next = self._heard + HEARTBEAT_S
 
@@ -43,6 +44,7 @@ class Heartbeat:
             return
         try:
             alive = self._table.heartbeat(self._claim, self._points, self._sent)
+            self.stop_wanted = alive and self._table.stop_wanted(self._claim)
         except JobTableError as error:
             silence = time.monotonic() - self._heard
             log.warning("job %s: no heartbeat for %.1f s: %s", self._claim.job_id, silence, error)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 import os
@@ -14,9 +15,9 @@ from service.process import confinement
 from service.process.lifeline import Lifeline
 from service.process.stopping import StopSignal
 from service.settings import Settings
-from service.storage.files import Storage, source_key
+from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.encoder import Spec
-from service.worker.encoder_process import Crashed, EncoderProcess, Outcome, TimedOut, TracePoint
+from service.worker.encoder_process import Crashed, EncoderProcess, Outcome, Preview, TimedOut, TracePoint
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
 from service.worker.publishing import Publisher, StoppedError
 from service.worker.sweeping import Swept, sweep
@@ -119,17 +120,23 @@ class Worker:
             EncoderProcess(command, source, {**self._environment, "TMPDIR": folder}, spec.lifeline) as process,
         ):
             try:
-                return self._follow(process, heartbeat)
+                return self._follow(process, heartbeat, bitstream_key(claim.job_id, claim.attempt))
             except ValueError as error:
                 return Crashed(f"the encoder spoke nonsense: {error}")
 
-    def _follow(self, process: EncoderProcess, heartbeat: Heartbeat) -> Outcome:
-        """Relay progress to the job table until there is an outcome, the process dies, or it must be ended."""
+    def _follow(self, process: EncoderProcess, heartbeat: Heartbeat, key: str) -> Outcome:
+        """Relay progress to the job table, and previews to where the bitstream will lie, until there is an outcome, the
+        process dies, or it must be ended.
+        """
         started = time.monotonic()
         while not self._stop.requested:
             for message in process.read(FOLLOW_S):
                 if isinstance(message, TracePoint):
                     heartbeat.add(message.point)
+                    continue
+                if isinstance(message, Preview):
+                    with contextlib.suppress(OSError):  # nobody needs it
+                        self._storage.put(key, message.bitstream)
                     continue
                 heartbeat.beat(now=True)
                 return message
@@ -138,4 +145,6 @@ class Worker:
             if time.monotonic() - started > self._settings.job_timeout_s:
                 return TimedOut(self._settings.job_timeout_s)
             heartbeat.beat()
+            if heartbeat.stop_wanted:
+                process.end_early()
         raise StoppedError

@@ -87,7 +87,9 @@ class Publisher:
                     raise
 
     def tidy(self, claim: Claim) -> None:
-        """Remove the source image of a job that will not run again."""
-        job = self._table.get(claim.job_id)
+        """Remove the source image of a job that will not run again, and what an attempt without a result has left."""
+        job, key = self._table.get(claim.job_id), bitstream_key(claim.job_id, claim.attempt)
+        if job is None or job.result is None or job.result.bitstream_key != key:
+            self._storage.delete(key)
         if job is None or (job.state in FINAL_STATES and not self._keeps_sources):
             self._storage.delete(source_key(claim.job_id))

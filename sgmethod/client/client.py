@@ -161,6 +161,10 @@ class Client:
         """
         return self._connection.ask("GET", f"/decode/{job_id}.{kind}", params=view).content
 
+    def stop(self, job_id: str) -> None:
+        """End the fit of a running job early: it is done soon, with what is there. Raises ServerError if it waits."""
+        self._connection.ask("POST", f"/jobs/{job_id}/stop")
+
     def remove(self, job_id: str) -> None:
         """Cancel the job if it is not done, and have the service forget it."""
         self._connection.ask("DELETE", f"/jobs/{job_id}")

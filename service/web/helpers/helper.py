@@ -22,8 +22,9 @@ from typing import Any
 
 import sgmethod
 from service.web.helpers.drawing import Drawing, Wish
+from service.web.helpers.picture_files import Rival
 from sgmethod.errors import ImageError, SgError
-from sgmethod.io.image import ImageLimits, read_header
+from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
 
 READY = b"!"  # said once, at the start
 ANSWER_HEADER = struct.Struct(">IQ")
@@ -41,8 +42,8 @@ class Errand:
     """What to do with a file, and what it may take.
 
     memory_bytes, cpu_s: more than the process has already, and seconds of one core; max_pixels, max_side,
-    max_gaussians: of what is read or drawn; wish: the picture file to make of a bitstream, or None to read an image's
-    header.
+    max_gaussians: of what is read or drawn; wish: the picture file to make of a bitstream, rival: the one to make of an
+    image; without either, an image's header is read.
     """
 
     memory_bytes: int
@@ -51,6 +52,7 @@ class Errand:
     max_side: int = 0
     max_gaussians: int | None = None
     wish: Wish | None = None
+    rival: Rival | None = None
 
     def to_json(self) -> bytes:
         """One line."""
@@ -63,11 +65,15 @@ class Errand:
         if given["wish"] is not None:
             region = given["wish"]["region"]
             given["wish"] = Wish(**{**given["wish"], "region": region and tuple(region)})
+        if given["rival"] is not None:
+            given["rival"] = Rival(**given["rival"])
         return cls(**{field.name: given[field.name] for field in fields(cls)})
 
 
 def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     """The answer: figures, and the bytes of a picture file. Raises SgError, MemoryError."""
+    if errand.rival is not None:
+        return {}, errand.rival.made_of(read_image_8_bit(file, ImageLimits(errand.max_pixels, errand.max_side)))
     if errand.wish is None:
         header = read_header(file, ImageLimits(errand.max_pixels, errand.max_side))
         if not header.still:

@@ -8,6 +8,7 @@ from service.jobs.job import SourceImage
 from service.settings import Settings
 from service.web.helpers.drawing import Wish
 from service.web.helpers.helper import Errand
+from service.web.helpers.picture_files import Rival
 from service.web.helpers.pool import Helpers
 from service.web.helpers.turns import Turns
 
@@ -45,6 +46,16 @@ class Work:
                 limits.max_decode_pixels,
                 max_gaussians=max_gaussians,
                 wish=wish,
+            )
+            _, picture = await self._helpers.ask(errand, file)
+        return picture
+
+    async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
+        """The rival that is made of an image. Raises HelperError, ProblemError 429 or 503, OSError."""
+        limits = self._settings
+        async with self._drawings.turn(client):
+            errand = Errand(
+                limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, limits.max_side, rival=rival
             )
             _, picture = await self._helpers.ask(errand, file)
         return picture

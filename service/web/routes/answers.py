@@ -45,6 +45,7 @@ EXAMPLE_SUMMARY = {
     "started_at": "2026-01-31T12:00:01Z",
     "finished_at": None,
     "expires_at": None,
+    "image_expires_at": None,
     "result": None,
     "error": None,
 }
@@ -107,6 +108,7 @@ class JobSummary(AcceptedView):
     started_at: datetime | None = Field(description="of the latest attempt")
     finished_at: datetime | None
     expires_at: datetime | None = Field(description="when all that is kept of it is removed, once finished")
+    image_expires_at: datetime | None = Field(description="until when its image can be encoded again, once finished")
     result: dict[str, Figure] | None = Field(description="the codec's figures, once done")
     error: ErrorView | None = Field(description="once failed")
 
@@ -174,8 +176,8 @@ def expires_at(job: Job, retention_s: float) -> datetime | None:
     return _time(job.finished_at + retention_s) if job.finished_at is not None and retention_s else None
 
 
-def summary(job: Job, retention_s: float) -> JobSummary:
-    """The job without its trace. retention_s: for how long jobs are kept, 0 for ever."""
+def summary(job: Job, retention_s: float, source_retention_s: float) -> JobSummary:
+    """The job without its trace. retention_s: for how long jobs are kept, 0 for ever; source_retention_s: images."""
     request, image = job.request, job.image
     return JobSummary(
         id=job.id,
@@ -193,6 +195,7 @@ def summary(job: Job, retention_s: float) -> JobSummary:
         started_at=_time(job.started_at),
         finished_at=_time(job.finished_at),
         expires_at=expires_at(job, retention_s),
+        image_expires_at=None if job.finished_at is None else _time(job.finished_at + source_retention_s),
         result=dict(job.result.stats) if job.result else None,
         # A queued job can carry the error of its last crash, which is no concern of the client's yet.
         error=ErrorView(code=job.error.code, detail=job.error.detail) if job.error and job.state == "failed" else None,
@@ -209,10 +212,10 @@ def links(job: Job, decode_query: str, bitstream_query: str, expires: int) -> Li
     )
 
 
-def with_trace(job: Job, trace: Sequence[JsonObject], retention_s: float) -> JobView:
+def with_trace(job: Job, trace: Sequence[JsonObject], retention_s: float, source_retention_s: float) -> JobView:
     """The job and how its fit went so far."""
     return JobView(
-        **summary(job, retention_s).model_dump(),
+        **summary(job, retention_s, source_retention_s).model_dump(),
         progress=1.0 if job.state == "done" else progress(trace),
         trace=[dict(point) for point in _thinned(trace)],
     )

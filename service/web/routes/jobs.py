@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from contextlib import suppress
 from typing import Annotated, Any
 
 from anyio import to_thread
@@ -17,7 +16,8 @@ from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
 from service.web.routes.examples import curl
-from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
+from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts, no_such_job
+from service.web.routes.pictures import open_image
 from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
 from service.web.submitting.feasible import check_feasible
 from service.web.submitting.fields import FIELD_SCHEMAS, IMAGE_FIELD, read_fields
@@ -130,12 +130,9 @@ async def encode_again(
 
 
 def _kept_image(parts: Parts, job: Job) -> bytes:
-    """Raises ProblemError 410 if it is kept no longer, whether or not it has been removed already."""
-    kept_s = parts.settings.source_retention_s
-    if job.finished_at is None or time.time() < job.finished_at + kept_s:
-        with suppress(FileNotFoundError):
-            return parts.storage.get(source_key(job.id))
-    raise ProblemError(410, "the image of this job is no longer kept; send it again")
+    """Raises ProblemError 410."""
+    with open_image(parts, job) as file:
+        return file.read()
 
 
 async def _accepted(
@@ -239,7 +236,8 @@ def _make_room(parts: Parts, new: NewJob, of_owner: bool) -> None:
 def status(job: KnownJob, parts: UseParts, response: Response) -> answers.JobView:
     """State, place in the queue, progress, trace so far, and result or error."""
     response.headers.update(NEVER_STORED)
-    return answers.with_trace(job, parts.table.trace(job.id), parts.settings.retention_s)
+    kept_s = parts.settings.retention_s, parts.settings.source_retention_s
+    return answers.with_trace(job, parts.table.trace(job.id), *kept_s)
 
 
 @router.get(
@@ -261,7 +259,8 @@ def jobs(
     page = parts.table.page(limit + 1, before, caller.owner, state)
     chosen = "" if state is None else f"&state={state}"
     older = f"/jobs?limit={limit}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
-    return answers.JobPage(jobs=[answers.summary(job, parts.settings.retention_s) for job in page[:limit]], next=older)
+    kept_s = parts.settings.retention_s, parts.settings.source_retention_s
+    return answers.JobPage(jobs=[answers.summary(job, *kept_s) for job in page[:limit]], next=older)
 
 
 @router.post(
@@ -286,6 +285,28 @@ def links(
     expires = int(time.time()) + expires_s
     picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
     return answers.links(job, picture, bitstream, expires)
+
+
+@router.post(
+    "/jobs/{job_id}/stop",
+    status_code=202,
+    responses=problems(404, 409, 503),
+    summary="End an encode early, and keep what is there",
+    openapi_extra=curl("-X POST HOST/jobs/ID/stop"),
+)
+def stop(job: KnownJob, parts: UseParts, response: Response) -> answers.AcceptedView:
+    """The fit of a running job ends, within its budget, after about a quarter of the time that it has taken; then the
+    job is done. One that is done stays as it is; 409 for one that waits or has failed, as there is nothing to keep.
+    """
+    view = answers.accepted(job)
+    response.headers.update({"Location": view.status_url, **NEVER_STORED})
+    if job.state != "done" and not parts.table.stop(job.id):
+        now = parts.table.get(job.id)
+        if now is None:
+            raise no_such_job()
+        if now.state != "done":
+            raise ProblemError(409, f"the job is {now.state}: there is nothing to keep", state=now.state)
+    return view
 
 
 @router.delete(

@@ -1,8 +1,12 @@
-"""Finished jobs as pictures and as bitstreams, and pictures of bitstreams that nobody keeps."""
+"""Finished jobs as pictures and as bitstreams, what running ones have so far, what other codecs make of the same bytes,
+and pictures of bitstreams that nobody keeps.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import logging
+import time
 from email.utils import format_datetime
 from typing import Annotated, Any, BinaryIO
 
@@ -10,9 +14,10 @@ from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
 from service.jobs.job import EncodeResult, Job
+from service.storage.files import bitstream_key, source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.helpers.drawing import Drawing, Wish
-from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
+from service.web.helpers.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.routes import answers
 from service.web.routes.decoding import ViewQuery
@@ -213,6 +218,34 @@ async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Respons
     return await bitstream_answer(request, job, parts)
 
 
+@router.get(
+    "/jobs/{job_id}/preview.sg",
+    response_class=Response,
+    responses={
+        **_files(BITSTREAM_TYPE),
+        204: {"description": "there is nothing yet"},
+        **NOT_MODIFIED,
+        **problems(404, 503),
+    },
+    summary="The bitstream of what a running job has so far",
+    openapi_extra=curl("HOST/jobs/ID/preview.sg -o preview.sg"),
+)
+async def preview(job: KnownJob, parts: UseParts, request: Request) -> Response:
+    """A bitstream that is about as large as the job's own will be, and coarser; that one once the job is done. The
+    encoder gives a new one every second or more seldom, and with profile rd alone.
+    """
+    headers = {"Cache-Control": "private, no-cache"}
+    key = job.result.bitstream_key if job.result else bitstream_key(job.id, job.attempt)
+    try:
+        data = await to_thread.run_sync(parts.storage.get, key)
+    except FileNotFoundError:
+        return Response(status_code=204, headers=headers)
+    headers["ETag"] = f'"{hashlib.sha256(data).hexdigest()[:32]}"'
+    if has_already(request, headers["ETag"]):
+        return not_modified(headers)
+    return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
+
+
 async def bitstream_answer(request: Request, job: Job, parts: Parts) -> Response:
     """The bitstream of a job."""
     result = result_of(job)
@@ -225,3 +258,51 @@ async def bitstream_answer(request: Request, job: Job, parts: Parts) -> Response
         return not_modified(headers)
     data = await to_thread.run_sync(_bitstream, parts, job, result)
     return file_answer(request, data, BITSTREAM_TYPE, headers)
+
+
+def open_image(parts: Parts, job: Job) -> BinaryIO:
+    """The image of a job. Raises ProblemError 410 if it is kept no longer, whether or not it has been removed yet."""
+    kept_s = parts.settings.source_retention_s
+    if job.finished_at is None or time.time() < job.finished_at + kept_s:
+        try:
+            return parts.storage.open(source_key(job.id))
+        except FileNotFoundError:
+            pass
+    raise ProblemError(410, "the image of this job is no longer kept; send it again")
+
+
+@router.get(
+    "/jobs/{job_id}/rival.{kind}",
+    response_class=Response,
+    responses={
+        **_files(*(MEDIA_TYPES[kind] for kind in ("jpg", "webp", "avif"))),
+        **NOT_MODIFIED,
+        **PARTIAL,
+        **problems(404, 409, 410, 422, 429, 503),
+    },
+    summary="What another codec makes of the same bytes",
+    openapi_extra=curl("HOST/jobs/ID/rival.avif -o rival.avif"),
+)
+async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Request) -> Response:
+    """The image of a job as JPEG, WebP or AVIF, as fine as the bytes of its bitstream allow; the smallest file, if it
+    takes more. 410 once the image is no longer kept.
+    """
+    result = result_of(job)
+    size = int(result.stats["bytes"])
+    if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
+        raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels a side, too many for {kind}")
+    headers = {"ETag": f'"{job.id}-rival.{kind}"', "Cache-Control": IMMUTABLE}
+    if has_already(request, headers["ETag"]):
+        return not_modified(headers)
+    file = parts.pictures.get(headers["ETag"])
+    parts.metrics.cache.labels("no" if file is None else "yes").inc()
+    if file is None:
+        parts.outflow.check()
+        with await to_thread.run_sync(open_image, parts, job) as image:
+            making = parts.work.make_rival(request.state.caller.client, image, Rival(kind, size))
+            try:
+                file = await while_client_waits(request, making)
+            except HelperError as error:
+                raise ProblemError(422, str(error)) from error
+        parts.pictures.put(headers["ETag"], file)
+    return file_answer(request, file, MEDIA_TYPES[kind], headers)

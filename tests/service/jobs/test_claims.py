@@ -102,6 +102,22 @@ def test_heartbeat_carries_the_trace(table: JobTable) -> None:
     assert table.trace(job_id) == []
 
 
+def test_a_stop_is_for_the_attempt_that_runs(table: JobTable) -> None:
+    job_id = submitted(table)
+    assert not table.stop(job_id)  # it waits
+    claim = claimed(table)
+    assert not table.stop_wanted(claim)
+    assert table.stop(job_id)
+    assert table.stop_wanted(claim)
+    assert table.fail(claim, CRASH, retry=True)
+    assert not table.stop_wanted(claim)
+    again = claimed(table)
+    assert not table.stop_wanted(again)
+    assert table.finish(again, RESULT)
+    assert not table.stop(job_id)
+    assert not table.stop("0" * 32)
+
+
 def test_finish(table: JobTable) -> None:
     job_id = submitted(table)
     claim = claimed(table)

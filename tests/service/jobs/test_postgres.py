@@ -101,18 +101,24 @@ def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobTable) -> No
     assert jobs.census().jobs["running"] == 3
 
 
-def test_a_table_of_version_1_is_brought_up_to_date(url: str, jobs: PostgresJobTable) -> None:
-    """Version 1 did not count bytes."""
+@pytest.mark.parametrize(("version", "missing"), [(1, ("stored_bytes", "stopped")), (2, ("stopped",))])
+def test_an_older_table_is_brought_up_to_date(
+    url: str, jobs: PostgresJobTable, version: int, missing: tuple[str, ...]
+) -> None:
+    """Version 1 did not count bytes; in version 2 nothing could be stopped."""
     waiting = submitted(jobs)
     size = jobs.stored_bytes()
     jobs.close()
     with psycopg.connect(url) as db:
-        db.execute("ALTER TABLE sgmethod.jobs DROP COLUMN stored_bytes")
-        db.execute("UPDATE sgmethod.version SET version = '1' WHERE part = 'jobs'")
+        for column in missing:
+            db.execute(f"ALTER TABLE sgmethod.jobs DROP COLUMN {column}".encode())
+        db.execute("UPDATE sgmethod.version SET version = %s WHERE part = 'jobs'", (str(version),))
     again = PostgresJobTable(url, RULES)
     try:
         job = again.get(waiting)
         assert job is not None
         assert again.stored_bytes() == size == job.image.size_bytes > 0
+        claimed(again)
+        assert again.stop(waiting)
     finally:
         again.close()

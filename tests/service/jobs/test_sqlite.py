@@ -14,6 +14,7 @@ from service.jobs.table import JobTableError
 from tests.harness.job_table import (
     RESULT,
     RULES,
+    claimed,
     submitted,
 )
 
@@ -86,17 +87,23 @@ def test_rule_6_durability_settings(tmp_path: Path) -> None:
     table.close()
 
 
-def test_a_table_of_version_2_is_brought_up_to_date(tmp_path: Path) -> None:
-    """Version 2 did not count bytes."""
+@pytest.mark.parametrize(("version", "missing"), [(2, ("stored_bytes", "stopped")), (3, ("stopped",))])
+def test_a_table_of_a_later_version_is_brought_up_to_date(
+    tmp_path: Path, version: int, missing: tuple[str, ...]
+) -> None:
+    """Version 2 did not count bytes; in version 3 nothing could be stopped."""
     path = tmp_path / "jobs.sqlite3"
     table = SqliteJobTable(path, RULES)
     waiting = submitted(table)
     table.close()
     with contextlib.closing(sqlite3.connect(path)) as connection, connection as db:
-        db.execute("ALTER TABLE jobs DROP COLUMN stored_bytes")
-        db.execute("PRAGMA user_version = 2")
+        for column in missing:
+            db.execute(f"ALTER TABLE jobs DROP COLUMN {column}")
+        db.execute(f"PRAGMA user_version = {version}")
     table = SqliteJobTable(path, RULES)
     job = table.get(waiting)
     assert job is not None
     assert table.stored_bytes() == job.image.size_bytes > 0
+    claimed(table)
+    assert table.stop(waiting)
     table.close()

@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from service.web.app import STATIC
+from service.web.helpers.picture_files import Rival
 from sgmethod.view import View
-from tests.harness.data import golden_path
+from tests.harness.data import PHOTOGRAPHS, golden_path
 from tests.harness.pictures import SMALL
-from tests.harness.service import Service, assert_problem
+from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 TEXTURED = golden_path("v4-texture.sg").read_bytes()
+PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()
 
 
@@ -70,6 +73,35 @@ def test_texture_can_be_left_out(web: Service) -> None:
     assert whole.headers["etag"] != without.headers["etag"]
     np.testing.assert_array_equal(pixels_of(web.client.post("/decode?texture=0", content=TEXTURED)), smooth)
     assert_problem(web.client.get(f"/decode/{job}.png?texture=some"), 422)
+
+
+def test_rivals_of_the_same_bytes(start_service: StartService) -> None:
+    web = start_service("web", source_retention_s=1000)
+    coffee, image = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))
+    job, waiting = web.accepted(image), web.accepted(image)
+    web.publish(job, coffee)
+    original = np.asarray(Image.open(io.BytesIO(image)).convert("RGB"), float)
+    for kind, name in (("jpg", "JPEG"), ("webp", "WEBP"), ("avif", "AVIF")):
+        answer = web.client.get(f"/jobs/{job}/rival.{kind}")
+        assert Image.open(io.BytesIO(answer.content)).format == name
+        assert pixels_of(answer).shape == original.shape
+        assert 0.9 * len(coffee) < len(answer.content) <= len(coffee)
+        assert 20 < np.square(pixels_of(answer) - original).mean() < 300  # 23 to 35 dB
+        again = web.client.get(f"/jobs/{job}/rival.{kind}", headers={"If-None-Match": answer.headers["etag"]})
+        assert again.status_code == 304
+        assert web.client.head(f"/jobs/{job}/rival.{kind}").headers["content-length"] == str(len(answer.content))
+    assert_problem(web.client.get(f"/jobs/{waiting}/rival.avif"), 409, "queued")
+    assert web.client.get(f"/jobs/{job}/rival.png").status_code == 404
+    assert_problem(web.client.post(f"/jobs/{waiting}/stop"), 409, "nothing to keep")
+
+
+def test_a_rival_is_as_fine_as_its_bytes_allow() -> None:
+    pixels = np.asarray(Image.open(io.BytesIO(PHOTOGRAPH)).convert("RGB"))
+    sizes = [len(Rival("jpg", most).made_of(pixels)) for most in (10, 3000, 3100, 10**9)]
+    assert sizes[0] > 10
+    assert 2500 < sizes[1] <= 3000
+    assert sizes[1] <= sizes[2] <= 3100
+    assert sizes[3] > 10_000
 
 
 def test_the_older_version_of_the_file(web: Service) -> None:

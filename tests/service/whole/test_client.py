@@ -73,6 +73,8 @@ def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
         again = client.submit_again(first, Budget("psnr", 30), "paper", time_limit_s=9)
         assert client.job(again)["budget"] == {"kind": "psnr", "value": 30}
         assert client.job(again)["image"] == client.job(first)["image"]
+        with pytest.raises(ServerError, match="nothing to keep"):
+            client.stop(again)
         client.remove(first)
         with pytest.raises(ServerError, match="no such job"):
             client.submit_again(first, Budget("bpp", 1))
@@ -87,6 +89,7 @@ def test_step_by_step(service: Service) -> None:
         assert client.picture(job_id, scale=0.5, region="0,0,64,48") != client.picture(job_id)
         assert client.picture(job_id, "jpg")[:3] == b"\xff\xd8\xff"
         assert pixels.shape == (48, 64, 3)
+        client.stop(job_id)  # nothing is left to do
         client.remove(job_id)
         with pytest.raises(ServerError, match="no such job"):
             client.job(job_id)

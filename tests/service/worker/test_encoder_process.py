@@ -66,6 +66,25 @@ def test_the_source_is_standard_input() -> None:
         assert messages_of(process) == [Encoded({}, SMALL[::-1])]
 
 
+def test_one_that_is_to_end_early() -> None:
+    script = """
+import signal
+stopped = []
+signal.signal(signal.SIGUSR1, lambda *_: stopped.append(True))
+send(out, b"T", b'{"step": 1}')
+while not stopped:
+    time.sleep(0.01)
+send(out, b"D", b"early")
+"""
+    with child(script) as process:
+        process.end_early()  # before it listens the signal would be its end
+        assert wait_until(lambda: process.read(1.0)) == [TracePoint({"step": 1})]
+        process.end_early()
+        process.end_early()
+        assert messages_of(process) == [Encoded({}, b"early")]
+        assert process.last_words() == "the encoder crashed (exit status 0)"
+
+
 @pytest.mark.parametrize(
     ("script", "words"),
     [
