@@ -50,6 +50,8 @@ check: $(STAMP)
 	  echo "PostgreSQL is missing, so its tests will be skipped: sudo apt install postgresql" >&2
 	@command -v chromedriver >/dev/null && command -v chromium >/dev/null || \
 	  echo "Chromium is missing, so the page will not be tested: sudo apt install chromium chromium-driver" >&2
+	@command -v firefox-esr >/dev/null || \
+	  echo "Firefox is missing, so the page will not be tested in it: sudo apt install firefox-esr" >&2
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy

@@ -7,14 +7,14 @@ import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
 from service.__main__ import main
 from service.jobs.table import JobTable
 from tests.harness import browser as browser_module
-from tests.harness.browser import Browser, find_driver
+from tests.harness.browser import Chromium, Firefox, find_driver, find_firefox
 from tests.harness.job_table import LONG_S, OpenTable, open_table
 from tests.harness.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
 from tests.harness.s3_server import S3Server
@@ -43,16 +43,31 @@ def s3() -> Iterator[S3Server]:
 
 
 @pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
+def browser() -> Iterator[Chromium]:
     """A browser for all tests that need one."""
     driver = find_driver()
     if driver is None:
-        if os.environ.get(browser_module.REQUIRED) == "required":
-            pytest.fail(browser_module.HINT)
-        pytest.skip(browser_module.HINT)
-    browser = Browser(driver)
+        _missing(browser_module.HINT)
+    browser = Chromium(driver)
     yield browser
     browser.close()
+
+
+@pytest.fixture(scope="session")
+def firefox() -> Iterator[Firefox]:
+    """The other browser."""
+    program = find_firefox()
+    if program is None:
+        _missing(browser_module.FIREFOX_HINT)
+    browser = Firefox(program)
+    yield browser
+    browser.close()
+
+
+def _missing(hint: str) -> NoReturn:
+    if os.environ.get(browser_module.REQUIRED) == "required":
+        pytest.fail(hint)
+    pytest.skip(hint)
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ function rounded(x) {
 }
 
 /** A view: what part of the picture, how large it comes out. Throws SgError. */
-export function viewOf(file, scale = 1, region = null) {
+function viewOf(file, scale = 1, region = null) {
   const [x, y, w, h] = region ?? [0, 0, file.width, file.height];
   const within = x >= 0 && y >= 0 && w >= 1 && h >= 1 && x + w <= file.width && y + h <= file.height;
   if (!(scale >= 1 / 64 && scale <= 64) || !within) throw new SgError("this view is not in the picture");
@@ -200,7 +200,7 @@ function octavesOf({ sx, sy }) {
 }
 
 /** The first `count` Gaussians of a file as a picture: { width, height, data }, RGBA of 8 bits. Throws SgError. */
-export function draw(file, { scale = 1, region = null, count = file.count } = {}) {
+export function draw(file, { scale = 1, region = null, count = file.count, texture = true } = {}) {
   const view = viewOf(file, scale, region);
   const { width, height, x, y, sx, sy } = view;
   const ox = Math.floor(x * sx) % 65536;
@@ -212,7 +212,7 @@ export function draw(file, { scale = 1, region = null, count = file.count } = {}
     place(file.values, 8 * i, placing, g);
     byLevel[levelOf(g[2], g[3], g[4])].push(i);
   }
-  const octaves = file.texture ? octavesOf(view) : [];
+  const octaves = texture && file.texture ? octavesOf(view) : [];
   let top = TOP_LEVEL;
   while (top > 0 && byLevel[top].length === 0 && !octaves.some(({ level }) => level === top)) top--;
   const planes = [new Plane(ox, oy, ox + width, oy + height)];

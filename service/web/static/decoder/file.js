@@ -25,7 +25,7 @@ const refuseUnless = (holds, what) => {
   if (!holds) throw new SgError(`the file is damaged: ${what}`);
 };
 
-export const isSg = (bytes) => bytes[0] === 0x53 && bytes[1] === 0x47 && bytes[2] === 0x4d;
+const isSg = (bytes) => bytes[0] === 0x53 && bytes[1] === 0x47 && bytes[2] === 0x4d;
 
 function crc32(bytes) {
   let crc = -1;
@@ -37,7 +37,7 @@ function crc32(bytes) {
 }
 
 /** What the first 18 bytes say. Throws SgError. */
-export function readHeader(bytes) {
+function readHeader(bytes) {
   if (!isSg(bytes)) throw new SgError("this is no .sg file");
   if (bytes[3] !== 4) throw new SgError(`version ${bytes[3]} of the file is not known here`, true);
   refuseUnless(bytes.length >= HEADER_BYTES, "it is too short");
@@ -87,13 +87,15 @@ function readTexture(bytes, width, height) {
 }
 
 /** The Gaussians of a file, in its order: each has 8 numbers in `values` (x, y, l1, l2, l3, red, green, blue), how many
- * bits it took in `bits`, and in `ends` how many bytes of the payload are needed for it. */
+ * bits it took in `bits`, and in `ends` how many bytes of the payload are needed for it. `spent` has the bits by what
+ * they say of all Gaussians. */
 class Gaussians {
   constructor(room) {
     this.values = new Float32Array(8 * room);
     this.bits = new Float32Array(room);
     this.ends = new Uint32Array(room);
     this.count = 0;
+    this.spent = { place: 0, shape: 0, slant: 0, light: 0, tint: 0 };
   }
 
   add(values, bits, end) {
@@ -120,11 +122,13 @@ export function readFile(bytes) {
   const payload = bytes.subarray(start);
   const found = new Gaussians(Math.ceil(payload.length / 3));
   if (payload.length) readGaussians(header, new Coder(payload), found);
-  const { values, bits, ends, count } = found;
+  const { values, bits, ends, count, spent } = found;
   return {
     ...header,
     texture,
     start, // of the payload
+    textureBytes: start - HEADER_BYTES,
+    spent,
     bytes: bytes.length,
     count,
     values: values.slice(0, 8 * count),
@@ -172,7 +176,7 @@ function readGaussians(header, coder, found) {
     let now = null;
     for (let i = 0; i < n + (n > 0); i++) {
       const before = now;
-      now = readTurn(header, coder, models, ofClass, i < n, before);
+      now = readTurn(header, coder, models, ofClass, i < n, before, found.spent);
       if (!before) continue;
       refuseUnless(!coder.pastEnd, "it ends too early");
       found.add(before.values, before.bits, coder.at);
@@ -184,70 +188,70 @@ function readGaussians(header, coder, found) {
 const level = ({ symbol }) => (symbol === 0 ? 0 : symbol <= 2 ? 1 : symbol <= 5 ? 2 : 3);
 
 /** Cell and colour of the next Gaussian, if there are more; shape and place of `now`, the one before, if any. */
-function readTurn(header, coder, models, { k, t, columns, rows }, more, now) {
+function readTurn(header, coder, models, { k, t, columns, rows }, more, now, spent) {
   let [distance, y, a, b, v, r] = [NONE, NONE, NONE, NONE, NONE, NONE];
   let bits = 0; // of the next one's
-  const ofNext = (read) => {
+  const ofNext = (what, read) => {
     coder.cost = 0;
     const value = read();
     bits += coder.cost;
+    spent[what] += coder.cost;
     return value;
   };
-  const ofNow = (read) => {
+  const ofNow = (what, read) => {
     coder.cost = 0;
     const value = read();
     now.bits += coder.cost;
+    spent[what] += coder.cost;
     return value;
   };
   const bucket = now ? Math.min(now.h, 7) : 0;
 
-  if (more) distance = ofNext(() => coder.number(COLOUR, models.distance[0]));
+  if (more) distance = ofNext("place", () => coder.number(COLOUR, models.distance[0]));
   if (now) {
     const [luma, second, third] = now.size;
     const which = 4 * (luma !== 0) + 2 * (second !== 0) + (third !== 0);
-    const signs = ofNow(() => coder.symbol(SHAPE, models.colourSigns[which]));
+    const signs = ofNow("light", () => coder.symbol(SHAPE, models.colourSigns[which]));
     now.colour = now.size.map((value, i) => (signs & (4 >> i) ? -value : value));
   }
-  if (more) y = ofNext(() => coder.number(COLOUR, models.luma[0]));
-  if (now) v = ofNow(() => coder.number(SHAPE, models.v[bucket]));
-  if (more && !header.grey) a = ofNext(() => coder.number(COLOUR, models.a[level(y)]));
-  if (now && !header.upright) r = ofNow(() => coder.number(SHAPE, models.r[bucket]));
-  if (more && !header.grey) b = ofNext(() => coder.number(COLOUR, models.b[level(a)]));
+  if (more) y = ofNext("light", () => coder.number(COLOUR, models.luma[0]));
+  if (now) v = ofNow("shape", () => coder.number(SHAPE, models.v[bucket]));
+  if (more && !header.grey) a = ofNext("tint", () => coder.number(COLOUR, models.a[level(y)]));
+  if (now && !header.upright) r = ofNow("slant", () => coder.number(SHAPE, models.r[bucket]));
+  if (more && !header.grey) b = ofNext("tint", () => coder.number(COLOUR, models.b[level(a)]));
 
   coder.fetch(v.rest + r.rest + (now ? now.uBits : 0) + (more ? t : 0));
   let [px, py] = [0, 0];
   const shape = { u: 0, v: 0, r: 0 };
   if (now) {
-    ofNow(() => {
-      shape.v = coder.rest(v);
-      shape.r = coder.rest(r);
-      shape.u = coder.take(now.uBits);
-      const most = 2 ** now.h;
-      refuseUnless(shape.v <= MOST.v * most && shape.r <= (MOST.r * most) / 2, "a shape is out of range");
-      const signs = coder.symbol(SHAPE, models.shapeSigns[2 * (shape.v !== 0) + (shape.r !== 0)]);
-      if (signs & 2) shape.v = -shape.v;
-      if (signs & 1) shape.r = -shape.r;
-    });
+    shape.v = ofNow("shape", () => coder.rest(v));
+    shape.r = ofNow("slant", () => coder.rest(r));
+    shape.u = ofNow("shape", () => coder.take(now.uBits));
+    const most = 2 ** now.h;
+    refuseUnless(shape.v <= MOST.v * most && shape.r <= (MOST.r * most) / 2, "a shape is out of range");
+    const which = 2 * (shape.v !== 0) + (shape.r !== 0);
+    const signs = ofNow("shape", () => coder.symbol(SHAPE, models.shapeSigns[which]));
+    if (signs & 2) shape.v = -shape.v;
+    if (signs & 1) shape.r = -shape.r;
     [px, py] = partBits(now, shape);
   }
-  const low = more ? ofNext(() => coder.take(t)) : 0;
+  const low = more ? ofNext("place", () => coder.take(t)) : 0;
 
   coder.fetch(y.rest + a.rest + b.rest + distance.rest + px + py);
   let next = null;
   if (more) {
-    next = ofNext(() => {
-      const size = [coder.rest(y), coder.rest(a), coder.rest(b)];
-      refuseUnless(size.some((value) => value > 0), "a Gaussian has no colour");
-      refuseUnless(Math.max(...size) <= MOST.colour, "a colour is out of range");
-      const cell = (now ? now.cell : 0) + coder.rest(distance) * 2 ** t + low;
-      const [column, row] = [even(cell), even(Math.floor(cell / 2))];
-      refuseUnless(cell < 2 ** 32 && column < columns && row < rows, "a place is out of range");
-      return half(k, cell, column, row, size);
-    });
+    const light = ofNext("light", () => coder.rest(y));
+    const size = [light, ...ofNext("tint", () => [coder.rest(a), coder.rest(b)])];
+    refuseUnless(size.some((value) => value > 0), "a Gaussian has no colour");
+    refuseUnless(Math.max(...size) <= MOST.colour, "a colour is out of range");
+    const cell = (now ? now.cell : 0) + ofNext("place", () => coder.rest(distance)) * 2 ** t + low;
+    const [column, row] = [even(cell), even(Math.floor(cell / 2))];
+    refuseUnless(cell < 2 ** 32 && column < columns && row < rows, "a place is out of range");
+    next = half(k, cell, column, row, size);
     next.bits = bits;
   }
   if (now) {
-    const [partX, partY] = ofNow(() => [coder.take(px), coder.take(py)]);
+    const [partX, partY] = ofNow("place", () => [coder.take(px), coder.take(py)]);
     now.values = valuesOf(header, now, shape, (partX + 0.5) / 2 ** px, (partY + 0.5) / 2 ** py);
   }
   return next;

@@ -55,7 +55,7 @@ const ROWS = {
 };
 
 /** An adaptive model of a symbol, 0 to 15. */
-export class Model {
+class Model {
   constructor(row) {
     this.fast = new Int32Array(17);
     for (let i = 1; i < 16; i++) {

@@ -3,7 +3,7 @@
 import { $ } from "./parts.js";
 
 /** What came in place of what was asked for. */
-export class Refusal extends Error {
+class Refusal extends Error {
   constructor(status, detail) {
     super(detail);
     this.status = status;

@@ -34,7 +34,7 @@ export function listen(given) {
 }
 
 /** The slider's bits per pixel: 0.05 to 2, each step 3.8 % more. */
-export const rate = () => Number((0.05 * 40 ** ($("bpp").value / 100)).toFixed(3));
+const rate = () => Number((0.05 * 40 ** ($("bpp").value / 100)).toFixed(3));
 
 export function budget() {
   const timeLimit = Number($("time-limit").value) || null;
@@ -52,6 +52,7 @@ export function sayRate(item) {
     words.unshift(smaller(item.originalBytes, bytes));
   } else $("rate").textContent = `${size(Math.round((bpp / 8) * 1e6))} a megapixel`;
   const sentence = words.join(", ");
+  $("bpp").setAttribute("aria-valuetext", $("rate").textContent);
   $("rate-words").textContent = `${sentence[0].toUpperCase()}${sentence.slice(1)} (${bpp.toFixed(2)} bits per pixel)`;
 }
 

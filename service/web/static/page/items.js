@@ -4,26 +4,29 @@ import { ask, bytesOf, drawn, jobPath, json, submit } from "./api.js";
 import { keep, kept } from "./keeping.js";
 import { Remote, sleep } from "./parts.js";
 import { stateOf } from "./watching.js";
+import { size } from "./words.js";
 
 const POLL_MS = 400;
 const RETRY_MS = 2000;
 const RETRIES = 30;
+const UNREAD_HEIC = "This is a HEIC picture, which this service cannot read. Save or share it as JPEG first.";
 
 const decoder = new Remote("/static/decoder/worker.js");
-let keys = 0;
+let [keys, made] = [0, 0];
 
 /** A view of an opened file, from the worker. */
-export const draw = (file, { scale, region = null, count = file.count }) =>
-  decoder.ask("draw", { key: file.key, scale, region, count });
+export const draw = (file, { scale, region = null, count = file.count, texture = true }) =>
+  decoder.ask("draw", { key: file.key, scale, region, count, texture });
 
-const imageOf = ({ data, width }) => createImageBitmap(new ImageData(data, width));
+export const imageOf = ({ data, width }) => createImageBitmap(new ImageData(data, width));
 
 export class Item {
   /** changed: called with the item whenever anything of it is new. */
   constructor(name, changed) {
-    Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false });
+    Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false, grown: false });
+    this.number = made++;
     this.original = this.decoded = this.sg = this.file = this.id = this.budget = this.job = null;
-    this.size = null;
+    this.size = this.soFar = null; // soFar: { image, bytes } of what a running job has
   }
 
   tell(change = {}) {
@@ -54,17 +57,20 @@ export class Item {
       decoded = await createImageBitmap(await drawn(sg, "png"));
     }
     const size = [decoded.width, decoded.height];
-    this.tell({ sg, file, decoded, size, note, measured: null, rivals: {}, heat: null, state: "done", words: "" });
+    this.tell({ sg, file, decoded, size, note, measured: null, rivals: {}, smooth: null, soFar: null, state: "done", words: "" });
   }
 
   /** Encode the original within a budget. */
   async encode(budget) {
     await this.#working(async () => {
       this.budget = budget;
-      this.tell({ state: "sending", words: "Sending the picture", done: null, trace: [], job: null });
+      this.stopping = false;
+      const words = `Sending ${this.format ? `${this.format}, ` : ""}${size(this.originalBytes)}`;
+      this.tell({ state: "sending", words, done: null, trace: [], job: null });
       const { id } = await submit(this.source, budget);
       this.id = id;
       keep(id, this.source, this.name);
+      this.tell({ state: "queued", words: "Waiting" });
       await this.#follow();
     });
   }
@@ -87,7 +93,8 @@ export class Item {
     try {
       await task();
     } catch (error) {
-      if (this.state !== "cancelled") this.tell({ state: "failed", words: error.message, done: null });
+      const words = this.format === "HEIC" && error.message.includes("to read it") ? UNREAD_HEIC : error.message;
+      if (this.state !== "cancelled") this.tell({ state: "failed", words, done: null, soFar: null });
     }
   }
 
@@ -111,20 +118,59 @@ export class Item {
       this.budget ??= { kind, value, tune: job.tune, timeLimit: null };
       this.originalBytes ??= job.image.bytes;
       if (job.state === "done") {
+        Object.assign(this, { job, trace: job.trace });
         await this.setFile(await bytesOf(job.bitstream_url));
-        this.tell({ job, trace: job.trace });
         return;
       }
       this.watched = true;
-      this.tell({ state: job.state, trace: job.trace, job, ...stateOf(job) });
+      await this.#look(job);
+      if (job.state === "queued") this.stopping = false; // what it had was lost
+      this.tell({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping) });
       await sleep(POLL_MS);
     }
+  }
+
+  /** Show what a running job has so far. Without it, nothing is missing. */
+  async #look(job) {
+    if (job.state !== "running") return;
+    try {
+      const answer = await ask(`${jobPath(this.id)}/preview.sg`);
+      const tag = answer.headers.get("ETag");
+      if (!tag || tag === this.soFar?.tag) return;
+      const bytes = new Uint8Array(await answer.arrayBuffer());
+      const key = keys++;
+      await decoder.ask("open", { key, bytes });
+      const image = await imageOf(await decoder.ask("draw", { key, scale: 1 }));
+      decoder.ask("close", { key });
+      this.tell({ soFar: { tag, image, bytes: bytes.length }, size: [image.width, image.height], grown: true });
+    } catch {
+      return;
+    }
+  }
+
+  /** What names it in the address: what a reload, or the button for going back, finds again. */
+  get place() {
+    return this.id ?? this.sample ?? (this.sg ? `file-${this.number}` : null);
+  }
+
+  /** Whether there is something to keep if it is stopped. */
+  get stoppable() {
+    return this.state === "running" && this.trace.length > 0 && !this.stopping;
+  }
+
+  /** End the encode early, and keep what is there. */
+  async stop() {
+    this.stopping = true;
+    this.tell({ words: "Finishing with what is there" });
+    await ask(`${jobPath(this.id)}/stop`, { method: "POST" }).catch((error) => {
+      if (error.status !== 409) this.stopping = false; // it may have just been done, or begun anew
+    });
   }
 
   /** Cancelling is no error. */
   async cancel() {
     const { id } = this;
-    this.tell({ state: "cancelled", words: "Nothing was kept of it.", done: null });
+    this.tell({ state: "cancelled", words: "Nothing was kept of it.", done: null, soFar: null });
     if (id) await ask(jobPath(id), { method: "DELETE" }).catch(() => undefined);
   }
 

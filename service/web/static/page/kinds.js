@@ -12,7 +12,21 @@ const REFUSED = [
   [(b) => text(b, 0, 4) === "8BPS", "a Photoshop file"],
 ];
 
-/** "sg" or "image"; { refused } with a sentence for what no service takes. */
+const IMAGES = [
+  ["PNG", (b) => text(b, 0, 4) === "\x89PNG"],
+  ["JPEG", (b) => text(b, 0, 3) === "\xff\xd8\xff"],
+  ["GIF", (b) => text(b, 0, 4) === "GIF8"],
+  ["WebP", (b) => text(b, 0, 4) === "RIFF" && text(b, 8, 12) === "WEBP"],
+  ["AVIF", (b) => text(b, 4, 8) === "ftyp" && /avif|avis/.test(text(b, 8, 32))],
+  ["HEIC", (b) => text(b, 4, 8) === "ftyp" && /hei[cmsx]|hev[cx]|mif1|msf1/.test(text(b, 8, 32))],
+  ["TIFF", (b) => /^(II\*\0|MM\0\*)/.test(text(b, 0, 4))],
+  ["BMP", (b) => text(b, 0, 2) === "BM"],
+  ["QOI", (b) => text(b, 0, 4) === "qoif"],
+  ["PPM", (b) => /^P[1-6]\s/.test(text(b, 0, 3))],
+];
+
+/** { kind: "sg" }, or { kind: "image", format } with its name where that is known; { refused } with a sentence for what no
+ * service takes. */
 export async function kindOf(file) {
   const bytes = new Uint8Array(await file.slice(0, 64).arrayBuffer());
   if (text(bytes, 0, 3) === "SGM") return { kind: "sg" };
@@ -20,5 +34,5 @@ export async function kindOf(file) {
     if (matches(bytes)) return { refused: `${file.name} is ${name}, not a photograph. Save it as PNG or JPEG first.` };
   }
   if (bytes.length === 0) return { refused: `${file.name} is empty.` };
-  return { kind: "image" };
+  return { kind: "image", format: IMAGES.find(([, matches]) => matches(bytes))?.[0] };
 }

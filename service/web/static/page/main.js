@@ -1,33 +1,32 @@
 // The page: what is shown, and what happens when something is clicked.
 
-import { countInPart } from "../decoder/file.js";
+import { fillContents } from "../viewer/contents.js";
 import { openGpu } from "../viewer/gpu.js";
-import { heatOf, heatPicture } from "../viewer/overlays.js";
 import { fillTable, measure } from "../viewer/rivals.js";
+import { Tools } from "../viewer/tools.js";
 import { Viewer } from "../viewer/viewer.js";
 import { budget, listen, rememberBudget, sayRate } from "./giving.js";
-import { draw, Item } from "./items.js";
+import { draw, imageOf, Item } from "./items.js";
 import { kindOf } from "./kinds.js";
 import { $, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples } from "./samples.js";
 import { fillLines, linkOf, saveFile, savePicture, snippetOf } from "./taking.js";
 import { showLabels, showRows, showWork, trouble } from "./telling.js";
-import { count, size, withoutSuffix } from "./words.js";
-
-const UNFOLD_MS = 1400;
+import { size, withoutSuffix } from "./words.js";
 
 const items = []; // in the order in which they came
 let current = null;
+let entered = null; // what the address stands for
 let onLeft = "Original";
 
-const viewer = new Viewer($("stage"), $("canvas"), $("divider"), { draw, changed: showZoom });
+const viewer = new Viewer($("stage"), $("canvas"), $("divider"), draw);
+const tools = new Tools(viewer, () => refresh(current));
 
 // What is shown
 
 function show(item) {
   current = item;
   onLeft = "Original";
-  $("prefix").value = 100;
   item.drawn = null;
   refresh(item);
 }
@@ -40,96 +39,62 @@ function changed(item) {
 
 /** Bring everything up to date with the picture that is shown. */
 function refresh(item) {
-  const { original, decoded, file } = item;
-  const left = onLeft === "Original" ? original : item.rivals?.[onLeft]?.image;
+  const { original, decoded, file, soFar } = item;
   const isNew = item.drawn?.decoded !== decoded || item.drawn?.original !== original;
-  Object.assign(viewer, { left: left ?? null, right: decoded, file });
+  const isSmooth = Boolean(file?.texture) && !tools.textured;
+  enter(item);
+  viewer.left = (onLeft === "Original" ? original : item.rivals?.[onLeft]?.image) ?? null;
+  viewer.right = isSmooth ? smoothOf(item) : (decoded ?? soFar?.image ?? null);
   if (isNew) {
-    item.drawn = { decoded, original };
-    viewer.count = file?.count ?? 0;
-    $("prefix").value = 100;
-    if (item.size) viewer.show(...item.size);
-    if (decoded) {
-      history.replaceState(null, "", item.id ? `#${item.id}` : item.sample ? `#${item.sample}` : "#");
-      $("width").value = item.size[0];
-      fillLines(item);
-      if (original && !item.isMeasured) measure(item, () => changed(item));
-      item.isMeasured = Boolean(original);
-      if (item.watched) unfold(item);
-      item.watched = false;
-    }
+    item.drawn = { decoded, original, isFitted: false };
+    tools.whole();
   }
-  viewer.redraw();
-  tellLabels(item);
+  if (item.size && !item.drawn.isFitted) {
+    item.drawn.isFitted = true;
+    viewer.show(...item.size);
+  }
+  tools.refresh(file);
+  if (isNew && decoded) {
+    $("width").value = item.size[0];
+    fillLines(item);
+    if (original && !item.isMeasured) measure(item, () => changed(item));
+    item.isMeasured = Boolean(original);
+    if (item.watched && !item.grown) tools.unfold(file);
+    item.watched = false;
+  }
+  showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
+  fillContents(file);
   fillTable(item, onLeft, (name) => {
     onLeft = name;
     refresh(item);
   });
-  for (const id of ["smooth", "prefix"]) $(id).disabled = !file;
-  for (const input of document.querySelectorAll("[name=overlay]")) input.disabled = !file;
-  $("prefix-field").hidden = !file;
   $("take-card").hidden = !decoded;
   $("snippet").hidden = !file;
   $("link").hidden = !item.id && !item.sample;
   $("again").hidden = !item.source || item.busy || Boolean(item.sample && !decoded);
   $("again").textContent = item.sample ? "Encode this one" : "Encode again";
-  showOverlay();
-  showPrefix();
   sayRate(item);
 }
 
-function tellLabels(item) {
-  const isPart = item.file && $("prefix").value < 100;
-  showLabels(item, onLeft, Boolean(viewer.left), isPart ? bytesInPart(item.file) : 0);
+/** The address names the picture, so that a reload finds it, and going back goes to the one before. */
+function enter(item) {
+  if (!item.place) return;
+  if (location.hash.slice(1) !== item.place) {
+    history[!entered || entered === item ? "replaceState" : "pushState"](null, "", `#${item.place}`);
+  }
+  entered = item;
 }
 
-function showZoom() {
-  $("zoom").textContent = `${Math.round(100 * viewer.zoom)} %`;
-}
-
-const bytesInPart = (file) => Math.ceil(($("prefix").value / 100) * (file.bytes - file.start)) + file.start;
-
-function showPrefix() {
-  const { file } = viewer;
-  if (!file) return;
-  const part = $("prefix").value / 100;
-  viewer.count = countInPart(file, part);
-  const gaussians = `${count(viewer.count)} Gaussians`;
-  $("prefix-words").textContent = part < 1 ? `${size(bytesInPart(file))}, ${gaussians}` : `all ${gaussians}`;
-  viewer.redraw();
-}
-
-/** Play a file that has just been made, from its first bytes to its last. */
-function unfold(item) {
-  if (!item.file || !viewer.gpu || matchMedia("(prefers-reduced-motion: reduce)").matches) return;
-  const began = performance.now();
-  const frame = (now) => {
-    const part = Math.min(Math.max(now - began, 0) / UNFOLD_MS, 1);
-    if (item !== current) return;
-    $("prefix").value = Math.max(1, 100 * part * part);
-    showPrefix();
-    if (part < 1) requestAnimationFrame(frame);
-    else tellLabels(item);
-  };
-  requestAnimationFrame(frame);
-}
-
-function showOverlay() {
-  const overlay = document.querySelector("[name=overlay]:checked").value;
-  viewer.overlay = overlay;
-  viewer.smooth = $("smooth").checked;
-  const { file } = viewer;
-  if (overlay === "heat" && file && !file.heat) file.heat = heatOf(file);
-  viewer.heat = file?.heat ? (file.heat.picture ??= heatPicture(file.heat)) : null;
-  const most = file?.heat?.most.toFixed(1);
-  $("legend").textContent = {
-    none: "",
-    ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones take it away.",
-    heat: `Where the bits went: dark is none, pale yellow ${most} bits per pixel and more.`,
-  }[file ? overlay : "none"];
-  $("legend").hidden = !$("legend").textContent;
-  viewer.redraw();
+/** The picture without its texture, once it is drawn. */
+function smoothOf(item) {
+  if (!item.smooth) {
+    item.smooth = item.decoded; // until then
+    draw(item.file, { scale: 1, texture: false })
+      .then(imageOf)
+      .then((image) => item.tell({ smooth: image }));
+  }
+  return item.smooth;
 }
 
 function tellRows() {
@@ -171,7 +136,7 @@ async function sample(name) {
 async function give(files) {
   trouble("");
   for (const [place, file] of files.entries()) {
-    const { kind, refused } = await kindOf(file);
+    const { kind, format, refused } = await kindOf(file);
     if (refused) {
       trouble(refused);
       continue;
@@ -180,6 +145,7 @@ async function give(files) {
     const first = items.findIndex((item) => item.sample);
     if (first >= 0) items.splice(first, 1)[0].close();
     const item = added(file.name || "pasted.png");
+    item.format = format;
     if (place === 0 || !current || !items.includes(current)) show(item);
     try {
       if (kind === "sg") await item.setFile(new Uint8Array(await file.arrayBuffer()));
@@ -197,20 +163,27 @@ async function give(files) {
 
 async function again() {
   const item = added(current.name);
-  const { source, sample: name } = current;
+  const { source, sample: name, format } = current;
+  item.format = format;
   await item.setOriginal(source);
   if (name) item.name = `${withoutSuffix(current.name)}.webp`;
   show(item);
   item.encode(budget());
 }
 
+/** What the address names. */
 async function begin() {
   const wanted = location.hash.slice(1);
-  if (/^[0-9a-f]{32}$/.test(wanted)) {
-    const known = items.find((item) => item.id === wanted);
-    const item = known ?? added("photograph");
+  const known = items.find((item) => item.place === wanted);
+  if (known) {
+    entered = known;
+    show(known);
+    tellRows();
+  } else if (/^[0-9a-f]{32}$/.test(wanted)) {
+    const item = added("photograph");
+    item.id = wanted;
     show(item);
-    if (!known) item.resume(wanted);
+    item.resume(wanted);
   } else await sample(SAMPLES.includes(wanted) ? wanted : SAMPLES[0]);
 }
 
@@ -233,16 +206,8 @@ $("key-field").addEventListener("submit", (event) => {
   if (current.id) current.resume(current.id);
   else if (current.source) current.encode(budget());
 });
+$("stop").addEventListener("click", () => current.stop());
 $("cancel").addEventListener("click", () => current.cancel());
-$("zoom-in").addEventListener("click", () => viewer.zoomTo(viewer.zoom * 2));
-$("zoom-out").addEventListener("click", () => viewer.zoomTo(viewer.zoom / 2));
-$("zoom-fit").addEventListener("click", () => viewer.fit());
-$("smooth").addEventListener("change", showOverlay);
-$("prefix").addEventListener("input", () => {
-  showPrefix();
-  tellLabels(current);
-});
-for (const input of document.querySelectorAll("[name=overlay]")) input.addEventListener("change", showOverlay);
 $("save-sg").addEventListener("click", () => saveFile(current));
 $("save-picture").addEventListener("click", async () => {
   $("taken").textContent = "Drawing";
@@ -255,17 +220,6 @@ $("save-picture").addEventListener("click", async () => {
 });
 $("link").addEventListener("click", () => copied(() => linkOf(current), "The link"));
 $("snippet").addEventListener("click", () => copied(() => snippetOf(current), "The HTML"));
-
-const peek = (side) => {
-  viewer.peek = side;
-  viewer.redraw();
-};
-$("blink").addEventListener("pointerdown", () => peek(1));
-for (const kind of ["pointerup", "pointerleave", "blur"]) $("blink").addEventListener(kind, () => peek(null));
-const isBlink = ({ key, ctrlKey, metaKey, target }) =>
-  key.toLowerCase() === "b" && !ctrlKey && !metaKey && !target.matches("select, input:not([type=range], [type=radio])");
-addEventListener("keydown", (event) => isBlink(event) && !event.repeat && peek(viewer.peek === 1 ? 0 : 1));
-addEventListener("keyup", (event) => isBlink(event) && peek(null));
 addEventListener("hashchange", begin);
 
 /** Once the empty page has been painted, which WebGL and workers would hold up. */

@@ -21,6 +21,14 @@ export function shape(tag, attributes = {}, text = "") {
   return made;
 }
 
+/** Replace what a part holds; the focus stays on the button at the same place. */
+export function refill(part, children) {
+  const buttons = () => [...part.querySelectorAll("button")];
+  const place = buttons().indexOf(document.activeElement);
+  part.replaceChildren(...children);
+  if (place >= 0) buttons()[place]?.focus();
+}
+
 export const sleep = (ms) => new Promise((done) => setTimeout(done, ms));
 
 /** Calls of a worker, which starts with the first, each with a promise of its answer. */

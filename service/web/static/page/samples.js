@@ -9,7 +9,7 @@ const at = (name, suffix) => `/static/samples/${name}.${suffix}`;
 /** Fill an item with a sample: first the .sg file, which is the smallest. */
 export async function openSample(item, sample) {
   const bytes = await (await fetch(at(sample, "sg"))).arrayBuffer();
-  Object.assign(item, { sample, url: at(sample, "sg"), rivalUrls: { AVIF: at(sample, "avif") } });
+  Object.assign(item, { sample, url: at(sample, "sg"), rivalUrls: { avif: at(sample, "avif") } });
   await item.setFile(new Uint8Array(bytes));
   await item.setOriginal(await (await fetch(at(sample, "webp"))).blob());
 }

@@ -1,6 +1,6 @@
 // What is said of a picture: its labels, its state, its row in the list.
 
-import { $, element } from "./parts.js";
+import { $, element, refill } from "./parts.js";
 import { drawTrace } from "./watching.js";
 import { count, decibels, size, smaller } from "./words.js";
 
@@ -22,38 +22,45 @@ function label(id, seen, name, ...words) {
   $(id).replaceChildren(element("b", {}, name), ...words.filter(Boolean).map((text) => element("span", {}, text)));
 }
 
-/** The labels on the picture; leftName: what is on the left; part: bytes of the file that are drawn, 0 for all. */
-export function showLabels(item, leftName, isLeft, part) {
+/** The labels on the picture; leftName: what is on the left; part: bytes of the file that are drawn, 0 for all; smooth:
+ * whether its texture is left out. */
+export function showLabels(item, leftName, isLeft, part, smooth) {
   const rival = item.rivals?.[leftName];
   if (rival && isLeft) label("left-label", true, leftName, size(rival.bytes), decibels(rival.psnr));
   else label("left-label", isLeft, "Original", size(item.originalBytes ?? 0));
   const bytes = item.sg && size(item.sg.length);
   const psnr = item.measured?.psnr ?? item.job?.result?.psnr;
-  if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
+  if (item.soFar) label("right-label", true, "So far", size(item.soFar.bytes));
+  else if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
+  else if (smooth) label("right-label", item.decoded, "Gaussians", bytes, "without texture");
   else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
+  const said = item.state === "failed" ? sentence(item.words) : item.words;
   const unseen = item.source && !item.original && "This browser cannot show the original.";
-  const note = item.busy || item.state === "failed" ? item.words : item.note || unseen;
+  const note = item.busy || item.state === "failed" ? said : item.note || unseen;
   $("note").hidden = !note;
   $("note").textContent = note || "";
 }
+
+const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$/.test(words) ? "" : "."}`;
 
 /** How far its job is, and how the fit went. */
 export function showWork(item) {
   $("work").hidden = !item.busy && item.state !== "failed" && item.state !== "cancelled";
   $("work").classList.toggle("bad", item.state === "failed");
   $("work").querySelector("h2").textContent = TITLES[item.state] ?? "On its way";
-  $("status").textContent = item.words;
+  $("status").textContent = item.state === "failed" ? sentence(item.words) : item.words;
   $("progress").hidden = !item.busy;
   if (item.done === null) $("progress").removeAttribute("value");
   else $("progress").value = item.done;
   $("cancel").hidden = !item.busy;
+  $("stop").hidden = !item.stoppable;
   if (item.busy) say(item.state === "running" ? "Encoding" : item.words);
   else if (item.state === "done") say(`${item.name} is done: ${size(item.sg.length)}`);
   else say(item.words);
   drawTrace(item.trace, item.state === "done" ? (item.job?.result?.psnr ?? null) : null);
   const isTraced = !$("chart").hasAttribute("hidden");
-  $("chart-card").hidden = !isTraced && !item.decoded;
-  $("chart-card").querySelector("h2").textContent = isTraced ? "How it went" : "In the file";
+  $("chart-card").hidden = !isTraced;
+  $("figures").hidden = !item.decoded;
   $("figures").textContent = item.decoded ? figuresOf(item) : "";
 }
 
@@ -84,5 +91,5 @@ export function showRows(items, current, show, remove) {
     close.addEventListener("click", () => remove(item));
     return element("li", {}, pick, close);
   });
-  $("rows").replaceChildren(...rows);
+  refill($("rows"), rows);
 }

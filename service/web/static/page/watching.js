@@ -3,8 +3,8 @@
 import { $, shape } from "./parts.js";
 import { decibels, seconds, size } from "./words.js";
 
-const [WIDTH, HEIGHT] = [560, 200];
-const [LEFT, RIGHT, TOP, BOTTOM] = [46, 14, 14, 40];
+const [WIDTH, HEIGHT] = [560, 240];
+const [LEFT, RIGHT, TOP, BOTTOM] = [62, 14, 14, 60];
 
 /** About `most` round numbers from low to high. */
 function ticks(low, high, most) {
@@ -33,20 +33,20 @@ export function drawTrace(trace, end = null) {
   const parts = [];
   for (const psnr of ticks(low, high, 4)) {
     parts.push(shape("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: y(psnr), y2: y(psnr), class: "grid" }));
-    parts.push(shape("text", { x: LEFT - 8, y: y(psnr) + 4, "text-anchor": "end" }, psnr));
+    parts.push(shape("text", { x: LEFT - 8, y: y(psnr) + 6, "text-anchor": "end" }, psnr));
   }
   for (const at of ticks(0, last, 5)) {
-    parts.push(shape("text", { x: x(at), y: HEIGHT - BOTTOM + 18, "text-anchor": "middle" }, at));
+    parts.push(shape("text", { x: x(at), y: HEIGHT - BOTTOM + 24, "text-anchor": "middle" }, at));
   }
-  parts.push(shape("text", { x: (LEFT + WIDTH - RIGHT) / 2, y: HEIGHT - 4, "text-anchor": "middle" }, "seconds"));
+  parts.push(shape("text", { x: (LEFT + WIDTH - RIGHT) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, "seconds"));
   const middle = (TOP + HEIGHT - BOTTOM) / 2;
-  const side = { x: 12, y: middle, "text-anchor": "middle", transform: `rotate(-90 12 ${middle})` };
+  const side = { x: 16, y: middle, "text-anchor": "middle", transform: `rotate(-90 16 ${middle})` };
   parts.push(shape("text", side, "PSNR, dB"));
   const places = points.map((point) => `${x(point.seconds).toFixed(1)},${y(point.psnr).toFixed(1)}`);
   parts.push(shape("polyline", { points: places.join(" ") }));
   if (end !== null) {
     parts.push(shape("circle", { cx: x(last), cy: y(end), r: 4 }));
-    const label = { x: x(last) - 8, y: y(end) + (y(end) > middle ? -9 : 18), "text-anchor": "end", class: "end" };
+    const label = { x: x(last) - 8, y: y(end) + (y(end) > middle ? -10 : 24), "text-anchor": "end", class: "end" };
     parts.push(shape("text", label, `the file: ${decibels(end)}`));
   }
   $("chart-words").textContent = wordsOf(points);
@@ -66,7 +66,7 @@ function wordsOf(points) {
 }
 
 /** What a job is doing, in words, and how much of it is done, from 0 to 1; null where that is not known. */
-export function stateOf(job) {
+export function stateOf(job, stopping) {
   if (job.state === "queued") {
     const ahead = job.position - 1;
     const words = ahead === 0 ? "next in the queue" : `in the queue, ${ahead} before it`;
@@ -74,6 +74,7 @@ export function stateOf(job) {
   }
   const last = job.trace.at(-1);
   if (!last) return { words: "Starting the encoder", done: null };
+  if (stopping) return { words: "Finishing with what is there", done: null };
   const left = job.progress > 0.05 ? (last.seconds * (1 - job.progress)) / job.progress : null;
   const rest = left === null ? "" : `, about ${seconds(left)} left`;
   return { words: `Fitting ${last.gaussians ?? ""} Gaussians, ${decibels(last.psnr)}${rest}`, done: job.progress };

@@ -1,12 +1,13 @@
 // The table of the same bytes: the Gaussians beside JPEG, WebP and AVIF, each with its size and its distance.
 
-import { $, element, Remote } from "../page/parts.js";
+import { ask, jobPath } from "../page/api.js";
+import { $, element, refill, Remote } from "../page/parts.js";
 import { decibels, size } from "../page/words.js";
 
 const CODECS = [
-  ["JPEG", "image/jpeg"],
-  ["WebP", "image/webp"],
-  ["AVIF", "image/avif"],
+  ["JPEG", "image/jpeg", "jpg"],
+  ["WebP", "image/webp", "webp"],
+  ["AVIF", "image/avif", "avif"],
 ];
 
 const worker = new Remote("/static/viewer/rivals_worker.js");
@@ -26,15 +27,24 @@ async function measureNow(item, told) {
   await worker.ask("original", { image: item.original });
   item.measured = await worker.ask("measure", { image: item.decoded });
   told();
-  for (const [name, type] of CODECS) {
-    let rival = await worker.ask("encode", { type, bytes });
-    if (!rival && item.rivalUrls?.[name]) {
-      const blob = await (await fetch(item.rivalUrls[name])).blob();
-      const image = await createImageBitmap(blob).catch(() => null);
-      if (image) rival = { image, bytes: blob.size, ...(await worker.ask("measure", { image })) };
-    }
+  for (const [name, type, suffix] of CODECS) {
+    const rival = (await worker.ask("encode", { type, bytes })) ?? (await fetched(item, suffix));
     item.rivals = { ...item.rivals, [name]: rival };
     told();
+  }
+}
+
+/** What this browser cannot write: a sample has it beside it, and the service makes it of the picture of a job. */
+async function fetched(item, suffix) {
+  const isKept = item.job && Date.now() < Date.parse(item.job.image_expires_at);
+  const url = item.rivalUrls?.[suffix] ?? (isKept && `${jobPath(item.id)}/rival.${suffix}`);
+  if (!url) return { lacking: item.id ? "the service no longer has the picture" : "this browser cannot write it" };
+  try {
+    const blob = await (await ask(url)).blob();
+    const image = await createImageBitmap(blob, { premultiplyAlpha: "none" });
+    return { image, bytes: blob.size, ...(await worker.ask("measure", { image })) };
+  } catch (error) {
+    return { lacking: error.message };
   }
 }
 
@@ -60,14 +70,15 @@ export function fillTable(item, chosen, choose) {
     const name = element("th", { scope: "row", className: "ours" }, "Gaussians");
     rows.push(element("tr", { className: "ours" }, name, ...figures(item.sg.length, item.measured)));
   }
-  for (const [name, rival] of Object.entries(item.rivals ?? {})) {
-    if (rival) rows.push(element("tr", {}, pick(name), ...figures(rival.bytes, rival)));
+  for (const [name] of item.measured ? CODECS : []) {
+    const rival = item.rivals?.[name];
+    if (rival?.image) rows.push(element("tr", {}, pick(name), ...figures(rival.bytes, rival)));
     else {
-      const words = element("td", { colSpan: 3, className: "quiet" }, "this browser cannot write it");
+      const words = element("td", { colSpan: 3, className: "quiet" }, rival?.lacking ?? "being made");
       rows.push(element("tr", {}, element("th", { scope: "row" }, name), words));
     }
   }
-  $("rivals").querySelector("tbody").replaceChildren(...rows);
+  refill($("rivals").querySelector("tbody"), rows);
   $("verdict").textContent = verdict(item);
   $("rivals-card").hidden = !item.measured;
 }
@@ -77,7 +88,7 @@ function verdict({ sg, measured, rivals = {} }) {
   if (!measured) return "";
   const sentences = [];
   for (const [name, rival] of Object.entries(rivals)) {
-    if (!rival) continue;
+    if (!rival.image) continue;
     const ahead = measured.psnr - rival.psnr;
     if (rival.bytes > 1.03 * sg.length) {
       const more = (rival.bytes / sg.length).toFixed(1);

@@ -6,10 +6,13 @@ import { latest } from "../page/parts.js";
 const MOST_ZOOM = 64; // pixels of the screen for a pixel of the picture
 const GRAB = 22; // pixels beside the divider where it is caught
 const SETTLED_MS = 120;
+const FOLLOWS_MS = 50; // within which a frame belongs to the same movement as the one before
+const [FEWEST_FRAMES, MOST_FRAMES] = [4, 30]; // of which the time is told
 
 /**
  * Shows `left` and `right`: { image } each, an ImageBitmap of the whole picture, or null. `file` and `count` are the
- * Gaussians that the right one is drawn from; `draw` asks the worker for a view of them.
+ * Gaussians that the right one is drawn from; `draw` asks the worker for a view of them. `moved` is called when the
+ * zoom may be another one, `timed` with the milliseconds from frame to frame of a movement.
  */
 export class Viewer {
   #pointers = new Map();
@@ -17,9 +20,12 @@ export class Viewer {
   #frame = 0;
   #part = null; // what the worker has drawn: { canvas, x, y, scale, count }
   #settling = 0;
+  #drawn = -Infinity; // when the last frame was finished
+  #last = 0; // its time
+  #frames = []; // milliseconds between those of a movement
 
-  constructor(stage, canvas, divider, { draw, changed }) {
-    Object.assign(this, { stage, canvas, divider, changed });
+  constructor(stage, canvas, divider, draw) {
+    Object.assign(this, { stage, canvas, divider, moved() {}, timed() {} });
     this.gpu = null;
     this.context = canvas.getContext("2d", { alpha: false });
     this.size = [1, 1];
@@ -27,7 +33,7 @@ export class Viewer {
     this.count = 0;
     this.split = 0.5;
     this.peek = null; // 0 or 1: one side alone, for a moment
-    this.smooth = true;
+    this.smooth = this.textured = true;
     this.overlay = "none";
     this.fitted = true;
     this.zoom = 1;
@@ -58,7 +64,7 @@ export class Viewer {
     this.canvas.width = Math.max(1, Math.round(width * ratio));
     this.canvas.height = Math.max(1, Math.round(height * ratio));
     if (this.fitted) this.fit();
-    else this.redraw();
+    this.#draw(); // at once: a new size has emptied the canvas
   }
 
   get fitZoom() {
@@ -101,14 +107,21 @@ export class Viewer {
   #moved() {
     this.centre = this.centre.map((place, i) => Math.min(Math.max(place, 0), this.size[i]));
     this.stage.classList.toggle("fitted", this.fitted);
-    this.changed();
+    this.moved();
     this.redraw();
   }
 
   redraw() {
-    this.#frame ||= requestAnimationFrame(() => {
+    if (this.#frame) return;
+    const follows = performance.now() - this.#drawn < FOLLOWS_MS;
+    this.#frame = requestAnimationFrame((now) => {
       this.#frame = 0;
       this.#draw();
+      this.#frames = follows ? [...this.#frames.slice(1 - MOST_FRAMES), now - this.#last] : [];
+      this.#last = now;
+      this.#drawn = performance.now();
+      if (this.#frames.length < FEWEST_FRAMES) return;
+      this.timed([...this.#frames].sort((one, other) => one - other)[this.#frames.length >> 1]);
     });
   }
 
@@ -161,7 +174,7 @@ export class Viewer {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    if (fromGaussians && this.gpu && !this.gpu.lost && !file.texture) {
+    if (fromGaussians && this.gpu && !this.gpu.lost && !(file.texture && this.textured)) {
       const drawn = this.gpu.draw(file, count, [-x / zoom, -y / zoom], zoom, canvas.width, canvas.height);
       context.drawImage(drawn, 0, 0);
     } else {
@@ -191,11 +204,11 @@ export class Viewer {
     const w = Math.min(Math.ceil((this.canvas.width - x) / this.zoom), width) - left;
     const h = Math.min(Math.ceil((this.canvas.height - y) / this.zoom), height) - top;
     if (w < 1 || h < 1) return;
-    const { file, count } = this;
+    const { file, count, textured: texture } = this;
     const scale = Math.min(this.zoom, MOST_ZOOM);
-    const wanted = { file, count, scale, x: left, y: top, w, h, region: [left, top, w, h] };
+    const wanted = { file, count, texture, scale, x: left, y: top, w, h, region: [left, top, w, h] };
     const old = this.#part;
-    if (old && ["count", "scale", "x", "y", "w", "h"].every((name) => old[name] === wanted[name])) return;
+    if (old && ["count", "texture", "scale", "x", "y", "w", "h"].every((name) => old[name] === wanted[name])) return;
     clearTimeout(this.#settling);
     this.#settling = setTimeout(() => this.askForPart(wanted), count < file.count ? 0 : SETTLED_MS);
   }

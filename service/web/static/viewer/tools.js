@@ -1,0 +1,120 @@
+// The tools of the large picture: zoom, blink, overlays, texture, the first bytes alone.
+
+import { countInPart } from "../decoder/file.js";
+import { $ } from "../page/parts.js";
+import { count, size } from "../page/words.js";
+import { heatOf, heatPicture } from "./overlays.js";
+
+const UNFOLD_MS = 1400;
+const overlays = () => [...document.querySelectorAll("[name=overlay]")];
+
+export class Tools {
+  #viewer;
+  #file = null;
+
+  /** changed: called when something else than the viewer has to be told. */
+  constructor(viewer, changed) {
+    this.#viewer = viewer;
+    this.changed = changed;
+    viewer.moved = () => ($("zoom").textContent = `${Math.round(100 * viewer.zoom)} %`);
+    viewer.timed = (ms) => {
+      const persecond = Math.round(1000 / ms);
+      $("frame").textContent = `${ms.toFixed(1)} ms a frame, ${persecond} a second`;
+    };
+    this.#listen();
+  }
+
+  /** Whether the texture of files that have one is drawn. */
+  get textured() {
+    return $("texture").checked;
+  }
+
+  /** Bytes of the file that are drawn; 0 if all are. */
+  get part() {
+    return this.#file && $("prefix").value < 100 ? this.#bytesInPart() : 0;
+  }
+
+  /** From the first byte to the last again. */
+  whole() {
+    $("prefix").value = 100;
+  }
+
+  /** Bring the tools up to date with a file, or with none. */
+  refresh(file) {
+    this.#file = this.#viewer.file = file;
+    for (const input of [$("smooth"), $("prefix"), ...overlays()]) input.disabled = !file;
+    $("prefix-field").hidden = !file;
+    $("texture-field").hidden = !file?.texture;
+    this.#showOverlay();
+    this.#showPrefix();
+  }
+
+  #bytesInPart() {
+    const { bytes, start } = this.#file;
+    return Math.ceil(($("prefix").value / 100) * (bytes - start)) + start;
+  }
+
+  #showPrefix() {
+    const [file, viewer] = [this.#file, this.#viewer];
+    if (!file) return;
+    const part = $("prefix").value / 100;
+    viewer.count = countInPart(file, part);
+    const gaussians = `${count(viewer.count)} Gaussians`;
+    $("prefix-words").textContent = part < 1 ? `${size(this.#bytesInPart())}, ${gaussians}` : `all ${gaussians}`;
+    $("prefix").setAttribute("aria-valuetext", $("prefix-words").textContent);
+    viewer.redraw();
+  }
+
+  /** Play a file that has just been made, from its first bytes to its last. */
+  unfold(file) {
+    if (!file || !this.#viewer.gpu || matchMedia("(prefers-reduced-motion: reduce)").matches) return;
+    const began = performance.now();
+    const frame = (now) => {
+      const part = Math.min(Math.max(now - began, 0) / UNFOLD_MS, 1);
+      if (file !== this.#file) return;
+      $("prefix").value = Math.max(1, 100 * part * part);
+      this.#showPrefix();
+      if (part < 1) requestAnimationFrame(frame);
+      else this.changed();
+    };
+    requestAnimationFrame(frame);
+  }
+
+  #showOverlay() {
+    const [file, viewer] = [this.#file, this.#viewer];
+    const overlay = overlays().find((input) => input.checked).value;
+    Object.assign(viewer, { overlay, smooth: $("smooth").checked, textured: this.textured });
+    if (overlay === "heat" && file && !file.heat) file.heat = heatOf(file);
+    viewer.heat = file?.heat ? (file.heat.picture ??= heatPicture(file.heat)) : null;
+    $("legend").textContent = {
+      none: "",
+      ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones take it away.",
+      heat: `Where the bits went: dark is none, pale yellow ${file?.heat?.most.toFixed(1)} bits per pixel and more.`,
+    }[file ? overlay : "none"];
+    $("legend").hidden = !$("legend").textContent;
+    viewer.redraw();
+  }
+
+  #listen() {
+    const viewer = this.#viewer;
+    $("zoom-in").addEventListener("click", () => viewer.zoomTo(viewer.zoom * 2));
+    $("zoom-out").addEventListener("click", () => viewer.zoomTo(viewer.zoom / 2));
+    $("zoom-fit").addEventListener("click", () => viewer.fit());
+    for (const input of [$("smooth"), ...overlays()]) input.addEventListener("change", () => this.#showOverlay());
+    $("texture").addEventListener("change", () => this.changed());
+    $("prefix").addEventListener("input", () => {
+      this.#showPrefix();
+      this.changed();
+    });
+    const peek = (side) => {
+      viewer.peek = side;
+      viewer.redraw();
+    };
+    $("blink").addEventListener("pointerdown", () => peek(1));
+    for (const kind of ["pointerup", "pointerleave", "blur"]) $("blink").addEventListener(kind, () => peek(null));
+    const isBlink = ({ key, ctrlKey, metaKey, target }) =>
+      key.toLowerCase() === "b" && !ctrlKey && !metaKey && !target.matches("select, input:not([type=range], [type=radio])");
+    addEventListener("keydown", (event) => isBlink(event) && !event.repeat && peek(viewer.peek === 1 ? 0 : 1));
+    addEventListener("keyup", (event) => isBlink(event) && peek(null));
+  }
+}

@@ -1,0 +1,79 @@
+"""What the tests of the page do in a browser: give files, look, wait."""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any
+
+import numpy as np
+
+import sgmethod
+from service.web.app import STATIC
+from tests.harness.browser import Browser
+from tests.harness.data import golden_path
+from tests.harness.processes import wait_until
+from tests.harness.service import Service
+
+OLD = golden_path("v3-color.sg").read_bytes()
+COFFEE = (STATIC / "samples" / "coffee.sg").read_bytes()
+COFFEE_SAYS = f"{sgmethod.info(COFFEE).gaussians:,} Gaussians"
+
+
+def complaints(page: Browser) -> list[str]:
+    """Without what WebGL in software makes the browser say, and looking at the canvas as these tests do."""
+    return [said for said in page.complaints() if "WebGL" not in said and "getImageData" not in said]
+
+
+def text64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def give(page: Browser, kind: str, data: bytes, name: str) -> None:
+    """Drop a file onto the window, or paste it."""
+    page.run(f"""
+        const bytes = Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0));
+        const given = new DataTransfer();
+        given.items.add(new File([bytes], {json.dumps(name)}));
+        const how = {{ cancelable: true, bubbles: true, dataTransfer: given, clipboardData: given }};
+        dispatchEvent("{kind}" === "paste" ? new ClipboardEvent("paste", how) : new DragEvent("drop", how));
+    """)
+
+
+def says(page: Browser, words: str, where: str = "#status") -> None:
+    wait_until(lambda: words in page.text(where))
+
+
+def open_page(page: Browser, service: Service) -> None:
+    """Until its first sample is there."""
+    page.open(f"{service.url}/")
+    wait_until(lambda: page.is_seen("#right-label"))
+
+
+def shown(page: Browser) -> np.ndarray[Any, Any]:
+    """The middle row of what is on the large canvas: RGB."""
+    row = page.run("""
+        const canvas = document.getElementById("canvas");
+        const middle = canvas.getContext("2d").getImageData(0, canvas.height >> 1, canvas.width, 1).data;
+        return [...middle];
+    """)
+    return np.array(row).reshape(-1, 4)[:, :3]
+
+
+def settled(page: Browser) -> np.ndarray[Any, Any]:
+    """The same, once it has been drawn."""
+    page.run("return new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return shown(page)
+
+
+def decoded(page: Browser, data: bytes, options: str = "{}") -> np.ndarray[Any, Any]:
+    """By the decoder of the page: RGB."""
+    text = page.run(f"""
+        const bytes = Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0));
+        return import("/static/decoder/decoder.js").then(({{ decode }}) => {{
+            const {{ width, height, data }} = decode(bytes, {options});
+            return [width, height, [...data].map((level) => String.fromCharCode(level)).join("")];
+        }});
+    """)
+    width, height, levels = text
+    return np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(height, width, 4)[..., :3]

@@ -1,0 +1,196 @@
+"""The large picture of the page, in a real browser: comparing, zoom, and what is beyond pixels."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import sgmethod
+from service.web.app import STATIC
+from tests.harness.browser import Chromium
+from tests.harness.data import golden
+from tests.harness.processes import wait_until
+from tests.harness.service import Service, StartService
+from tests.service.page.steps import COFFEE, OLD, complaints, decoded, give, open_page, says, settled
+
+FIRST_LOOK_BYTES = 150_000
+TEXTURED = golden(4)["v4-texture"]
+
+
+def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
+    page.open("about:blank")
+    open_page(page, web)
+    says(page, "AVIF", "#verdict")
+    sizes = page.run("return performance.getEntriesByType('resource').map((one) => [one.name, one.transferSize])")
+    before_sample = [size for name, size in sizes if not name.endswith(("webp", "avif"))]
+    assert sum(before_sample) < FIRST_LOOK_BYTES
+    assert all(name.startswith(web.url) for name, _ in sizes)
+    assert "Original" in page.text("#left-label")
+    assert "4.7 kB" in page.text("#right-label")
+    assert [name in page.text("#rivals") for name in ("Original", "Gaussians", "JPEG", "WebP", "AVIF")] == [True] * 5
+
+    both = settled(page)
+    page.run("document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' }))")
+    ours = settled(page)
+    page.run("document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', { key: 'End' }))")
+    original = settled(page)
+    half = len(both) // 2
+    assert (both[: half - 2] == original[: half - 2]).all()
+    assert (both[half + 2 :] == ours[half + 2 :]).all()
+    assert 0 < np.abs(ours.astype(int) - original).mean() < 10
+
+    wheel = "document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', { deltaY: -2000, clientX: 300, "
+    page.run(wheel + "clientY: 300, cancelable: true }))")
+    blocks = settled(page)
+    assert page.text("#zoom") == "6400 %"
+    steps = np.abs(np.diff(blocks.astype(int), axis=0)).sum(1)
+    assert (steps > 0).sum() <= len(blocks) // 64 + 2  # whole pixels of the original
+    page.run("document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' }))")
+    wait_until(lambda: np.abs(np.diff(settled(page).astype(int), axis=0)).max() <= 6)  # 1 here; 42 in the original
+    page.click("#zoom-fit")
+
+    page.run(
+        "const prefix = document.getElementById('prefix'); prefix.value = 5; prefix.dispatchEvent(new Event('input'))"
+    )
+    assert re.search(r"the first 2\d\d B of 4\.7 kB", page.text("#right-label"))
+    wait_until(lambda: np.abs(settled(page).astype(int) - ours).mean() > 10)
+    page.run("document.querySelector('[value=ellipses]').click()")
+    says(page, "one standard deviation", "#legend")
+    page.run("document.querySelector('[value=heat]').click()")
+    says(page, "bits per pixel", "#legend")
+    page.click("#sample-cat")
+    says(page, "5.4 kB", "#right-label")
+    assert complaints(page) == []
+
+
+def test_rivals_that_the_service_makes(page: Chromium, start_service: StartService) -> None:
+    """No browser writes AVIF: the service makes it of the job's picture, as long as it has it."""
+    web = start_service("web", source_retention_s=1000)
+    open_page(page, web)
+    picture = (STATIC / "samples" / "coffee.webp").read_bytes()
+    give(page, "drop", picture, "coffee.webp")
+    says(page, "in the queue")
+    job = page.run("return location.hash").removeprefix("#")
+    web.publish(job, COFFEE)
+    says(page, "AVIF", "#verdict")
+    assert re.search(r"AVIF 4\.\d kB \d\d\.\d dB 0\.\d{3}", page.text("#rivals"))
+    row = "#rivals tbody tr:last-child"
+    page.click(f"{row} button")
+    says(page, "AVIF", "#left-label")
+    assert page.run(f"return document.activeElement === document.querySelector('{row} button')")
+    assert complaints(page) == []
+
+
+def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
+    """This service keeps no images; the page knows, and does not ask."""
+    open_page(page, web)
+    give(page, "drop", (STATIC / "samples" / "coffee.webp").read_bytes(), "coffee.webp")
+    says(page, "in the queue")
+    web.publish(page.run("return location.hash").removeprefix("#"), COFFEE)
+    says(page, "no longer has the picture", "#rivals")
+    assert complaints(page) == []
+
+
+def test_texture_on_and_off(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    assert not page.is_seen("#texture-field")
+    give(page, "drop", TEXTURED, "textured.sg")
+    wait_until(lambda: page.is_seen("#texture"))
+    textured, size = settled(page), sgmethod.info(TEXTURED)
+    page.click("#texture")
+    says(page, "without texture", "#right-label")
+    wait_until(lambda: not np.array_equal(settled(page), textured))
+    page.run("document.getElementById('stage').dispatchEvent(new KeyboardEvent('keydown', { key: '1' }))")
+    middle, smooth = size.height // 2, sgmethod.decode(TEXTURED, texture=False).astype(int)
+
+    def is_smooth() -> bool:
+        row = settled(page)
+        left = (len(row) - size.width) // 2
+        parts = (row[at : at + size.width] for at in (left, left + 1))  # the canvas may be an odd number wide, or high
+        return any(np.abs(part - smooth[y]).max() <= 1 for part in parts for y in (middle - 1, middle))
+
+    wait_until(is_smooth)
+    assert complaints(page) == []
+
+
+def test_what_is_in_a_file_and_what_was_left_out(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    for name, left_out in (("grey", "Tint"), ("upright", "Slant"), ("color", "Texture"), ("texture", "Code tables")):
+        data = golden(4)[f"v4-{name}"]
+        give(page, "drop", data, f"{name}.sg")
+        says(page, f"{len(data)} B", "#right-label")
+        rows = page.run("return [...document.querySelectorAll('#contents tbody tr')].map((row) => row.innerText)")
+        (row,) = (row for row in rows if row.startswith(left_out))
+        assert "left out" in row
+        sizes = [int(found[1]) for row in rows if (found := re.search(r"(\d+) B", row))]
+        assert abs(sum(sizes) - len(data)) <= len(sizes) / 2
+    give(page, "drop", OLD, "old.sg")
+    says(page, "Drawn by the service", "#note")
+    assert not page.is_seen("#contents")
+
+
+def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    page.run("""
+        return new Promise((done) => {
+            const stage = document.getElementById("stage");
+            const wheel = { deltaY: -30, clientX: 300, clientY: 300, cancelable: true };
+            const frame = (left) => {
+                stage.dispatchEvent(new WheelEvent("wheel", wheel));
+                if (left) requestAnimationFrame(() => frame(left - 1));
+                else done();
+            };
+            frame(40);
+        });
+    """)
+    found = re.fullmatch(r"(\d+\.\d) ms a frame, (\d+) a second", page.text("#frame"))
+    assert found
+    assert float(found[1]) * int(found[2]) == pytest.approx(1000, rel=0.5)
+
+
+def assert_same(page: Chromium, data: bytes, options: str, **view: Any) -> None:
+    """Within what docs/format.md allows two decoders: one level, and seldom. 1 sample of 12,960 is the most seen."""
+    ours = decoded(page, data, options).astype(int)
+    expected = sgmethod.open(data).pixels(**view)
+    assert ours.shape == expected.shape
+    difference = np.abs(ours - expected)
+    assert difference.max() <= 1
+    assert np.count_nonzero(difference) <= max(1, difference.size // 10_000)
+
+
+def test_the_decoder_of_the_page(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    for data in golden(4).values():
+        assert_same(page, data, "{}")
+    assert_same(page, COFFEE, "{}")
+    assert_same(page, COFFEE, "{ scale: 0.3 }", scale=0.3)
+    assert_same(page, COFFEE, "{ scale: 3, region: [100, 50, 60, 40] }", scale=3, region=(100, 50, 60, 40))
+    assert_same(page, COFFEE, "{ prefix: 0.2 }", prefix=0.2)
+    assert_same(page, golden(4)["v4-texture"], "{ scale: 0.4 }", scale=0.4)
+    assert_same(page, golden(4)["v4-texture"], "{ scale: 2, region: [5, 60, 50, 90] }", scale=2, region=(5, 60, 50, 90))
+    for hostile in (OLD, COFFEE[:100], b"", COFFEE[:-1] + b"\1"):
+        with pytest.raises(AssertionError, match=r"not known here|is damaged|no \.sg file"):
+            decoded(page, hostile)
+
+
+def test_webgl_draws_what_the_decoder_does(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    levels = page.run("""
+        return (async () => {
+            const { openGpu } = await import("/static/viewer/gpu.js");
+            const { readFile } = await import("/static/decoder/file.js");
+            const file = readFile(new Uint8Array(await (await fetch("/static/samples/coffee.sg")).arrayBuffer()));
+            const context = new OffscreenCanvas(864, 576).getContext("2d", { willReadFrequently: true });
+            context.drawImage(openGpu().draw(file, file.count, [0, 0], 2, 864, 576), 0, 0);
+            const { data } = context.getImageData(0, 0, 864, 576);
+            return [...data].map((level) => String.fromCharCode(level)).join("");
+        })();
+    """)
+    drawn = np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(576, 864, 4)[..., :3].astype(int)
+    difference = np.abs(drawn - sgmethod.open(COFFEE).pixels(scale=2))
+    # WebGL draws no pyramid, which is a little off; the worst seen are 5 levels, 0.34 in the mean.
+    assert difference.max() <= 8
+    assert difference.mean() < 0.5
