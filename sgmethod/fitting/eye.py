@@ -7,8 +7,8 @@ That is a diagonal in place and a fixed matrix in colour. So the colours of give
 the fit, growth, what is dropped and refining all see one and the same error.
 
 Coarse errors are seen more than fine ones: with K e the mean of e over squares of SHRINK pixels, (e + K e)^T V e counts
-in place of e^T V e. Its gradient, V (e + K e), is that of an error against a target further off by K e. So every few
-steps of the fit the target is moved (Lead), and kernels see nothing of it.
+in place of e^T V e. Its gradient, V (e + K e), is that of an error against a target further off by K e. So, once no
+Gaussian is added any more, the target is moved every few steps of the fit (Lead), and kernels see nothing of it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Lead:
     """The target of a fit, moved by its coarse error as that was lately."""
 
     EVERY = 4  # steps
-    RATE = 0.3  # of the way to the error of now, at once; all of it would overshoot
+    RATE = 0.15  # of the way to the error of now, at once: from 0.5 on, target and fit swing ever wider
     FURTHEST = 0.1  # 1 being white
 
     def __init__(self, target: NDArray[np.int16]) -> None:

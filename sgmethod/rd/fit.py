@@ -93,7 +93,9 @@ class RdFit:
         if at is not None:  # of several that one slow step has passed, the last
             self._reconsider(at)
         picture = self.pyramid.at(progress, len(self.p.means))
-        if picture is self.picture and self.steps % eye.Lead.EVERY == 0:
+        # Growth would take what moved the target for error, add wide Gaussians for it and leave fine errors alone.
+        has_grown = progress > self.settings.growth_at[-1]
+        if has_grown and picture is self.picture and self.steps % eye.Lead.EVERY == 0:
             picture.follow(self.p)
         self.steps += 1
         mse, grad = picture.gradients(self.p)
