@@ -138,10 +138,14 @@ class Settings(BaseSettings):
     max_answer_bytes: int = Field(
         default=512 * 2**20,
         ge=1,
-        description="bytes of answers that clients have yet to take before new pictures get 503",
+        description="bytes of answers that clients have yet to take before new pictures get 503; one client has half",
     )
-    max_uploads: int = Field(default=100, ge=1, description="request bodies coming in at once before new ones get 503")
-    max_event_streams: int = Field(default=100, ge=1, description="streams of events at once before new ones get 503")
+    max_uploads: int = Field(
+        default=100, ge=1, description="request bodies coming in at once before new ones get 503; one client has half"
+    )
+    max_event_streams: int = Field(
+        default=100, ge=1, description="streams of events at once before new ones get 503; one client has half"
+    )
 
     max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="bytes of one image file")
     max_pixels: int = Field(default=50_000_000, ge=1, description="pixels (width x height) of one image")

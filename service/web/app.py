@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from anyio import CapacityLimiter, to_thread
+from anyio import to_thread
 from fastapi import Depends, FastAPI, Security
 from fastapi.security import HTTPBearer
 from starlette.middleware.cors import CORSMiddleware
@@ -23,8 +23,10 @@ from service.settings import Settings
 from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
 from service.web.guards.metrics import Metrics, RequestMetrics
-from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, HeadAsGet, Outflow, ResponseHeaders
+from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, HeadAsGet, ResponseHeaders
 from service.web.guards.problems import install_problem_handlers, problems
+from service.web.guards.shares import Shares
+from service.web.helpers.turns import Turns
 from service.web.helpers.work import Work
 from service.web.routes import events as event_routes
 from service.web.routes import health as health_routes
@@ -101,7 +103,6 @@ def _body_limits(settings: Settings) -> BodyLimits:
         settings.body_chunk_timeout_s,
         settings.body_timeout_s,
         settings.min_upload_rate,
-        settings.max_uploads,
     )
 
 
@@ -125,9 +126,9 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         open_storage(settings),
         Work(settings),
         PictureCache(settings.decode_cache_bytes),
-        CapacityLimiter(UPLOADS_IN_MEMORY),
-        CapacityLimiter(settings.max_event_streams),
-        Outflow(settings.max_answer_bytes),
+        Turns(UPLOADS_IN_MEMORY, settings.max_uploads),
+        Shares(settings.max_event_streams, "streams", "streams of events are open"),
+        Shares(settings.max_answer_bytes, "answers", "pictures are on their way to clients"),
         stopping,
         KeyRing(settings.key_names),
         metrics,
@@ -160,7 +161,8 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
     # From the inside out. They stand outside FastAPI: its answer to an unexpected error skips its own middleware.
     secret = settings.link_secret.get_secret_value()
     gate = Gate(HeadAsGet(app), parts.keys, RateLimit(settings.key_request_rate), secret)
-    guarded: ASGIApp = BodyGuard(gate, _body_limits(settings))
+    uploads = Shares(settings.max_uploads, "uploads", "uploads are under way")
+    guarded: ASGIApp = BodyGuard(gate, _body_limits(settings), uploads)
     if settings.cors_origins:
         guarded = CORSMiddleware(
             guarded,

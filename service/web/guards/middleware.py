@@ -15,11 +15,11 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.web.guards.problems import ProblemError
+from service.web.guards.shares import Shares, client_of
 
 # A connection that is closed while its client still writes is reset, and the client never sees the
 # answer. So after an early answer the rest of the body is read and dropped, for a while.
 LINGER_S = 2.0
-RETRY_AFTER_S = "5"
 PIECE_BYTES = 1 << 18  # of an answer that are handed over at once
 
 STRICT_POLICY = "default-src 'none'; frame-ancestors 'none'"
@@ -34,42 +34,42 @@ RESPONSE_HEADERS = {
 class BodyLimits:
     """max_bytes, timeout_s: of one request body; chunk_timeout_s: seconds between two of its chunks.
 
-    min_rate: bytes a second that a body must bring on average, with chunk_timeout_s on top; most: bodies that may come
-    in at once.
+    min_rate: bytes a second that a body must bring on average, with chunk_timeout_s on top.
     """
 
     max_bytes: int
     chunk_timeout_s: float
     timeout_s: float
     min_rate: int
-    most: int
 
 
 class BodyGuard:
-    """Middleware: reading a body beyond the limits raises ProblemError 413, 408 or 503 in the application."""
+    """Middleware: reading a body beyond the limits raises ProblemError 413, 408, 429 or 503 in the application.
 
-    def __init__(self, app: ASGIApp, limits: BodyLimits) -> None:
+    uploads: bodies that come in at once.
+    """
+
+    def __init__(self, app: ASGIApp, limits: BodyLimits, uploads: Shares) -> None:
         self._app = app
         self._limits = limits
-        self._coming_in: set[_Exchange] = set()
+        self._uploads = uploads
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        exchange = _Exchange(Headers(scope=scope), self._limits, receive, send, self._coming_in)
+        exchange = _Exchange(scope, self._limits, receive, send, self._uploads)
         try:
             await self._app(scope, exchange.receive, exchange.send)
         finally:
-            self._coming_in.discard(exchange)
+            exchange.give_back()
 
 
 class _Exchange:
-    """One request and its answer; coming_in holds those whose bodies are being read."""
+    """One request and its answer."""
 
-    def __init__(
-        self, headers: Headers, limits: BodyLimits, receive: Receive, send: Send, coming_in: set[_Exchange]
-    ) -> None:
+    def __init__(self, scope: Scope, limits: BodyLimits, receive: Receive, send: Send, uploads: Shares) -> None:
+        headers = Headers(scope=scope)
         length = headers.get("content-length", "0")
         self._declared = int(length) if length.isdecimal() else 0
         self._unread = self._declared > 0 or "transfer-encoding" in headers
@@ -78,25 +78,34 @@ class _Exchange:
         self._send = send
         self._bytes = 0
         self._started: float | None = None
-        self._coming_in = coming_in
+        self._scope = scope
+        self._uploads = uploads
+        self._taken_by: str | None = None
 
     async def receive(self) -> Message:
         if not self._unread:
             return await self._receive()
         if self._declared > self._limits.max_bytes:
             raise self._too_large()
-        if self not in self._coming_in and len(self._coming_in) >= self._limits.most:
-            retry = {"Retry-After": RETRY_AFTER_S}
-            raise ProblemError(503, "too many uploads are under way", reason="uploads", headers=retry)
-        self._coming_in.add(self)
+        if self._taken_by is None:
+            client = client_of(self._scope)
+            self._uploads.check(client)
+            self._uploads.take(client)
+            self._taken_by = client
         message = await self._in_time()
         self._bytes += len(message.get("body", b""))
         self._unread = message.get("more_body", False)
         if not self._unread:
-            self._coming_in.discard(self)
+            self.give_back()
         if self._bytes > self._limits.max_bytes:
             raise self._too_large()
         return message
+
+    def give_back(self) -> None:
+        """Its share of the uploads, when the body is in or nobody reads it any more."""
+        if self._taken_by is not None:
+            self._uploads.give_back(self._taken_by)
+            self._taken_by = None
 
     async def _in_time(self) -> Message:
         now = time.monotonic()
@@ -152,24 +161,13 @@ class HeadAsGet:
         await self._app(scope, receive, send)
 
 
-class Outflow:
-    """What is on its way to clients, in bytes, and how much that may be before there are no more pictures."""
-
-    def __init__(self, max_bytes: int) -> None:
-        self._max_bytes = max_bytes
-        self.bytes = 0
-
-    def check(self) -> None:
-        """Raises ProblemError 503 if clients have too much to take already."""
-        if self.bytes > self._max_bytes:
-            detail = "too many pictures are on their way to clients"
-            raise ProblemError(503, detail, reason="answers", headers={"Retry-After": RETRY_AFTER_S})
-
-
 class AnswerGuard:
-    """Middleware: hands large answers over piece by piece, as fast as clients take them, and counts what is left."""
+    """Middleware: hands large answers over piece by piece, as fast as clients take them.
 
-    def __init__(self, app: ASGIApp, outflow: Outflow) -> None:
+    outflow: bytes that are on their way.
+    """
+
+    def __init__(self, app: ASGIApp, outflow: Shares) -> None:
         self._app = app
         self._outflow = outflow
 
@@ -179,13 +177,10 @@ class AnswerGuard:
             if len(body) <= PIECE_BYTES:
                 await send(message)
                 return
-            self._outflow.bytes += len(body)
-            try:
+            with self._outflow.taken(client_of(scope), len(body)):
                 for start in range(0, len(body), PIECE_BYTES):
                     more = start + PIECE_BYTES < len(body) or message.get("more_body", False)
                     await send({**message, "body": body[start : start + PIECE_BYTES], "more_body": more})
-            finally:
-                self._outflow.bytes -= len(body)
 
         await self._app(scope, receive, send_in_pieces)
 

@@ -12,36 +12,29 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from service.jobs.job import FINAL_STATES, Job
 from service.jobs.table import JobTableError
-from service.web.guards.problems import ProblemError, problems
+from service.web.guards.problems import problems
 from service.web.routes import answers
 from service.web.routes.examples import curl
 from service.web.routes.gone import set_within
-from service.web.routes.parts import KnownJob, Parts, UseParts
+from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
 
 log = logging.getLogger(__name__)
 router = APIRouter()
 
 POLL_S = 0.5  # workers write progress down as often
-RETRY_AFTER_S = "10"
 
 
-async def _place(parts: UseParts) -> AsyncIterator[None]:
-    """One of the places for streams, until the stream ends. Raises ProblemError 503."""
-    token = object()
-    if parts.streams.available_tokens < 1:
-        retry = {"Retry-After": RETRY_AFTER_S}
-        raise ProblemError(503, "too many streams of events are open", reason="streams", headers=retry)
-    parts.streams.acquire_on_behalf_of_nowait(token)
-    try:
+async def _place(parts: UseParts, caller: UseCaller) -> AsyncIterator[None]:
+    """One of the places for streams, until the stream ends. Raises ProblemError 429 or 503."""
+    parts.streams.check(caller.client)
+    with parts.streams.taken(caller.client):
         yield
-    finally:
-        parts.streams.release_on_behalf_of(token)
 
 
 @router.get(
     "/jobs/{job_id}/events",
     response_class=EventSourceResponse,
-    responses=problems(404, 503),
+    responses=problems(404, 429, 503),
     summary="Watch a job",
     openapi_extra=curl("-N HOST/jobs/ID/events"),
 )

@@ -97,9 +97,9 @@ async def encode(
     async with submission(request, parts.settings) as submitted:
         header = await read_header(submitted, parts.work, caller.client, parts.settings.max_upload_bytes)
         check_feasible(submitted.asked.request, header)
-        async with parts.accepting:
+        async with parts.accepting.turn(caller.client):
             image = await submitted.image_bytes()
-            new = new_job(submitted.asked, header, image, key, caller.owner)
+            new = await to_thread.run_sync(new_job, submitted.asked, header, image, key, caller.owner)
             job = await to_thread.run_sync(_accept, parts, new, image)
     return await _accepted(request, response, parts, job, wait_s)
 
@@ -122,9 +122,9 @@ async def encode_again(
     asked = read_fields(fields_of_query(request)).asked(parts.settings.max_time_limit_s)
     check_feasible(asked.request, job.image)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)
-    async with parts.accepting:
+    async with parts.accepting.turn(caller.client):
         image = await to_thread.run_sync(_kept_image, parts, job)
-        new = new_job(asked, job.image, image, key, caller.owner)
+        new = await to_thread.run_sync(new_job, asked, job.image, image, key, caller.owner)
         again = await to_thread.run_sync(_accept, parts, new, image)
     return await _accepted(request, response, parts, again, wait_s)
 

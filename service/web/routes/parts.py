@@ -17,8 +17,9 @@ from service.settings import Settings
 from service.storage.files import Storage
 from service.web.guards.gate import Caller
 from service.web.guards.metrics import Metrics
-from service.web.guards.middleware import Outflow
 from service.web.guards.problems import ProblemError
+from service.web.guards.shares import Shares
+from service.web.helpers.turns import Turns
 from service.web.helpers.work import Work
 from service.web.routes.decoding import PictureCache
 
@@ -30,9 +31,9 @@ JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", exampl
 class Parts:
     """The pieces of the running service.
 
-    work: what helpers do; accepting: taken while an upload is held in memory, which bounds what all of them take
-    together; streams: of events; outflow: what clients have yet to take; stopping: set when the service is to stop;
-    watching: threads of probes, which must not queue behind work.
+    work: what helpers do; accepting: turns in which an upload is held in memory, which bounds what all of them take
+    together; streams: of events; outflow: bytes that clients have yet to take; stopping: set when the service is to
+    stop; watching: threads of probes, which must not queue behind work.
     """
 
     settings: Settings
@@ -40,9 +41,9 @@ class Parts:
     storage: Storage
     work: Work
     pictures: PictureCache
-    accepting: CapacityLimiter
-    streams: CapacityLimiter
-    outflow: Outflow
+    accepting: Turns
+    streams: Shares
+    outflow: Shares
     stopping: asyncio.Event
     keys: KeyRing
     metrics: Metrics

@@ -108,7 +108,7 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
     file = parts.pictures.get(etag)
     parts.metrics.cache.labels("no" if file is None else "yes").inc()
     if file is None:
-        parts.outflow.check()
+        parts.outflow.check(request.state.caller.client)
         with await to_thread.run_sync(_open_bitstream, parts, job, result) as bitstream:
             try:
                 file = await _drawn(request, parts, bitstream, wish)
@@ -197,7 +197,7 @@ async def picture_of_body_as(
 
 async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, parts: Parts) -> Response:
     wish = query.wish(kind)
-    parts.outflow.check()
+    parts.outflow.check(request.state.caller.client)
     async with body_as_file(request, parts.settings.max_bitstream_bytes) as upload:
         try:
             file = await _drawn(request, parts, upload.file, wish, parts.settings.max_decode_gaussians)

@@ -60,14 +60,11 @@ def wished_wait_s(request: Request) -> int:
 
 async def job_within(request: Request, job: Job, seconds: int, parts: Parts) -> Job | None:
     """The job once it has ended, None if it has not in time. Raises ProblemError 409 if it is removed meanwhile."""
-    token = object()
-    if parts.streams.available_tokens < 1:  # too many wait already
+    client = request.state.caller.client
+    if parts.streams.refusal(client) is not None:  # too many wait already
         return None
-    parts.streams.acquire_on_behalf_of_nowait(token)
-    try:
+    with parts.streams.taken(client):
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, parts))
-    finally:
-        parts.streams.release_on_behalf_of(token)
 
 
 async def _ended(job: Job, deadline: float, parts: Parts) -> Job | None:

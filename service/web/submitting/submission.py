@@ -89,7 +89,7 @@ async def submission(request: Request, settings: Settings) -> AsyncIterator[Subm
 
 
 def new_job(asked: Asked, header: SourceImage, image: bytes, key: str | None, owner: str | None) -> NewJob:
-    """The job to accept."""
+    """The job to accept. Takes a while for a large image."""
     words = {"encode": asdict(asked.request), "priority": asked.priority}
     digest = hashlib.sha256(json.dumps(words).encode())
     digest.update(image)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
+from service.keys import digest
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
@@ -145,17 +146,30 @@ def test_a_body_that_comes_too_slowly_for_its_size(start_service: StartService) 
 
 
 def test_uploads_at_once_are_limited(start_service: StartService) -> None:
-    web = start_service("web", max_uploads=2)
+    """One client has half of them: a hundred slow ones of one address kept everybody's out."""
+    keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann", "bob"))
+    web = start_service("web", max_uploads=4, api_keys=keys, body_chunk_timeout_s=1000)
     crowd: list[socket.socket] = []
 
-    def one_more() -> httpx.Response | None:
-        crowd.append(connect(web, "Content-Length: 5000"))
+    def begin(name: str) -> None:
+        crowd.append(connect(web, "Content-Length: 5000", f"Authorization: Bearer {name}"))
         crowd[-1].sendall(HEAD)
-        answer = web.post()
-        return answer if answer.status_code == 503 else None
+
+    def post(name: str) -> httpx.Response:
+        web.client.headers["Authorization"] = f"Bearer {name}"
+        return web.post()
+
+    def after(one_more: str, name: str, status: int) -> httpx.Response | None:
+        begin(one_more)
+        answer = post(name)
+        return answer if answer.status_code == status else None
 
     try:
-        answer = wait_until(one_more)
+        answer = wait_until(lambda: after("eve", "eve", 429))
+        assert answer is not None
+        assert_problem(answer, 429, "uploads", "of yours alone")
+        assert post("ann").status_code == 202
+        answer = wait_until(lambda: after("ann", "bob", 503))
         assert answer is not None
         assert_problem(answer, 503, "uploads")
         assert answer.headers["retry-after"]
@@ -163,7 +177,7 @@ def test_uploads_at_once_are_limited(start_service: StartService) -> None:
     finally:
         for slow in crowd:
             slow.close()
-    assert wait_until(lambda: web.post().status_code == 202)
+    assert wait_until(lambda: post("bob").status_code == 202)
 
 
 def test_a_full_queue_refuses_a_body_unread(empty: Service) -> None:

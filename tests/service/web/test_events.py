@@ -93,13 +93,19 @@ def test_a_job_table_that_goes_away(start_service: StartService) -> None:
 
 
 def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: StartService) -> None:
-    web = start_service("web", max_event_streams=2)
+    """One client has half of them."""
+    web = start_service("web", max_event_streams=3)
     job_id = web.accepted()
-    with stream(web, job_id) as first, stream(web, job_id) as second:
+    elsewhere = httpx.HTTPTransport(local_address="127.0.0.2")
+    with stream(web, job_id) as first, stream(web, job_id) as second, httpx.Client(transport=elsewhere) as other:
         next(first), next(second)
         answer = web.client.get(f"/jobs/{job_id}/events")
-        assert_problem(answer, 503, "streams")
+        assert_problem(answer, 429, "streams", "of yours alone")
         assert answer.headers["retry-after"]
+        with other.stream("GET", f"{web.url}/jobs/{job_id}/events") as third:
+            others = read(third)
+            assert next(others)[0] == "state"
+            assert_problem(web.client.get(f"/jobs/{job_id}/events"), 503, "streams")
     for _ in range(4):  # more than the limit: each gives its place back
 
         def opened() -> bool:
