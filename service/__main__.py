@@ -126,6 +126,7 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
         table,
         open_storage(settings),
         retention_s=settings.retention_s,
+        source_retention_s=settings.source_retention_s,
         orphan_age_s=arguments.orphan_age_s,
         dry_run=arguments.dry_run,
     )

@@ -20,12 +20,12 @@ from service.worker.encoder import Spec
 from service.worker.encoder_process import Crashed, EncoderProcess, Outcome, Preview, TimedOut, TracePoint
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
 from service.worker.publishing import Publisher, StoppedError
-from service.worker.sweeping import Swept, sweep
+from service.worker.sweeping import Sweeper
 
 log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
-SWEEP_EVERY_S = 3600.0
+SWEEP_ENDS_S = 1.0  # within the grace time; a sweep may be cut short anywhere
 THREAD_VARIABLES = ("SG_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -41,36 +41,29 @@ class Worker:
         self._publisher = Publisher(table, storage, stop, keeps_sources=self._keeps_sources)
         self._name = f"{socket.gethostname()}:{os.getpid()}"
         self._lifeline = Lifeline()
-        self._next_sweep = 0.0
         # Libraries read these when they are loaded, so they must be set before the encoder process begins.
         threads = str(settings.encode_threads)
         self._environment = {**confinement.environment(os.environ), **dict.fromkeys(THREAD_VARIABLES, threads)}
 
     def run(self) -> None:
-        """Claim and work until stopping is requested."""
+        """Claim and work until stopping is requested; sweep meanwhile."""
         log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
+        sweeper = Sweeper(self._settings, self._table, self._storage, self._stop)
+        sweeper.start()
         try:
             self._table.deliver(self._run_next, self._stop)
+            sweeper.join(SWEEP_ENDS_S)
         finally:
             self._lifeline.close()
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""
         try:
-            self._sweep_now_and_then()
             return self.run_one()
         except (JobTableError, OSError) as error:
             log.error("worker %s: %s", self._name, error)
             self._stop.wait(PAUSE_AFTER_TROUBLE_S)
             return False
-
-    def _sweep_now_and_then(self) -> None:
-        if time.monotonic() < self._next_sweep:
-            return
-        self._next_sweep = time.monotonic() + SWEEP_EVERY_S
-        swept = sweep(self._table, self._storage, retention_s=self._settings.retention_s)
-        if swept != Swept(0, 0):
-            log.info("removed %d finished jobs and %d files that no job needs", swept.jobs, swept.files)
 
     def run_one(self) -> bool:
         """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""

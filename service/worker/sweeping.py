@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from dataclasses import dataclass
 
 from service.jobs.job import Job
-from service.jobs.table import JobTable
+from service.jobs.table import JobTable, JobTableError
+from service.process.stopping import StopSignal
+from service.settings import Settings
 from service.storage.files import Storage, job_of_source, source_key
+
+log = logging.getLogger(__name__)
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
 ORPHAN_AGE_S = 3600.0
+LONGEST_PAUSE_S, SHORTEST_PAUSE_S = 3600.0, 1.0
+OVERDUE = 1 / 4  # of the time for which something is kept, that it may stay beyond
 
 
 @dataclass(frozen=True)
@@ -26,10 +34,12 @@ def sweep(
     storage: Storage,
     *,
     retention_s: float,
+    source_retention_s: float = 0,
     orphan_age_s: float = ORPHAN_AGE_S,
     dry_run: bool = False,
 ) -> Swept:
-    """Remove jobs that ended more than retention_s seconds ago (0: none), and files that no job needs.
+    """Remove jobs that ended more than retention_s seconds ago (0: none), images of jobs that ended more than
+    source_retention_s seconds ago, if any are kept (0: none), and files that no job needs.
 
     With dry_run nothing is removed. Raises JobTableError, OSError.
     """
@@ -37,15 +47,54 @@ def sweep(
     if not dry_run:
         for job in expired:
             _remove(table, storage, job)
+    # An image whose time is over goes at once. What no job knows must be old: it may be of one that is being accepted.
+    ended = table.finished(source_retention_s) if source_retention_s else []
+    images = (source_key(job.id) for job in ended if _has_image(job))
     keep = table.needed_keys()
-    orphans = [key for key in storage.old(orphan_age_s) if key not in keep]
+    files = {*images, *(key for key in storage.old(orphan_age_s) if key not in keep)}
     if not dry_run:
-        for key in orphans:
+        for key in files:
             storage.delete(key)
             job_id = job_of_source(key)
             if job_id is not None:
                 table.source_removed(job_id)
-    return Swept(len(expired), len(orphans))
+    return Swept(len(expired), len(files))
+
+
+class Sweeper(threading.Thread):
+    """Sweeps at its start and from time to time, until stopping is requested.
+
+    Beside the worker's own thread, which may be busy with an encode for minutes, or wait for a job for days.
+    """
+
+    def __init__(self, settings: Settings, table: JobTable, storage: Storage, until: StopSignal) -> None:
+        super().__init__(name="sweeper", daemon=True)
+        self._kept_s = settings.retention_s, settings.source_retention_s
+        self._table = table
+        self._storage = storage
+        self._until = until
+
+    def run(self) -> None:
+        jobs_s, images_s = self._kept_s
+        while not self._until.requested:
+            try:
+                swept = sweep(self._table, self._storage, retention_s=jobs_s, source_retention_s=images_s)
+                if swept != Swept(0, 0):
+                    log.info("removed %d finished jobs and %d files that no job needs", swept.jobs, swept.files)
+            except (JobTableError, OSError) as error:
+                log.error("cannot sweep: %s", error)
+            self._until.wait(pause_s(*self._kept_s))
+
+
+def pause_s(*kept_s: float) -> float:
+    """Seconds from one sweep to the next. kept_s: how long things are kept, 0 for ever or not at all."""
+    wanted_s = min((OVERDUE * seconds for seconds in kept_s if seconds), default=LONGEST_PAUSE_S)
+    return min(max(wanted_s, SHORTEST_PAUSE_S), LONGEST_PAUSE_S)
+
+
+def _has_image(job: Job) -> bool:
+    """Whether more is counted for it than its bitstream."""
+    return job.stored_bytes > (job.result.stats.get("bytes", 0) if job.result is not None else 0)
 
 
 def _remove(table: JobTable, storage: Storage, job: Job) -> None:

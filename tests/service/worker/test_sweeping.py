@@ -10,11 +10,14 @@ import pytest
 from service.jobs.job import EncodeResult, JobError, new_job_id
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobRules, JobTable
+from service.process.stopping import StopSignal
+from service.settings import Settings
 from service.storage.disk import DiskStorage
 from service.storage.files import Storage, bitstream_key, source_key
-from service.worker.sweeping import Swept, sweep
+from service.worker.sweeping import Sweeper, Swept, pause_s, sweep
 from tests.harness import job_table
 from tests.harness.job_table import claimed
+from tests.harness.processes import wait_until
 
 AT_ONCE_S = -5.0
 
@@ -82,6 +85,39 @@ def test_images_go_before_their_jobs(table: JobTable, storage: Storage, tmp_path
     keeping.close()
     assert sweep(table, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
     assert (stored(storage), table.stored_bytes()) == (set(), 7)
+
+
+def test_an_image_goes_when_its_time_is_over(tmp_path: Path, storage: Storage) -> None:
+    """However young it is; and once."""
+    table = SqliteJobTable(tmp_path / "jobs.sqlite3", JobRules(60.0, 4, source_retention_s=60.0))
+    done, refused, waiting = (submitted(table, storage) for _ in range(3))
+    assert table.finish(claimed(table), EncodeResult(bitstream_key(done, 1), "", {"bytes": 7}))
+    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
+    assert sweep(table, storage, retention_s=1000, source_retention_s=60) == Swept(0, 0)
+    for swept in (Swept(0, 2), Swept(0, 0)):
+        assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S, dry_run=True) == swept
+        assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S) == swept
+        assert stored(storage) == {source_key(waiting)}
+    assert {job.id for job in table.page(10)} == {done, refused, waiting}
+    table.close()
+
+
+def test_the_sweeper_needs_no_job_to_begin(table: JobTable, storage: Storage) -> None:
+    """On PostgreSQL a worker without jobs never swept."""
+    finished(table, storage)
+    until = StopSignal()
+    sweeper = Sweeper(Settings(retention_s=0.5, source_retention_s=0), table, storage, until)
+    sweeper.start()
+    wait_until(lambda: table.page(10) == [] and stored(storage) == set())
+    until.request()
+    sweeper.join()
+
+
+@pytest.mark.parametrize(
+    ("kept_s", "pause"), [((0, 0), 3600), ((2_592_000, 3600), 900), ((600, 0), 150), ((0.1, 60), 1), ((1e9, 1e9), 3600)]
+)
+def test_how_often_is_swept(kept_s: tuple[float, float], pause: float) -> None:
+    assert pause_s(*kept_s) == pause
 
 
 def test_finished_jobs_go_when_their_time_is_over(table: JobTable, storage: Storage) -> None:
