@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import secrets
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
@@ -18,13 +19,14 @@ from typing import Literal
 
 import httpx
 
-from sgmethod.budget import Budget
+from sgmethod.budget import DEFAULT_BUDGET, Budget
 from sgmethod.client.connection import PAUSE_S, Connection, Json, RefusedError
 from sgmethod.errors import ServerError
 from sgmethod.profiles import DEFAULT_PROFILE
 from sgmethod.trace import Progress, TracePoint
 
 Priority = Literal["interactive", "bulk"]
+JobState = Literal["queued", "running", "done", "failed"]
 WAIT_S = 50  # of one request: less than what proxies, and this client, take for a connection that has died
 
 
@@ -58,11 +60,12 @@ class Client:
     def encode(
         self,
         image: bytes,
-        budget: Budget,
+        budget: Budget = DEFAULT_BUDGET,
         profile: str = DEFAULT_PROFILE,
         *,
         tune: str | None = None,
         time_limit_s: float | None = None,
+        priority: Priority = "interactive",
         on_progress: Progress | None = None,
     ) -> RemoteEncoded:
         """The bitstream of an image file, with its figures and its trace; its job is removed, whatever happens.
@@ -70,7 +73,7 @@ class Client:
         Without on_progress one request brings the bitstream, if the server has it soon enough. Whoever interrupts that
         request leaves the job behind.
         """
-        query = _query(budget, profile, tune, time_limit_s)
+        query = _query(budget, profile, tune, time_limit_s, priority)
         try:
             answer = self._submit("/encode", query, image, wait_s=WAIT_S if on_progress is None else 0)
         except RefusedError as refusal:
@@ -92,7 +95,7 @@ class Client:
     def submit(
         self,
         image: bytes,
-        budget: Budget,
+        budget: Budget = DEFAULT_BUDGET,
         profile: str = DEFAULT_PROFILE,
         *,
         tune: str | None = None,
@@ -128,6 +131,14 @@ class Client:
         """State, progress, trace, result and error of a job."""
         job: Json = self._connection.ask("GET", f"/jobs/{job_id}").json()
         return job
+
+    def jobs(self, state: JobState | None = None) -> Iterator[Json]:
+        """All jobs that this client may see, or those in one state, newest first, without their traces."""
+        path: str | None = "/jobs?limit=200" + ("" if state is None else f"&state={state}")
+        while path is not None:
+            page: Json = self._connection.ask("GET", path).json()
+            yield from page["jobs"]
+            path = page["next"]
 
     def wait(self, job_id: str, on_progress: Progress | None = None) -> Json:
         """The job once it is done, with its trace. Raises ServerError if it fails or is removed."""
@@ -165,6 +176,15 @@ class Client:
         """End the fit of a running job early: it is done soon, with what is there. Raises ServerError if it waits."""
         self._connection.ask("POST", f"/jobs/{job_id}/stop")
 
+    def decode(self, bitstream: bytes, kind: str = "png", **view: float | str) -> bytes:
+        """A picture of an .sg file, which the server does not keep; otherwise as `picture`."""
+        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=bitstream).content
+
+    def links(self, job_id: str, expires_s: int = 3600) -> Json:
+        """URLs of picture and bitstream, on this server, that need no key for so many seconds."""
+        links: Json = self._connection.ask("POST", f"/jobs/{job_id}/links", params={"expires_s": expires_s}).json()
+        return links
+
     def remove(self, job_id: str) -> None:
         """Cancel the job if it is not done, and have the service forget it."""
         self._connection.ask("DELETE", f"/jobs/{job_id}")
@@ -174,9 +194,7 @@ class Client:
             self.remove(job_id)
 
 
-def _query(
-    budget: Budget, profile: str, tune: str | None, time_limit_s: float | None, priority: Priority = "interactive"
-) -> Json:
+def _query(budget: Budget, profile: str, tune: str | None, time_limit_s: float | None, priority: Priority) -> Json:
     """The fields of an encode."""
     wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
     wanted |= {"priority": priority, "time_limit_s": time_limit_s}

@@ -204,3 +204,18 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
         assert words in refused.stderr
         assert refused.stderr.count("\n") == 1
         assert not (tmp_path / "out.sg").exists()
+
+
+def test_all_that_a_client_may_ask(start_service: StartService) -> None:
+    web = start_service("web", link_secret="s" * 32)
+    with Client(web.url) as client:
+        first, second = (client.submit(SMALL, priority="bulk") for _ in range(2))
+        web.publish(first, PICTURE)
+        assert [job["id"] for job in client.jobs()] == [second, first]
+        assert [job["id"] for job in client.jobs("done")] == [first]
+        assert next(client.jobs("queued"))["budget"] == {"kind": "bpp", "value": 0.3}
+        assert client.decode(PICTURE, "webp", width=32) == client.picture(first, "webp", width=32)
+        assert client.bitstream(first) == PICTURE
+        assert web.client.get(client.links(first, 60)["bitstream_url"]).content == PICTURE
+        with pytest.raises(ServerError, match="at most"):
+            client.links(first, 10**9)
