@@ -12,6 +12,8 @@ python -m benchmarks.representation  float quality at a fixed number of Gaussian
 python -m benchmarks.ablation        profile rd with one part left out at a time
 python -m benchmarks.turns           encodes and decodes of two checkouts in turns
 python -m benchmarks.report          docs/results.md, its plots and the README's tables from the JSON
-python -m benchmarks.load            decoding under load while the service encodes, and its memory
+python -m benchmarks.load            decoding under load while the service encodes
+python -m benchmarks.attacks         what others notice while clients mean harm, and the memory that it takes
 python -m benchmarks.chaos           kills and restarts at random while the service works, and the ledger after it
+python -m benchmarks.soak            work of every kind for half an hour: memory, files and rows
 """

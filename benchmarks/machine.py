@@ -8,6 +8,7 @@ import os
 import platform
 import subprocess
 import sys
+import time
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -88,6 +89,29 @@ class Record:
         self.rows.append(row)
         write_json(self.path, {**self.content, "rows": self.rows})
         print(", ".join(f"{name} {_short(value)}" for name, value in row.items() if value is not None), flush=True)
+
+
+class Elsewhere:
+    """What processes that are not ours take of the machine, from now on: times were measured beside them."""
+
+    def __init__(self) -> None:
+        self._began = time.monotonic(), _machine_s(), _own_s()
+
+    def cores(self) -> float:
+        """Cores' worth, on average. Ours are this process and those that it has waited for, with theirs."""
+        began, machine_s, own_s = self._began
+        spent_s = _machine_s() - machine_s - (_own_s() - own_s)
+        return round(max(0.0, spent_s / (time.monotonic() - began)), 2)
+
+
+def _machine_s() -> float:
+    """Seconds of all cores that were not idle, or were taken from this machine by another."""
+    ticks = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
+    return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
+
+
+def _own_s() -> float:
+    return sum(os.times()[:4])
 
 
 def command(module: str) -> str:

@@ -2,7 +2,7 @@
 
     python -m benchmarks.chaos [--jobs 200] [--seed 1] [--database-url sqlite | postgresql | postgresql://...]
 
-It prints the ledger as Markdown and exits with 1 unless it balances: every accepted job is done, has failed or was
+It prints the ledger and exits with 1 unless it balances: every accepted job is done, has failed or was
 cancelled; what is done was published once and can be fetched; after a sweep nothing else is left. With the bare
 word "postgresql" it starts a server of its own, and restarts that now and then too. Pictures are tiny, so that
 most of the time goes to processes that come and go.
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import io
+import json
 import random
 import shutil
 import sys
@@ -27,7 +28,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.chaos.service import ChaosService
-from benchmarks.machine import in_words, origin
+from benchmarks.machine import RESULTS, Elsewhere, command, origin, write_json
 from tests.harness.postgres_server import HINT, PostgresServer, find_binaries
 
 PAUSE_S = 4.0  # between two events, on average: an encode takes about two seconds of one core
@@ -55,7 +56,10 @@ def picture(seed: int) -> bytes:
 
 
 class Submitter(threading.Thread):
-    """Has so many jobs accepted, each under a key of its own, asking again until the answer is 202."""
+    """Has so many jobs accepted, each under a key of its own, asking again until the answer is 202.
+
+    trouble: an answer that no job should get, after which nothing more was submitted.
+    """
 
     def __init__(self, service: ChaosService, jobs: int, seed: int) -> None:
         super().__init__(name="submitter", daemon=True)
@@ -64,17 +68,22 @@ class Submitter(threading.Thread):
         self._random = random.Random(seed + 1)
         self.accepted: list[str] = []
         self.asked_again = 0
+        self.trouble = ""
 
     def run(self) -> None:
         for number in range(self._jobs):
             form = {"bpp": "1", "time_limit_s": str(self._random.choice([0.1, 0.3, 1.0]))}
             form["priority"] = self._random.choice(["interactive", "bulk"])
+            image = picture(number)
             if self._random.random() < 0.05:
-                form = {"bytes": "1"}  # too few for any file: the codec refuses
-            self.accepted.append(self._accepted(picture(number), form, f"job-{number}"))
+                image = image[: len(image) // 2]  # its header is whole: the codec refuses
+            job_id = self._accepted(image, form, f"job-{number}")
+            if job_id is None:
+                return
+            self.accepted.append(job_id)
             time.sleep(self._random.uniform(0, 0.5))
 
-    def _accepted(self, image: bytes, form: dict[str, str], key: str) -> str:
+    def _accepted(self, image: bytes, form: dict[str, str], key: str) -> str | None:
         while True:
             answer = self._service.ask(
                 "POST", "/encode", files={"image": image}, data=form, headers={"Idempotency-Key": key}
@@ -82,7 +91,8 @@ class Submitter(threading.Thread):
             if answer is not None and answer.status_code == 202:
                 return str(answer.json()["id"])
             if answer is not None and answer.status_code not in (429, 503):
-                raise SystemExit(f"POST /encode: {answer.status_code} {answer.text}")
+                self.trouble = f"POST /encode: {answer.status_code} {answer.text}"
+                return None
             self.asked_again += 1
             time.sleep(0.5)
 
@@ -233,18 +243,16 @@ def ledger(service: ChaosService, submitter: Submitter, chaos: Chaos) -> tuple[d
     return lines, balanced
 
 
-def table(head: str, counts: dict[str, int]) -> str:
-    """Markdown: a row for each count."""
-    return f"{head}\n|---|---|\n" + "".join(f"| {name} | {count} |\n" for name, count in counts.items())
-
-
 def main() -> int:
     """Exit status: 0 if the ledger balances."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--database-url", default="sqlite")
+    parser.add_argument("--out", type=Path, help="default: chaos-sqlite.json or chaos-postgresql.json of the results")
     arguments = parser.parse_args()
+    head = {"command": command("benchmarks.chaos"), **origin(), "remark": ""}
+    elsewhere = Elsewhere()
     postgres = None
     url = arguments.database_url
     if url == "postgresql":
@@ -262,19 +270,24 @@ def main() -> int:
         submitter.start()
         chaos.rage()
         submitter.join()
+        if submitter.trouble:
+            raise SystemExit(submitter.trouble)
         lines, balanced = ledger(service, submitter, chaos)
     finally:
         service.kill_all()
         if postgres is not None:
             postgres.close()
-    kind = "SQLite" if arguments.database_url == "sqlite" else "PostgreSQL"
-    happened = {**dict(sorted(chaos.happened.items())), "submission asked again": submitter.asked_again}
-    print(f"# Chaos on {kind}: the ledger {'balances' if balanced else 'DOES NOT BALANCE'}\n")
-    print(table("| jobs | |", lines))
-    print(table("| what happened meanwhile | times |", happened))
-    command = f"python -m benchmarks.chaos --jobs {arguments.jobs} --seed {arguments.seed}"
-    shown = "" if kind == "SQLite" else " --database-url postgresql"
-    print(f"`{command}{shown}`, {time.monotonic() - began:.0f} s. {in_words(origin())}.")
+    kind = "sqlite" if arguments.database_url == "sqlite" else "postgresql"
+    row = {
+        **{"database": kind, "balanced": balanced, "ledger": lines},
+        **{"happened": dict(sorted(chaos.happened.items())), "asked_again": submitter.asked_again},
+        **{"seconds": round(time.monotonic() - began), "cores_elsewhere": elsewhere.cores()},
+    }
+    settings = {"jobs": arguments.jobs, "seed": arguments.seed, "pause_s": PAUSE_S, "weights": WEIGHTS}
+    write_json(
+        arguments.out or RESULTS / "service" / f"chaos-{kind}.json", {**head, "settings": settings, "rows": [row]}
+    )
+    print(json.dumps(row, indent=1))
     if balanced:
         shutil.rmtree(folder)
     else:

@@ -1,1 +1,1 @@
-"""Decoding under load while the service encodes, and its memory: python -m benchmarks.load"""
+"""Decoding under load while the service encodes: python -m benchmarks.load"""

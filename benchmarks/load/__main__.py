@@ -1,22 +1,17 @@
-"""How fast the running service answers while it encodes, and what memory it holds on to.
+"""How fast the running service answers while it encodes.
 
-    python -m benchmarks.load [--images FOLDER] [--out FILE.md]
-    python -m benchmarks.load --encodes 100 [--time-limit 4] [--out FILE.md]
-    python -m benchmarks.load --soak MINUTES [--time-limit 4] [--out FILE.md]
+    python -m benchmarks.load [--images FOLDER] [--seconds 30] [--out FILE]
 
-The first command starts `python -m service serve` and encodes a picture of 768x512 at 0.25 bpp. While another encode
-runs, benchmarks.load.generator asks for the picture as PNG 50 times a second, and for /livez 20 times a second. It does
-so twice: with no picture kept in memory, so that each request decodes, and with the default.
-
-The other two encode pictures one after the other and watch the memory of web process, worker and encoder process.
---encodes takes that many pictures of 12 megapixels, --soak pictures of several sizes for that long.
+It starts `python -m service serve` and encodes a picture of 768x512 at 0.25 bpp. While another encode takes every core
+that it gets, benchmarks.load.generator asks for the picture as PNG 50 or 200 times a second, and for /livez 20 times a
+second: with no picture kept in memory, so that each request decodes, and with the default, where one request came
+before.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -28,15 +23,26 @@ from typing import Any
 import numpy as np
 from PIL import Image, ImageOps
 
-from benchmarks.load.memory import measure_encodes, measure_soak
 from benchmarks.load.service import LoadService, made_picture, png, running
-from benchmarks.machine import in_words, origin
+from benchmarks.machine import RESULTS, Elsewhere, Record
 from benchmarks.pictures import pictures_in
 from tests.harness.data import ROOT
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
-RATE, LIVE_RATE = 50.0, 20.0
-TARGETS_MS = {"decode p50": 12.0, "decode p99": 40.0, "livez p99": 20.0}
+LIVE_RATE = 20.0
+AT_MOST_MS = {"GET /decode/ID.png": {"p50_ms": 12.0, "p99_ms": 40.0}, "GET /livez": {"p99_ms": 20.0}}
+
+
+@dataclass(frozen=True)
+class Case:
+    """rate: pictures asked for a second; warm: whether the picture is in memory."""
+
+    name: str
+    rate: float
+    warm: bool
+
+
+CASES = (Case("decoded each time", 50, False), Case("from memory", 50, True), Case("from memory, 200", 200, True))
 
 
 def picture(folder: Path | None) -> tuple[str, bytes]:
@@ -50,104 +56,67 @@ def picture(folder: Path | None) -> tuple[str, bytes]:
         return pictures[0].name, png(ImageOps.fit(image.convert("RGB"), SIZE, Image.Resampling.LANCZOS))
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Latencies of one series of requests, in milliseconds."""
-
-    count: int
-    failed: int
-    p50: float
-    p99: float
-    most: float
-
-    @classmethod
-    def of(cls, series: dict[str, Any]) -> Spread:
-        """From what the generator printed."""
-        p50, p99, most = np.percentile(series["ms"], (50, 99, 100))
-        return cls(len(series["ms"]), series["failed"], float(p50), float(p99), float(most))
-
-    def row(self, *names: str) -> str:
-        """A row of the table."""
-        figures = f"{self.count} | {self.failed} | {self.p50:.1f} | {self.p99:.1f} | {self.most:.1f}"
-        return f"| {' | '.join(names)} | {figures} |"
+def spread(series: dict[str, Any]) -> dict[str, Any]:
+    """Latencies of one series of requests, from what the generator printed."""
+    p50, p99, most = (round(float(ms), 2) for ms in np.percentile(series["ms"], (50, 99, 100)))
+    return {"requests": len(series["ms"]), "failed": series["failed"], "p50_ms": p50, "p99_ms": p99, "most_ms": most}
 
 
-def under_load(service: LoadService, path: str, seconds: float) -> tuple[Spread, Spread]:
-    """Latencies of the path and of /livez while an encode runs."""
+def generated(url: str, seconds: float, *wanted: str, source: str | None = None) -> list[dict[str, Any]]:
+    """What the generator measured, for each of the wanted requests."""
+    origin = [] if source is None else ["--from", source]
+    address = url.removeprefix("http://")
+    command = [sys.executable, "-m", "benchmarks.load.generator", address, str(seconds), *origin, *wanted]
+    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+    return [spread(series) for series in json.loads(done.stdout)]
+
+
+def under_load(service: LoadService, job: str, case: Case, seconds: float) -> list[dict[str, Any]]:
+    """Latencies of the picture and of /livez while an encode runs."""
     busy = service.submit(png(Image.fromarray(made_picture(1536, 1024, 1))), 1.0, seconds + 60)
     service.wait(busy, "running")
     while not service.client.get(f"/jobs/{busy}").json()["trace"]:
         time.sleep(0.1)
-    address = service.url.removeprefix("http://")
-    wanted = [f"{RATE}={path}", f"{LIVE_RATE}=/livez"]
-    command = [sys.executable, "-m", "benchmarks.load.generator", address, str(seconds), *wanted]
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
+    series = generated(service.url, seconds, f"{case.rate} GET /decode/{job}.png", f"{LIVE_RATE} GET /livez")
     if service.client.get(f"/jobs/{busy}").json()["state"] != "running":
         raise SystemExit("the encode ended too early: nothing was measured under load")
     service.client.delete(f"/jobs/{busy}")
-    decode, live = (Spread.of(series) for series in json.loads(done.stdout))
-    return decode, live
+    return series
 
 
-def measure_load(folder: Path | None, seconds: float) -> list[str]:
-    """The report on requests under load, line by line."""
-    name, image = picture(folder)
-    rows: dict[str, tuple[Spread, Spread]] = {}
-    with tempfile.TemporaryDirectory() as temporary:
-        data_dir = Path(temporary) / "data"
-        with running(data_dir, decode_cache_bytes=0) as service:
-            job = service.submit(image, BPP, ENCODE_S)
-            result = service.wait(job, "done")["result"]
-            path = f"/decode/{job}.png"
-            size = len(service.client.get(path).content)
-            rows["decoded each time"] = under_load(service, path, seconds)
-        with running(data_dir) as service:
-            service.client.get(path)
-            rows["from memory"] = under_load(service, path, seconds)
-    lines = [
-        f"PNG of {name}, {SIZE[0]}x{SIZE[1]} at {result['bpp']:.3f} bpp ({result['gaussians']} Gaussians, PNG of "
-        f"{size:,} bytes), {RATE:g} requests a second for {seconds:g} s, beside {LIVE_RATE:g} of /livez and one encode "
-        "of 1536x1024 that takes every core it gets.",
-        "",
-        "| picture | request | requests | failed | p50 ms | p99 ms | longest ms |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    verdicts = []
-    for case, (decode, live) in rows.items():
-        lines += [decode.row(case, "GET /decode/ID.png"), live.row(case, "GET /livez")]
-        reached = dict(zip(TARGETS_MS, (decode.p50, decode.p99, live.p99), strict=True))
-        verdicts += [
-            f"- {case}: {what} {reached[what]:.1f} ms, at most {most:g} ms: "
-            f"{'met' if reached[what] <= most and not decode.failed + live.failed else 'missed'}"
-            for what, most in TARGETS_MS.items()
-        ]
-    return [*lines, "", *verdicts]
+def measure(case: Case, image: bytes, seconds: float) -> dict[str, Any]:
+    """The row of one case."""
+    elsewhere = Elsewhere()
+    settings = {} if case.warm else {"decode_cache_bytes": 0}
+    with tempfile.TemporaryDirectory() as temporary, running(Path(temporary) / "data", **settings) as service:
+        job = service.submit(image, BPP, ENCODE_S)
+        result = service.wait(job, "done")["result"]
+        size = len(service.client.get(f"/decode/{job}.png").content)
+        series = under_load(service, job, case, seconds)
+    spreads = dict(zip(AT_MOST_MS, series, strict=True))
+    met = all(
+        found["failed"] == 0 and all(found[name] <= most for name, most in AT_MOST_MS[request].items())
+        for request, found in spreads.items()
+    )
+    return {
+        **{"case": case.name, "rate": case.rate, "met": met, "spreads": spreads, "cores_elsewhere": elsewhere.cores()},
+        **{"bpp": result["bpp"], "gaussians": result["gaussians"], "png_bytes": size},
+    }
 
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.load", description="The service under load.")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, help="folder whose first picture is asked for (default: a made one)")
     parser.add_argument("--seconds", type=float, default=30.0, help="of load in each case (default: 30)")
-    memory = parser.add_mutually_exclusive_group()
-    memory.add_argument("--encodes", type=int, metavar="N", help="encode N pictures of 12 megapixels instead")
-    memory.add_argument(
-        "--soak", type=float, metavar="MINUTES", help="encode pictures of several sizes for so long instead"
-    )
-    parser.add_argument("--time-limit", type=float, default=4.0, metavar="S", help="of each of those (default: 4)")
-    parser.add_argument("--out", type=Path, help="write the report to this file too")
+    parser.add_argument("--out", type=Path, default=RESULTS / "service" / "load.json")
     options = parser.parse_args()
-    load_before = os.getloadavg()[0]
-    if options.encodes:
-        lines = measure_encodes(options.encodes, options.time_limit)
-    elif options.soak:
-        lines = measure_soak(options.soak, options.time_limit)
-    else:
-        lines = measure_load(options.images, options.seconds)
-    report = "\n".join([*lines, "", f"{in_words(origin())}; load before: {load_before:.1f}", ""])
-    print(report)
-    if options.out is not None:
-        options.out.write_text(report)
+    name, image = picture(options.images)
+    settings = {"picture": name, "size": list(SIZE), "seconds": options.seconds, "at_most_ms": AT_MOST_MS}
+    record = Record(options.out, "benchmarks.load", settings)
+    for case in CASES:
+        if not record.has(case=case.name):
+            record.add(measure(case, image, options.seconds))
 
 
 if __name__ == "__main__":

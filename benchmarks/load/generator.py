@@ -1,52 +1,77 @@
-"""The load of benchmarks.load, in a process of its own: GET requests at fixed moments, whatever came of those before.
+"""Requests at fixed moments, whatever came of those before, in a process of its own.
 
-    python -m benchmarks.load.generator HOST:PORT SECONDS RATE=PATH...     prints latencies as JSON
+    python -m benchmarks.load.generator HOST:PORT SECONDS [--from ADDRESS] 'RATE METHOD PATH [FILE]'...
 
-A latency counts from the moment at which the request was due, so a server (or a generator) that falls behind shows
-in every request that had to wait. A plain client over asyncio's streams: the cores are shared with the server.
+prints latencies as JSON. FILE: the body. A latency counts from the moment at which the request was due, so a server (or
+a generator) that falls behind shows in every request that had to wait. A plain client over asyncio's streams: the
+cores are shared with the server.
 """
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import json
 import sys
 import time
 from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
 
 TIMEOUT_S = 10.0
 BUFFER_BYTES = 1 << 24
 Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
-class Client:
-    """Keeps connections and uses them again."""
+@dataclass(frozen=True)
+class Wanted:
+    """One kind of request, and how often a second it is made."""
 
-    def __init__(self, address: str) -> None:
+    rate: float
+    method: str
+    path: str
+    body: bytes = b""
+
+    @classmethod
+    def of(cls, text: str) -> Wanted:
+        """From an argument of the command line."""
+        rate, method, path, *file = text.split()
+        return cls(float(rate), method, path, Path(file[0]).read_bytes() if file else b"")
+
+
+class Client:
+    """Keeps connections and uses them again. source: the address that they come from."""
+
+    def __init__(self, address: str, source: str | None = None) -> None:
         self._host, _, port = address.rpartition(":")
         self._port = int(port)
+        self._source = source
         self._idle: deque[Connection] = deque()
 
-    async def get(self, path: str) -> int:
+    async def ask(self, wanted: Wanted) -> int:
         """The status of the answer, whose body has been read whole."""
-        reader, writer = await self._connection()
-        writer.write(f"GET {path} HTTP/1.1\r\nHost: {self._host}\r\n\r\n".encode())
-        head = await reader.readuntil(b"\r\n\r\n")
-        lines = head.lower().split(b"\r\n")
-        length = next(int(line.split(b":")[1]) for line in lines if line.startswith(b"content-length:"))
-        await reader.readexactly(length)
-        self._idle.append((reader, writer))
-        return int(lines[0].split()[1])
-
-    async def _connection(self) -> Connection:
-        """One that the server has not closed for being idle, or a new one."""
         while self._idle:
-            reader, writer = self._idle.pop()
-            if not reader.at_eof():
-                return reader, writer
-            writer.close()
+            connection = self._idle.pop()
+            try:
+                return await self._asked(connection, wanted)
+            except (ConnectionError, asyncio.IncompleteReadError):  # closed for being idle
+                connection[1].close()
         # A whole picture fits: a smaller buffer would stop and start reading for every 64 KiB.
-        return await asyncio.open_connection(self._host, self._port, limit=BUFFER_BYTES)
+        source = None if self._source is None else (self._source, 0)
+        opened = await asyncio.open_connection(self._host, self._port, limit=BUFFER_BYTES, local_addr=source)
+        return await self._asked(opened, wanted)
+
+    async def _asked(self, connection: Connection, wanted: Wanted) -> int:
+        reader, writer = connection
+        head = f"{wanted.method} {wanted.path} HTTP/1.1\r\nHost: {self._host}\r\n"
+        if wanted.method == "POST":
+            head += f"Content-Type: image/*\r\nContent-Length: {len(wanted.body)}\r\n"
+        writer.write(head.encode() + b"\r\n" + wanted.body)
+        answer = (await reader.readuntil(b"\r\n\r\n")).lower().split(b"\r\n")
+        length = next((int(line.split(b":")[1]) for line in answer if line.startswith(b"content-length:")), 0)
+        await reader.readexactly(length)
+        self._idle.append(connection)
+        return int(answer[0].split()[1])
 
     def close(self) -> None:
         """Let go of all connections."""
@@ -54,42 +79,50 @@ class Client:
             writer.close()
 
 
-async def series(client: Client, path: str, rate: float, seconds: float) -> dict[str, object]:
+async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, object]:
     """Latencies in milliseconds of requests that are due `rate` times a second, and how many failed."""
     latencies: list[float] = []
-    statuses: list[int] = []
+    failed = 0
 
     async def one(due: float) -> None:
+        nonlocal failed
         try:
             async with asyncio.timeout(TIMEOUT_S):
-                statuses.append(await client.get(path))
+                status = await client.ask(wanted)
+            failed += status >= 400
+            if status >= 400:
+                print(f"{wanted.method} {wanted.path}: {status}", file=sys.stderr)
         except (OSError, TimeoutError, asyncio.IncompleteReadError) as error:
-            print(f"{path}: {error!r}", file=sys.stderr)
-            statuses.append(0)
+            print(f"{wanted.method} {wanted.path}: {error!r}", file=sys.stderr)
+            failed += 1
         latencies.append(1e3 * (time.perf_counter() - due))
 
     began = time.perf_counter()
     async with asyncio.TaskGroup() as tasks:
-        for number in range(int(rate * seconds)):
-            due = began + number / rate
+        for number in range(int(wanted.rate * seconds)):
+            due = began + number / wanted.rate
             await asyncio.sleep(max(0.0, due - time.perf_counter()))
             tasks.create_task(one(due))
-    return {"path": path, "ms": latencies, "failed": sum(status != 200 for status in statuses)}
+    return {"ms": latencies, "failed": failed}
 
 
-async def run(address: str, seconds: float, wanted: list[tuple[float, str]]) -> list[dict[str, object]]:
+async def run(client: Client, seconds: float, wanted: list[Wanted]) -> list[dict[str, object]]:
     """All series at once."""
-    client = Client(address)
-    done = await asyncio.gather(*(series(client, path, rate, seconds) for rate, path in wanted))
+    done = await asyncio.gather(*(series(client, one, seconds) for one in wanted))
     client.close()
     return list(done)
 
 
 def main() -> None:
     """The command."""
-    address, seconds, *texts = sys.argv[1:]
-    wanted = [(float(rate), path) for rate, _, path in (text.partition("=") for text in texts)]
-    print(json.dumps(asyncio.run(run(address, float(seconds), wanted))))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("address")
+    parser.add_argument("seconds", type=float)
+    parser.add_argument("wanted", nargs="+")
+    parser.add_argument("--from", dest="source")
+    options = parser.parse_args()
+    client = Client(options.address, options.source)
+    print(json.dumps(asyncio.run(run(client, options.seconds, [Wanted.of(text) for text in options.wanted]))))
 
 
 if __name__ == "__main__":

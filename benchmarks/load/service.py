@@ -70,10 +70,11 @@ class LoadService(ServiceProcess):
 
     def memory_mb(self, kind: Kind) -> float:
         """Resident memory of the processes of a kind, in megabytes."""
-        return sum(map(_resident_bytes, self.ours(kind))) / 1e6
+        return sum(map(resident_bytes, self.ours(kind))) / 1e6
 
 
-def _resident_bytes(process: int) -> int:
+def resident_bytes(process: int) -> int:
+    """Memory that a process has now; 0 if there is none of that number."""
     try:
         return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
     except (OSError, IndexError):  # it has just ended

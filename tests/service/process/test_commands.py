@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -99,12 +100,15 @@ def test_what_is_no_address_is_named(run_command: RunCommand, name: str, value: 
     assert result.stderr.startswith(f"SG_{name.upper()}: ")
 
 
-def test_chaos_draws_up_a_ledger() -> None:
+def test_chaos_draws_up_a_ledger(tmp_path: Path) -> None:
     """A few jobs and no encodes, to see that the command works; benchmarks/results has the large runs."""
-    command = [sys.executable, "-m", "benchmarks.chaos", "--jobs", "3", "--seed", "3"]
+    out = tmp_path / "chaos.json"
+    command = [sys.executable, "-m", "benchmarks.chaos", "--jobs", "3", "--seed", "3", "--out", str(out)]
     environment = {**os.environ, **STAND_IN}
     result = subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False
     )
     assert result.returncode == 0, result.stdout + result.stderr
-    assert "| accepted | 3 |" in result.stdout
+    (row,) = json.loads(out.read_text())["rows"]
+    assert row["balanced"]
+    assert row["ledger"]["accepted"] == 3

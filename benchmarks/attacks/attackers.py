@@ -1,0 +1,237 @@
+"""Clients that mean harm, in a process of its own: attackers.py NAME HOST:PORT SECONDS JOB
+
+They come from addresses of their own, ask again as soon as they are answered, and keep no rule. JOB: one whose picture
+may be had. "ready" is printed when their files are made; what they were answered with, as JSON, at the end. They are
+nice: an attack comes from other machines, whose cores it takes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import os
+import resource
+import struct
+import sys
+import time
+from collections import Counter
+from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import dataclass
+
+from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from tests.harness.pictures import SMALL
+
+NICENESS = 19
+PATIENCE_S = 60.0
+PAUSE_S = 0.05  # after a connection that was refused: this machine has few ports
+UPLOAD_BYTES = 64 << 20
+DRIP_BYTES, DRIP_S = 2100, 1.0  # just above the slowest upload that is allowed
+HOPELESS = ("bytes=17", "quality=50&profile=paper", "gaussians=10000000", "psnr=nan", "bpp=1e999", "bpp=-1")
+Request = Callable[["Crowd", str], Awaitable[str]]
+
+
+@dataclass(frozen=True)
+class Attack:
+    """words: for a reader; at_once: how many do it; addresses: from how many; request: one of them, again and again,
+    whose answer is a status or a word.
+    """
+
+    words: str
+    at_once: int
+    request: Callable[[], Request]
+    addresses: int = 1
+
+
+class Crowd:
+    """Those who attack one service, until a moment."""
+
+    def __init__(self, address: str, job: str, until: float) -> None:
+        self.host, _, port = address.rpartition(":")
+        self.port = int(port)
+        self.job = job
+        self.until = until
+        self.answers: Counter[str] = Counter()
+
+    async def attack(self, attack: Attack) -> None:
+        """All at once."""
+        sources = [f"127.66.{n // 250}.{n % 250 + 1}" for n in range(attack.addresses)]
+        request = attack.request()
+        print("ready", flush=True)
+        crowd = zip(range(attack.at_once), itertools.cycle(sources), strict=False)
+        await asyncio.gather(*(self._go_on(request, source) for _, source in crowd))
+
+    async def _go_on(self, request: Request, source: str) -> None:
+        while (left_s := self.until - time.monotonic()) > 0:
+            try:
+                async with asyncio.timeout(min(left_s, PATIENCE_S)):
+                    self.answers[await request(self, source)] += 1
+            except TimeoutError:
+                self.answers["open at the end"] += 1
+            except (OSError, asyncio.IncompleteReadError, IndexError, ValueError):
+                self.answers["cut off"] += 1
+                await asyncio.sleep(PAUSE_S)
+
+    @contextlib.asynccontextmanager
+    async def connection(self, source: str) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+        """Closed with the context."""
+        reader, writer = await asyncio.open_connection(self.host, self.port, local_addr=(source, 0))
+        try:
+            yield reader, writer
+        finally:
+            writer.close()
+
+    async def asked(self, source: str, head: str, body: bytes = b"") -> tuple[str, bytes]:
+        """Status and text of the answer."""
+        async with self.connection(source) as (reader, writer):
+            length = f"Content-Length: {len(body)}\r\n" if body else ""
+            writer.write(f"{head} HTTP/1.1\r\nHost: x\r\nContent-Type: image/*\r\nConnection: close\r\n".encode())
+            writer.write(length.encode() + b"\r\n")
+            with contextlib.suppress(ConnectionError):  # refused before the body was read: the answer is there
+                writer.write(body)
+                await writer.drain()
+            status = (await reader.readline()).split()[1].decode()
+            return status, await reader.read()
+
+
+def posting(path: str, make: Callable[[], bytes]) -> Callable[[], Request]:
+    """The same file again and again."""
+
+    def prepared() -> Request:
+        body = make()
+
+        async def post(crowd: Crowd, source: str) -> str:
+            return (await crowd.asked(source, f"POST {path}", body))[0]
+
+        return post
+
+    return prepared
+
+
+def plain_tiff() -> bytes:
+    """A TIFF as large as an upload may be, with nothing wrong in it."""
+    side = 4600
+    pixels = side * side * 3
+    tags = [
+        *((256, 4, 1, side), (257, 4, 1, side), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 2)),
+        *((273, 4, 1, 8 + 2 + 10 * 12 + 4), (277, 3, 1, 3), (278, 4, 1, side), (279, 4, 1, pixels), (284, 3, 1, 1)),
+    ]
+    head = struct.pack("<2sHIH", b"II", 42, 8, len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    return head + struct.pack("<I", 0) + os.urandom(1 << 20) * (pixels // (1 << 20)) + bytes(pixels % (1 << 20))
+
+
+def large_pictures() -> Request:
+    """Accepted, and cancelled."""
+    body = plain_tiff()
+
+    async def post(crowd: Crowd, source: str) -> str:
+        status, answer = await crowd.asked(source, "POST /encode", body)
+        if status == "202":
+            job = json.loads(answer.partition(b"\r\n\r\n")[2])["id"]
+            await crowd.asked(source, f"DELETE /jobs/{job}")
+        return status
+
+    return post
+
+
+def hopeless() -> Request:
+    """Jobs that cannot succeed."""
+    queries = itertools.cycle(HOPELESS)
+
+    async def post(crowd: Crowd, source: str) -> str:
+        return (await crowd.asked(source, f"POST /encode?{next(queries)}", SMALL))[0]
+
+    return post
+
+
+def idle() -> Request:
+    """Connections over which nothing comes."""
+
+    async def connect(crowd: Crowd, source: str) -> str:
+        async with crowd.connection(source) as (reader, _):
+            said = await reader.readline()
+            return said.split()[1].decode() if said else "closed"
+
+    return connect
+
+
+def slow_uploads() -> Request:
+    """Bodies that come as slowly as is allowed."""
+
+    async def drip(crowd: Crowd, source: str) -> str:
+        async with crowd.connection(source) as (reader, writer):
+            head = (
+                f"POST /encode HTTP/1.1\r\nHost: x\r\nContent-Type: image/*\r\nContent-Length: {UPLOAD_BYTES}\r\n\r\n"
+            )
+            writer.write(head.encode())
+            answer = asyncio.ensure_future(reader.readline())
+            while not answer.done():
+                writer.write(bytes(DRIP_BYTES))
+                await asyncio.wait([answer], timeout=DRIP_S)
+            return answer.result().split()[1].decode()
+
+    return drip
+
+
+def streams() -> Request:
+    """Streams of events, held open."""
+
+    async def watch(crowd: Crowd, source: str) -> str:
+        async with crowd.connection(source) as (reader, writer):
+            writer.write(f"GET /jobs/{crowd.job}/events HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            status = (await reader.readline()).split()[1].decode()
+            if status == "200":
+                while await reader.readline():
+                    pass
+            return status
+
+    return watch
+
+
+def untaken() -> Request:
+    """Large pictures that nobody takes."""
+
+    async def ask(crowd: Crowd, source: str) -> str:
+        async with crowd.connection(source) as (reader, writer):
+            writer.transport.pause_reading()  # type: ignore[attr-defined]
+            writer.write(f"GET /decode/{crowd.job}.png?scale=8 HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            await asyncio.sleep(PATIENCE_S / 2)
+            writer.transport.resume_reading()  # type: ignore[attr-defined]
+            return (await reader.readline()).split()[1].decode()
+
+    return ask
+
+
+TIFF, PNG, JPEG = 7_990_000, 5_590_000, 3_725_000  # as many as an upload may hold
+ATTACKS = {
+    "none": Attack("nobody", 0, idle),
+    "tiff": Attack("TIFF of 8 million strips, 64 MB", 10, posting("/encode?bpp=1", lambda: tiff_of_many_strips(TIFF))),
+    "png": Attack("PNG of 5.6 million chunks, 67 MB", 10, posting("/encode?bpp=1", lambda: png_of_many_chunks(PNG))),
+    "jpeg": Attack(
+        "JPEG of 3.7 million markers, 67 MB", 10, posting("/encode?bpp=1", lambda: jpeg_of_many_markers(JPEG))
+    ),
+    "large": Attack("pictures of 63 MB, accepted and cancelled", 10, large_pictures),
+    "decode": Attack("files of 400,000 Gaussians on each other, decoded", 120, posting("/decode", crowded_bitstream)),
+    "hopeless": Attack("jobs that cannot succeed", 100, hopeless),
+    "idle": Attack("idle connections of one address", 10_100, idle),
+    "idle-many": Attack("idle connections of 101 addresses", 10_100, idle, 101),
+    "slow": Attack("uploads at 2 kB a second", 1000, slow_uploads),
+    "streams": Attack("streams of events", 1000, streams),
+    "untaken": Attack("large pictures that nobody takes", 1000, untaken),
+}
+
+
+def main() -> None:
+    """The command."""
+    name, address, seconds, job = sys.argv[1:]
+    os.nice(NICENESS)
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    crowd = Crowd(address, job, time.monotonic() + float(seconds))
+    asyncio.run(crowd.attack(ATTACKS[name]))
+    print(json.dumps(dict(crowd.answers.most_common())))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Work of every kind for a long time, and whether anything grows: python -m benchmarks.soak"""
