@@ -45,13 +45,14 @@ class Attack:
 
 
 class Crowd:
-    """Those who attack one service, until a moment."""
+    """Those who attack one service, for so many seconds from when they are ready."""
 
-    def __init__(self, address: str, job: str, until: float) -> None:
+    def __init__(self, address: str, job: str, seconds: float) -> None:
         self.host, _, port = address.rpartition(":")
         self.port = int(port)
         self.job = job
-        self.until = until
+        self._seconds = seconds
+        self._until = 0.0
         self.answers: Counter[str] = Counter()
 
     async def attack(self, attack: Attack) -> None:
@@ -59,11 +60,12 @@ class Crowd:
         sources = [f"127.66.{n // 250}.{n % 250 + 1}" for n in range(attack.addresses)]
         request = attack.request()
         print("ready", flush=True)
+        self._until = time.monotonic() + self._seconds
         crowd = zip(range(attack.at_once), itertools.cycle(sources), strict=False)
         await asyncio.gather(*(self._go_on(request, source) for _, source in crowd))
 
     async def _go_on(self, request: Request, source: str) -> None:
-        while (left_s := self.until - time.monotonic()) > 0:
+        while (left_s := self._until - time.monotonic()) > 0:
             try:
                 async with asyncio.timeout(min(left_s, PATIENCE_S)):
                     self.answers[await request(self, source)] += 1
@@ -228,7 +230,7 @@ def main() -> None:
     os.nice(NICENESS)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-    crowd = Crowd(address, job, time.monotonic() + float(seconds))
+    crowd = Crowd(address, job, float(seconds))
     asyncio.run(crowd.attack(ATTACKS[name]))
     print(json.dumps(dict(crowd.answers.most_common())))
 

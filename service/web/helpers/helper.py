@@ -32,6 +32,8 @@ ERRAND_BYTES = 1 << 16
 # A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
 # other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
 THREADS = 2
+# Behind the web process, which answers everybody else meanwhile, and before encoder processes, for which nobody waits.
+NICENESS = 5
 # glibc's malloc.h. Memory of a picture that was made goes back to the system only beyond these.
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
@@ -119,6 +121,7 @@ def _keep_freed_memory() -> None:
 
 def main() -> None:
     """Perform errands until the other side closes the socket."""
+    os.nice(NICENESS)
     sgmethod.set_threads(min(THREADS, len(os.sched_getaffinity(0))))
     _keep_freed_memory()
     connection = socket.socket(fileno=int(sys.argv[1]))
