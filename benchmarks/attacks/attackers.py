@@ -59,6 +59,7 @@ class Crowd:
         """All at once."""
         sources = [f"127.66.{n // 250}.{n % 250 + 1}" for n in range(attack.addresses)]
         request = attack.request()
+        os.nice(NICENESS)
         print("ready", flush=True)
         self._until = time.monotonic() + self._seconds
         crowd = zip(range(attack.at_once), itertools.cycle(sources), strict=False)
@@ -227,7 +228,6 @@ ATTACKS = {
 def main() -> None:
     """The command."""
     name, address, seconds, job = sys.argv[1:]
-    os.nice(NICENESS)
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     crowd = Crowd(address, job, float(seconds))

@@ -28,7 +28,7 @@ from benchmarks.soak.samples import LATE_S, is_empty, sample, verdicts
 from service.worker.sweeping import pause_s
 
 SAMPLE_S = 15.0
-LAST_JOB_S = 120.0
+LAST_JOB_S = 300.0
 CACHE_BYTES = 16 << 20
 CLIENTS: tuple[Callable[[Shared, int], Client], ...] = (Encodes, Encodes, Looks, Looks, Watches, Harms)
 
