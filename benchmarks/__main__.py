@@ -60,6 +60,11 @@ PARTS = (
         "representation", "representation", f"{IMAGES} --most 1 --gaussians 500 --steps 300", f"{IMAGES} --steps 3000"
     ),
     Part("ablation", "ablation", f"{IMAGES} {FEW} --steps 100", f"{IMAGES} --most 6"),
+    Part("load", "service/load", f"{IMAGES} --seconds 5", IMAGES),
+    Part("attacks", "service/attacks", "--seconds 5 --only none,decode,idle", ""),
+    Part("chaos", "service/chaos-sqlite", "", "--jobs 200 --seed 7"),
+    Part("chaos", "service/chaos-postgresql", "", "--jobs 200 --seed 7 --database-url postgresql"),
+    Part("soak", "service/soak", "", ""),
 )
 
 

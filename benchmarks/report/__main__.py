@@ -12,7 +12,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.report import convergence, fits, needs, rate, readme, speed, stability
+from benchmarks.report import convergence, fits, needs, rate, readme, service, speed, stability
 from benchmarks.report.plots import save
 from benchmarks.report.section import Section, load
 from sgmethod.io.files import write_atomically
@@ -27,6 +27,11 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
     (speed.section, ("speed",)),
     (fits.representation, ("representation",)),
     (fits.ablation, ("ablation",)),
+    (service.under_load, ("service/load",)),
+    (service.attacked, ("service/attacks",)),
+    (service.killed, ("service/chaos-sqlite", "service/chaos-postgresql")),
+    (service.soaked, ("service/soak",)),
+    (service.image, ("service/image",)),
 )
 HEAD = """# Results
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
-from benchmarks.report.section import Content, Section, load, table
+from benchmarks.report.section import Content, Section, table
 from benchmarks.soak.samples import STEADY, median
 
 PLOTTED = {"web_mb": "web process, MB", "worker_mb": "worker, MB", "jobs": "jobs", "images": "images"}
@@ -23,11 +22,8 @@ def elsewhere(rows: Sequence[dict[str, Any]]) -> str:
     return f"Other processes took {min(cores):.1f} to {max(cores):.1f} cores of the machine meanwhile."
 
 
-def under_load(results: Path) -> Section | None:
+def under_load(content: Content) -> Section:
     """From load.json."""
-    content = load(results, "service/load")
-    if content is None:
-        return None
     settings, rows = content["settings"], content["rows"]
     limits = "; ".join(
         f"`{request}` {' and '.join(f'{name[:3]} {most:g} ms' for name, most in most_ms.items())}"
@@ -35,11 +31,11 @@ def under_load(results: Path) -> Section | None:
     )
     said = (
         f"How fast does the service answer while it encodes? A picture of {settings['size'][0]}x{settings['size'][1]} "
-        f"({rows[0]['bpp']:.3f} bpp, {rows[0]['gaussians']:,} Gaussians, a PNG of {rows[0]['png_bytes']:,} bytes) is asked "
-        f"for at fixed moments for {settings['seconds']:g} s, beside 20 requests a second of `/livez` and an encode of "
-        f"1536x1024 that takes every core it gets; each latency counts from the moment the request was due. At most: "
-        f"{limits}. {sum(row['met'] for row in rows)} of {len(rows)} cases meet that. {elsewhere(rows)} Client and service "
-        "share the cores, which no network does."
+        f"({rows[0]['bpp']:.3f} bpp, {rows[0]['gaussians']:,} Gaussians, a PNG of {rows[0]['png_bytes']:,} bytes) is "
+        f"asked for at fixed moments for {settings['seconds']:g} s, beside 20 requests a second of `/livez` and an "
+        "encode of 1536x1024 that takes every core it gets; a latency counts from the moment the request was due. At "
+        f"most: {limits}. {sum(row['met'] for row in rows)} of {len(rows)} cases meet that. {elsewhere(rows)} Client "
+        "and service share the cores, which no network does."
     )
     lines = [
         [
@@ -47,8 +43,8 @@ def under_load(results: Path) -> Section | None:
             f"{row['rate']:g}",
             request,
             *(found[k] for k in ("requests", "failed", "p50_ms", "p99_ms", "most_ms")),
+            verdict(row["met"]),
         ]
-        + [verdict(row["met"])]
         for row in rows
         for request, found in row["spreads"].items()
     ]
@@ -56,17 +52,14 @@ def under_load(results: Path) -> Section | None:
     return Section("load", "The service under load", said, [table(titles, lines)], [content])
 
 
-def attacked(results: Path) -> Section | None:
+def attacked(content: Content) -> Section:
     """From attacks.json."""
-    content = load(results, "service/attacks")
-    if content is None:
-        return None
     settings, rows = content["settings"], content["rows"]
     most = settings["at_most"]
     said = (
-        f"What do others notice while some mean harm? Each attack lasts {settings['seconds']:g} s and meets a fresh web "
-        "process with default settings and no API keys. Attackers ask again as soon as they are answered; somebody else, "
-        "from another address, asks for seven things 37 times a second in all. At most: a p99 of "
+        f"What do others notice while some mean harm? Each attack lasts {settings['seconds']:g} s and meets a fresh "
+        "web process with default settings and no API keys. Attackers ask again as soon as they are answered; somebody "
+        "else, from another address, asks for seven things 37 times a second in all. At most: a p99 of "
         f"{most['p99_ms']:,} ms for each of these, none of them failed, and {most['web_mb']} MB of the web process. "
         f"{sum(row['met'] for row in rows)} of {len(rows)} rows meet that. {elsewhere(rows)} Attackers run on the same "
         "machine, with the least priority: more of them, from more addresses, are not tried."
@@ -77,10 +70,8 @@ def attacked(results: Path) -> Section | None:
             row["at_once"] or "-",
             _answers(row["answers"]),
             row["others_failed"],
-            row["others_worst_p99_ms"],
-        ]
-        + [
-            f"{row['web_mb']['start']:.0f}, {row['web_mb']['most']:.0f}, {row['web_mb']['after']:.0f}",
+            f"{row['others_worst_p99_ms']:,.0f}",
+            ", ".join(f"{row['web_mb'][when]:.0f}" for when in ("start", "most", "after")),
             verdict(row["met"]),
         ]
         for row in rows
@@ -97,19 +88,16 @@ def _answers(answers: dict[str, int]) -> str:
     return ", ".join(f"{count:,} {word}" for word, count in answers.items()) or "-"
 
 
-def killed(results: Path) -> Section | None:
-    """From chaos-sqlite.json and chaos-postgresql.json."""
-    found = [load(results, f"service/chaos-{database}") for database in ("sqlite", "postgresql")]
-    contents: list[Content] = [content for content in found if content is not None]
-    if not contents:
-        return None
+def killed(*measured: Content | None) -> Section:
+    """From chaos-sqlite.json and chaos-postgresql.json, as far as there are."""
+    contents = [content for content in measured if content]
     rows = [content["rows"][0] for content in contents]
     balanced = [row["database"] for row in rows if row["balanced"]]
     said = (
         "Is a job lost, or done twice, when processes are killed, stopped and restarted at random, and jobs cancelled? "
         f"The ledger balances on {' and '.join(balanced) or 'none'}: every accepted job is done, has failed or was "
-        "cancelled, and nothing else is left. Pictures are tiny, so that most of the time goes to processes that come and "
-        "go. The disk itself never fails here, nor the whole machine."
+        "cancelled, and nothing else is left. Pictures are tiny, so that most of the time goes to processes that come "
+        "and go. The disk itself never fails here, nor the whole machine."
     )
     names = list(dict.fromkeys(name for row in rows for name in row["ledger"]))
     events = list(dict.fromkeys(name for row in rows for name in row["happened"]))
@@ -126,11 +114,8 @@ def _across(rows: Sequence[dict[str, Any]], part: str, name: str) -> list[object
     return [name, *(row[part].get(name, 0) for row in rows)]
 
 
-def soaked(results: Path) -> Section | None:
+def soaked(content: Content) -> Section:
     """From soak.json."""
-    content = load(results, "service/soak")
-    if content is None:
-        return None
     settings, rows, rest = content["settings"], content["rows"], content["at_the_end"]
     third = len(rows) // 3
     parts = rows[:third], rows[third : 2 * third], rows[2 * third :]
@@ -138,23 +123,52 @@ def soaked(results: Path) -> Section | None:
     broken = [claim for claim, holds in claims.items() if not holds]
     requests = sum(content["answers"].values())
     said = (
-        f"Does anything grow? {settings['minutes']:g} minutes of work of every kind ({requests:,} requests: pictures of 0.05 "
-        "to 12 megapixels encoded, encoded again and removed, pictures, files and parts taken, streams left early, damaged "
-        f"and hostile files, requests cut short), with jobs kept for {settings['retention_s']:g} s and their images for "
-        f"{settings['image_retention_s']:g} s; after it nobody asked for anything until these times were over. "
-        f"{len(claims) - len(broken)} of {len(claims)} claims hold{': not ' + ', '.join(broken) if broken else ''}. "
-        f"A growth slower than a tenth in {settings['minutes'] / 3:g} minutes is not seen."
+        f"Does anything grow? {settings['minutes']:g} minutes of work of every kind ({requests:,} requests: pictures "
+        "of 0.05 to 12 megapixels encoded, encoded again and removed, pictures, files and parts taken, streams left "
+        "early, damaged and hostile files, requests cut short), with jobs kept for "
+        f"{settings['retention_s']:g} s and their images for {settings['image_retention_s']:g} s; after it nobody "
+        f"asked for anything until these times were over. {len(claims) - len(broken)} of {len(claims)} claims hold"
+        f"{': not ' + ', '.join(broken) if broken else ''}. A growth slower than a tenth in "
+        f"{settings['minutes'] / 3:.0f} minutes is not seen."
     )
     names = [*STEADY, "jobs", "trace_points", "images", "bitstreams", "table_kb", "oldest_job_s", "oldest_image_s"]
     lines = [
-        [name.replace("_", " "), *(f"{median(name, part):g}" for part in parts)]
-        + [f"{max(row[name] for row in rows):g}", f"{rest[name]:g}"]
+        [
+            name.replace("_", " "),
+            *(f"{median(name, part):g}" for part in parts),
+            f"{max(row[name] for row in rows):g}",
+            f"{rest[name]:g}",
+        ]
         for name in names
     ]
     titles = "what | median of the first third | of the second | of the last | most | at the end"
     kept = table("claim | holds", [[claim, "yes" if holds else "no"] for claim, holds in claims.items()])
     tables = [table(titles, lines), kept]
     return Section("soak", "The service for a long time", said, tables, [content], lambda axes: draw(axes, rows))
+
+
+def image(content: Content) -> Section:
+    """From image.json."""
+    rows = content["rows"]
+    said = (
+        "Does the Dockerfile build, and what it builds run? Its own steps were done one after the other in an empty "
+        f"Debian, as there was no container engine: {_build_args(content)}. Then web process and worker of "
+        "compose.yaml ran there, with its commands, environment, user and volume, and without capabilities. The base "
+        "image itself, layers and an engine's network were not tried."
+    )
+    lines = [[row["step"].replace("|", "\\|"), f"{row['seconds']:.1f}", _more(row)] for row in rows]
+    tables = [table("step | seconds | what came of it", lines)]
+    return Section("image", "The image without an engine", said, tables, [content])
+
+
+def _build_args(content: Content) -> str:
+    return ", ".join(f"{name} is {value}" for name, value in content["settings"]["build_args"].items()) or "as it is"
+
+
+def _more(row: dict[str, Any]) -> str:
+    told = {name: value for name, value in row.items() if name not in ("step", "seconds")}
+    parts = [f"{name.replace('_', ' ')}: {'; '.join(v) if isinstance(v, list) else v}" for name, v in told.items()]
+    return ", ".join(parts) or "-"
 
 
 def draw(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
