@@ -13,8 +13,6 @@ from typing import Any
 
 import pytest
 
-from benchmarks.image import instructions
-from benchmarks.soak.samples import STEADY, verdicts
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
@@ -120,53 +118,9 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert [row["scene"] for row in rows()] == ["flat"]
 
 
-def soaked(**last: float) -> dict[str, bool]:
-    """What is said of a soak whose last third differs so."""
-    steady = {**dict.fromkeys(STEADY, 100.0), "oldest_job_s": 310.0, "oldest_image_s": 70.0}
-    return verdicts([steady] * 6 + [{**steady, **last}] * 3, 300, 60)
-
-
-@pytest.mark.parametrize(
-    ("last", "broken"),
-    [
-        ({"web_mb": 114.0}, set()),
-        ({"web_mb": 116.0}, {"web_mb does not grow"}),
-        ({"worker_files_open": 120.0}, {"worker_files_open does not grow"}),
-        ({"oldest_job_s": 400.0}, {"no job stays beyond its time"}),
-        ({"oldest_image_s": 200.0}, {"no image stays beyond its time"}),
-    ],
-)
-def test_a_soak_sees_what_grows(last: dict[str, float], broken: set[str]) -> None:
-    assert {claim for claim, holds in soaked(**last).items() if not holds} == broken
-
-
-def test_the_image_is_made_by_known_instructions() -> None:
-    """Of benchmarks.image, which does them one after the other."""
-    found = instructions((ROOT / "Dockerfile").read_text())
-    assert found[0] == ("ARG", "PYTHON_IMAGE=python:3.12-slim-bookworm")
-    assert [rest for word, rest in found if word == "ENTRYPOINT"] == ['["python", "-m", "service"]']
-    assert all("\\" not in rest and "#" not in rest for _, rest in found)
-    words = {
-        "ARG",
-        "FROM",
-        "RUN",
-        "WORKDIR",
-        "COPY",
-        "ENV",
-        "USER",
-        "VOLUME",
-        "EXPOSE",
-        "HEALTHCHECK",
-        "ENTRYPOINT",
-        "CMD",
-    }
-    assert {word for word, _ in found} == words
-
-
-@pytest.mark.parametrize("name", ["none", "tiff", "slow"])
-def test_an_attack_is_measured(tmp_path: Path, name: str) -> None:
+def test_an_attack_is_measured(tmp_path: Path) -> None:
     out = tmp_path / "attacks.json"
-    command = [sys.executable, "-m", "benchmarks.attacks", "--seconds", "2", "--only", name, "--out", str(out)]
+    command = [sys.executable, "-m", "benchmarks.attacks", "--seconds", "2", "--only", "slow", "--out", str(out)]
     subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
     (row,) = json.loads(out.read_text())["rows"]
     assert sum(other["requests"] for other in row["others"].values()) == 74

@@ -79,7 +79,7 @@ def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     if errand.wish is None:
         header = read_header(file, ImageLimits(errand.max_pixels, errand.max_side))
         if not header.still:
-            raise ImageError("the file holds more than one picture; one still picture is needed")
+            raise ImageError(f"this {header.format} holds more than one picture; one still picture is needed")
         return {"format": header.format, "width": header.width, "height": header.height}, b""
     info = sgmethod.info(file, errand.max_gaussians)  # a few kilobytes can hold millions of equal ones
     drawing = Drawing.of(errand.wish, (info.width, info.height), errand.max_pixels)
