@@ -297,7 +297,7 @@ async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Requ
     file = parts.pictures.get(headers["ETag"])
     parts.metrics.cache.labels("no" if file is None else "yes").inc()
     if file is None:
-        parts.outflow.check()
+        parts.outflow.check(request.state.caller.client)
         with await to_thread.run_sync(open_image, parts, job) as image:
             making = parts.work.make_rival(request.state.caller.client, image, Rival(kind, size))
             try:
