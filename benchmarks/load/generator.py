@@ -14,7 +14,7 @@ import asyncio
 import json
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,19 +82,16 @@ class Client:
 async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, object]:
     """Latencies in milliseconds of requests that are due `rate` times a second, and how many failed."""
     latencies: list[float] = []
-    failed = 0
+    failures: Counter[str] = Counter()
 
     async def one(due: float) -> None:
-        nonlocal failed
         try:
             async with asyncio.timeout(TIMEOUT_S):
                 status = await client.ask(wanted)
-            failed += status >= 400
             if status >= 400:
-                print(f"{wanted.method} {wanted.path}: {status}", file=sys.stderr)
+                failures[str(status)] += 1
         except (OSError, TimeoutError, asyncio.IncompleteReadError) as error:
-            print(f"{wanted.method} {wanted.path}: {error!r}", file=sys.stderr)
-            failed += 1
+            failures[type(error).__name__] += 1
         latencies.append(1e3 * (time.perf_counter() - due))
 
     began = time.perf_counter()
@@ -103,7 +100,9 @@ async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, ob
             due = began + number / wanted.rate
             await asyncio.sleep(max(0.0, due - time.perf_counter()))
             tasks.create_task(one(due))
-    return {"ms": latencies, "failed": failed}
+    if failures:
+        print(f"{wanted.method} {wanted.path}: {dict(failures)}", file=sys.stderr)
+    return {"ms": latencies, "failed": failures.total()}
 
 
 async def run(client: Client, seconds: float, wanted: list[Wanted]) -> list[dict[str, object]]:
