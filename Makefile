@@ -61,7 +61,7 @@ ifeq ($(COVERAGE),)
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(MAKE) --jobs 4 measured-whole measured-service measured unmeasured $(ALSO)
+	$(MAKE) --jobs 3 measured-whole measured-service measured unmeasured $(ALSO)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import sgmethod
 from service.keys import digest
@@ -37,6 +38,22 @@ def test_a_photograph_that_is_dropped(page: Chromium, service: Service) -> None:
     page.open(f"{service.url}/#{job['id']}")  # as it stands in the address when the page is loaded again
     says(page, "Gaussians", "#right-label")
     says(page, "Original", "#left-label")  # the browser has kept it
+    assert complaints(page) == []
+
+
+@pytest.mark.parametrize("way", ["paste", "sample"])
+def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: str) -> None:
+    open_page(page, service)
+    if way == "paste":
+        give(page, "paste", SMALL, "pasted.png")
+    else:
+        assert page.text("#again") == "Encode this one"
+        page.click("#again")
+    wait_until(lambda: len(page.run("return location.hash")) == len("#") + 32)
+    place = page.run("return `/jobs/${location.hash.slice(1)}`")
+    wait_until(lambda: service.client.get(place).json()["state"] == "done")
+    says(page, f"{service.client.get(place).json()['result']['gaussians']:,} Gaussians", "#figures")
+    assert page.text("#left-label").startswith("Original")
     assert complaints(page) == []
 
 
@@ -101,11 +118,13 @@ def test_one_that_is_pasted_and_cancelled(page: Chromium, web: Service) -> None:
     open_page(page, web)
     give(page, "paste", SMALL, "pasted.png")
     says(page, "in the queue")
+    place = page.run("return `/jobs/${location.hash.slice(1)}`")
+    assert web.client.get(place).json()["state"] == "queued"
     page.click("#cancel")
     says(page, "Cancelled", "#work")
     assert page.run("return document.getElementById('work').className") == "card"
     assert not page.is_seen("#cancel")
-    assert web.client.get("/jobs?state=queued").json()["jobs"] == []
+    assert web.client.get(place).status_code == 404
 
 
 def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:
