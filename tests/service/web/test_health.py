@@ -65,8 +65,9 @@ def test_a_storage_out_of_reach(start_service: StartService) -> None:
 
 def test_a_job_table_out_of_reach(start_service: StartService) -> None:
     web = start_service("web")
-    for file in web.data_dir.glob("jobs.sqlite3*"):
-        file.write_bytes(b"this is no database" * 1000)
+    for path in web.data_dir.glob("jobs.sqlite3*"):
+        with path.open("r+b") as file:  # in place: one is mapped into the process, which ends if it becomes shorter
+            file.write(b"this is no database" * 1000)
     assert_problem(web.client.get("/readyz"), 503, "job table")
     assert web.client.get("/livez").status_code == 200
     assert figures(web)["sgmethod_job_table_up"] == 0
