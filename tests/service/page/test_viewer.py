@@ -66,6 +66,30 @@ def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     assert complaints(page) == []
 
 
+def test_fingers(page: Chromium, web: Service) -> None:
+    """One moves the divider, two zoom where they are."""
+
+    def touch(*moments: list[tuple[float, float]]) -> None:
+        for kind, places in zip(["touchStart", *["touchMove"] * (len(moments) - 1)], moments, strict=True):
+            points = [{"x": x, "y": y, "id": number} for number, (x, y) in enumerate(places)]
+            page.tell("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+        page.tell("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+
+    open_page(page, web)
+    left, top, width, height = page.run("""
+        const { x, y, width, height } = document.getElementById("stage").getBoundingClientRect();
+        return [x, y, width, height];
+    """)
+    x, y = left + width / 2, top + height / 2
+    touch([(x, y)], [(x + width / 8, y)], [(x + width / 4, y)])
+    assert page.run("return document.getElementById('divider').getAttribute('aria-valuenow')") == "75"
+    before = int(page.text("#zoom").removesuffix(" %"))
+    touch([(x - 20, y), (x + 20, y)], [(x - 50, y), (x + 50, y)], [(x - 80, y), (x + 80, y)])
+    assert 3.8 < int(page.text("#zoom").removesuffix(" %")) / before < 4.2
+    page.click("#zoom-fit")
+    assert complaints(page) == []
+
+
 def test_rivals_that_the_service_makes(page: Chromium, start_service: StartService) -> None:
     """No browser writes AVIF: the service makes it of the job's picture, as long as it has it."""
     web = start_service("web", source_retention_s=1000)
