@@ -73,7 +73,7 @@ def generated(url: str, seconds: float, *wanted: str, source: str | None = None)
 
 def under_load(service: LoadService, job: str, case: Case, seconds: float) -> list[dict[str, Any]]:
     """Latencies of the picture and of /livez while an encode runs."""
-    busy = service.submit(png(Image.fromarray(made_picture(1536, 1024, 1))), 1.0, seconds + 60)
+    busy = service.submit(png(Image.fromarray(made_picture(3072, 2048, 1))), 1.0, seconds + 60)
     service.wait(busy, "running")
     while not service.client.get(f"/jobs/{busy}").json()["trace"]:
         time.sleep(0.1)
