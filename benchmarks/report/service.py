@@ -33,7 +33,7 @@ def under_load(content: Content) -> Section:
         f"How fast does the service answer while it encodes? A picture of {settings['size'][0]}x{settings['size'][1]} "
         f"({rows[0]['bpp']:.3f} bpp, {rows[0]['gaussians']:,} Gaussians, a PNG of {rows[0]['png_bytes']:,} bytes) is "
         f"asked for at fixed moments for {settings['seconds']:g} s, beside 20 requests a second of `/livez` and an "
-        "encode of 1536x1024 that takes every core it gets; a latency counts from the moment the request was due. At "
+        "encode of 3072x2048 that takes every core it gets; a latency counts from the moment the request was due. At "
         f"most: {limits}. {sum(row['met'] for row in rows)} of {len(rows)} cases meet that. {elsewhere(rows)} Client "
         "and service share the cores, which no network does."
     )
