@@ -32,3 +32,7 @@ class TracePoint:
 Progress = Callable[[TracePoint], None]
 Stop = Callable[[], bool]
 Preview = Callable[[bytes], None]
+
+
+def shown_to_nobody(_: bytes) -> None:
+    """A preview that nobody asked for."""

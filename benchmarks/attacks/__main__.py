@@ -23,7 +23,7 @@ from typing import Any
 from PIL import Image
 
 from benchmarks.attacks.attackers import ATTACKS
-from benchmarks.load.__main__ import generated
+from benchmarks.load.latencies import generated
 from benchmarks.load.service import made_picture, png, resident_bytes
 from benchmarks.machine import RESULTS, Elsewhere, Record
 from tests.harness.data import ROOT

@@ -11,22 +11,18 @@ before.
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from PIL import Image, ImageOps
 
+from benchmarks.load.latencies import generated
 from benchmarks.load.service import LoadService, made_picture, png, running
 from benchmarks.machine import RESULTS, Elsewhere, Record
 from benchmarks.pictures import pictures_in
-from tests.harness.data import ROOT
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
 LIVE_RATE = 20.0
@@ -54,21 +50,6 @@ def picture(folder: Path | None) -> tuple[str, bytes]:
         raise SystemExit(f"there is no picture in {folder}")
     with Image.open(pictures[0]) as image:
         return pictures[0].name, png(ImageOps.fit(image.convert("RGB"), SIZE, Image.Resampling.LANCZOS))
-
-
-def spread(series: dict[str, Any]) -> dict[str, Any]:
-    """Latencies of one series of requests, from what the generator printed."""
-    p50, p99, most = (round(float(ms), 2) for ms in np.percentile(series["ms"], (50, 99, 100)))
-    return {"requests": len(series["ms"]), "failed": series["failed"], "p50_ms": p50, "p99_ms": p99, "most_ms": most}
-
-
-def generated(url: str, seconds: float, *wanted: str, source: str | None = None) -> list[dict[str, Any]]:
-    """What the generator measured, for each of the wanted requests."""
-    origin = [] if source is None else ["--from", source]
-    address = url.removeprefix("http://")
-    command = [sys.executable, "-m", "benchmarks.load.generator", address, str(seconds), *origin, *wanted]
-    done = subprocess.run(command, cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True)
-    return [spread(series) for series in json.loads(done.stdout)]
 
 
 def under_load(service: LoadService, job: str, case: Case, seconds: float) -> list[dict[str, Any]]:

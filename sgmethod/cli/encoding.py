@@ -244,8 +244,10 @@ def _outcomes(conversions: list[Conversion], arguments: argparse.Namespace) -> I
     with ProcessPoolExecutor(jobs, context, _begin_worker, (threads,)) as pool:
         # Ctrl-C is for this process alone. The others inherit that they ignore it: they may not even have begun Python.
         interrupted = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        running = {pool.submit(_attempt, conversion, plain): conversion for conversion in conversions}
-        signal.signal(signal.SIGINT, interrupted)
+        try:
+            running = {pool.submit(_attempt, conversion, plain): conversion for conversion in conversions}
+        finally:
+            signal.signal(signal.SIGINT, interrupted)
         try:
             for future in as_completed(running):
                 try:

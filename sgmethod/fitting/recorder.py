@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 
-from sgmethod.trace import Preview, Progress, Stop, TracePoint
+from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
 
 REPORT_INTERVAL_S = 0.1
 
@@ -36,7 +36,7 @@ class Recorder:
 
     def __init__(self, clock: Clock, on_progress: Progress | None, on_preview: Preview | None = None) -> None:
         self.clock, self.on_progress = clock, on_progress
-        self.preview: Preview = on_preview or (lambda _: None)
+        self.preview = on_preview or shown_to_nobody
         self.points: list[TracePoint] = []
         self._interval_s = REPORT_INTERVAL_S
 

@@ -39,7 +39,8 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
 
 def place(request: Request, control: RateControl) -> RdFit:
     """Few Gaussians, ready to be fitted."""
-    return RdFit(request.pixels, control, request.seed, request.recorder.clock)
+    recorder = request.recorder
+    return RdFit(request.pixels, control, request.seed, recorder.clock, recorder.preview)
 
 
 def fit_and_grow(fit: RdFit, request: Request) -> int:
@@ -50,7 +51,6 @@ def fit_and_grow(fit: RdFit, request: Request) -> int:
         return request.until_s(settings.fit_share)
 
     until_s = until()
-    fit.preview = request.recorder.preview
     if until_s is not None:
         fit.hurry(until_s - clock.seconds())
     schedule = Schedule("joint", fit.control.steps(), settings.final_rate, until, patience=1.0)

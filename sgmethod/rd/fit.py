@@ -28,7 +28,7 @@ from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.start.placement import place
-from sgmethod.trace import Preview
+from sgmethod.trace import Preview, shown_to_nobody
 
 FEWEST_AT_START = 4
 MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
@@ -39,9 +39,16 @@ GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 class RdFit:
     """The state of one fit: the Gaussians, the optimiser's averages of them, and the coder with the quantum."""
 
-    def __init__(self, pixels: NDArray[np.uint8], control: RateControl, seed: int, clock: Clock) -> None:
-        """pixels [H, W, 3]."""
-        self.control, self.clock = control, clock
+    def __init__(
+        self,
+        pixels: NDArray[np.uint8],
+        control: RateControl,
+        seed: int,
+        clock: Clock,
+        preview: Preview = shown_to_nobody,
+    ) -> None:
+        """pixels [H, W, 3]; preview: is given the file as it would be now, whenever its size is looked at."""
+        self.control, self.clock, self.preview = control, clock, preview
         self.settings = settings = control.settings
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = background_of(pixels)
@@ -53,7 +60,6 @@ class RdFit:
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
         self.steps = 0
-        self.preview: Preview = lambda _: None  # is given the file as it would be now, whenever its size is looked at
         self.due = sorted([*settings.growth_at, *settings.trim_at])
         self.price_of_none = math.inf  # at which growth found next to nothing
         self.p = self._place(np.random.default_rng(seed))

@@ -39,24 +39,25 @@ class Work:
     async def draw(self, client: str, file: BinaryIO, wish: Wish, max_gaussians: int | None = None) -> bytes:
         """The picture file of a bitstream. Raises HelperError, ProblemError 429 or 503, OSError."""
         limits = self._settings
-        async with self._drawings.turn(client):
-            errand = Errand(
-                limits.decode_memory_bytes,
-                limits.decode_time_s,
-                limits.max_decode_pixels,
-                max_gaussians=max_gaussians,
-                wish=wish,
-            )
-            _, picture = await self._helpers.ask(errand, file)
-        return picture
+        errand = Errand(
+            limits.decode_memory_bytes,
+            limits.decode_time_s,
+            limits.max_decode_pixels,
+            max_gaussians=max_gaussians,
+            wish=wish,
+        )
+        return await self._picture(client, file, errand)
 
     async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
         """The rival that is made of an image. Raises HelperError, ProblemError 429 or 503, OSError."""
         limits = self._settings
+        errand = Errand(
+            limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, limits.max_side, rival=rival
+        )
+        return await self._picture(client, file, errand)
+
+    async def _picture(self, client: str, file: BinaryIO, errand: Errand) -> bytes:
         async with self._drawings.turn(client):
-            errand = Errand(
-                limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, limits.max_side, rival=rival
-            )
             _, picture = await self._helpers.ask(errand, file)
         return picture
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import time
+from collections.abc import Awaitable, Callable
 from email.utils import format_datetime
 from typing import Annotated, Any, BinaryIO
 
@@ -105,17 +106,26 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
     headers = {"ETag": etag, **_kept(job, parts), **query.disposition()}
     if has_already(request, etag):
         return not_modified(headers)
+
+    async def made() -> bytes:
+        with await to_thread.run_sync(_open_bitstream, parts, job, result) as bitstream:
+            try:
+                return await _drawn(request, parts, bitstream, wish)
+            except BitstreamError as error:
+                raise _damaged(job, error) from error
+
+    return file_answer(request, await _remembered(request, parts, etag, made), MEDIA_TYPES[kind], headers)
+
+
+async def _remembered(request: Request, parts: Parts, etag: str, made: Callable[[], Awaitable[bytes]]) -> bytes:
+    """The picture file of that name, from memory if it was asked for lately. Raises ProblemError 429 or 503."""
     file = parts.pictures.get(etag)
     parts.metrics.cache.labels("no" if file is None else "yes").inc()
     if file is None:
         parts.outflow.check(request.state.caller.client)
-        with await to_thread.run_sync(_open_bitstream, parts, job, result) as bitstream:
-            try:
-                file = await _drawn(request, parts, bitstream, wish)
-            except BitstreamError as error:
-                raise _damaged(job, error) from error
+        file = await made()
         parts.pictures.put(etag, file)
-    return file_answer(request, file, MEDIA_TYPES[kind], headers)
+    return file
 
 
 async def _drawn(
@@ -291,18 +301,17 @@ async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Requ
     size = int(result.stats["bytes"])
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
         raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels a side, too many for {kind}")
-    headers = {"ETag": f'"{job.id}-rival.{kind}"', "Cache-Control": IMMUTABLE}
-    if has_already(request, headers["ETag"]):
+    etag = f'"{job.id}-rival.{kind}"'
+    headers = {"ETag": etag, "Cache-Control": IMMUTABLE}
+    if has_already(request, etag):
         return not_modified(headers)
-    file = parts.pictures.get(headers["ETag"])
-    parts.metrics.cache.labels("no" if file is None else "yes").inc()
-    if file is None:
-        parts.outflow.check(request.state.caller.client)
+
+    async def made() -> bytes:
         with await to_thread.run_sync(open_image, parts, job) as image:
             making = parts.work.make_rival(request.state.caller.client, image, Rival(kind, size))
             try:
-                file = await while_client_waits(request, making)
+                return await while_client_waits(request, making)
             except HelperError as error:
                 raise ProblemError(422, str(error)) from error
-        parts.pictures.put(headers["ETag"], file)
-    return file_answer(request, file, MEDIA_TYPES[kind], headers)
+
+    return file_answer(request, await _remembered(request, parts, etag, made), MEDIA_TYPES[kind], headers)
