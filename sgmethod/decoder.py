@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.stream import Info, Limits
+from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
+from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.errors import BitstreamError
 from sgmethod.native import native
-from sgmethod.scene import Scene
+from sgmethod.scene import FloatArray, Scene
 from sgmethod.view import View
 
 File = str | os.PathLike[str] | bytes
@@ -93,6 +94,8 @@ class SgFile:
         return self._draw(View(scale, region, prefix, texture))
 
     def _draw(self, view: View) -> NDArray[np.uint8]:
+        if view.is_whole:
+            return draw_whole(self._stream, view.prefix, view.texture)
         scene = self._stream.scene(view.prefix)
         self._limits.check_size(*view.size(scene.width, scene.height))
         return draw(view.apply(scene))
@@ -110,27 +113,40 @@ def _bytes_of(file: File) -> bytes:
     raise BitstreamError(f"an .sg file must be given as its path or its bytes, not as {type(file).__name__}")
 
 
+def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:
+    """What draw() makes of the stream's scene, in less time. Raises as scene() and draw() do."""
+    if not isinstance(stream, StreamV3):
+        return draw(stream.scene(prefix))
+    raster, colors = stream.lay_out(prefix, texture)
+    return _picture(raster, colors, stream.background)
+
+
 def draw(scene: Scene) -> NDArray[np.uint8]:
     """Pixels [height, width, 3]. They are the same on every instruction set and for every number of threads.
 
     Raises BitstreamError where the Gaussians overlap so much that drawing them would take unbounded time.
     """
-    gaussians, width, height = scene.gaussians, scene.width, scene.height
-    tiles = -(-width // native.TILE_WIDTH) * -(-height // native.TILE_HEIGHT)
-    # Fitted pictures come to at most a fifth of this (six pictures from 0.03 to 12 bpp, noise and a constant among
-    # them). A hostile file could make every Gaussian cover everything.
-    max_pairs = 16 * len(gaussians) + 256 * tiles
-    arrays = gaussians.means, gaussians.factors
+    gaussians, size, (x, y) = scene.gaussians, (scene.width, scene.height), scene.origin
     t = scene.texture
-    texture = None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift)
     try:
-        x, y = scene.origin
         raster = native.Rasterization(
-            *arrays, width, height, scene.cutoff, max_pairs=max_pairs, pyramid=scene.pyramid, x=x, y=y, texture=texture
+            gaussians.means,
+            gaussians.factors,
+            *size,
+            scene.cutoff,
+            max_pairs=native.most_pairs(len(gaussians), *size),
+            pyramid=scene.pyramid,
+            x=x,
+            y=y,
+            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift),
         )
     except OverflowError as error:
-        raise BitstreamError("the file's Gaussians overlap beyond what a picture needs") from error
-    pixels = np.empty((height, width, 3), np.uint8)
-    red, green, blue = (level / 255 for level in scene.background)
-    raster.render_bytes(gaussians.colors, pixels, (red, green, blue))
+        raise BitstreamError(OVERLAP) from error
+    return _picture(raster, gaussians.colors, scene.background)
+
+
+def _picture(raster: native.Rasterization, colors: FloatArray, background: tuple[int, int, int]) -> NDArray[np.uint8]:
+    pixels = np.empty((raster.height, raster.width, 3), np.uint8)
+    red, green, blue = (level / 255 for level in background)
+    raster.render_bytes(colors, pixels, (red, green, blue))
     return pixels

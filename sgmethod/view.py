@@ -45,6 +45,11 @@ class View:
         if self.region is not None and [isinstance(n, Integral) for n in self.region] != [True] * 4:
             raise ViewError(f"a region is four whole numbers x, y, width, height, not {self.region!r}")
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is the picture itself, in its own size."""
+        return self.scale == 1 and self.region is None
+
     def area(self, width: int, height: int) -> tuple[int, int, int, int]:
         """x, y, width, height of the part drawn. Raises ViewError unless it lies within the picture."""
         x, y, w, h = self.region or (0, 0, width, height)
@@ -60,7 +65,7 @@ class View:
     def apply(self, scene: Scene) -> Scene:
         """The scene in output pixels, low-passed where that is a reduction. Raises ViewError as area() does."""
         texture = scene.texture if self.texture else None
-        if self.scale == 1 and self.region is None:
+        if self.is_whole:
             return scene if texture is scene.texture else replace(scene, texture=None)
         x, y, w, h = self.area(scene.width, scene.height)
         width, height = self.size(scene.width, scene.height)

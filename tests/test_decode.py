@@ -16,12 +16,15 @@ from PIL import Image
 from sgmethod import BitstreamError, decode, info, set_threads
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
-from sgmethod.decoder import draw
+from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.decoder import draw, draw_whole
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
+from sgmethod.view import View
 from tests.harness.data import golden, golden_path
 
 GOLDEN = sorted(golden(1))
+EVERY = [name for version in (1, 3, 4) for name in sorted(golden(version))]
 ISAS = range(native.best_isa() + 1)
 
 
@@ -88,6 +91,33 @@ def test_pixels_are_the_same_everywhere(name: str) -> None:
             raster.render_bytes(gaussians.colors, pixels)
             assert np.array_equal(pixels, expected), (threads, isa)
         assert np.array_equal(draw(scene), expected)
+
+
+@pytest.mark.usefixtures("restored_threads")
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_what_is_laid_out_while_it_is_decoded_is_the_same(threads: int) -> None:
+    """As one after the other, for whole payloads and parts of them, of every version."""
+    set_threads(threads)
+    for name in EVERY:
+        stream = parse(golden(name))
+        assert np.array_equal(draw_whole(stream), draw(stream.scene()))
+    for name in ("v3-color", "v4-texture"):
+        stream = parse(golden(name))
+        for prefix in np.linspace(0.01, 0.99, 50).tolist():
+            expected = draw(View(texture=False).apply(stream.scene(prefix)))
+            assert np.array_equal(draw_whole(stream, prefix, texture=False), expected)
+
+
+def test_more_gaussians_than_expected_are_laid_out_too() -> None:
+    """Equal ones take less than a bit each."""
+    n = 2000
+    many = Gaussians(
+        *(np.tile(np.array([row], np.float32), (n, 1)) for row in ((20, 20), (3, 0, 3), (0.02, 0.02, 0.02)))
+    )
+    stream = StreamV4.of(many, (64, 64), 0.25, (0, 0, 0), False)
+    assert 8 * len(stream.payload) < 9 * n
+    assert np.array_equal(draw_whole(stream), draw(stream.scene()))
+    assert len(stream.gaussians()) == n
 
 
 def test_levels_are_computed_in_double_and_rounded_once() -> None:

@@ -9,6 +9,7 @@ from sgmethod.errors import BitstreamError
 from sgmethod.scene import Scene
 
 MAGIC = b"SGM"
+OVERLAP = "the file's Gaussians overlap beyond what a picture needs"
 PREFIX_BYTES = len(MAGIC) + 1 + 4  # magic, version, CRC-32 of all that follows
 
 

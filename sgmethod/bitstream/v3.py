@@ -14,10 +14,10 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.bitstream.stream import NO_LIMITS, PREFIX_BYTES, Info, Limits
+from sgmethod.bitstream.stream import NO_LIMITS, OVERLAP, PREFIX_BYTES, Info, Limits
 from sgmethod.errors import BitstreamError
 from sgmethod.native import native
-from sgmethod.scene import Gaussians, Scene
+from sgmethod.scene import FloatArray, Gaussians, Scene
 
 HEADER = struct.Struct(">BHHH3B")  # flags, width, height, quantum code, background
 HEADER_BYTES = PREFIX_BYTES + HEADER.size
@@ -112,14 +112,35 @@ class StreamV3:
         Raises BitstreamError, also for more Gaussians than the limit.
         """
         most = {} if limits.max_gaussians is None else {"max_gaussians": limits.max_gaussians}
-        parameters = native.RdParameters(self.width, self.height, self.quantum, self.grey, self.upright, self.VERSION)
-        cut = math.ceil(prefix * len(self.payload))
         try:
-            return Gaussians(*native.rd_decode(parameters, self.payload[:cut], prefix < 1, **most))
+            return Gaussians(*native.rd_decode(self._parameters(), self._part(prefix), prefix < 1, **most))
         except RuntimeError as error:
             raise BitstreamError(f"the file is damaged: {error}") from error
         except OverflowError as error:
             raise BitstreamError(f"the file has more Gaussians than the limit of {limits.max_gaussians}") from error
+
+    def _parameters(self) -> native.RdParameters:
+        return native.RdParameters(self.width, self.height, self.quantum, self.grey, self.upright, self.VERSION)
+
+    def _part(self, prefix: float) -> bytes:
+        return self.payload[: math.ceil(prefix * len(self.payload))]
+
+    def lay_out(self, prefix: float = 1.0, texture: bool = True) -> tuple[native.Rasterization, FloatArray]:
+        """The whole picture's Gaussians as they are drawn, and their colours, in less time than from scene(). texture:
+        whether it is drawn with them, if there is any. Raises BitstreamError."""
+        del texture
+        return self._laid_out(prefix, pyramid=False, texture=None)
+
+    def _laid_out(
+        self, prefix: float, pyramid: bool, texture: native.Texture | None
+    ) -> tuple[native.Rasterization, FloatArray]:
+        payload = self._part(prefix)
+        try:
+            return native.rd_lay_out(self._parameters(), payload, prefix < 1, native.CUTOFF_V3, pyramid, texture)
+        except RuntimeError as error:
+            raise BitstreamError(f"the file is damaged: {error}") from error
+        except OverflowError as error:
+            raise BitstreamError(OVERLAP) from error
 
     def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn, as far as that part of the payload tells. Raises BitstreamError."""

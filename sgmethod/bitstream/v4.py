@@ -11,7 +11,7 @@ from sgmethod.bitstream.stream import NO_LIMITS, Limits
 from sgmethod.bitstream.texture import Codes, pack, unpack
 from sgmethod.bitstream.v3 import FLAG_GREY, FLAG_UPRIGHT, HEADER, InfoV3, StreamV3
 from sgmethod.native import native
-from sgmethod.scene import Scene, Texture
+from sgmethod.scene import FloatArray, Scene, Texture
 
 FLAG_TEXTURE = 4
 
@@ -51,6 +51,12 @@ class StreamV4(StreamV3):
 
     def _flags(self) -> int:
         return super()._flags() | FLAG_TEXTURE * (self.texture is not None)
+
+    def lay_out(self, prefix: float = 1.0, texture: bool = True) -> tuple[native.Rasterization, FloatArray]:
+        """As that of version 3."""
+        cell = native.TEXTURE_CELL
+        drawn = native.Texture(self.texture, cell, cell) if texture and self.texture is not None else None
+        return self._laid_out(prefix, pyramid=True, texture=drawn)
 
     def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn, as far as that part of the payload tells. Raises BitstreamError."""

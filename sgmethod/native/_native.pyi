@@ -43,6 +43,9 @@ def set_thread_count(count: int) -> None: ...
 def release_memory() -> None:
     """Give back to the system what is kept of freed memory: before work that needs other sizes."""
 
+def most_pairs(gaussians: int, width: int, height: int) -> int:
+    """The most pairs of Gaussian and tile that a picture needs: beyond, a file is hostile."""
+
 def unpack_texture(data: bytes, width: int, height: int) -> tuple[NDArray[np.uint8], int]:
     """The codes of a picture's texture [TEXTURE_OCTAVES, rows, columns], and how many bytes say them. Raises
     RuntimeError for what no encoder writes."""
@@ -82,6 +85,10 @@ class Rasterization:
         """pyramid: wide Gaussians are drawn on coarser levels (sgmethod/native/raster/levels.h). x, y: the first pixel
         that is drawn, so that a part is the same as in the whole. texture: is drawn with them, in a pyramid alone."""
 
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
     def render(self, colors: FloatArray, image: FloatArray) -> None:
         """Fill image [3, height, width]."""
 
@@ -203,6 +210,12 @@ def rd_refine(
     visibility: NDArray[np.int16] | None = None,
 ) -> bytes:
     """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h)."""
+
+def rd_lay_out(
+    parameters: RdParameters, data: bytes, prefix: bool, cutoff: float, pyramid: bool, texture: Texture | None = None
+) -> tuple[Rasterization, FloatArray]:
+    """The Gaussians of a payload laid over the whole picture, and their colours. The first are laid out while others
+    are still decoded. Raises as rd_decode() and Rasterization do, and beyond most_pairs() pairs."""
 
 def rd_decode(
     parameters: RdParameters, data: bytes, prefix: bool = False, max_gaussians: int = ...

@@ -98,12 +98,15 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
 }  // namespace
 
 void bind_raster(nb::module_& m) {
+  m.def("most_pairs", &sg::most_pairs, "gaussians"_a, "width"_a, "height"_a);
   m.def("unpack_texture", &unpack_texture, "data"_a, "width"_a, "height"_a);
   nb::class_<sg::Texture>(m, "Texture")
       .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0);
   nb::class_<sg::Rasterization>(m, "Rasterization")
       .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
            "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0, "texture"_a.none() = nb::none())
+      .def_prop_ro("width", &sg::Rasterization::width)
+      .def_prop_ro("height", &sg::Rasterization::height)
       .def("render", &render, "colors"_a, "image"_a.noconvert())
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
       .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(), "factors"_a.noconvert(),

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "bindings/arrays.h"
+#include "file/lay_out.h"
 #include "rd/codec.h"
 #include "rd/rate.h"
 #include "refine/refine.h"
@@ -66,6 +67,20 @@ auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max
                          own_rows<3>(std::move(decoded.colors)));
 }
 
+auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, float cutoff, bool pyramid, const sg::Texture* texture) {
+  auto drawn = texture == nullptr ? nullptr : std::make_shared<const sg::Texture>(*texture);
+  const sg::Canvas canvas{0, 0, p.width, p.height, cutoff, pyramid, std::move(drawn)};
+  sg::LaidOut laid_out;
+  {
+    const auto* bytes = static_cast<const uint8_t*>(data.data());
+    const size_t size = data.size();
+    nb::gil_scoped_release release;
+    laid_out = sg::lay_out(p, bytes, size, prefix, canvas);
+  }
+  nb::object raster = nb::cast(laid_out.raster.release(), nb::rv_policy::take_ownership);
+  return std::make_tuple(std::move(raster), own_rows<3>(std::move(laid_out.colors)));
+}
+
 }  // namespace
 
 void bind_rd(nb::module_& m) {
@@ -80,5 +95,6 @@ void bind_rd(nb::module_& m) {
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
   m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "cutoff"_a, "price"_a,
         "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none());
+  m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "cutoff"_a, "pyramid"_a, "texture"_a.none() = nb::none());
   m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
 }

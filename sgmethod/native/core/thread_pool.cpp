@@ -203,4 +203,30 @@ void parallel_for(int count, const std::function<void(int)>& task) {
   pool->run(count, task);
 }
 
+int parallel_while(int size, const std::function<void(const std::function<void(int)>& there)>& bring,
+                   const std::function<void(int, int, int)>& body) {
+  std::atomic<int> there{0}, next{0};
+  std::atomic<bool> ended{false};
+  const auto come = [&] {
+    // However it ends, those that wait go on.
+    struct End {
+      std::atomic<bool>& ended;
+      ~End() { ended.store(true, std::memory_order_release); }
+    } const end{ended};
+    bring([&](int n) { there.store(n, std::memory_order_release); });
+  };
+  parallel_for(thread_count(), [&](int task) {
+    if (task == 0) come();
+    while (true) {
+      const int chunk = next.fetch_add(1, std::memory_order_relaxed), first = chunk * size;
+      for (int spin = 0; !ended.load(std::memory_order_acquire) && there.load(std::memory_order_acquire) < first + size;)
+        ++spin < kSpins ? wait_a_moment() : std::this_thread::yield();
+      const int last = std::min(there.load(std::memory_order_acquire), first + size);
+      if (first >= last) return;
+      body(first, last, chunk);
+    }
+  });
+  return there.load();
+}
+
 }  // namespace sg

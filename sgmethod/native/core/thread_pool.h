@@ -25,6 +25,11 @@ void parallel_chunks(int count, int size, const Body& body) {
   });
 }
 
+// Calls body(first, last, chunk) for what comes one after the other, in chunks of `size` (the last may be smaller), while
+// more of it still comes. `bring` calls there(n) when the first n are there, which may be seldom. Returns how many came.
+int parallel_while(int size, const std::function<void(const std::function<void(int)>& there)>& bring,
+                   const std::function<void(int, int, int)>& body);
+
 // Calls body(i) for [0, count) in tasks of `size`.
 template <typename Body>
 void parallel_each(int count, int size, const Body& body) {

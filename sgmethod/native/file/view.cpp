@@ -96,8 +96,7 @@ void draw(const File& file, const View& view, uint8_t* pixels) {
   }
   if (view.texture && !file.texture().empty()) canvas.texture = std::make_shared<Texture>(file.texture().data(), grid);
   const auto n = static_cast<int>(g.means.size() / 2);
-  const int64_t tiles = int64_t{(size.width + kTileWidth - 1) / kTileWidth} * ((size.height + kTileHeight - 1) / kTileHeight);
-  const Rasterization raster(g.means.data(), g.factors.data(), n, canvas, -1, 16 * int64_t{n} + 256 * tiles);
+  const Rasterization raster(g.means.data(), g.factors.data(), n, canvas, -1, most_pairs(n, size.width, size.height));
   float background[3];
   for (int k = 0; k < 3; ++k) background[k] = static_cast<float>(header.background[k] / 255.0);
   raster.render_bytes(g.colors.data(), background, pixels);

@@ -18,6 +18,7 @@ constexpr int kChunk = 256;               // Gaussians of a bin, at least
 constexpr int kMaxBins = 64;
 constexpr int kMaxGridSide = 1 << 20;     // pixels; the number of tiles stays within an int
 constexpr int kPairsExpected = 4;         // of a Gaussian; a bin takes memory for so many at once
+constexpr char kTooManyPairs[] = "too many pairs of Gaussian and tile";
 constexpr int64_t kPairsAtOnce = 1 << 20; // more are counted before they take memory: there may be far too many
 
 // Gaussians in a bin. Each bin has a counter for every tile, so bins are few enough that going through their counters
@@ -48,20 +49,58 @@ int checked_isa(int isa) {
 
 }  // namespace
 
+int64_t most_pairs(int n, int width, int height) {
+  const Grid grid{0, 0, width, height};
+  return 16 * int64_t{n} + 256 * int64_t{grid.strips()} * grid.blocks();
+}
+
+Rasterization::Rasterization(const Canvas& canvas, int isa, int n)
+    : canvas_(checked(canvas)), n_(n), isa_(checked_isa(isa)), reach_(std::sqrt(2.0f * canvas.cutoff)),
+      floor_(exp_minus(canvas.cutoff)), footprints_(n), levels_(n) {}
+
 Rasterization::Rasterization(const float* means, const float* factors, int n, const Canvas& canvas, int isa,
                              int64_t max_pairs)
-    : canvas_(checked(canvas)), n_(n), isa_(checked_isa(isa)), reach_(std::sqrt(2.0f * canvas.cutoff)),
-      floor_(exp_minus(canvas.cutoff)), footprints_(n), factors_(factors, factors + 3 * static_cast<int64_t>(n)), levels_(n) {
-  max_pairs = std::min(max_pairs, kMaxPairs);
-  const int64_t pairs = find_pairs(means, max_pairs, std::min(max_pairs, kPairsAtOnce));
-  if (pairs > max_pairs) refuse<std::overflow_error>("too many pairs of Gaussian and tile");
-  if (pairs > kPairsAtOnce) find_pairs(means, max_pairs, max_pairs);
+    : Rasterization(canvas, isa, n) {
+  factors_.assign(factors, factors + 3 * static_cast<int64_t>(n));
+  lay_out(means, max_pairs);
   sort_pairs();
-  if (canvas.texture == nullptr) return;
+  set_textures();
+}
+
+Rasterization::Rasterization(const Arrivals& arrivals, const Canvas& canvas, int isa)
+    : Rasterization(canvas, isa, arrivals.room) {
+  factors_.resize(3 * static_cast<size_t>(n_));
+  const int64_t pairs = find_pairs(arrivals.means, kPairsAtOnce, kPairsAtOnce, [&](const Chunk& body) {
+    n_ = parallel_while(chunk_, arrivals.bring, [&](int first, int last, int k) {
+      std::copy(arrivals.factors + 3 * int64_t{first}, arrivals.factors + 3 * int64_t{last}, &factors_[3 * size_t(first)]);
+      body(first, last, k);
+    });
+  });
+  footprints_.resize(n_);
+  factors_.resize(3 * static_cast<size_t>(n_));
+  levels_.resize(n_);
+  bins_.resize((n_ + chunk_ - 1) / chunk_);
+  const int64_t most = most_pairs(n_, width(), height());
+  if (pairs > kPairsAtOnce) lay_out(arrivals.means, most);
+  else if (pairs > most) refuse<std::overflow_error>(kTooManyPairs);
+  sort_pairs();
+  set_textures();
+}
+
+void Rasterization::lay_out(const float* means, int64_t max_pairs) {
+  max_pairs = std::min(max_pairs, kMaxPairs);
+  const auto each_chunk = [this](const Chunk& body) { parallel_chunks(n_, chunk_, body); };
+  const int64_t pairs = find_pairs(means, max_pairs, std::min(max_pairs, kPairsAtOnce), each_chunk);
+  if (pairs > max_pairs) refuse<std::overflow_error>(kTooManyPairs);
+  if (pairs > kPairsAtOnce) find_pairs(means, max_pairs, max_pairs, each_chunk);
+}
+
+void Rasterization::set_textures() {
+  if (canvas_.texture == nullptr) return;
   for (int level = 0; level <= top(); ++level) {
     const Grid& grid = grids_[level];
     const int border = border_of(level);
-    texture_.emplace_back(*canvas.texture, level, grid.x - border, grid.y - border, grid.strips() * kTileWidth, grid.height);
+    texture_.emplace_back(*canvas_.texture, level, grid.x - border, grid.y - border, grid.strips() * kTileWidth, grid.height);
   }
 }
 
@@ -79,13 +118,13 @@ void Rasterization::set_levels(int top) {
 // Prepares each Gaussian, and finds the tiles that it touches. Levels above the highest that a Gaussian has come last, so
 // that their tiles can be left out at the end. Returns the number of pairs, counted no further than the limit; beyond
 // most_kept they are counted alone.
-int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t most_kept) {
+int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t most_kept, const EachChunk& each_chunk) {
   set_levels(canvas_.pyramid ? kMaxLevel : 0);
   chunk_ = bin_size(n_, tiles());
   bins_.resize((n_ + chunk_ - 1) / chunk_);
   std::atomic<int> top{canvas_.texture == nullptr ? 0 : std::max(canvas_.texture->top(), 0)};
   std::atomic<int64_t> total{0};
-  parallel_chunks(n_, chunk_, [&](int first, int last, int k) {
+  each_chunk([&](int first, int last, int k) {
     bins_[k] = Bin(first, last, tiles());
     Crossings<kManyStrips> crossings;
     const auto count = [&] {

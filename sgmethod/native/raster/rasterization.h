@@ -7,6 +7,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -18,6 +19,10 @@ namespace sg {
 
 constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // of a picture
 constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory ends long before
+
+// The most pairs that n Gaussians over a picture need. Fitted ones come to at most a fifth of this (six pictures from 0.03
+// to 12 bpp, noise and a constant among them). A hostile file could make every Gaussian cover everything.
+int64_t most_pairs(int n, int width, int height);
 
 struct Pair {
   int32_t gaussian;
@@ -40,6 +45,14 @@ struct Canvas {
   std::shared_ptr<const Texture> texture = nullptr;  // which is drawn with them, in a pyramid
 };
 
+// Gaussians that come one after the other, into arrays with room for so many. bring(there) brings them all, and calls
+// there(n) when the first n are in their places.
+struct Arrivals {
+  const float *means, *factors;
+  int room;
+  std::function<void(const std::function<void(int)>& there)> bring;
+};
+
 class Planes;
 struct Strips;
 struct TileTarget;
@@ -51,6 +64,8 @@ class Rasterization {
   // would be needed: memory and time follow that number. isa: one of core/isa.h, or below 0 for the best. Throws
   // std::invalid_argument for a size, cutoff or instruction set that cannot be.
   Rasterization(const float* means, const float* factors, int n, const Canvas& canvas, int isa, int64_t max_pairs);
+  // The same of Gaussians that still come: the first are laid over the picture meanwhile. The limit is most_pairs().
+  Rasterization(const Arrivals& arrivals, const Canvas& canvas, int isa);
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;
@@ -121,7 +136,12 @@ class Rasterization {
   Corner corner(int tile) const;
   Area area(int tile) const;
   void set_levels(int top);
-  int64_t find_pairs(const float* means, int64_t limit, int64_t most_kept);
+  using Chunk = std::function<void(int first, int last, int chunk)>;
+  using EachChunk = std::function<void(const Chunk& body)>;  // of chunk_ Gaussians
+  Rasterization(const Canvas& canvas, int isa, int n);
+  void lay_out(const float* means, int64_t max_pairs);
+  int64_t find_pairs(const float* means, int64_t limit, int64_t most_kept, const EachChunk& each_chunk);
+  void set_textures();
   Ellipse place(int gaussian, const float* mean);
   int64_t count(Crossings<kManyStrips>& crossings) const;
   void bin(const Crossings<kManyStrips>& crossings, Bin& bin) const;

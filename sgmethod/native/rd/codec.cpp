@@ -24,6 +24,7 @@ namespace {
 
 constexpr int kClassBits = 6, kMostRawDistanceBits = 24;
 constexpr int kQuantiseChunk = 256;  // Gaussians of one task
+constexpr int kBatch = 2048;         // Gaussians whose values are made together
 std::atomic<int64_t> clipped{0};
 
 // The number of low bits of a distance that are sent without a model. `count` Gaussians in the cells of a class are
@@ -117,6 +118,7 @@ struct Decoding {
   const size_t size;
   const bool prefix;
   GaussianArrays& out;
+  const std::function<void(size_t)>& arrived;  // or empty
   Decoder coder;
   typename Version::Models models{};
 
@@ -175,7 +177,9 @@ class ClassesV3 {
     });
     return found;
   }
-  void finish() {}
+  void finish() {
+    if (d_.arrived) d_.arrived(d_.out.means.size() / 2);
+  }
 
  private:
   Decoding<Version3>& d_;
@@ -184,10 +188,11 @@ class ClassesV3 {
 // Gaussians whose integers are decoded, and behind them perhaps one that has only its cell and colour. Their values come
 // later, of many at a time.
 struct Batch {
-  static constexpr int kMost = 2048;
+  explicit Batch(int most) : most(most), symbols(new Symbols[most + 1]), parts(new Parts[most]) {}
+  const int most;
   int n = 0;
-  std::unique_ptr<Symbols[]> symbols{new Symbols[kMost + 1]};  // without values
-  std::unique_ptr<Parts[]> parts{new Parts[kMost]};
+  std::unique_ptr<Symbols[]> symbols;  // without values
+  std::unique_ptr<Parts[]> parts;
   ColorSize size;  // of the one behind
 };
 
@@ -240,15 +245,15 @@ auto best_decode_batch() {
 
 class ClassesV4 {
  public:
-  explicit ClassesV4(Decoding<Version4>& d) : d_(d) {}
+  explicit ClassesV4(Decoding<Version4>& d) : d_(d), batch_(d.arrived ? kQuantiseChunk : kBatch) {}
 
   size_t read(int size_class, uint32_t count, size_t room) {
     static const auto decode_batch = best_decode_batch();
     const SizeClass c = class_of(d_.p, size_class, count);
     size_t found = 0;
     while (found < room) {
-      if (batch_.n == Batch::kMost) finish();
-      const int wanted = static_cast<int>(std::min<size_t>(room - found, Batch::kMost - batch_.n)), before = batch_.n;
+      if (batch_.n == batch_.most) finish();
+      const int wanted = static_cast<int>(std::min<size_t>(room - found, batch_.most - batch_.n)), before = batch_.n;
       decode_batch(d_, batch_, c, wanted, found == 0, found + wanted < count);
       found += batch_.n - before;
       if (batch_.n - before < wanted) break;
@@ -265,6 +270,7 @@ class ClassesV4 {
                  &d_.out.factors[3 * at], &d_.out.colors[3 * at]);
     });
     batch_.symbols[0] = batch_.symbols[batch_.n];
+    if (d_.arrived) d_.arrived(done + static_cast<size_t>(batch_.n));
     batch_.n = 0;
   }
 
@@ -298,23 +304,23 @@ bool decode_payload(Decoding<Version>& d, Classes& classes, uint64_t limit) {
 }
 
 template <typename Version, typename Classes>
-GaussianArrays decoded(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians,
-                       size_t behind) {
-  GaussianArrays out;
+void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians, size_t behind,
+                 GaussianArrays& out, const std::function<void(size_t)>& arrived) {
   std::vector<uint8_t> padded(size + Version::Decoder::kSlack);
   std::copy_n(data, size + std::min(behind, Version::Decoder::kSlack), padded.begin());
-  Decoding<Version> d{p, size, prefix, out, typename Version::Decoder(padded.data())};
-  const size_t expected = std::min<uint64_t>(most_in(p, size), size / 2);  // in 16 bits each
-  out.means.reserve(2 * expected);
-  out.factors.reserve(3 * expected);
-  out.colors.reserve(3 * expected);
+  Decoding<Version> d{p, size, prefix, out, arrived, typename Version::Decoder(padded.data())};
   Classes classes(d);
   const bool ended = decode_payload(d, classes, max_gaussians);
   const size_t read = std::min(d.coder.read(), size);
   if (ended && !prefix && std::any_of(data + read, data + size, [](uint8_t byte) { return byte != 0; }))
     refuse<std::runtime_error>("there are bytes behind the last Gaussian");
   classes.finish();
-  return out;
+}
+
+void reserve(GaussianArrays& out, size_t gaussians) {
+  out.means.reserve(2 * gaussians);
+  out.factors.reserve(3 * gaussians);
+  out.colors.reserve(3 * gaussians);
 }
 
 template <typename Version>
@@ -397,9 +403,20 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
 
 GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians,
                          size_t behind) {
-  if (size == 0) return {};
-  const auto decode = p.version == 3 ? decoded<Version3, ClassesV3> : decoded<Version4, ClassesV4>;
-  return decode(p, data, size, prefix, max_gaussians, behind);
+  GaussianArrays out;
+  if (size == 0) return out;
+  reserve(out, std::min<uint64_t>(most_in(p, size), size / 2));  // in 16 bits each
+  const auto decode = p.version == 3 ? decode_into<Version3, ClassesV3> : decode_into<Version4, ClassesV4>;
+  decode(p, data, size, prefix, max_gaussians, behind, out, nullptr);
+  return out;
+}
+
+void rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, size_t room, GaussianArrays& out,
+               const std::function<void(size_t)>& arrived) {
+  reserve(out, room);
+  if (size == 0) return;
+  const auto decode = p.version == 3 ? decode_into<Version3, ClassesV3> : decode_into<Version4, ClassesV4>;
+  decode(p, data, size, prefix, room, 0, out, arrived);
 }
 
 }  // namespace sg

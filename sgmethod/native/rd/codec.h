@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 namespace sg {
@@ -43,5 +44,10 @@ std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* mean
 // payload, `behind` bytes: they do not change what is returned, but nothing in them is refused then.
 GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
                          uint64_t max_gaussians = kMaxGaussians, size_t behind = 0);
+
+// The same, into arrays with room for `room` Gaussians. arrived(n) is called again and again when the first n are there:
+// they stay where they are, and may be read while others come. Throws std::overflow_error where the room may not do.
+void rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix, size_t room,
+               GaussianArrays& out, const std::function<void(size_t)>& arrived);
 
 }  // namespace sg

@@ -9,6 +9,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <functional>
 #include <new>
 #include <stdexcept>
 #include <string>
@@ -59,6 +60,43 @@ TEST(pool_hands_an_exception_to_the_caller) {
       for (const auto& c : calls) CHECK(c <= 1);
       CHECK(all_run_once(100));
     }
+  }
+}
+
+TEST(pool_works_on_what_has_come_while_more_comes) {
+  for (const int threads : kThreads) {
+    sg::set_thread_count(threads);
+    for (const int count : {0, 1, 7, 8, 9, 1000}) {
+      std::vector<int> values(count);  // each written before it is said to be there
+      std::vector<std::atomic<int>> calls(count);
+      const auto bring = [&](const std::function<void(int)>& there) {
+        for (int i = 0; i < count; ++i) {
+          values[i] = i + 1;
+          if (i % 3 == 2 || i + 1 == count) there(i + 1);
+        }
+      };
+      const int found = sg::parallel_while(8, bring, [&](int first, int last, int chunk) {
+        CHECK(first == 8 * chunk && last > first && last <= first + 8);
+        for (int i = first; i < last; ++i) calls[i] += values[i] == i + 1;
+      });
+      CHECK(found == count);
+      for (const auto& c : calls) CHECK(c == 1);
+    }
+  }
+}
+
+TEST(pool_hands_on_what_ends_the_coming) {
+  for (const int threads : kThreads) {
+    sg::set_thread_count(threads);
+    const auto bring = [](const std::function<void(int)>& there) {
+      there(20);
+      throw std::runtime_error("no more");
+    };
+    CHECK(check::throws<std::runtime_error>([&] { sg::parallel_while(8, bring, [](int, int, int) {}); }));
+    const auto comes = [](const std::function<void(int)>& there) { there(20); };
+    const auto fail = [](int, int, int) { throw std::bad_alloc(); };
+    CHECK(check::throws<std::bad_alloc>([&] { sg::parallel_while(8, comes, fail); }));
+    CHECK(all_run_once(100));
   }
 }
 

@@ -41,8 +41,7 @@ std::shared_ptr<const sg::Texture> texture_of(const uint8_t* data, size_t size, 
 
 void draw(const sg::RdParameters& p, sg::GaussianArrays g, int flags, const uint8_t* data, size_t size) {
   if (int64_t{p.width} * p.height > kMaxPixels) return;
-  const int64_t tiles = ((p.width + 15) / 16) * ((p.height + 63) / 64);  // and so many pairs as decoding allows
-  const int64_t max_pairs = 16 * static_cast<int64_t>(g.means.size() / 2) + 256 * tiles;
+  const int64_t max_pairs = sg::most_pairs(static_cast<int>(g.means.size() / 2), p.width, p.height);
   sg::Canvas canvas{0, 0, p.width, p.height, sg::kCutoffV3, p.version == 4};
   if (flags & kFarOut) {
     canvas.x = kFarX;
