@@ -23,7 +23,7 @@ from sgmethod.io.files import write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper import encode as paper
-from sgmethod.profiles import DEFAULT_PROFILE, PROFILES, RdSettings, tuning
+from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, PROFILES, RdSettings, checked_effort, tuning, with_effort
 from sgmethod.rd import encode as rd
 from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
@@ -43,6 +43,7 @@ class Stats:
     height: int
     profile: str
     tune: str
+    effort: int
 
     def to_dict(self) -> dict[str, object]:
         """Plain JSON types; a lossless result has psnr None."""
@@ -73,6 +74,7 @@ def encode(
     quality: float | None = None,
     gaussians: int | None = None,
     tune: str | None = None,
+    effort: int = DEFAULT_EFFORT,
     seed: int = 0,
     time_limit_s: float | None = None,
     on_progress: Progress | None = None,
@@ -93,8 +95,9 @@ def encode(
     files and pictures. All is rounded to 8 bits: a decoded picture has no more, and its figures are against them.
     bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which says what each means; 0.3 bpp if not told.
     profile: one of sgmethod.profiles.PROFILE_NAMES; tune: what the file is to be good for, "psnr" (squared error) or
-    "visual" (the eye; with profile rd, and no budget in dB), "psnr" if not told; seed: of everything random, so that
-    the same call gives the same file on the same machine unless time_limit_s (seconds, whole encode) cuts it short;
+    "visual" (the eye; with profile rd, and no budget in dB), which is the default where it can be had; effort: from 1,
+    the fastest, to 9, the best, with profile rd; seed: of everything random, so that the same call gives the same file
+    on the same machine unless time_limit_s (seconds, whole encode) cuts it short, which ends a search with its best;
     on_progress: called with each point of the trace, and may raise to abandon the encode; stop: asked all the time, and
     once it says True the encode ends early with what it has, within the budget, in about a quarter of the time so far;
     on_preview: called now and then by profile rd with a file of what there is, which is not held to the budget.
@@ -114,8 +117,9 @@ def encode(
     _check_profile(profile)
     _check_time_limit(time_limit_s)
     tuned_for = tuning(tune, profile, budget)
-    request = Request(read_input(image), budget, profile, tuned_for, seed, recorder)
-    settings = PROFILES[profile]
+    effort = checked_effort(effort)
+    settings = with_effort(PROFILES[profile], effort)
+    request = Request(read_input(image), budget, profile, tuned_for, effort, seed, recorder)
     with _single_torch_thread(), _memory_errors():
         if isinstance(settings, RdSettings):
             data, steps = rd.encode(request, replace(settings, tune=tuned_for))
@@ -177,6 +181,7 @@ def _measured(request: Request, data: bytes, steps: int) -> Encoded:
         height=height,
         profile=request.profile,
         tune=request.tune,
+        effort=request.effort,
     )
     return Encoded(data, stats, request.recorder.points)
 

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from numbers import Integral
+from typing import Any, Literal, get_args
 
 from sgmethod.budget import Budget
 from sgmethod.errors import BudgetError
 
 Tune = Literal["psnr", "visual"]
 TUNES: tuple[Tune, ...] = get_args(Tune)
-DEFAULT_TUNE: Tune = "psnr"  # where a profile and a budget leave the choice
+DEFAULT_TUNE: Tune = "visual"  # where a profile and a budget leave the choice
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,45 @@ class PaperSettings(OptimiserSettings):
 
 
 @dataclass(frozen=True)
+class Times:
+    """What is due when, in one run of profile rd's schedule. Times are parts of it, 0 to 1."""
+
+    # Gaussians are added at these times, where each gains more than its bits are worth.
+    growth_at: tuple[float, ...] = (0.03, 0.09, 0.15, 0.21, 0.27, 0.33, 0.39, 0.45, 0.55, 0.65)
+    # The quantum moves towards the size or the PSNR asked for, at the times of growth and at these.
+    trim_at: tuple[float, ...] = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
+    steering_from: float = 0.12
+    early_db: float = 2.0  # when steering begins, a PSNR so far below the final one is right
+    early_until: float = 0.45
+
+    # Surplus: there may be more than the budget allows at first. Between these times it is given up.
+    excess: float = 0.5  # a budget of 100 bytes, or Gaussians, allows 150 at first
+    finer_early: float = 4.0  # a quantum that the budget gives is so many times finer at first
+    excess_from: float = 0.45
+    excess_until: float = 0.88
+
+    # While Gaussians are few, half the size or less serves as well.
+    halved_until: float = 0.5
+    whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
+
+
+# Of a round: more Gaussians than can stay are added to a file that is as large as it may be, and those that gain least
+# for their bits go.
+ROUND = Times(
+    growth_at=(0.0, 0.1, 0.2),
+    trim_at=(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.98),
+    steering_from=0.0,
+    early_db=0.0,
+    excess=1.0,
+    finer_early=1.35,
+    excess_from=0.0,
+    excess_until=0.6,
+    halved_until=0.0,
+    whole_from=0.0,
+)
+
+
+@dataclass(frozen=True)
 class RdSettings(OptimiserSettings):
     """Hyper-parameters of profile rd: ours. Times are parts of the schedule, 0 to 1.
 
@@ -93,46 +133,41 @@ class RdSettings(OptimiserSettings):
     final_rate: float = 0.5
     newton_steps: float = 2.0
     min_scale_px: float = 0.5  # below it a Gaussian jumps from pixel to pixel
-    steps: int = 300
+    steps: int = 250
     dense_steps: float = 2.25  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
     dense: float = 0.035  # and from which there are `dense_steps` times as many
     color_solve_steps: int = 4  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
-    # Growth: Gaussians are added at these times, where each gains more than its bits are worth.
+    times: Times = Times()
+
+    # Rounds after the first run of the schedule. A file is made after each so many, and the best of them is kept.
+    rounds: tuple[int, ...] = (1,)
+    round_times: Times = ROUND
+    round_steps: float = 0.4  # of the first run's
+
+    # Growth
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow
-    growth_at: tuple[float, ...] = (0.03, 0.09, 0.15, 0.21, 0.27, 0.33, 0.39, 0.45, 0.55, 0.65)
     growth: float = 1.0  # new Gaussians at one time are at most this part of those that there are
     most: float = 5.0  # under a budget of bytes there are never more Gaussians than so many times the expected number
     bits_of_new: float = 20.0  # a new Gaussian takes away at least the error that so many bits are worth
 
     # A Gaussian is dropped when its own energy is worth fewer bits than this.
     bits_of_nothing: float = 4.3  # while Gaussians are added: what is worth less rounds to nothing in the file
-    bits_of_dropped: float = 25.0  # from the last growth on
+    bits_of_dropped: float = 18.0  # from the last growth on
     missed_db: float = 0.1  # nothing is dropped that would take a PSNR so far below the one asked for
     rate_weight: float = 1.7  # price of a bit in the fit, in multiples of its theoretical price
 
-    # Size of the picture that is fitted: while Gaussians are few, half the size or less serves as well.
+    # Size of the picture that is fitted
     halvings: int = 3
     pixels_per_gaussian: float = 20.0
     contrast_kept: float = 0.7  # of the picture's variance; a smaller picture that keeps less misses what matters
-    halved_until: float = 0.5
-    whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
 
-    # Rate control: the quantum moves towards the size or the PSNR asked for, at the times of growth and at these.
-    trim_at: tuple[float, ...] = (0.72, 0.78, 0.82, 0.86, 0.9, 0.94, 0.97, 0.99)
-    steering_from: float = 0.12
+    # Rate control
     steering_exponent: float = 0.9  # at the times of growth
     trim_exponent: float = 1.0  # later
     steering_limit: float = 1.35  # the quantum's largest change at one time, as a factor
     db_per_doubling: float = 2.5  # PSNR that is lost when the quantum doubles
-    early_db: float = 2.0  # when steering begins, a PSNR so far below the final one is right
-
-    # Surplus: early in the fit there may be more than the budget allows. Between these times it is given up.
-    excess: float = 0.5  # a budget of 100 bytes, or Gaussians, allows 150 at first
-    finer_early: float = 4.0  # a quantum that the budget gives is so many times finer at first
-    excess_from: float = 0.45
-    excess_until: float = 0.88
 
     # The end: one quantum for all, then integers are refined.
     fit_share: float = 0.9  # of a time limit; the rest is for the end
@@ -146,9 +181,9 @@ class RdSettings(OptimiserSettings):
     psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
     dearest_bit: float = 256.0  # times the price of refining, where a file is far above the PSNR asked for
     # Texture, of visual tuning alone.
-    texture_gain: tuple[float, float] = (0.8, 0.4)  # by octave, of the spread that is left
-    texture_floor: float = 1.5  # levels of 8 bits; less is grain that nobody sees
-    texture_quantile: float = 0.3  # of the blocks of a cell, by what is left in them
+    texture_gain: tuple[float, float] = (0.7, 0.6)  # by octave, of the spread that is left
+    texture_floor: float = 0.6  # levels of 8 bits; less is grain that 8 bits hardly hold
+    texture_quantile: float = 0.4  # of the blocks of a cell, by what is left in them
     texture_share: float = 0.05  # of a budget of bytes, at most
     least_gain: float = 0.1  # of what a finer quantum should gain; one that gains less is finer than the picture needs
 
@@ -163,6 +198,19 @@ BASELINE = replace(
     mean_bitwidth=6.0,
 )
 RD = RdSettings()
+# What profile rd does for an effort. Each above the default does all that the one below does, and then goes on.
+EFFORTS: dict[int, dict[str, Any]] = {
+    1: {"rounds": (0,), "steps": 100, "refine_sweeps": 1, "size_tries": 1},
+    2: {"rounds": (0,), "steps": 130, "size_tries": 2},
+    3: {"rounds": (0,), "steps": 180},
+    4: {"rounds": (0,)},
+    5: {},
+    6: {"rounds": (1, 2)},
+    7: {"rounds": (1, 2, 5)},
+    8: {"rounds": (1, 2, 5, 12)},
+    9: {"rounds": (1, 2, 5, 12, 40)},
+}
+DEFAULT_EFFORT = 5
 PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
 PROFILE_NAMES = tuple(PROFILES)
 DEFAULT_PROFILE = "rd"
@@ -183,3 +231,20 @@ def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
         what = "a budget in dB" if budget.kind == "psnr" else f"profile {profile}"
         raise BudgetError(f"{what} goes with tuning for psnr alone")
     return TUNES[TUNES.index(tune)]
+
+
+def checked_effort(effort: object) -> int:
+    """One of EFFORTS. Raises BudgetError for anything else."""
+    if isinstance(effort, bool) or not isinstance(effort, Integral) or effort not in EFFORTS:
+        raise BudgetError(f"effort must be one of {min(EFFORTS)} to {max(EFFORTS)}, got {effort!r}")
+    return int(effort)
+
+
+def with_effort(settings: PaperSettings | RdSettings, effort: int) -> PaperSettings | RdSettings:
+    """The settings for an effort of EFFORTS. Raises BudgetError for any but the default where there is no choice: with
+    profiles other than rd."""
+    if isinstance(settings, RdSettings):
+        return replace(settings, **EFFORTS[effort])
+    if effort != DEFAULT_EFFORT:
+        raise BudgetError("an effort goes with profile rd alone")
+    return settings

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from sgmethod.budget import BudgetKind
-from sgmethod.profiles import Tune
+from sgmethod.profiles import DEFAULT_EFFORT, Tune
 
 JobState = Literal["queued", "running", "done", "failed"]
 JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
@@ -33,13 +33,16 @@ def is_job_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's. Jobs of releases that had no choice were tuned for PSNR."""
+    """What the client asked for; the names are sgmethod's. Jobs of releases that had no choice were tuned for PSNR, at
+    the usual effort.
+    """
 
     budget_kind: BudgetKind
     budget_value: float
     profile: str
     time_limit_s: float
     tune: Tune = "psnr"
+    effort: int = DEFAULT_EFFORT
 
 
 @dataclass(frozen=True)

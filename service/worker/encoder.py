@@ -125,6 +125,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
             Budget(request.budget_kind, request.budget_value),
             request.profile,
             tune=request.tune,
+            effort=request.effort,
             time_limit_s=request.time_limit_s,
             on_progress=lambda point: send(pipe, TRACE, to_json(point.to_dict())),
             stop=stopped.is_set,

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, BudgetKind
-from sgmethod.profiles import DEFAULT_PROFILE, DEFAULT_TUNE, PROFILE_NAMES, TUNES
+from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, DEFAULT_TUNE, EFFORTS, PROFILE_NAMES, TUNES
 from sgmethod.view import MAX_SCALE, MIN_SCALE
 
 BAD_INPUT = 2
@@ -55,8 +55,12 @@ INFO = (
 )
 COMPARE = (
     "Print how close two pictures are, or a picture and an .sg file.",
-    """examples:
+    """PSNR, MS-SSIM and SSIMULACRA 2 are higher for closer pictures, LPIPS and DISTS lower. What cannot be
+measured says why. A is the one that B is compared with.
+
+examples:
   sgmethod compare photo.jpg photo.sg
+  sgmethod compare photo.jpg photo.sg --weights DIR
   sgmethod compare a.png b.png --json""",
 )
 PLOT = (
@@ -114,6 +118,7 @@ def parser() -> argparse.ArgumentParser:
     two = command("compare", COMPARE)
     two.add_argument("first", metavar="A")
     two.add_argument("second", metavar="B")
+    two.add_argument("--weights", metavar="DIR", help="weights of the networks that LPIPS and DISTS need")
     two.add_argument("--json", action="store_true", help="print one JSON object")
     _add_plot_arguments(command("plot", PLOT))
     return whole
@@ -141,6 +146,13 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tune", choices=TUNES, help=f"for squared error, or for the eye (default: {DEFAULT_TUNE}; with --psnr: psnr)"
+    )
+    parser.add_argument(
+        "--effort",
+        type=_whole_number("an effort", min(EFFORTS), max(EFFORTS)),
+        default=DEFAULT_EFFORT,
+        metavar="N",
+        help=f"from {min(EFFORTS)}, the fastest, to {max(EFFORTS)}, the best (default: {DEFAULT_EFFORT})",
     )
     parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="be done after so long, for each picture")
     parser.add_argument("--server", metavar="URL", help="have a service encode it; its API key from SG_API_KEY")

@@ -150,6 +150,11 @@ def _encode(conversion: Conversion, arguments: argparse.Namespace, shown: bool) 
 Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # the file, its figures, the trace, what was left out
 
 
+def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What an encode takes beside budget and profile, here and by a service alike."""
+    return {"tune": arguments.tune, "effort": arguments.effort, "time_limit_s": arguments.time_limit}
+
+
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, shown: bool) -> Result:
     encode = _load_encoder()
     pixels, notes = files.read_pixels(image)
@@ -159,9 +164,8 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
             pixels,
             budget,
             arguments.profile,
-            tune=arguments.tune,
+            **_choices(arguments),
             seed=arguments.seed,
-            time_limit_s=arguments.time_limit,
             on_progress=show,
         )
     return encoded.data, encoded.stats.to_dict(), encoded.trace, notes
@@ -175,8 +179,7 @@ def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, s
     if arguments.seed != 0:
         raise CommandError("a server takes no --seed")
     with Client(arguments.server, os.environ.get("SG_API_KEY")) as client, progress_line(shown) as show:
-        limit, tune = arguments.time_limit, arguments.tune
-        encoded = client.encode(image, budget, arguments.profile, tune=tune, time_limit_s=limit, on_progress=show)
+        encoded = client.encode(image, budget, arguments.profile, **_choices(arguments), on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, []
 
 

@@ -22,7 +22,7 @@ import httpx
 from sgmethod.budget import DEFAULT_BUDGET, Budget
 from sgmethod.client.connection import PAUSE_S, Connection, Json, RefusedError
 from sgmethod.errors import ServerError
-from sgmethod.profiles import DEFAULT_PROFILE
+from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE
 from sgmethod.trace import Progress, TracePoint
 
 Priority = Literal["interactive", "bulk"]
@@ -64,6 +64,7 @@ class Client:
         profile: str = DEFAULT_PROFILE,
         *,
         tune: str | None = None,
+        effort: int = DEFAULT_EFFORT,
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
         on_progress: Progress | None = None,
@@ -73,7 +74,7 @@ class Client:
         Without on_progress one request brings the bitstream, if the server has it soon enough. Whoever interrupts that
         request leaves the job behind.
         """
-        query = _query(budget, profile, tune, time_limit_s, priority)
+        query = _query(budget, profile, tune, effort, time_limit_s, priority)
         try:
             answer = self._submit("/encode", query, image, wait_s=WAIT_S if on_progress is None else 0)
         except RefusedError as refusal:
@@ -99,11 +100,13 @@ class Client:
         profile: str = DEFAULT_PROFILE,
         *,
         tune: str | None = None,
+        effort: int = DEFAULT_EFFORT,
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
     ) -> str:
         """The id of a new job. Tried again where that helps; the image is never accepted twice."""
-        return str(self._submit("/encode", _query(budget, profile, tune, time_limit_s, priority), image).json()["id"])
+        query = _query(budget, profile, tune, effort, time_limit_s, priority)
+        return str(self._submit("/encode", query, image).json()["id"])
 
     def submit_again(
         self,
@@ -112,13 +115,14 @@ class Client:
         profile: str = DEFAULT_PROFILE,
         *,
         tune: str | None = None,
+        effort: int = DEFAULT_EFFORT,
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
     ) -> str:
         """The id of a new job with the image of another, which is not sent a second time. Raises ServerError once the
         server keeps it no longer.
         """
-        query = _query(budget, profile, tune, time_limit_s, priority)
+        query = _query(budget, profile, tune, effort, time_limit_s, priority)
         return str(self._submit(f"/jobs/{job_id}/encode", query).json()["id"])
 
     def _submit(self, path: str, query: Json, image: bytes = b"", wait_s: int = 0) -> httpx.Response:
@@ -194,10 +198,13 @@ class Client:
             self.remove(job_id)
 
 
-def _query(budget: Budget, profile: str, tune: str | None, time_limit_s: float | None, priority: Priority) -> Json:
+def _query(
+    budget: Budget, profile: str, tune: str | None, effort: int, time_limit_s: float | None, priority: Priority
+) -> Json:
     """The fields of an encode."""
     wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
     wanted |= {"priority": priority, "time_limit_s": time_limit_s}
+    wanted |= {"effort": None if effort == DEFAULT_EFFORT else effort}  # which older servers do not know
     return {name: value for name, value in wanted.items() if value is not None}
 
 

@@ -7,8 +7,8 @@ That is a diagonal in place and a fixed matrix in colour. So the colours of give
 the fit, growth, what is dropped and refining all see one and the same error.
 
 Coarse errors are seen more than fine ones: with K e the mean of e over squares of SHRINK pixels, (e + K e)^T V e counts
-in place of e^T V e. Its gradient, V (e + K e), is that of an error against a target further off by K e. So, once no
-Gaussian is added any more, the target is moved every few steps of the fit (Lead), and kernels see nothing of it.
+in place of e^T V e. Its gradient, V (e + K e), is that of an error against a target further off by K e. So, once the
+growth of a run of the schedule is over, the target is moved every few steps (Lead), and kernels see nothing of it.
 """
 
 from __future__ import annotations

@@ -104,14 +104,16 @@ class Picture:
 
     def error(self, p: Parameters) -> float:
         """Mean squared error."""
-        target = self.target if self.lead is None else self.lead.unmoved
-        return self.rasterise(p.means, p.factors).error(p.colors.contiguous().numpy(), target)
+        return self.rasterise(p.means, p.factors).error(p.colors.contiguous().numpy(), self._unmoved())
 
     def follow(self, p: Parameters) -> None:
         """Move the target as the eye wants it (eye.Lead)."""
         if self.lead is not None:
-            self.lead.follow(self._missing(p, self.lead.unmoved))
+            self.lead.follow(self._missing(p, self._unmoved()))
             self.target = self.lead.target
+
+    def _unmoved(self) -> Target:
+        return self.target if self.lead is None else self.lead.unmoved
 
     def _squared_error(self, p: Parameters) -> tuple[float, Parameters]:
         """The mean, and its gradients in this picture's pixels."""

@@ -27,6 +27,7 @@ class Request:
     budget: Budget
     profile: str
     tune: Tune
+    effort: int
     seed: int
     recorder: Recorder
 

@@ -21,15 +21,17 @@ def never() -> None:
 
 @dataclass(frozen=True)
 class Schedule:
-    """One phase of an encode: its name in the trace, its steps, the part of the rate at which it ends, the second at
-    which it must be over (asked before each step, as it may come nearer), and the part of it without progress after
-    which it has converged."""
+    """One phase of an encode, or a run that is a part of it: its name in the trace, its steps, the part of the rate at
+    which it ends, the second at which it must be over (asked before each step, as it may come nearer), the part of it
+    without progress after which it has converged, and the phase's steps before and in all, if it is but a part."""
 
     phase: str
     steps: int
     final_rate: float
     until: Until = never
     patience: float = 0.3
+    before: int = 0
+    in_all: int | None = None
 
     def run(self, recorder: Recorder, step: Step, shown: Callable[[], float] | None = None) -> int:
         """Repeat step(rate, progress) -> (mse, counts); returns the steps done.
@@ -40,6 +42,7 @@ class Schedule:
         """
         begun = recorder.clock.seconds()
         best, best_at, done = math.inf, 0.0, 0
+        in_all = self.in_all or self.steps
         progress = 0.0
         while progress < 1:
             rate = self.final_rate + (1 - self.final_rate) * 0.5 * (1 + math.cos(math.pi * progress))
@@ -49,7 +52,8 @@ class Schedule:
             until_s = self.until()
             if until_s is not None:
                 progress = max(progress, (recorder.clock.seconds() - begun) / max(until_s - begun, 1e-9))
-            recorder.report(self.phase, done if progress < 1 else self.steps, self.steps, shown or mse, counts)
+            at = self.before + (done if progress < 1 else self.steps)
+            recorder.report(self.phase, at, in_all, shown or mse, counts)
             if mse < best * 10 ** (-PROGRESS_DB / 10):
                 best, best_at = mse, progress
             elif progress - best_at > self.patience:

@@ -7,12 +7,13 @@ integers of each on the picture that the others leave (sgmethod/native/refine/re
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sgmethod.bitstream.texture import Codes, pack
 from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.decoder import draw
+from sgmethod.decoder import draw_whole
 from sgmethod.fitting import eye
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
@@ -49,11 +50,25 @@ class Finish:
         enough = min(self._psnr(best), self.control.psnr or math.inf)
         return replace(background if self._psnr(background) >= enough else best, texture=texture)
 
+    def best(self, streams: Sequence[StreamV4]) -> StreamV4:
+        """The one that meets the budget best, of several that stream() found in the course of one encode."""
+        return max(streams, key=self._merit) if len(streams) > 1 else streams[0]
+
+    def _merit(self, stream: StreamV4) -> tuple[float, float]:
+        """By which streams of one budget are compared, whatever its kind; the second where the first is equal."""
+        size = len(stream.payload)
+        if self.control.psnr is not None:
+            return min(self._psnr(stream), self.control.psnr), -size
+        if self.control.max_bytes is not None or self.control.max_gaussians is not None:
+            return self._quality(stream), -size
+        price = quantiser.error_per_bit(self.coder.quantum)
+        return -self._error(stream) - 8 * price * size, -size
+
     def _texture(self) -> Codes | None:
         """That goes with the Gaussians as they would be rounded now; the quantum found later differs little."""
         if self.settings.tune == "psnr":
             return None
-        drawn = draw(self.coder.stream(self.p).scene())
+        drawn = draw_whole(self.coder.stream(self.p))
         codes = estimate(self.source, drawn, self.settings)
         most = self.settings.texture_share * (self.control.max_bytes or math.inf)
         return codes if codes is not None and len(pack(codes)) <= most else None
@@ -69,13 +84,17 @@ class Finish:
 
     def _psnr(self, stream: StreamV4) -> float:
         """Without texture, which is there to be seen and not to be measured."""
-        return min(psnr(draw(stream.scene()), self.source), EXACT_DB)
+        return min(psnr(draw_whole(stream), self.source), EXACT_DB)
 
     def _quality(self, stream: StreamV4) -> float:
-        """By which streams of one budget are compared: PSNR, or less of the error that the eye sees."""
+        """By which streams of about one size are compared: PSNR, or less of the error that the eye sees."""
+        return self._psnr(stream) if self.picture.visibility is None else -self._error(stream)
+
+    def _error(self, stream: StreamV4) -> float:
+        """Squared, summed over the picture, white being 1; as the eye sees it, where the file is tuned for it."""
         if self.picture.visibility is None:
-            return self._psnr(stream)
-        return -eye.error(self.picture.visibility, draw(stream.scene()), self.source)
+            return self.source.size * float(10 ** (-self._psnr(stream) / 10))
+        return eye.error(self.picture.visibility, draw_whole(stream), self.source) / 255**2
 
     def _within(self, limit: int) -> StreamV4:
         """The best with a payload of at most `limit` bytes.

@@ -22,7 +22,7 @@ from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock
 from sgmethod.native import native
-from sgmethod.profiles import PAPER
+from sgmethod.profiles import PAPER, Times
 from sgmethod.rd import growth, quantiser
 from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
@@ -60,7 +60,7 @@ class RdFit:
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
         self.steps = 0
-        self.due = sorted([*settings.growth_at, *settings.trim_at])
+        self.due = _all_due(settings.times)
         self.price_of_none = math.inf  # at which growth found next to nothing
         self.p = self._place(np.random.default_rng(seed))
         self.adam = FrameAdam(len(self.p.means), settings, self.picture.values)
@@ -98,9 +98,9 @@ class RdFit:
             at = self.due.pop(0)
         if at is not None:  # of several that one slow step has passed, the last
             self._reconsider(at)
-        picture = self.pyramid.at(progress, len(self.p.means))
+        picture = self.pyramid.at(progress, self.settings.times, len(self.p.means))
         # Growth would take what moved the target for error, add wide Gaussians for it and leave fine errors alone.
-        has_grown = progress > self.settings.growth_at[-1]
+        has_grown = progress > self.settings.times.growth_at[-1]
         if has_grown and picture is self.picture and self.steps % eye.Lead.EVERY == 0:
             picture.follow(self.p)
         self.steps += 1
@@ -109,6 +109,13 @@ class RdFit:
         self.adam.step(self.p, grad, rate)
         self._stay_in_range()
         return mse if picture is self.picture else math.inf, (len(self.p.means), 8 * self.size)
+
+    def begin_round(self) -> None:
+        """Make ready for a run of the schedule that is a round."""
+        self.settings = replace(self.settings, times=self.settings.round_times)
+        self.control = replace(self.control, settings=self.settings)
+        self.due = _all_due(self.settings.times)
+        self.price_of_none = math.inf
 
     def decoded_mse(self) -> float:
         """The error of the picture as it would decode now."""
@@ -131,9 +138,9 @@ class RdFit:
     def _reconsider(self, at: float) -> None:
         """Drop Gaussians, steer the quantum and, while growing, add Gaussians."""
         s, most = self.settings, self.control.most_gaussians(at)
-        self._drop(s.bits_of_dropped if at >= s.growth_at[-1] else s.bits_of_nothing, most)
+        self._drop(s.bits_of_dropped if at >= s.times.growth_at[-1] else s.bits_of_nothing, most)
         self._steer(at)
-        if at in s.growth_at:
+        if at in s.times.growth_at:
             self._grow(most)
 
     def _drop(self, bits: float, most: int) -> None:
@@ -198,3 +205,8 @@ class RdFit:
 
     def _psnr(self, p: Parameters) -> float:
         return -10 * math.log10(max(self.picture.error(p), 1e-12))
+
+
+def _all_due(times: Times) -> list[float]:
+    """All that something is due at."""
+    return sorted([*times.growth_at, *times.trim_at])

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from sgmethod.fitting.picture import Picture, Target
-from sgmethod.profiles import RdSettings
+from sgmethod.profiles import RdSettings, Times
 
 SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
 
@@ -45,11 +45,11 @@ class Pyramid:
         coarser = [p for p in self.detailed if p.spacing > self.finest.spacing and p.height * p.width >= enough]
         return [self.finest, *coarser][-1]
 
-    def at(self, progress: float, gaussians: int) -> Picture:
-        """The level for a time of the schedule: the smallest that will do, the whole picture in the end."""
-        if progress >= self.settings.whole_from:
+    def at(self, progress: float, times: Times, gaussians: int) -> Picture:
+        """The level for a part of the schedule: the smallest that will do, the whole picture in the end."""
+        if progress >= times.whole_from:
             return self.whole
-        if progress >= self.settings.halved_until:
+        if progress >= times.halved_until:
             return self.finest
         return self.smallest(gaussians)
 

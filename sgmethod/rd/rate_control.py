@@ -93,19 +93,19 @@ class RateControl:
     def new_gaussians(self, now: int) -> int:
         """How many Gaussians may be added to so many at once."""
         s = self.settings
-        return max(int(s.growth * now), self.expected_gaussians() // len(s.growth_at), 4)
+        return max(int(s.growth * now), self.expected_gaussians() // len(s.times.growth_at), 4)
 
     def steered(
         self, quantum: float, at: float, file_bytes: int, psnr: Callable[[], float], unrounded_psnr: Callable[[], float]
     ) -> float:
         """The quantum from this time on, given the quantum now and what it comes to: the file's size, and its PSNR in
         dB and that before rounding, which are asked for where they are needed."""
-        s = self.settings
+        s, times = self.settings, self.settings.times
         if self.max_bytes is None and self.psnr is None:
             return self._given_quantum(at)
-        if at < s.steering_from:
+        if at < times.steering_from:
             return quantum
-        exponent = s.steering_exponent if at in s.growth_at else s.trim_exponent
+        exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
         ratio: float
         if self.max_bytes is not None:
             # More than the whole size from the first: the fine steps that this means serve Gaussians well while they
@@ -114,12 +114,12 @@ class RateControl:
         else:
             assert self.psnr is not None
             # Early in the growth a larger error than the final one is right.
-            missing = max(1 - (at - s.steering_from) / (s.growth_at[-3] - s.steering_from), 0)
-            aim = self.psnr - s.early_db * missing
+            missing = max(1 - (at - times.steering_from) / (times.early_until - times.steering_from), 0)
+            aim = self.psnr - times.early_db * missing
             rounded = psnr()
             ratio = 2 ** ((rounded - aim) / s.db_per_doubling * exponent)
             # Where rounding takes next to nothing, a finer quantum cannot give what is missing.
-            if ratio < 1 and at > s.growth_at[-1] and unrounded_psnr() < min(rounded + s.missed_db, self.psnr):
+            if ratio < 1 and at > times.growth_at[-1] and unrounded_psnr() < min(rounded + s.missed_db, self.psnr):
                 return quantum
         if ratio == 1.0:
             return quantum
@@ -127,13 +127,13 @@ class RateControl:
 
     def _surplus(self, at: float) -> float:
         """1 while there may be more than was asked for, falling to 0."""
-        s = self.settings
-        return 1 - min(max((at - s.excess_from) / (s.excess_until - s.excess_from), 0), 1)
+        times = self.settings.times
+        return 1 - min(max((at - times.excess_from) / (times.excess_until - times.excess_from), 0), 1)
 
     def _excess(self, at: float) -> float:
         """How many times what was asked for there may be: Gaussians, or bytes."""
-        return 1 + self.settings.excess * self._surplus(at)
+        return 1 + self.settings.times.excess * self._surplus(at)
 
     def _given_quantum(self, at: float) -> float:
         """The quantum asked for; finer early, where a size or a PSNR would have steered it to."""
-        return self.quantum / float(self.settings.finer_early ** self._surplus(at))
+        return self.quantum / float(self.settings.times.finer_early ** self._surplus(at))

@@ -180,9 +180,9 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
         given = ["--profile", "baseline", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
-        assert calls.pop() == ((budget, "baseline"), {"tune": None, "seed": 7, "time_limit_s": 5.0})
-    assert run("encode", "photo.png", "out.sg", "--quiet", "--tune", "visual") == Ran(0, "", "")
-    assert calls.pop()[1]["tune"] == "visual"
+        assert calls.pop() == ((budget, "baseline"), {"tune": None, "effort": 5, "seed": 7, "time_limit_s": 5.0})
+    assert run("encode", "photo.png", "out.sg", "--quiet", "--tune", "visual", "--effort", "2") == Ran(0, "", "")
+    assert {name: calls[0][1][name] for name in ("tune", "effort")} == {"tune": "visual", "effort": 2}
 
 
 def test_summary_and_trace(run: Run) -> None:

@@ -20,6 +20,7 @@ from sgmethod.cli import encoding
 from sgmethod.cli.terminal import bar, remaining
 from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.metrics import psnr
+from sgmethod.metrics.perceptual import ssimulacra2
 from sgmethod.trace import TracePoint
 from tests.cli.test_cli import PHOTO, Ran, Run, assert_refused, in_folder, names, rest_of, run, start, terminal_pair
 
@@ -229,10 +230,20 @@ def test_compare(run: Run) -> None:
     assert run("encode", "photo.png", "out.sg", "--gaussians", "50").status == 0
     ran = run("compare", "photo.png", "out.sg")
     db = psnr(decode(Path("out.sg").read_bytes()), np.asarray(PHOTO))
-    assert ran == Ran(0, f"PSNR            {db:.2f} dB\nMS-SSIM         not defined for sides below 161 pixels\n", "")
+    assert ran.out.splitlines() == [
+        f"PSNR            {db:.2f} dB",
+        "MS-SSIM         not defined for sides below 161 pixels",
+        f"SSIMULACRA 2    {ssimulacra2(decode('out.sg'), np.asarray(PHOTO)):.4g}",
+        "LPIPS           needs --weights (docs/command_line.md)",
+        "DISTS           needs --weights (docs/command_line.md)",
+    ]
     PHOTO.resize((200, 180)).save("large.png")
     ran = run("compare", "large.png", "large.png", "--json")
-    assert json.loads(ran.out) == {"psnr": None, "ms_ssim": 1.0}
+    found = json.loads(ran.out)
+    assert found == {"psnr": None, "ms_ssim": 1.0, "ssimulacra2": found["ssimulacra2"], "lpips": None, "dists": None}
+    assert found["ssimulacra2"] == pytest.approx(100, abs=0.01)
+    PHOTO.resize((200, 63)).save("small.png")
+    assert run("compare", "small.png", "small.png").out.count("not defined for sides below 64 pixels") == 3
     Path("bad.png").write_bytes(b"hello")
     Path("folder").mkdir()
     ran = run("compare", "large.png", "bad.png")

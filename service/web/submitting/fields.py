@@ -16,7 +16,17 @@ from service.jobs.job import PRIORITIES, EncodeRequest, Priority
 from service.web.guards.problems import ProblemError
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
 from sgmethod.errors import BudgetError
-from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, TUNES, tuning
+from sgmethod.profiles import (
+    DEFAULT_EFFORT,
+    DEFAULT_PROFILE,
+    EFFORTS,
+    PROFILE_NAMES,
+    PROFILES,
+    TUNES,
+    checked_effort,
+    tuning,
+    with_effort,
+)
 
 IMAGE_FIELD = "image"  # of the form, and none of the model
 CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES}
@@ -35,6 +45,14 @@ def _choice(text: str, info: ValidationInfo) -> str:
     if text not in CHOICES[name]:
         raise ValueError(f"unknown {name} {text!r}; use one of {', '.join(CHOICES[name])}")
     return text
+
+
+def _effort(text: str, info: ValidationInfo) -> int:
+    number = _number(text, info)
+    try:
+        return checked_effort(int(number) if number.is_integer() else number)
+    except BudgetError as error:
+        raise ValueError(str(error)) from error
 
 
 def _positive(description: str, example: float) -> Any:
@@ -69,6 +87,12 @@ class EncodeFields(BaseModel):
     tune: str | SkipJsonSchema[None] = Field(
         default=None, description="what the encode is tuned for", json_schema_extra={"enum": list(TUNES)}
     )
+    effort: Annotated[int, BeforeValidator(_effort)] = Field(
+        default=DEFAULT_EFFORT,
+        ge=min(EFFORTS),
+        le=max(EFFORTS),
+        description=f"from {min(EFFORTS)}, the fastest, to {max(EFFORTS)}, the best; profile rd alone",
+    )
     time_limit_s: Number = _positive("seconds for the fit; the longest that the service allows unasked", 60)
     priority: Annotated[Priority, BeforeValidator(_choice)] = Field(
         default=PRIORITIES[0], description="interactive jobs go before bulk ones"
@@ -98,9 +122,11 @@ class EncodeFields(BaseModel):
             raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
         try:
             tune = tuning(self.tune, self.profile, self.budget)
+            with_effort(PROFILES[self.profile], self.effort)
         except BudgetError as error:
             raise ProblemError(422, str(error)) from error
-        return Asked(EncodeRequest(self.budget.kind, self.budget.value, self.profile, seconds, tune), self.priority)
+        budget = self.budget
+        return Asked(EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort), self.priority)
 
 
 FIELDS = tuple(EncodeFields.model_fields)

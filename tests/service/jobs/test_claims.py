@@ -259,7 +259,7 @@ def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
     assert isinstance(table, SqlJobTable)
     strange = submitted(table)
     with table._transaction() as db:
-        request = json.dumps({**asdict(REQUEST), "effort": 9})
+        request = json.dumps({**asdict(REQUEST), "mood": 9})
         db.execute("UPDATE jobs SET request = ? WHERE id = ?", (request, strange))
     plain = submitted(table)
     claims = [table.claim("w") for _ in range(4)]

@@ -157,6 +157,10 @@ def test_jobs_are_listed_newest_first_in_pages(empty: Service) -> None:
         ({"bpp": "1", "tune": "best"}, "unknown tuning"),
         ({"psnr": "30", "tune": "visual"}, "tuning for psnr alone"),
         ({"bpp": "1", "profile": "paper", "tune": "visual"}, "tuning for psnr alone"),
+        ({"bpp": "1", "effort": "10"}, "effort must be one of 1 to 9"),
+        ({"bpp": "1", "effort": "5.5"}, "effort must be one of 1 to 9"),
+        ({"bpp": "1", "effort": "all"}, "effort must be a number"),
+        ({"bpp": "1", "profile": "paper", "effort": "9"}, "an effort goes with profile rd alone"),
         ({"bpp": "1", "time_limit_s": "0"}, "time_limit_s"),
         ({"bpp": "1", "time_limit_s": "1e9"}, "time_limit_s"),
         ({"bpp": "1", "time_limit_s": "soon"}, "time_limit_s"),
@@ -200,8 +204,11 @@ def test_an_image_as_the_body(web: Service) -> None:
     assert answer.status_code == 202, answer.text
     job = web.job(answer.json()["id"])
     assert (job["budget"], job["profile"]) == ({"kind": "psnr", "value": 30}, "paper")
-    assert (job["time_limit_s"], job["priority"], job["tune"]) == (2, "bulk", "psnr")
-    assert web.job(post("?bpp=1&tune=visual").json()["id"])["tune"] == "visual"
+    assert (job["time_limit_s"], job["priority"], job["tune"], job["effort"]) == (2, "bulk", "psnr", 5)
+    unasked = web.job(post("?bpp=1").json()["id"])
+    assert (unasked["tune"], unasked["effort"]) == ("visual", 5)
+    assert web.job(post("?bpp=1&effort=7").json()["id"])["effort"] == 7
+    assert web.job(post("?bpp=1&tune=psnr").json()["id"])["tune"] == "psnr"
     assert (web.data_dir / "sources" / job["id"]).read_bytes() == SMALL
     form = post("?bpp=1", content=None, headers={}, files={"image": ("a.png", SMALL)})
     assert web.job(form.json()["id"])["budget"] == {"kind": "bpp", "value": 1}
@@ -272,7 +279,9 @@ def test_image_larger_than_the_limit(web: Service) -> None:
 
 @hypothesis_settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
-    name=st.sampled_from(["bpp", "bytes", "psnr", "quality", "gaussians", "profile", "tune", "time_limit_s", "x"]),
+    name=st.sampled_from(
+        ["bpp", "bytes", "psnr", "quality", "gaussians", "profile", "tune", "effort", "time_limit_s", "x"]
+    ),
     value=st.text(max_size=20) | st.floats().map(str) | st.integers().map(str),
     image=st.binary(max_size=60) | st.binary(max_size=20).map(lambda junk: SMALL[:60] + junk),
 )
