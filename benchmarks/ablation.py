@@ -48,7 +48,7 @@ PARTS = (
     Part("smaller pictures at first", {"halvings": 0}),
     Part("a price for existing (anything may grow)", {"bits_of_new": 0.0}),
     Part("a price for bits while fitting", {}, lambda: patch.object(quantiser, "add_rate_gradient")),
-    Part("more than the size at first", {"excess": 0.0}),
+    Part("more than the size at first", {"times": replace(RD.times, excess=0.0)}),
     Part("refined integers", {"refine_sweeps": 0}),
     Part("a price for bits while refining", {"refine_weight": 0.0}),
 )

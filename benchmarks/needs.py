@@ -27,7 +27,7 @@ from benchmarks.stiff.drawings import chart, screenshot, text
 from sgmethod import Budget, Encoded, encode, info
 from sgmethod.fitting.picture import Picture
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.profiles import PROFILES, RD
+from sgmethod.profiles import PROFILES, RD, Times
 from sgmethod.rd.pyramid import Pyramid
 from tests.harness.data import PHOTOGRAPHS
 
@@ -101,8 +101,8 @@ def counted(counts: Counter[int]) -> Iterator[None]:
     """Count the steps on each size of the picture, by its spacing in pixels of the whole."""
     original = Pyramid.at
 
-    def at(pyramid: Pyramid, progress: float, gaussians: int) -> Picture:
-        picture = original(pyramid, progress, gaussians)
+    def at(pyramid: Pyramid, progress: float, times: Times, gaussians: int) -> Picture:
+        picture = original(pyramid, progress, times, gaussians)
         counts[picture.spacing] += 1
         return picture
 

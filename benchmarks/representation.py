@@ -24,7 +24,7 @@ from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.schedule import Schedule
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.profiles import RD, RdSettings
+from sgmethod.profiles import RD, RdSettings, Times
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.rate_control import GAUSSIANS_GUESS, RateControl
 
@@ -40,18 +40,20 @@ def lengthened(steps: int) -> RdSettings:
     than ten growths and a longer rest."""
     if steps == RD.steps:
         return RD
-    growths = max(round(GROWTH_UNTIL * steps / STEPS_OF_GROWTH), len(RD.growth_at))
+    growths = max(round(GROWTH_UNTIL * steps / STEPS_OF_GROWTH), len(RD.times.growth_at))
     trim_from = GROWTH_UNTIL + 0.02
     return replace(
         RD,
         steps=steps,
         final_rate=0.1,
-        steering_from=0.03,
-        halved_until=RD.halved_until * RD.steps / steps,
-        growth_at=tuple(np.linspace(0.01, GROWTH_UNTIL, growths).tolist()),
-        trim_at=tuple(np.linspace(trim_from, TRIM_UNTIL, TRIMS).tolist()),
-        excess_from=0.7 * GROWTH_UNTIL,
-        excess_until=TRIM_UNTIL,
+        times=Times(
+            steering_from=0.03,
+            growth_at=tuple(np.linspace(0.01, GROWTH_UNTIL, growths).tolist()),
+            trim_at=tuple(np.linspace(trim_from, TRIM_UNTIL, TRIMS).tolist()),
+            excess_from=0.7 * GROWTH_UNTIL,
+            excess_until=TRIM_UNTIL,
+            halved_until=RD.times.halved_until * RD.steps / steps,
+        ),
     )
 
 

@@ -192,7 +192,7 @@ STRAIGHT = np.linspace(20, 220, WIDTH) + np.zeros((HEIGHT, 1))
 
 @pytest.mark.parametrize(
     "picture",
-    [np.full((HEIGHT, WIDTH), 77.0), STRAIGHT, STRAIGHT + noise(1.4), lettering(), drawing(), np.full((1, 1), 9.0)],
+    [np.full((HEIGHT, WIDTH), 77.0), STRAIGHT, STRAIGHT + noise(0.6), lettering(), drawing(), np.full((1, 1), 9.0)],
     ids=["flat", "gradient", "grain that nobody sees", "lettering", "drawing", "pixel"],
 )
 def test_what_gets_none(picture: NDArray[np.float64]) -> None:

