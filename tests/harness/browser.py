@@ -146,6 +146,22 @@ class Chromium(Browser):
         """A command of Chromium's own protocol."""
         return self._ask("POST", "goog/cdp/execute", cmd=command, params=parameters)
 
+    def new_tab(self) -> str:
+        """Open a tab, to which switch_to() leads."""
+        return str(self._ask("POST", "window/new", type="tab")["handle"])
+
+    def tab(self) -> str:
+        """The one that commands are for."""
+        return str(self._ask("GET", "window"))
+
+    def switch_to(self, tab: str) -> None:
+        """Let commands be for that tab."""
+        self._ask("POST", "window", handle=tab)
+
+    def close_tab(self) -> None:
+        """Close the one that commands are for; another must be switched to."""
+        self._ask("DELETE", "window")
+
     def prefer(self, scheme: str) -> None:
         """Dark or light, as a person's system asks for it."""
         self.tell("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])

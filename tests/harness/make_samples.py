@@ -33,7 +33,7 @@ def main() -> None:
     for name, bpp in BPP.items():
         with Image.open(FOLDER / f"{name}.webp") as file:
             picture = file.convert("RGB")
-        encoded = sgmethod.encode(picture, bpp=bpp, tune="psnr")  # the GPU draws no texture
+        encoded = sgmethod.encode(picture, bpp=bpp)
         encoded.save(FOLDER / f"{name}.sg")
         avif = avif_within(picture, encoded.stats.bytes)
         (FOLDER / f"{name}.avif").write_bytes(avif)

@@ -36,7 +36,8 @@ EXAMPLE_SUMMARY = {
     "position": None,
     "budget": {"kind": "bpp", "value": 0.3},
     "profile": "rd",
-    "tune": "psnr",
+    "tune": "visual",
+    "effort": 5,
     "time_limit_s": 60.0,
     "priority": "interactive",
     "image": {"format": "JPEG", "width": 768, "height": 512, "bytes": 91235},
@@ -100,6 +101,7 @@ class JobSummary(AcceptedView):
     budget: BudgetView
     profile: str
     tune: str = Field(description='"psnr" or "visual"')
+    effort: int = Field(description="from 1, the fastest, to 9, the best")
     time_limit_s: float
     priority: Priority
     image: ImageView
@@ -187,6 +189,7 @@ def summary(job: Job, retention_s: float, source_retention_s: float) -> JobSumma
         budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
         profile=request.profile,
         tune=request.tune,
+        effort=request.effort,
         time_limit_s=request.time_limit_s,
         priority=job.priority,
         image=ImageView(format=image.format, width=image.width, height=image.height, bytes=image.size_bytes),

@@ -40,6 +40,18 @@ def give(page: Browser, kind: str, data: bytes, name: str) -> None:
     """)
 
 
+def hold_back(page: Browser, ending: str) -> None:
+    """Let requests for what ends so wait until window.goOn() is called."""
+    page.run(f"""
+        const get = fetch;
+        const late = new Promise((goOn) => {{ window.goOn = goOn; }});
+        window.fetch = async (url, options) => {{
+            if (String(url).endsWith("{ending}")) await late;
+            return get(url, options);
+        }};
+    """)
+
+
 def says(page: Browser, words: str, where: str = "#status") -> None:
     wait_until(lambda: words in page.text(where))
 

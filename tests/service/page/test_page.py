@@ -15,7 +15,7 @@ from tests.harness.data import DATA, golden_path
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService
-from tests.service.page.steps import COFFEE, COFFEE_SAYS, OLD, complaints, give, open_page, says
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, OLD, complaints, give, hold_back, open_page, says
 
 SNIPPET_BYTES = 200_000
 AXE = (DATA / "axe.min.js").read_text()
@@ -23,16 +23,19 @@ AXE = (DATA / "axe.min.js").read_text()
 
 def test_a_photograph_that_is_dropped(page: Chromium, service: Service) -> None:
     open_page(page, service)
+    page.run("document.getElementById('effort').value = '1'")
     give(page, "drop", SMALL, "my disc.png")
     says(page, "Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
     wait_until(lambda: "WebP" in page.text("#rivals"))
     (job,) = service.client.get("/jobs").json()["jobs"]
     assert f"{job['result']['gaussians']} Gaussians" in page.text("#figures")
+    assert (job["tune"], job["effort"]) == ("visual", 1)
     assert page.run("return location.hash") == f"#{job['id']}"
     assert not page.is_seen("#work")
     lines = page.run("return [...document.querySelectorAll('pre')].map((one) => one.textContent)")
     assert "-F image=@my_disc.png -F bpp=0.3" in lines[0]
+    assert "-F effort=1" in lines[0]
     assert 'sgmethod.encode("my_disc.png", bpp=0.3' in lines[1]
     page.open("about:blank")
     page.open(f"{service.url}/#{job['id']}")  # as it stands in the address when the page is loaded again
@@ -90,6 +93,21 @@ def test_going_back(page: Chromium, web: Service) -> None:
     says(page, "48 × 40 pixels", "#figures")
 
 
+def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Service) -> None:
+    """What comes last is shown, not what ends last."""
+    open_page(page, web)
+    hold_back(page, "cat.webp")
+    page.click("#sample-cat")
+    says(page, "5.4 kB", "#right-label")
+    give(page, "drop", OLD, "old.sg")
+    says(page, "48 × 40 pixels", "#figures")
+    page.run("window.goOn()")
+    original = f"{web.url}/static/samples/cat.webp"
+    wait_until(lambda: page.run(f"return performance.getEntriesByName('{original}').length"))
+    page.run("return new Promise((done) => setTimeout(done, 300))")
+    assert "48 × 40 pixels" in page.text("#figures")
+
+
 def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> None:
     open_page(page, web)
     beginnings = {
@@ -125,6 +143,41 @@ def test_one_that_is_pasted_and_cancelled(page: Chromium, web: Service) -> None:
     assert page.run("return document.getElementById('work').className") == "card"
     assert not page.is_seen("#cancel")
     assert web.client.get(place).status_code == 404
+
+
+def test_two_tabs(page: Chromium, web: Service) -> None:
+    """Each has its own picture and its own job; what one removes the other learns of."""
+    open_page(page, web)
+    give(page, "drop", SMALL, "one.png")
+    says(page, "in the queue")
+    first, address = page.tab(), page.run("return location.href")
+    second = page.new_tab()
+    page.switch_to(second)
+    try:
+        open_page(page, web)
+        page.run("document.getElementById('tune').value = 'psnr'")
+        page.run("document.getElementById('tune').dispatchEvent(new Event('change', { bubbles: true }))")
+        give(page, "drop", SMALL, "two.png")
+        says(page, "in the queue, 1 before it")
+        assert page.run("return location.href") != address
+        page.switch_to(first)
+        assert page.run("return [location.href, document.getElementById('tune').value]") == [address, "visual"]
+        assert [job["tune"] for job in web.client.get("/jobs").json()["jobs"]] == ["psnr", "visual"]
+        page.switch_to(second)
+        page.open("about:blank")
+        page.open(address)  # the same job in both
+        says(page, "in the queue")
+        says(page, "Original", "#left-label")
+        page.click("#cancel")
+        says(page, "Cancelled", "#work")
+        page.switch_to(first)
+        says(page, "was removed")
+        assert len(web.client.get("/jobs").json()["jobs"]) == 1
+    finally:
+        page.switch_to(second)
+        page.run("localStorage.clear()")
+        page.close_tab()
+        page.switch_to(first)
 
 
 def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:

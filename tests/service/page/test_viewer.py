@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import sgmethod
 from service.web.app import STATIC
@@ -14,7 +15,7 @@ from tests.harness.browser import Chromium
 from tests.harness.data import golden
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService
-from tests.service.page.steps import COFFEE, OLD, complaints, decoded, give, open_page, says, settled
+from tests.service.page.steps import COFFEE, OLD, complaints, decoded, give, open_page, says, settled, text64
 
 FIRST_LOOK_BYTES = 150_000
 TEXTURED = golden(4)["v4-texture"]
@@ -120,7 +121,8 @@ def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
 
 def test_texture_on_and_off(page: Chromium, web: Service) -> None:
     open_page(page, web)
-    assert not page.is_seen("#texture-field")
+    give(page, "drop", golden(4)["v4-color"], "smooth.sg")
+    wait_until(lambda: not page.is_seen("#texture-field"))
     give(page, "drop", TEXTURED, "textured.sg")
     wait_until(lambda: page.is_seen("#texture"))
     textured, size = settled(page), sgmethod.info(TEXTURED)
@@ -200,21 +202,32 @@ def test_the_decoder_of_the_page(page: Chromium, web: Service) -> None:
             decoded(page, hostile)
 
 
-def test_webgl_draws_what_the_decoder_does(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    levels = page.run("""
-        return (async () => {
-            const { openGpu } = await import("/static/viewer/gpu.js");
-            const { readFile } = await import("/static/decoder/file.js");
-            const file = readFile(new Uint8Array(await (await fetch("/static/samples/coffee.sg")).arrayBuffer()));
-            const context = new OffscreenCanvas(864, 576).getContext("2d", { willReadFrequently: true });
-            context.drawImage(openGpu().draw(file, file.count, [0, 0], 2, 864, 576), 0, 0);
-            const { data } = context.getImageData(0, 0, 864, 576);
+def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) -> NDArray[np.int64]:
+    """The whole picture of a file, [H, W, 3]."""
+    width, height = sgmethod.open(data).pixels(scale=scale).shape[1::-1]
+    levels = page.run(f"""
+        return (async () => {{
+            const {{ openGpu }} = await import("/static/viewer/gpu.js");
+            const {{ readFile }} = await import("/static/decoder/file.js");
+            const file = readFile(Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0)));
+            const [width, height] = [{width}, {height}];
+            const context = new OffscreenCanvas(width, height).getContext("2d", {{ willReadFrequently: true }});
+            const drawn = openGpu().draw(file, file.count, [0, 0], {scale}, width, height, {str(textured).lower()});
+            context.drawImage(drawn, 0, 0);
+            const {{ data }} = context.getImageData(0, 0, width, height);
             return [...data].map((level) => String.fromCharCode(level)).join("");
-        })();
+        }})();
     """)
-    drawn = np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(576, 864, 4)[..., :3].astype(int)
-    difference = np.abs(drawn - sgmethod.open(COFFEE).pixels(scale=2))
-    # WebGL draws no pyramid, which is a little off; the worst seen are 5 levels, 0.34 in the mean.
-    assert difference.max() <= 8
-    assert difference.mean() < 0.5
+    pixels = np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(height, width, 4)
+    return pixels[..., :3].astype(int)
+
+
+@pytest.mark.parametrize(("data", "scale"), [(COFFEE, 2), (TEXTURED, 1), (TEXTURED, 2.5), (TEXTURED, 7)])
+def test_webgl_draws_what_the_decoder_does(page: Chromium, web: Service, data: bytes, scale: float) -> None:
+    open_page(page, web)
+    for textured in (False, True):
+        wanted = sgmethod.open(data).pixels(scale=scale, texture=textured)
+        difference = np.abs(drawn_by_webgl(page, data, scale, textured) - wanted)
+        # WebGL draws no pyramid, which is a little off; the worst seen are 5 levels, 0.34 in the mean.
+        assert difference.max() <= 8
+        assert difference.mean() < 0.5

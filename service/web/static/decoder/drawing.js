@@ -7,7 +7,7 @@ const EDGE = Math.exp(-CUTOFF);
 const KEPT = (1 - EDGE * (1 + CUTOFF + (CUTOFF * CUTOFF) / 2)) / (1 - EDGE * (1 + CUTOFF));
 const NARROWEST = 1.4;
 const TOP_LEVEL = 12;
-const MOST_PIXELS = 50e6;
+export const MOST_PIXELS = 50e6;
 const { fround, max, sqrt } = Math;
 
 /** Halves to the even number. */
@@ -189,7 +189,7 @@ function addTexture(plane, texture, octave, level, { x, y, sx, sy, ox, oy }, gai
 }
 
 /** On which level of a view each octave is drawn, and how strongly; none where it is finer than the view. */
-function octavesOf({ sx, sy }) {
+export function octavesOf({ sx, sy }) {
   const n = Math.floor(Math.log2(2 * sx * sy) / 2);
   const found = [];
   for (let octave = 0; octave < OCTAVES; octave++) {

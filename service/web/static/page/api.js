@@ -2,6 +2,8 @@
 
 import { $ } from "./parts.js";
 
+const USUAL = { tune: "visual", effort: 5 };
+
 /** What came in place of what was asked for. */
 class Refusal extends Error {
   constructor(status, detail) {
@@ -41,13 +43,21 @@ export const hasKey = () => $("key").value.trim() !== "";
 
 export const jobPath = (id) => `/jobs/${id}`;
 
-/** A new job, within a budget; timeLimit: in seconds. */
-export function submit(file, { kind, value, tune, timeLimit }) {
+/** The fields of a budget, beside its value, that the service would not choose by itself; timeLimit: in seconds. */
+export function choices({ kind, tune, effort, timeLimit }) {
+  const fields = [];
+  if (kind !== "psnr" && tune !== USUAL.tune) fields.push(["tune", tune]); // a budget in dB goes with one alone
+  if ((effort ?? USUAL.effort) !== USUAL.effort) fields.push(["effort", effort]);
+  if (timeLimit) fields.push(["time_limit_s", timeLimit]);
+  return fields;
+}
+
+/** A new job, within a budget. */
+export function submit(file, budget) {
   const form = new FormData();
   form.append("image", file);
-  form.append(kind, value);
-  if (tune !== "psnr") form.append("tune", tune);
-  if (timeLimit) form.append("time_limit_s", timeLimit);
+  form.append(budget.kind, budget.value);
+  for (const [name, text] of choices(budget)) form.append(name, text);
   return json("/encode", { method: "POST", body: form });
 }
 

@@ -39,7 +39,8 @@ const rate = () => Number((0.05 * 40 ** ($("bpp").value / 100)).toFixed(3));
 export function budget() {
   const timeLimit = Number($("time-limit").value) || null;
   const kind = $("aim").value;
-  return { kind, value: kind === "bpp" ? rate() : Number($("aim-value").value), tune: $("tune").value, timeLimit };
+  const value = kind === "bpp" ? rate() : Number($("aim-value").value) || AIMS[kind][1];
+  return { kind, value, tune: $("tune").value, effort: Number($("effort").value), timeLimit };
 }
 
 /** Say what the slider means for a picture, or for any. */
@@ -57,17 +58,19 @@ export function sayRate(item) {
 }
 
 export function rememberBudget(changed) {
-  for (const id of ["bpp", "aim", "aim-value", "tune", "time-limit"]) remembered($(id), localStorage);
+  for (const id of ["bpp", "aim", "tune", "effort", "time-limit"]) remembered($(id), localStorage);
   remembered($("key"), sessionStorage);
   $("key-field").hidden = !$("key").value;
-  const showAim = (isNew) => {
+  const name = () => `sgmethod-aim-${$("aim").value}`;
+  const showAim = () => {
     const aim = AIMS[$("aim").value];
     $("aim-field").hidden = !aim;
     if (!aim) return;
     $("aim-name").textContent = aim[0];
-    if (isNew || !$("aim-value").value) $("aim-value").value = aim[1];
+    $("aim-value").value = localStorage.getItem(name()) ?? aim[1];
   };
-  $("aim").addEventListener("change", () => showAim(true));
+  $("aim").addEventListener("change", showAim);
+  $("aim-value").addEventListener("input", () => localStorage.setItem(name(), $("aim-value").value));
   $("bpp").addEventListener("input", changed);
-  showAim(false);
+  showAim();
 }

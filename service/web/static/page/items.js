@@ -18,7 +18,26 @@ let [keys, made] = [0, 0];
 export const draw = (file, { scale, region = null, count = file.count, texture = true }) =>
   decoder.ask("draw", { key: file.key, scale, region, count, texture });
 
+/** A job of the service; that it is gone already is no error. */
+const remove = (id) => ask(jobPath(id), { method: "DELETE" }).catch(() => undefined);
+
 export const imageOf = ({ data, width }) => createImageBitmap(new ImageData(data, width));
+
+/** A picture over white, as the codec takes it, since files have no transparency; null if nothing can be seen through. */
+function overWhite(image) {
+  const { width, height } = image;
+  const canvas = new OffscreenCanvas(width, height);
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(image, 0, 0);
+  const { data } = context.getImageData(0, 0, width, height);
+  let alpha = 3; // where it is of the first pixel that is not opaque
+  while (alpha < data.length && data[alpha] === 255) alpha += 4;
+  if (alpha >= data.length) return null;
+  context.globalCompositeOperation = "destination-over";
+  context.fillStyle = "white";
+  context.fillRect(0, 0, width, height);
+  return canvas.transferToImageBitmap();
+}
 
 export class Item {
   /** changed: called with the item whenever anything of it is new. */
@@ -30,6 +49,7 @@ export class Item {
   }
 
   tell(change = {}) {
+    if (this.state === "cancelled") return; // and stays so, whatever still comes of its job
     Object.assign(this, change);
     this.changed(this);
   }
@@ -39,6 +59,9 @@ export class Item {
     this.source = blob;
     this.originalBytes = blob.size;
     this.original = await createImageBitmap(blob, { premultiplyAlpha: "none" }).catch(() => null);
+    const laid = this.original && this.format !== "JPEG" ? overWhite(this.original) : null;
+    this.wasTransparent = Boolean(laid);
+    this.original = laid ?? this.original;
     if (this.original) this.size = [this.original.width, this.original.height];
     this.tell();
   }
@@ -68,6 +91,7 @@ export class Item {
       const words = `Sending ${this.format ? `${this.format}, ` : ""}${size(this.originalBytes)}`;
       this.tell({ state: "sending", words, done: null, trace: [], job: null });
       const { id } = await submit(this.source, budget);
+      if (this.state === "cancelled") return void (await remove(id));
       this.id = id;
       keep(id, this.source, this.name);
       this.tell({ state: "queued", words: "Waiting" });
@@ -94,7 +118,7 @@ export class Item {
       await task();
     } catch (error) {
       const words = this.format === "HEIC" && error.message.includes("to read it") ? UNREAD_HEIC : error.message;
-      if (this.state !== "cancelled") this.tell({ state: "failed", words, done: null, soFar: null });
+      this.tell({ state: "failed", words, done: null, soFar: null });
     }
   }
 
@@ -115,12 +139,12 @@ export class Item {
       if (this.state === "cancelled") return;
       if (job.state === "failed") throw new Error(`It could not be encoded: ${job.error.detail}`);
       const { kind, value } = job.budget;
-      this.budget ??= { kind, value, tune: job.tune, timeLimit: null };
+      this.budget ??= { kind, value, tune: job.tune, effort: job.effort, timeLimit: null };
       this.originalBytes ??= job.image.bytes;
       if (job.state === "done") {
+        const sg = await bytesOf(job.bitstream_url);
         Object.assign(this, { job, trace: job.trace });
-        await this.setFile(await bytesOf(job.bitstream_url));
-        return;
+        return void (await this.setFile(sg));
       }
       this.watched = true;
       await this.#look(job);
@@ -171,7 +195,7 @@ export class Item {
   async cancel() {
     const { id } = this;
     this.tell({ state: "cancelled", words: "Nothing was kept of it.", done: null, soFar: null });
-    if (id) await ask(jobPath(id), { method: "DELETE" }).catch(() => undefined);
+    if (id) await remove(id);
   }
 
   get busy() {

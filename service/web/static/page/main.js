@@ -8,9 +8,9 @@ import { Viewer } from "../viewer/viewer.js";
 import { budget, listen, rememberBudget, sayRate } from "./giving.js";
 import { draw, imageOf, Item } from "./items.js";
 import { kindOf } from "./kinds.js";
-import { $, Remote } from "./parts.js";
+import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples } from "./samples.js";
-import { fillLines, linkOf, saveFile, savePicture, snippetOf } from "./taking.js";
+import { fillLines, linkOf, offerWidths, saveFile, savePicture, snippetOf } from "./taking.js";
 import { showLabels, showRows, showWork, trouble } from "./telling.js";
 import { size, withoutSuffix } from "./words.js";
 
@@ -55,7 +55,7 @@ function refresh(item) {
   }
   tools.refresh(file);
   if (isNew && decoded) {
-    $("width").value = item.size[0];
+    offerWidths(item.size);
     fillLines(item);
     if (original && !item.isMeasured) measure(item, () => changed(item));
     item.isMeasured = Boolean(original);
@@ -122,23 +122,23 @@ function added(name) {
 }
 
 async function sample(name) {
-  let item = items.find((one) => one.sample === name);
-  if (!item) {
-    item = added(`${name}.webp`);
-    item.sample = name;
-    show(item);
-    await openSample(item, name).catch((error) => trouble(error.message));
-  }
+  const known = items.find((one) => one.sample === name);
+  const item = known ?? added(`${name}.webp`);
+  item.sample = name;
   show(item);
   tellRows();
+  if (!known) await openSample(item, name).catch((error) => trouble(error.message));
 }
 
 async function give(files) {
+  const refusals = [];
+  let shown = false;
   trouble("");
-  for (const [place, file] of files.entries()) {
-    const { kind, format, refused } = await kindOf(file);
+  for (const file of files) {
+    const { kind, format, refused } = await kindOf(file).catch(() => ({ refused: `${file.name} cannot be read.` }));
     if (refused) {
-      trouble(refused);
+      refusals.push(refused);
+      trouble(refusals.join(" "));
       continue;
     }
     // What nobody gave makes room: the sample that the page began with.
@@ -146,16 +146,16 @@ async function give(files) {
     if (first >= 0) items.splice(first, 1)[0].close();
     const item = added(file.name || "pasted.png");
     item.format = format;
-    if (place === 0 || !current || !items.includes(current)) show(item);
+    if (!shown || !items.includes(current)) show(item);
+    shown = true;
     try {
       if (kind === "sg") await item.setFile(new Uint8Array(await file.arrayBuffer()));
       else {
         await item.setOriginal(file);
-        if (place === 0) show(item);
-        item.encode(budget());
+        if (items.includes(item)) item.encode(budget());
       }
     } catch (error) {
-      item.tell({ state: "failed", words: `${item.name} cannot be opened: ${error.message}.` });
+      item.tell({ state: "failed", words: `The file cannot be opened: ${error.message}.` });
     }
   }
   tellRows();
@@ -187,10 +187,21 @@ async function begin() {
   } else await sample(SAMPLES.includes(wanted) ? wanted : SAMPLES[0]);
 }
 
+/** To the clipboard, also where the page came by plain HTTP. */
+async function copy(text) {
+  if (navigator.clipboard) return navigator.clipboard.writeText(text);
+  const area = element("textarea", { value: text });
+  document.body.append(area);
+  area.select();
+  const isDone = document.execCommand("copy");
+  area.remove();
+  if (!isDone) throw new Error("this browser lets no page copy.");
+}
+
 async function copied(making, words) {
   try {
     const text = await making();
-    await navigator.clipboard.writeText(text);
+    await copy(text);
     $("taken").textContent = `${words} (${size(text.length)}) is in the clipboard.`;
   } catch (error) {
     $("taken").textContent = `That did not work: ${error.message}`;

@@ -21,8 +21,16 @@ export function shape(tag, attributes = {}, text = "") {
   return made;
 }
 
-/** Replace what a part holds; the focus stays on the button at the same place. */
+const later = new WeakMap(); // parts that are to be refilled, and the timers that do it
+
+/** Replace what a part holds; the focus stays on the button at the same place. A button that is pressed is not replaced
+ * before it is let go, since it would never be clicked. */
 export function refill(part, children) {
+  clearTimeout(later.get(part));
+  if (part.querySelector("button:active")) {
+    later.set(part, setTimeout(() => refill(part, children), 50));
+    return;
+  }
   const buttons = () => [...part.querySelectorAll("button")];
   const place = buttons().indexOf(document.activeElement);
   part.replaceChildren(...children);

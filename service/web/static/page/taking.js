@@ -1,6 +1,7 @@
 // Take away: the file, pictures of any size, lines to do it again, a link, and a page that shows it.
 
-import { drawn, hasKey, json } from "./api.js";
+import { MOST_PIXELS } from "../decoder/drawing.js";
+import { choices, drawn, hasKey, json } from "./api.js";
 import { $ } from "./parts.js";
 import { withoutSuffix } from "./words.js";
 
@@ -17,9 +18,22 @@ export function save(blob, name) {
 
 export const saveFile = (item) => save(new Blob([item.sg]), `${withoutSuffix(item.name)}.sg`);
 
+const widths = ([width, height]) => [
+  Math.ceil(width / 64),
+  Math.floor(Math.min(64 * width, Math.sqrt((MOST_PIXELS * width) / height))),
+];
+
+/** Let a picture be saved in widths that it can have. */
+export function offerWidths(size) {
+  $("width").value = size[0];
+  [$("width").min, $("width").max] = widths(size);
+}
+
 /** Save a picture of some width: drawn here where that is possible, else by the service. */
 export async function savePicture(item, kind, width, draw) {
   const [whole] = item.size;
+  const [least, most] = widths(item.size);
+  if (!(width >= least && width <= most)) throw new Error(`the width must lie between ${least} and ${most} pixels.`);
   const name = width === whole ? `${withoutSuffix(item.name)}.${kind}` : `${withoutSuffix(item.name)}-${width}.${kind}`;
   if (!item.file || !(kind in IN_BROWSER)) return save(await drawn(item.sg, kind, { width }), name);
   const picture = await draw(item.file, { scale: width / whole });
@@ -37,10 +51,7 @@ export function fillLines(item) {
   const source = item.name.replace(/[^\w.-]/g, "_");
   const key = hasKey() ? "-H 'Authorization: Bearer KEY' " : "";
   if (item.budget) {
-    const { kind, value, tune, timeLimit } = item.budget;
-    const fields = [[kind, value]];
-    if (tune !== "psnr") fields.push(["tune", tune]);
-    if (timeLimit) fields.push(["time_limit_s", timeLimit]);
+    const fields = [[item.budget.kind, item.budget.value], ...choices(item.budget)];
     const form = fields.map(([name, text]) => `-F ${name}=${text}`).join(" ");
     const named = fields.map(([name, text]) => `${name}=${name === "tune" ? `"${text}"` : text}`).join(", ");
     $("curl").textContent = `curl ${key}-F image=@${source} ${form} '${origin}/encode?wait=60' -o ${file}`;

@@ -1,7 +1,7 @@
 // A job on its way: place in the queue, seconds left, and the error against time.
 
 import { $, shape } from "./parts.js";
-import { decibels, seconds, size } from "./words.js";
+import { count, decibels, seconds, size } from "./words.js";
 
 const [WIDTH, HEIGHT] = [560, 240];
 const [LEFT, RIGHT, TOP, BOTTOM] = [62, 14, 14, 60];
@@ -60,8 +60,8 @@ function wordsOf(points) {
   const last = points.at(-1).bytes;
   if (most < 1.2 * last) return "Higher is closer to the original.";
   return (
-    `Higher is closer to the original. The fit first takes more Gaussians than it may keep, ${size(most)} of them, ` +
-    "and then gives back those that help least: that is the fall."
+    `Higher is closer to the original. The fit takes more Gaussians than it may keep, at first ${size(most)} of them, ` +
+    "and then gives back those that help least, again in each round: those are the falls."
   );
 }
 
@@ -77,5 +77,5 @@ export function stateOf(job, stopping) {
   if (stopping) return { words: "Finishing with what is there", done: null };
   const left = job.progress > 0.05 ? (last.seconds * (1 - job.progress)) / job.progress : null;
   const rest = left === null ? "" : `, about ${seconds(left)} left`;
-  return { words: `Fitting ${last.gaussians ?? ""} Gaussians, ${decibels(last.psnr)}${rest}`, done: job.progress };
+  return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians, ${decibels(last.psnr)}${rest}`, done: job.progress };
 }

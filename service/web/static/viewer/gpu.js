@@ -1,6 +1,10 @@
-// Gaussians drawn by the graphics processor: instanced quads added up in floating point (WebGL2).
+// Gaussians drawn by the graphics processor: instanced quads added up in floating point (WebGL2), and texture upon them.
+
+import { octavesOf } from "../decoder/drawing.js";
+import { CELL } from "../decoder/file.js";
 
 const STRIDE = 32;
+const NO_LEVEL = -1;
 
 const ADD = `#version 300 es
 layout(location = 0) in vec2 corner;
@@ -36,12 +40,81 @@ void main() {
 const SHOW = `#version 300 es
 layout(location = 0) in vec2 corner;
 void main() { gl_Position = vec4(corner, 0.0, 1.0); }`;
+// Noise and its strength as in docs/format.md, "Texture". To be enlarged by two again and again comes to a quadratic
+// B-spline, which is what is drawn here from the third level on.
 const SHOW_PIXEL = `#version 300 es
 precision highp float;
-uniform sampler2D sums;
+precision highp int;
+uniform highp sampler2D sums;
+uniform highp sampler2D codes;
 uniform vec3 background;
+uniform vec2 origin;
+uniform float scale, height;
+uniform ivec2 levels;
+uniform vec2 gains;
 out vec4 pixel;
-void main() { pixel = vec4(background + texelFetch(sums, ivec2(gl_FragCoord.xy), 0).rgb, 1.0); }`;
+
+uint mixed(uint h) {
+  h ^= h >> 16;
+  h *= 0x7feb352du;
+  h ^= h >> 15;
+  h *= 0x846ca68bu;
+  return h ^ (h >> 16);
+}
+
+float strengthOfCell(ivec2 cell, int octave) {
+  float code = round(255.0 * texelFetch(codes, cell, 0)[octave]);
+  return code < 0.5 ? 0.0 : exp2(0.5 * (code - 1.0)) / (2.0 * 148.0 * 255.0);
+}
+
+float strength(vec2 place, int octave) {
+  ivec2 last = textureSize(codes, 0) - 1;
+  vec2 at = clamp(place / ${CELL}.0 - 0.5, vec2(0.0), vec2(last));
+  ivec2 low = ivec2(at);
+  ivec2 high = min(low + 1, last);
+  vec2 part = at - vec2(low);
+  float above = mix(strengthOfCell(low, octave), strengthOfCell(ivec2(high.x, low.y), octave), part.x);
+  float below = mix(strengthOfCell(ivec2(low.x, high.y), octave), strengthOfCell(high, octave), part.x);
+  return mix(above, below, part.y);
+}
+
+vec3 weights(float t, int level) {
+  if (level == 0) return vec3(0.0, 1.0, 0.0);
+  if (level == 1) return t < 0.0 ? vec3(0.25, 0.75, 0.0) : vec3(0.0, 0.75, 0.25);
+  return vec3(0.5 * (0.5 - t) * (0.5 - t), 0.75 - t * t, 0.5 * (0.5 + t) * (0.5 + t));
+}
+
+float grain(vec2 place, int octave) {
+  int level = levels[octave];
+  if (level < 0) return 0.0;
+  float strong = gains[octave] * strength(place / scale, octave);
+  if (strong == 0.0) return 0.0;
+  vec2 at = place / float(1 << level);
+  ivec2 middle = ivec2(floor(at));
+  vec2 t = at - vec2(middle) - 0.5;
+  vec3 across = weights(t.x, level);
+  vec3 down = weights(t.y, level);
+  int last = (65536 >> level) - 1; // of places, which then begin again
+  uint seed = mixed(uint(octave + 1));
+  float sum = 0.0;
+  for (int j = 0; j < 3; j++) {
+    if (down[j] == 0.0) continue;
+    int row = (middle.y + j - 1) & last;
+    uint rowSeed = mixed(seed + uint(row >> 2));
+    uint shift = uint(8 * (row & 3));
+    for (int i = 0; i < 3; i++) {
+      uint h = mixed(uint((middle.x + i - 1) & last) + rowSeed);
+      sum += across[i] * down[j] * float((h >> shift) & 255u);
+    }
+  }
+  return strong * (2.0 * sum - 255.0);
+}
+
+void main() {
+  vec3 sum = background + texelFetch(sums, ivec2(gl_FragCoord.xy), 0).rgb;
+  vec2 place = vec2(gl_FragCoord.x, height - gl_FragCoord.y) + origin * scale;
+  pixel = vec4(sum + grain(place, 0) + grain(place, 1), 1.0);
+}`;
 
 /** Null where the browser has no WebGL2 that can add in floating point. */
 export function openGpu() {
@@ -67,7 +140,8 @@ class Gpu {
     this.lost = false;
     canvas.addEventListener("webglcontextlost", () => (this.lost = true));
     this.add = this.#program(ADD, ADD_PIXEL, ["origin", "canvas", "scale"]);
-    this.show = this.#program(SHOW, SHOW_PIXEL, ["sums", "background"]);
+    const grain = ["codes", "origin", "scale", "height", "levels", "gains"];
+    this.show = this.#program(SHOW, SHOW_PIXEL, ["sums", "background", ...grain]);
     const corners = gl.createBuffer();
     this.gaussians = gl.createBuffer();
     gl.bindBuffer(gl.ARRAY_BUFFER, corners);
@@ -81,6 +155,7 @@ class Gpu {
       gl.vertexAttribDivisor(where, 1);
     }
     this.sums = gl.createTexture();
+    this.codes = gl.createTexture();
     this.target = gl.createFramebuffer();
   }
 
@@ -111,15 +186,26 @@ class Gpu {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.sums, 0);
   }
 
-  /** The canvas with the first `count` Gaussians of a file; its corner is at `origin`, in pixels of the picture. */
-  draw(file, count, origin, scale, width, height) {
+  #take(file) {
+    const { gl } = this;
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.gaussians);
+    gl.bufferData(gl.ARRAY_BUFFER, file.values, gl.STATIC_DRAW);
+    const { columns, rows, octaves } = file.texture ?? { columns: 1, rows: 1, octaves: [[0], [0]] };
+    const codes = Uint8Array.from({ length: 2 * columns * rows }, (_, i) => octaves[i % 2][i >> 1]);
+    gl.bindTexture(gl.TEXTURE_2D, this.codes);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG8, columns, rows, 0, gl.RG, gl.UNSIGNED_BYTE, codes);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    this.#file = file;
+  }
+
+  /** The canvas with the first `count` Gaussians of a file, and its texture if it is to be drawn. Its corner is at
+   * `origin`, in pixels of the picture. */
+  draw(file, count, origin, scale, width, height, textured = true) {
     const { gl, add, show } = this;
     this.#resize(width, height);
-    if (this.#file !== file) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, this.gaussians);
-      gl.bufferData(gl.ARRAY_BUFFER, file.values, gl.STATIC_DRAW);
-      this.#file = file;
-    }
+    if (this.#file !== file) this.#take(file);
     gl.viewport(0, 0, width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.clearColor(0, 0, 0, 0);
@@ -134,7 +220,20 @@ class Gpu {
     gl.disable(gl.BLEND);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.useProgram(show.program);
+    for (const [unit, texture] of [this.sums, this.codes].entries()) {
+      gl.activeTexture(gl.TEXTURE0 + unit);
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+    }
+    gl.activeTexture(gl.TEXTURE0);
     gl.uniform1i(show.sums, 0);
+    gl.uniform1i(show.codes, 1);
+    gl.uniform2f(show.origin, ...origin);
+    gl.uniform1f(show.scale, scale);
+    gl.uniform1f(show.height, height);
+    const octaves = textured && file.texture ? octavesOf({ sx: scale, sy: scale }) : [];
+    const of = (octave) => octaves.find((one) => one.octave === octave) ?? { level: NO_LEVEL, gain: 0 };
+    gl.uniform2i(show.levels, of(0).level, of(1).level);
+    gl.uniform2f(show.gains, of(0).gain, of(1).gain);
     gl.uniform3f(show.background, ...file.background.map((level) => level / 255));
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, 1);
     return this.canvas;

@@ -6,11 +6,13 @@ import { count, size } from "../page/words.js";
 import { heatOf, heatPicture } from "./overlays.js";
 
 const UNFOLD_MS = 1400;
+const STILL_MS = 4000;
 const overlays = () => [...document.querySelectorAll("[name=overlay]")];
 
 export class Tools {
   #viewer;
   #file = null;
+  #still = null; // when it is told no more how long a frame took
 
   /** changed: called when something else than the viewer has to be told. */
   constructor(viewer, changed) {
@@ -20,6 +22,8 @@ export class Tools {
     viewer.timed = (ms) => {
       const persecond = Math.round(1000 / ms);
       $("frame").textContent = `${ms.toFixed(1)} ms a frame, ${persecond} a second`;
+      clearTimeout(this.#still);
+      this.#still = setTimeout(() => ($("frame").textContent = ""), STILL_MS);
     };
     this.#listen();
   }
@@ -108,12 +112,17 @@ export class Tools {
     });
     const peek = (side) => {
       viewer.peek = side;
+      $("stage").dataset.peek = side ?? "";
       viewer.redraw();
     };
+    const presses = ({ key }) => key === " " || key === "Enter";
     $("blink").addEventListener("pointerdown", () => peek(1));
+    $("blink").addEventListener("keydown", (event) => presses(event) && !event.repeat && peek(1));
+    $("blink").addEventListener("keyup", (event) => presses(event) && peek(null));
     for (const kind of ["pointerup", "pointerleave", "blur"]) $("blink").addEventListener(kind, () => peek(null));
+    addEventListener("blur", () => peek(null));
     const isBlink = ({ key, ctrlKey, metaKey, target }) =>
-      key.toLowerCase() === "b" && !ctrlKey && !metaKey && !target.matches("select, input:not([type=range], [type=radio])");
+      key?.toLowerCase() === "b" && !ctrlKey && !metaKey && !target.matches("select, input:not([type=range], [type=radio])");
     addEventListener("keydown", (event) => isBlink(event) && !event.repeat && peek(viewer.peek === 1 ? 0 : 1));
     addEventListener("keyup", (event) => isBlink(event) && peek(null));
   }

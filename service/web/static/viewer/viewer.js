@@ -174,8 +174,9 @@ export class Viewer {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    if (fromGaussians && this.gpu && !this.gpu.lost && !(file.texture && this.textured)) {
-      const drawn = this.gpu.draw(file, count, [-x / zoom, -y / zoom], zoom, canvas.width, canvas.height);
+    if (fromGaussians && this.gpu && !this.gpu.lost) {
+      const corner = [-x / zoom, -y / zoom];
+      const drawn = this.gpu.draw(file, count, corner, zoom, canvas.width, canvas.height, this.textured);
       context.drawImage(drawn, 0, 0);
     } else {
       context.imageSmoothingEnabled = zoom < 1.5 || Boolean(fromGaussians);

@@ -1,0 +1,151 @@
+"""The page when things come at a bad moment, or are not as they should be."""
+
+from __future__ import annotations
+
+import io
+
+from PIL import Image
+
+from tests.harness.browser import Chromium
+from tests.harness.pictures import SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service
+from tests.service.page.steps import complaints, give, hold_back, open_page, says, settled, text64
+
+
+def see_through() -> bytes:
+    """A picture that is clear on the left."""
+    picture = Image.new("RGBA", (64, 48), (10, 90, 200, 255))
+    picture.paste((0, 0, 0, 0), (0, 0, 32, 48))
+    file = io.BytesIO()
+    picture.save(file, "PNG")
+    return file.getvalue()
+
+
+def test_transparency_is_laid_over_white(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    give(page, "drop", see_through(), "clear.png")
+    says(page, "in the queue")
+    row = settled(page)
+    assert row[len(row) // 3].tolist() == [255, 255, 255]
+    assert row[2 * len(row) // 3].tolist() == [10, 90, 200]
+    page.click("#cancel")
+    says(page, "laid over white", "#note")
+    assert complaints(page) == []
+
+
+def test_one_that_is_cancelled_while_it_is_sent(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    hold_back(page, "/encode")
+    before = len(web.client.get("/jobs").json()["jobs"])
+    give(page, "drop", SMALL, "one.png")
+    says(page, "Sending")
+    page.click("#cancel")
+    says(page, "Cancelled", "#work")
+    page.run("window.goOn()")
+    wait_until(lambda: page.run("return performance.getEntriesByName(location.origin + '/encode').length"))
+    wait_until(lambda: len(web.client.get("/jobs").json()["jobs"]) == before)
+    says(page, "Cancelled", "#work")
+
+
+def test_a_file_that_cannot_be_read_is_not_the_end(page: Chromium, web: Service) -> None:
+    """As a folder that is dropped with others."""
+    open_page(page, web)
+    page.run(f"""
+        const slice = Blob.prototype.slice;
+        Blob.prototype.slice = function (...given) {{
+            if (this.name === "folder") throw new DOMException("no file", "NotFoundError");
+            return slice.apply(this, given);
+        }};
+        const bytes = Uint8Array.from(atob("{text64(SMALL)}"), (letter) => letter.charCodeAt(0));
+        const given = new DataTransfer();
+        given.items.add(new File(["?"], "folder"));
+        given.items.add(new File(["%PDF-1.7"], "text.pdf"));
+        given.items.add(new File([bytes], "one.png"));
+        dispatchEvent(new DragEvent("drop", {{ cancelable: true, bubbles: true, dataTransfer: given }}));
+    """)
+    says(page, "folder cannot be read. text.pdf is a PDF", "#trouble")
+    says(page, "in the queue")
+    page.click("#cancel")
+    says(page, "Cancelled", "#work")
+
+
+def test_each_aim_has_its_own_value(page: Chromium, web: Service) -> None:
+    def aim(kind: str) -> str:
+        page.run(f"""
+            document.getElementById("aim").value = "{kind}";
+            for (const event of ["input", "change"]) document.getElementById("aim").dispatchEvent(new Event(event));
+        """)
+        return page.run("return document.getElementById('aim-value').value")
+
+    open_page(page, web)
+    try:
+        assert aim("bytes") == "20000"
+        page.run("""
+            document.getElementById("aim-value").value = "15000";
+            document.getElementById("aim-value").dispatchEvent(new Event("input"));
+        """)
+        assert aim("psnr") == "32"
+        open_page(page, web)
+        assert page.run("return document.getElementById('aim-value').value") == "32"
+        assert aim("bytes") == "15000"
+    finally:
+        page.run("localStorage.clear()")
+
+
+def test_copying_over_plain_http(page: Chromium, web: Service) -> None:
+    """Where browsers have no clipboard for pages."""
+    open_page(page, web)
+    page.run("Object.defineProperty(navigator, 'clipboard', { value: undefined })")
+    page.click("#link")
+    says(page, "is in the clipboard", "#taken")
+
+
+def test_widths_that_the_picture_cannot_have(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    for width in (1, 20_000):
+        page.run(f"document.getElementById('width').value = {width}")
+        page.click("#save-picture")
+        says(page, "the width must lie between 7 and 8660 pixels", "#taken")
+        page.run("document.getElementById('taken').textContent = ''")
+
+
+def test_blinking_by_keyboard(page: Chromium, web: Service) -> None:
+    def press(kind: str, key: str) -> None:
+        page.run(f"document.getElementById('blink').dispatchEvent(new KeyboardEvent('{kind}', {{ key: '{key}' }}))")
+
+    open_page(page, web)
+    says(page, "Original", "#left-label")
+    seen = "return getComputedStyle(document.getElementById('right-label')).visibility"
+    for key in (" ", "Enter"):
+        press("keydown", key)
+        assert page.run(seen) == "hidden"
+        press("keyup", key)
+        assert page.run(seen) == "visible"
+    press("keydown", " ")
+    page.run("dispatchEvent(new Event('blur'))")  # the window's, by the keys that change it
+    assert page.run(seen) == "visible"
+
+
+def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Service) -> None:
+    """What it stands in is made anew whenever a job is looked at."""
+    open_page(page, web)
+    for name in ("one.png", "two.png"):
+        give(page, "drop", SMALL, name)
+        says(page, "in the queue")
+    says(page, "two.png", "#rows")
+    x, y = page.run("""
+        const button = document.querySelector("#rows li:last-child .pick");
+        button.scrollIntoView({ block: "center" });
+        const { x, y, width, height } = button.getBoundingClientRect();
+        return [x + width / 2, y + height / 2];
+    """)
+    asked = "return performance.getEntriesByType('resource').filter(({ name }) => name.includes('/jobs/')).length"
+    before = page.run(asked)
+    where = {"x": x, "y": y, "button": "left", "clickCount": 1}
+    page.tell("Input.dispatchMouseEvent", type="mousePressed", **where)
+    wait_until(lambda: page.run(asked) >= before + 4)
+    page.tell("Input.dispatchMouseEvent", type="mouseReleased", **where)
+    wait_until(lambda: page.run("return document.querySelector('#rows li:last-child .pick').ariaPressed") == "true")
+    for job in web.client.get("/jobs").json()["jobs"]:
+        web.client.delete(f"/jobs/{job['id']}")
