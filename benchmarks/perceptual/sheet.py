@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from benchmarks.perceptual.metrics import Pixels
+from benchmarks.pictures import Pixels
 from benchmarks.rd.codecs import Avif, JpegXl
 from sgmethod import decode, encode
 from sgmethod.io.image import read_image_8_bit
@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("--images", type=Path, required=True, help="folder of the Kodak pictures")
     parser.add_argument("--other", type=Path, required=True, help="the other checkout")
     parser.add_argument("--bpp", type=float, default=0.25)
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "plots" / "seen.webp")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "seen.webp")
     options = parser.parse_args()
     font = ImageFont.load_default(13)
     sheet: Image.Image | None = None

@@ -12,6 +12,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.perceptual import report as perceptual
 from benchmarks.report import convergence, fits, needs, rate, readme, service, speed, stability
 from benchmarks.report.plots import save
 from benchmarks.report.section import Section, load
@@ -21,6 +22,7 @@ from tests.harness.data import ROOT
 # Each section, and the JSON that it is made from.
 MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
     (rate.section, ("kodak-rd", "kodak-paper")),
+    (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.section, ("convergence",)),
     (needs.section, ("needs",)),
     (stability.section, ("version4/stiff", "stability")),

@@ -6,6 +6,7 @@ import re
 import statistics
 from pathlib import Path
 
+from benchmarks.perceptual import means as perceptual
 from benchmarks.rd.report import means
 from benchmarks.report import rate
 from benchmarks.report.section import load, number, table
@@ -15,7 +16,7 @@ MARKED = r"<!-- table {} -->\n.*?<!-- end -->"
 
 def filled(text: str, results: Path) -> str:
     """The README with its tables as the JSON has them. Raises SystemExit where marks are missing."""
-    for name, make in {"codecs": codecs, "versions": versions, "profiles": profiles}.items():
+    for name, make in {"codecs": codecs, "versions": versions, "seen": seen, "profiles": profiles}.items():
         made = f"<!-- table {name} -->\n{make(results)}\n<!-- end -->"
         text, count = re.subn(MARKED.format(name), lambda _, made=made: made, text, flags=re.DOTALL)  # type: ignore[misc]
         if count != 1:
@@ -47,8 +48,20 @@ def versions(results: Path) -> str:
     return (
         f"Those are files of version 3. Version 4 is decoded in {decode:.2f} of the time and encoded in "
         f"{encode:.2f} of it, {behind}\n([in turns](benchmarks/results/version4)): {mean('this', 'encode_s'):.1f} s "
-        f""
         f"where version 3 took {mean('other', 'encode_s'):.1f}."
+    )
+
+
+def seen(results: Path) -> str:
+    """What figures that follow the eye say, at 0.25 bits per pixel."""
+    found = perceptual.means((load(results, "perceptual/kodak") or {"rows": []})["rows"], 0.25)
+    ours, avif = found["visual"], found["avif"]
+    points = ours["ssimulacra2"] - avif["ssimulacra2"]
+    return (
+        f"Tuned for the eye, which is the default, files have {ours['lpips'] / avif['lpips']:.2f} of AVIF's distance "
+        f"by LPIPS\nand {ours['dists'] / avif['dists']:.2f} by DISTS at the same bytes, and {abs(points):.1f} points "
+        f"{'less' if points < 0 else 'more'} of SSIMULACRA 2\n([What people see](docs/results.md#what-people-see); "
+        "AVIF with `tune=iq`)."
     )
 
 

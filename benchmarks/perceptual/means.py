@@ -1,0 +1,57 @@
+"""Means of what people see, by rate and kind, beside AVIF's."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+FIGURES = ("psnr", "ms_ssim", "ssimulacra2", "lpips", "dists")
+BETTER_IF_LOWER = ("lpips", "dists")
+KINDS = ("psnr", "visual", "visual, no texture", "avif")
+TITLES = " | ".join(["bpp at most", "pictures", "tuned for", "bytes", "texture", *FIGURES])
+Row = dict[str, Any]
+
+
+def means(rows: Sequence[Row], bpp: float) -> dict[str, Row]:
+    """By kind, over the pictures that AVIF has too; with the number of pictures."""
+    mine = [row for row in rows if row["max_bpp"] == bpp]
+    there = {row["image"] for row in mine if row["kind"] == "avif"}
+    found: dict[str, Row] = {}
+    for kind in KINDS:
+        these = [row for row in mine if row["kind"] == kind and (row["image"] in there or not there)]
+        if these:
+            found[kind] = {
+                name: statistics.fmean(row[name] for row in these) for name in ("bytes", "texture", *FIGURES)
+            }
+            found[kind]["pictures"] = len(these)
+    return found
+
+
+def lines(rows: Sequence[Row]) -> Iterator[list[str]]:
+    """Of a table with TITLES; in brackets against AVIF: a ratio of what is better if lower, else a difference."""
+    for bpp in rates(rows):
+        found = means(rows, bpp)
+        for kind, mean in found.items():
+            cells = [f"{mean[name]:.3f}{against(name, mean, found.get('avif'))}" for name in FIGURES]
+            yield [f"{bpp:g}", f"{mean['pictures']:g}", kind, f"{mean['bytes']:,.0f}", f"{mean['texture']:.2%}", *cells]
+
+
+def rates(rows: Sequence[Row]) -> list[float]:
+    """Bits per pixel at most, from the lowest."""
+    return sorted({row["max_bpp"] for row in rows})
+
+
+def against(name: str, mean: Row, avif: Row | None) -> str:
+    """How a mean compares with AVIF's."""
+    if avif is None or mean is avif:
+        return ""
+    return f" ({mean[name] / avif[name]:.2f})" if name in BETTER_IF_LOWER else f" ({mean[name] - avif[name]:+.3f})"
+
+
+def worse(rows: Sequence[Row], bpp: float, kind: str, other: str, name: str) -> tuple[list[str], int]:
+    """The pictures in which a kind is behind another in a figure, and in how many both are."""
+    found = {(row["image"], row["kind"]): row[name] for row in rows if row["max_bpp"] == bpp}
+    both = [image for image, of in found if of == kind and (image, other) in found]
+    sign = -1 if name in BETTER_IF_LOWER else 1
+    return [image for image in both if sign * (found[image, kind] - found[image, other]) < 0], len(both)
