@@ -41,12 +41,12 @@ def give(page: Browser, kind: str, data: bytes, name: str) -> None:
 
 
 def hold_back(page: Browser, ending: str) -> None:
-    """Let requests for what ends so wait until window.goOn() is called."""
+    """Let requests for what ends so, but those that remove it, wait until window.goOn() is called."""
     page.run(f"""
         const get = fetch;
         const late = new Promise((goOn) => {{ window.goOn = goOn; }});
         window.fetch = async (url, options) => {{
-            if (String(url).endsWith("{ending}")) await late;
+            if (String(url).endsWith("{ending}") && options?.method !== "DELETE") await late;
             return get(url, options);
         }};
     """)

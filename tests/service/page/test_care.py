@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 
 from PIL import Image
 
@@ -46,6 +47,20 @@ def test_one_that_is_cancelled_while_it_is_sent(page: Chromium, web: Service) ->
     wait_until(lambda: page.run("return performance.getEntriesByName(location.origin + '/encode').length"))
     wait_until(lambda: len(web.client.get("/jobs").json()["jobs"]) == before)
     says(page, "Cancelled", "#work")
+
+
+def test_what_is_asked_of_a_cancelled_job_is_dropped(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    give(page, "drop", SMALL, "one.png")
+    says(page, "in the queue")
+    job = page.run("return location.hash.slice(1)")
+    hold_back(page, f"/jobs/{job}")
+    time.sleep(1)  # more than a poll
+    page.click("#cancel")
+    wait_until(lambda: web.client.get(f"/jobs/{job}").status_code == 404)
+    page.run("window.goOn()")
+    time.sleep(1)
+    assert complaints(page) == []
 
 
 def test_a_file_that_cannot_be_read_is_not_the_end(page: Chromium, web: Service) -> None:

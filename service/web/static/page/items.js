@@ -40,6 +40,8 @@ function overWhite(image) {
 }
 
 export class Item {
+  #asking = new AbortController(); // what is asked of its job, which nobody waits for once that is cancelled
+
   /** changed: called with the item whenever anything of it is new. */
   constructor(name, changed) {
     Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false, grown: false });
@@ -126,7 +128,7 @@ export class Item {
     for (let tries = 0; ; ) {
       let job;
       try {
-        job = await json(jobPath(this.id));
+        job = await json(jobPath(this.id), { signal: this.#asking.signal });
         tries = 0;
       } catch (error) {
         if (this.state === "cancelled") return;
@@ -142,7 +144,7 @@ export class Item {
       this.budget ??= { kind, value, tune: job.tune, effort: job.effort, timeLimit: null };
       this.originalBytes ??= job.image.bytes;
       if (job.state === "done") {
-        const sg = await bytesOf(job.bitstream_url);
+        const sg = await bytesOf(job.bitstream_url, { signal: this.#asking.signal });
         Object.assign(this, { job, trace: job.trace });
         return void (await this.setFile(sg));
       }
@@ -158,7 +160,7 @@ export class Item {
   async #look(job) {
     if (job.state !== "running") return;
     try {
-      const answer = await ask(`${jobPath(this.id)}/preview.sg`);
+      const answer = await ask(`${jobPath(this.id)}/preview.sg`, { signal: this.#asking.signal });
       const tag = answer.headers.get("ETag");
       if (!tag || tag === this.soFar?.tag) return;
       const bytes = new Uint8Array(await answer.arrayBuffer());
@@ -195,6 +197,7 @@ export class Item {
   async cancel() {
     const { id } = this;
     this.tell({ state: "cancelled", words: "Nothing was kept of it.", done: null, soFar: null });
+    this.#asking.abort();
     if (id) await remove(id);
   }
 
