@@ -22,7 +22,19 @@ from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.metrics import psnr
 from sgmethod.metrics.perceptual import ssimulacra2
 from sgmethod.trace import TracePoint
-from tests.cli.test_cli import PHOTO, Ran, Run, assert_refused, in_folder, names, rest_of, run, start, terminal_pair
+from tests.cli.test_cli import (
+    PHOTO,
+    Ran,
+    Run,
+    assert_refused,
+    in_folder,
+    names,
+    rest_of,
+    run,
+    start,
+    start_interruptible,
+    terminal_pair,
+)
 
 __all__ = ["in_folder", "run"]  # fixtures
 
@@ -186,14 +198,12 @@ def test_interrupted_jobs_end(after: float) -> None:
     for name in ("one.png", "two.png", "three.png"):
         PHOTO.resize((512, 384)).save(name)
     pictures = ["one.png", "two.png", "three.png"]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    process = start(
+    process = start_interruptible(
         *("encode", *pictures, "--output-dir", "out", "--jobs", "2", "--profile", "paper", "--time-limit", "60"),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         start_new_session=True,
     )
-    signal.signal(signal.SIGINT, before)
     until = time.monotonic() + 60
     while len(group(process.pid)) < 4 and time.monotonic() < until:  # us, two jobs, and multiprocessing's tracker
         time.sleep(0.05)
