@@ -20,7 +20,7 @@ from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.v1 import Group, StreamV1
 from tests.harness.data import golden, with_checksum
 
-MUTATIONS = 10_000
+MUTATIONS = 5000
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
 MAX_CPU_S = 2.0  # 0.03 s is the worst seen on one of two cores
 
@@ -156,7 +156,7 @@ def explore(seeds: list[bytes], mutators: list[Mutator], fits: st.SearchStrategy
 def test_mutations_of_golden_streams() -> None:
     """Any damage; half of the files get the checksum that fits them."""
     seen = explore(GOLDEN, [*DAMAGE, *CONTENTS], st.booleans())
-    assert seen[True, "drawn"] > MUTATIONS / 50  # seen: 886
+    assert seen[True, "drawn"] > MUTATIONS / 50
     assert seen[True, "refused"] > MUTATIONS / 5
     assert seen[True, "limit"] > 0
 
@@ -164,5 +164,5 @@ def test_mutations_of_golden_streams() -> None:
 def test_mutations_of_contents() -> None:
     """Files of the right length whose values are hostile, so that most are drawn."""
     seen = explore([*GOLDEN, crowded()], CONTENTS, st.just(True))
-    assert seen[True, "drawn"] > MUTATIONS / 5  # seen: 5,072
-    assert seen[True, "overlap"] > 0  # seen: 30
+    assert seen[True, "drawn"] > MUTATIONS / 5
+    assert seen[True, "overlap"] > 0
