@@ -146,6 +146,10 @@ class RdSettings(OptimiserSettings):
     round_times: Times = ROUND
     round_steps: float = 0.4  # of the first run's
 
+    # Further runs, at qualities of their own, for pictures that are stiff and small
+    ladder_pixels: int = 1 << 18  # of a picture, at most
+    ladder: tuple[float, ...] = (0, 12, 24, 36, 48, 60, 72, 84, 96, 108)
+
     # Growth
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow
     growth: float = 1.0  # new Gaussians at one time are at most this part of those that there are
@@ -180,6 +184,10 @@ class RdSettings(OptimiserSettings):
     psnr_tries: int = 7
     psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
     dearest_bit: float = 256.0  # times the price of refining, where a file is far above the PSNR asked for
+    # A tiny file for a PSNR is the smallest of those with so many times the quantum, and the price of a bit.
+    tiny_bytes: int = 400
+    tiny_quanta: tuple[float, ...] = tuple(2 ** (step / 6) for step in range(-3, 10))
+    tiny_prices: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     # Texture, of visual tuning alone.
     texture_gain: tuple[float, float] = (0.7, 0.6)  # by octave, of the spread that is left
     texture_floor: float = 0.6  # levels of 8 bits; less is grain that 8 bits hardly hold
@@ -200,10 +208,10 @@ BASELINE = replace(
 RD = RdSettings()
 # What profile rd does for an effort. Each above the default does all that the one below does, and then goes on.
 EFFORTS: dict[int, dict[str, Any]] = {
-    1: {"rounds": (0,), "steps": 100, "refine_sweeps": 1, "size_tries": 1},
-    2: {"rounds": (0,), "steps": 130, "size_tries": 2},
-    3: {"rounds": (0,), "steps": 180},
-    4: {"rounds": (0,)},
+    1: {"rounds": (0,), "steps": 100, "refine_sweeps": 1, "size_tries": 1, "ladder_pixels": 0},
+    2: {"rounds": (0,), "steps": 130, "size_tries": 2, "ladder_pixels": 0},
+    3: {"rounds": (0,), "steps": 180, "ladder_pixels": 0},
+    4: {"rounds": (0,), "ladder_pixels": 0},
     5: {},
     6: {"rounds": (1, 2)},
     7: {"rounds": (1, 2, 5)},

@@ -18,81 +18,38 @@ import torch
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
-from sgmethod.fitting.schedule import Schedule
 from sgmethod.native import native
 from sgmethod.profiles import RdSettings
 from sgmethod.rd.finish import Finish
-from sgmethod.rd.fit import RdFit
+from sgmethod.rd.ladder import Ladder, is_stiff
 from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.runs import Runs, place
 
 
 def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
     """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
     control = RateControl.of(request, settings)
     with torch.no_grad():
-        fit = place(request, control)
-        runs = Runs(fit, request)
+        runs = Runs(place(request, control), request)
+        ladder = Ladder(request, control) if is_stiff(request, settings) else None
+        if ladder:
+            runs.in_all += ladder.most_steps
         runs.first()
         found = []
         for rounds in settings.rounds[:-1]:
             runs.until_round(rounds)
             if not runs.has_time():
                 break
-            found.append(Finish(fit, request).stream())
+            found.append(Finish(runs.fit, request).stream())
         runs.until_round(settings.rounds[-1])
-        finish = Finish(fit, request)
-        steps = runs.steps
-        del fit, runs  # what only steps need
+        finish, steps, in_all = Finish(runs.fit, request), runs.steps, runs.in_all
+        del runs  # what only steps need
         native.release_memory()
-        return write(finish.best([*found, finish.stream()])), steps
-
-
-def place(request: Request, control: RateControl) -> RdFit:
-    """Few Gaussians, ready to be fitted."""
-    recorder = request.recorder
-    return RdFit(request.pixels, control, request.seed, recorder.clock, recorder.preview)
-
-
-class Runs:
-    """Runs of the schedule: the first, and rounds. steps, rounds: done so far."""
-
-    def __init__(self, fit: RdFit, request: Request) -> None:
-        self.fit, self.request = fit, request
-        self.length = fit.control.steps()
-        self.of_round = max(round(fit.settings.round_steps * self.length), 1)
-        self.in_all = self.length + fit.settings.rounds[-1] * self.of_round
-        self.steps, self.rounds, self.took_s = 0, 0, 0.0
-
-    def first(self) -> None:
-        """Fit and grow; a time limit or a stop shortens the schedule."""
-        until_s = self._until()
-        if until_s is not None:
-            self.fit.hurry(until_s - self.request.recorder.clock.seconds())
-        self._run(self.length, 0)
-        self.took_s *= self.of_round / self.length
-
-    def has_time(self) -> bool:
-        """Whether a further round, as long as the last, ends in time."""
-        until_s = self._until()
-        return until_s is None or self.request.recorder.clock.seconds() + self.took_s < until_s
-
-    def until_round(self, number: int) -> None:
-        """Rounds until there were so many, as far as there is time."""
-        while self.rounds < number and self.has_time():
-            self.fit.begin_round()
-            self._run(self.of_round, self.length + self.rounds * self.of_round)
-            self.rounds += 1
-
-    def _run(self, length: int, before: int) -> None:
-        clock, final_rate = self.request.recorder.clock, self.fit.settings.final_rate
-        began = clock.seconds()
-        part = Schedule("joint", length, final_rate, self._until, 1.0, before, self.in_all)
-        self.steps += part.run(self.request.recorder, self.fit.step, self.fit.decoded_mse)
-        self.took_s = clock.seconds() - began
-        self.fit.settle()
-
-    def _until(self) -> float | None:
-        return self.request.until_s(self.fit.settings.fit_share)
+        best = finish.best([*found, finish.stream()])
+        if ladder and best.payload:
+            best = ladder.best(best, in_all)
+            steps += ladder.steps
+        return write(best), steps
 
 
 def write(stream: StreamV4) -> bytes:

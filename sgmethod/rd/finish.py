@@ -6,6 +6,7 @@ integers of each on the picture that the others leave (sgmethod/native/refine/re
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -47,8 +48,8 @@ class Finish:
             best = self._quantise_and_refine(self.coder.with_quantum(self.control.quantum))
         # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
         background = self.coder.stream(Parameters.empty(0))
-        enough = min(self._psnr(best), self.control.psnr or math.inf)
-        return replace(background if self._psnr(background) >= enough else best, texture=texture)
+        enough = min(self.psnr(best), self.control.psnr or math.inf)
+        return replace(background if self.psnr(background) >= enough else best, texture=texture)
 
     def best(self, streams: Sequence[StreamV4]) -> StreamV4:
         """The one that meets the budget best, of several that stream() found in the course of one encode."""
@@ -58,10 +59,10 @@ class Finish:
         """By which streams of one budget are compared, whatever its kind; the second where the first is equal."""
         size = len(stream.payload)
         if self.control.psnr is not None:
-            return min(self._psnr(stream), self.control.psnr), -size
+            return min(self.psnr(stream), self.control.psnr), -size
         if self.control.max_bytes is not None or self.control.max_gaussians is not None:
             return self._quality(stream), -size
-        price = quantiser.error_per_bit(self.coder.quantum)
+        price = quantiser.error_per_bit(self.control.quantum)
         return -self._error(stream) - 8 * price * size, -size
 
     def _texture(self) -> Codes | None:
@@ -82,18 +83,18 @@ class Finish:
         limits = price, self.settings.refine_sweeps, self._left_s(), max_payload
         return coder.refined(self.p, self.picture.target, *limits, self.picture.visibility)
 
-    def _psnr(self, stream: StreamV4) -> float:
-        """Without texture, which is there to be seen and not to be measured."""
+    def psnr(self, stream: StreamV4) -> float:
+        """Of a coded picture, in dB; without texture, which is there to be seen and not to be measured."""
         return min(psnr(draw_whole(stream), self.source), EXACT_DB)
 
     def _quality(self, stream: StreamV4) -> float:
         """By which streams of about one size are compared: PSNR, or less of the error that the eye sees."""
-        return self._psnr(stream) if self.picture.visibility is None else -self._error(stream)
+        return self.psnr(stream) if self.picture.visibility is None else -self._error(stream)
 
     def _error(self, stream: StreamV4) -> float:
         """Squared, summed over the picture, white being 1; as the eye sees it, where the file is tuned for it."""
         if self.picture.visibility is None:
-            return self.source.size * float(10 ** (-self._psnr(stream) / 10))
+            return self.source.size * float(10 ** (-self.psnr(stream) / 10))
         return eye.error(self.picture.visibility, draw_whole(stream), self.source) / 255**2
 
     def _within(self, limit: int) -> StreamV4:
@@ -142,7 +143,7 @@ class Finish:
         for _ in range(self.settings.psnr_tries):
             began = self.clock.seconds()
             streams[at] = self._quantise_and_refine(self.coder.with_quantum(2**at))
-            tried[at] = self._psnr(streams[at])
+            tried[at] = self.psnr(streams[at])
             took = self.clock.seconds() - began
             aim = self._reachable(aim, tried)
             if 0 <= tried[at] - aim <= slack or took > self._left_s():
@@ -156,7 +157,8 @@ class Finish:
         at = min(reached, key=lambda q: len(streams[q].payload))
         if tried[at] - aim <= slack or took > self._left_s():
             return streams[at]
-        return self._fewer(streams[at], aim, took)
+        fewer = self._fewer(streams[at], aim, took)
+        return self._tiny(fewer, aim) if len(fewer.payload) <= self.settings.tiny_bytes else fewer
 
     def _reachable(self, aim: float, tried: dict[float, float]) -> float:
         """The PSNR to aim at: a little less than the best so far where a finer quantum hardly helps any more."""
@@ -179,7 +181,7 @@ class Finish:
         def reaches(dearer: float, max_payload: int = NO_LIMIT) -> bool:
             nonlocal best
             smaller = self._quantise_and_refine(coder, max_payload, dearer)
-            reached = self._psnr(smaller) >= psnr_db
+            reached = self.psnr(smaller) >= psnr_db
             if reached and len(smaller.payload) < len(best.payload):
                 best = smaller
             return reached
@@ -197,6 +199,18 @@ class Finish:
             bytes_between = (too_small + len(best.payload)) // 2
             if not reaches(dearer, bytes_between):
                 too_small = bytes_between
+        return best
+
+    def _tiny(self, stream: StreamV4, psnr_db: float) -> StreamV4:
+        """The smallest of many that reach the PSNR: where a byte is worth tenths of a decibel, chance decides."""
+        best = stream
+        for quantum, dearer in itertools.product(self.settings.tiny_quanta, self.settings.tiny_prices):
+            if not best.payload or self._left_s() == 0:
+                break
+            coder = self.coder.with_quantum(stream.quantum * quantum)
+            smaller = self._quantise_and_refine(coder, len(best.payload) - 1, dearer)
+            if self.psnr(smaller) >= psnr_db:
+                best = smaller
         return best
 
     def _next_quantum(self, tried: dict[float, float]) -> float:

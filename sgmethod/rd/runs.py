@@ -1,0 +1,59 @@
+"""Runs of the schedule of one fit, within the time that there is."""
+
+from __future__ import annotations
+
+from sgmethod.fitting.request import Request
+from sgmethod.fitting.schedule import Schedule
+from sgmethod.rd.fit import RdFit
+from sgmethod.rd.rate_control import RateControl
+
+
+def place(request: Request, control: RateControl) -> RdFit:
+    """Few Gaussians, ready to be fitted."""
+    recorder = request.recorder
+    return RdFit(request.pixels, control, request.seed, recorder.clock, recorder.preview)
+
+
+class Runs:
+    """Runs of the schedule of one fit: the first, and rounds.
+
+    steps, rounds: done so far; before, in_all: the encode's steps before this fit, and all of them, for the trace.
+    """
+
+    def __init__(self, fit: RdFit, request: Request, before: int = 0) -> None:
+        self.fit, self.request = fit, request
+        self.length = fit.control.steps()
+        self.of_round = max(round(fit.settings.round_steps * self.length), 1)
+        self.before, self.in_all = before, self.length + fit.settings.rounds[-1] * self.of_round
+        self.steps, self.rounds, self.took_s = 0, 0, 0.0
+
+    def first(self) -> None:
+        """Fit and grow; a time limit or a stop shortens the schedule."""
+        until_s = self._until()
+        if until_s is not None:
+            self.fit.hurry(until_s - self.request.recorder.clock.seconds())
+        self._run(self.length, 0)
+        self.took_s *= self.of_round / self.length
+
+    def has_time(self) -> bool:
+        """Whether a further round, as long as the last, ends in time."""
+        until_s = self._until()
+        return until_s is None or self.request.recorder.clock.seconds() + self.took_s < until_s
+
+    def until_round(self, number: int) -> None:
+        """Rounds until there were so many, as far as there is time."""
+        while self.rounds < number and self.has_time():
+            self.fit.begin_round()
+            self._run(self.of_round, self.length + self.rounds * self.of_round)
+            self.rounds += 1
+
+    def _run(self, length: int, before: int) -> None:
+        clock, final_rate = self.request.recorder.clock, self.fit.settings.final_rate
+        began = clock.seconds()
+        part = Schedule("joint", length, final_rate, self._until, 1.0, self.before + before, self.in_all)
+        self.steps += part.run(self.request.recorder, self.fit.step, self.fit.decoded_mse)
+        self.took_s = clock.seconds() - began
+        self.fit.settle()
+
+    def _until(self) -> float | None:
+        return self.request.until_s(self.fit.settings.fit_share)

@@ -1,0 +1,88 @@
+"""Stiff pictures: every budget finds the same files, so that more is never worse."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sgmethod import Budget, Encoded, decode, encode
+from sgmethod.budget import BudgetKind
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.metrics import psnr
+from tests.harness.data import PHOTOGRAPHS
+
+Pixels = NDArray[np.uint8]
+
+
+def lines() -> Pixels:
+    """One pixel wide, slanted, dark on white."""
+    y, x = np.mgrid[0:48, 0:64]
+    levels = np.where((3 * x + y) % 24 < 3, 30, 255).astype(np.uint8)
+    return np.repeat(levels[..., None], 3, axis=2)
+
+
+def squares() -> Pixels:
+    """Of two pixels each: half of their size is squares of one, and a quarter is flat."""
+    y, x = np.mgrid[0:48, 0:48]
+    return np.repeat((255 * ((x // 2 + y // 2) % 2)).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def noise() -> Pixels:
+    return np.random.default_rng(3).integers(0, 256, (24, 32, 3), np.uint8)
+
+
+STIFF = {"lines": lines, "squares": squares, "noise": noise}
+
+
+@cache
+def encoded(name: str, kind: BudgetKind, value: float, effort: int = 5) -> Encoded:
+    return encode(STIFF[name](), Budget(kind, value), tune="psnr", effort=effort)
+
+
+def error(name: str, file: Encoded) -> float:
+    """PSNR of what the file decodes to, in dB."""
+    return psnr(decode(file.data), STIFF[name]())
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_more_quality_is_never_worse_nor_smaller(name: str) -> None:
+    files = [encoded(name, "quality", quality) for quality in (10, 30, 45, 60, 75, 100)]
+    for less, more in pairwise(files):
+        assert len(less.data) <= len(more.data)
+        assert error(name, less) <= error(name, more)
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_a_size_is_used_as_well_as_by_any_quality(name: str) -> None:
+    for quality in (30, 60, 75):
+        other = encoded(name, "quality", quality)
+        file = encoded(name, "bytes", len(other.data))
+        assert len(file.data) <= len(other.data)
+        assert error(name, file) >= error(name, other)
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_a_psnr_takes_no_more_than_a_file_of_another_budget_that_reaches_it(name: str) -> None:
+    other = encoded(name, "quality", 60)
+    file = encoded(name, "psnr", error(name, other) - 0.01)
+    assert len(file.data) <= len(other.data)
+
+
+def test_little_effort_climbs_no_ladder() -> None:
+    assert encoded("lines", "bytes", 400, effort=4).stats.steps < encoded("lines", "bytes", 400).stats.steps / 2
+
+
+def test_a_photograph_needs_no_ladder() -> None:
+    pixels = read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())
+    found = encode(pixels, Budget("bpp", 0.3), tune="psnr").stats
+    assert found.steps < 2 * encode(pixels, Budget("bpp", 0.3), tune="psnr", effort=4).stats.steps
+
+
+def test_the_trace_goes_on_to_the_end() -> None:
+    trace = encoded("squares", "quality", 45).trace
+    assert all(before.step <= after.step for before, after in pairwise(trace))
+    assert trace[-1].step == trace[-1].steps
