@@ -9,6 +9,7 @@
 
 Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what 4 has to meet. More effort repeats 2 to
 5 in rounds: more Gaussians than can stay are added and fitted, those that gain least go, and the best file is kept.
+Small pictures of lines, letters or noise are fitted at fixed qualities too (ladder.py).
 """
 
 from __future__ import annotations

@@ -302,7 +302,7 @@ async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Requ
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
         raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels a side, too many for {kind}")
     etag = f'"{job.id}-rival.{kind}"'
-    headers = {"ETag": etag, "Cache-Control": IMMUTABLE}
+    headers = {"ETag": etag, **_kept(job, parts)}
     if has_already(request, etag):
         return not_modified(headers)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 
 import pytest
 
@@ -11,8 +10,6 @@ from service.web.guards.addresses import UNKNOWN, address_of
 from service.web.guards.problems import ProblemError
 from service.web.guards.shares import Shares
 from service.web.helpers.turns import Turns
-
-Scenario = Callable[[], Awaitable[None]]
 
 
 class Crowd:

@@ -87,6 +87,7 @@ def test_rivals_of_the_same_bytes(start_service: StartService) -> None:
         assert pixels_of(answer).shape == original.shape
         assert 0.9 * len(coffee) < len(answer.content) <= len(coffee)
         assert 20 < np.square(pixels_of(answer) - original).mean() < 300  # 23 to 35 dB
+        assert answer.headers["expires"] == web.client.get(f"/decode/{job}.png").headers["expires"]
         again = web.client.get(f"/jobs/{job}/rival.{kind}", headers={"If-None-Match": answer.headers["etag"]})
         assert again.status_code == 304
         assert web.client.head(f"/jobs/{job}/rival.{kind}").headers["content-length"] == str(len(answer.content))
