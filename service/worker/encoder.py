@@ -34,8 +34,8 @@ from service.process import lifeline
 FRAME_HEADER = struct.Struct(">cI")
 TRACE, PREVIEW, REFUSED, STATS, BITSTREAM = b"T", b"P", b"E", b"R", b"D"
 
-# Below the priority of the web process, so that answers come at once while every core encodes.
-NICENESS = 10
+# Behind all who answer, so that answers come at once while every core encodes: the least share that the system gives.
+NICENESS = 19
 PARENT_GONE = 3
 END_EARLY = signal.SIGUSR1
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage

@@ -44,14 +44,14 @@ class Recorder:
         self, phase: str, step: int, steps: int, mse: float | Callable[[], float], counts: tuple[int, int]
     ) -> None:
         """Add a point, where one is due. mse: the error, or what measures it for the trace alone, which takes no more
-        than a tenth of the time; counts = (number of Gaussians, bits of the file or 0)."""
+        than a twentieth of the time; counts = (number of Gaussians, bits of the file or 0)."""
         seconds = self.clock.seconds()
         new_phase = not self.points or self.points[-1].phase != phase
         if not (new_phase or step == steps or seconds - self.points[-1].seconds >= self._interval_s):
             return
         if callable(mse):
             mse = mse()
-            self._interval_s = max(REPORT_INTERVAL_S, 10 * (self.clock.seconds() - seconds))
+            self._interval_s = max(REPORT_INTERVAL_S, 20 * (self.clock.seconds() - seconds))
         psnr = -10 * math.log10(max(mse, 1e-12))
         gaussians, bits = counts
         point = TracePoint(round(seconds, 4), step, steps, round(psnr, 4), -(-bits // 8), gaussians, phase)

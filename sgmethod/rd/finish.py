@@ -115,7 +115,7 @@ class Finish:
             found.append(self._quantise_and_refine(coder, limit))
         if len(self.coder.stream(self.p).payload) > s.far_from_size * limit:
             found.append(self._quantise_and_refine(self.coder, limit))
-        return max(found, key=self._quality)
+        return max(found, key=self._quality) if len(found) > 1 else found[0]
 
     def _coder_within(self, limit: int) -> Coder:
         """The finest quantum at which all Gaussians fit, by bisection.
