@@ -92,7 +92,7 @@ def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> float:
         band = slice(start, min(start + rows, height) + WINDOW_SIZE - 1)
         in_band = (np.divide(plane[band], peak, dtype=np.float64) for plane in (x, y))
         total += _ssim_sum(*in_band, whole=whole)
-    return total / (width * height)
+    return float(total / (width * height))
 
 
 def _ssim_sum(x: Float64Array, y: Float64Array, *, whole: bool) -> float:
