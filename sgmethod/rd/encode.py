@@ -31,7 +31,7 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
     """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
     control = RateControl.of(request, settings)
     with torch.no_grad():
-        runs = Runs(place(request, control), request)
+        runs = Runs(place(request, control, request.recorder.preview), request)
         ladder = Ladder(request, control) if is_stiff(request, settings) else None
         if ladder:
             runs.in_all += ladder.most_steps

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 
-from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.profiles import RdSettings
@@ -22,6 +22,7 @@ from sgmethod.rd.fit import RdFit
 from sgmethod.rd.pyramid import SMALLEST_SIDE
 from sgmethod.rd.rate_control import RateControl, quality_quantum
 from sgmethod.rd.runs import Runs, place
+from sgmethod.trace import shown_to_nobody
 
 DENSE = 16  # pixels, or fewer, for each Gaussian
 KEPT = 0.5  # of the variance; of 36 photographs one is below, if it is reduced to 96 pixels
@@ -62,15 +63,16 @@ class Ladder:
         encode."""
         rungs: list[Rung] = []
         for control in self.controls:
-            runs = Runs(place(self.request, control), self.request, in_all - self.most_steps + self.steps)
+            fit = place(self.request, control, shown_to_nobody)  # a picture that grew sharper is not to begin anew
+            runs = Runs(fit, self.request, in_all - self.most_steps + self.steps)
             runs.in_all = in_all
             if not runs.has_time():
                 break
             runs.first()
             self.steps += runs.steps
-            finish = Finish(runs.fit, self.request)
+            finish = Finish(fit, self.request)
             stream = finish.stream()
-            rungs.append(Rung(runs.fit, stream, finish.psnr(stream)))
+            rungs.append(Rung(fit, stream, finish.psnr(stream)))
             if self._is_last(rungs):
                 break
         if not rungs:
@@ -87,8 +89,8 @@ class Ladder:
         budget."""
         if self._is_quality():
             return [rung.stream for rung in rungs]
-        limit = NO_LIMIT if self.control.max_bytes is None else self.control.max_bytes - HEADER_BYTES
-        fitting = [rung for rung in rungs if len(rung.stream.payload) <= limit]
+        most = NO_LIMIT if self.control.max_bytes is None else self.control.max_bytes
+        fitting = [rung for rung in rungs if len(container.serialise(rung.stream)) <= most]
         streams = [rung.stream for rung in fitting]
         finish = Finish(rungs[0].fit, self.request)
         at = streams.index(finish.best(streams)) if fitting else 0

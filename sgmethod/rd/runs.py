@@ -6,12 +6,12 @@ from sgmethod.fitting.request import Request
 from sgmethod.fitting.schedule import Schedule
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.rate_control import RateControl
+from sgmethod.trace import Preview
 
 
-def place(request: Request, control: RateControl) -> RdFit:
+def place(request: Request, control: RateControl, preview: Preview) -> RdFit:
     """Few Gaussians, ready to be fitted."""
-    recorder = request.recorder
-    return RdFit(request.pixels, control, request.seed, recorder.clock, recorder.preview)
+    return RdFit(request.pixels, control, request.seed, request.recorder.clock, preview)
 
 
 class Runs:

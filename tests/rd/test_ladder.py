@@ -72,6 +72,11 @@ def test_a_psnr_takes_no_more_than_a_file_of_another_budget_that_reaches_it(name
     assert len(file.data) <= len(other.data)
 
 
+@pytest.mark.parametrize("size", [60, 150, 400])
+def test_texture_is_within_the_bytes(size: int) -> None:
+    assert len(encode(noise(), Budget("bytes", size), tune="visual").data) <= size
+
+
 def test_little_effort_climbs_no_ladder() -> None:
     assert encoded("lines", "bytes", 400, effort=4).stats.steps < encoded("lines", "bytes", 400).stats.steps / 2
 
