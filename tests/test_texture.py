@@ -15,13 +15,18 @@ from sgmethod import Budget, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.fitting.request import Request
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.profiles import RD
+from sgmethod.rd.finish import EXACT_DB, Finish
+from sgmethod.rd.fit import RdFit
+from sgmethod.rd.rate_control import RateControl
 from sgmethod.rd.texture import estimate
 from sgmethod.scene import Gaussians
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.data import PHOTOGRAPHS, golden_path
 
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200
@@ -241,3 +246,15 @@ def test_what_cannot_be_is_refused() -> None:
         native.Rasterization(
             *(np.zeros((1, n), np.float32) for n in (2, 3)), 9, 9, texture=native.Texture(codes, 64.0, 64.0)
         )
+
+
+def test_files_are_compared_without_their_texture() -> None:
+    """By an encode that has several to choose from."""
+    data = golden_path("v4-texture.sg").read_bytes()
+    stream, smooth = container.parse(data), decode(data, texture=False)
+    assert isinstance(stream, StreamV4)
+    assert psnr(decode(data), smooth) < EXACT_DB
+    clock = Clock()
+    request = Request(smooth, Budget("quality", 50), "rd", "visual", 5, 0, Recorder(clock, None))
+    finish = Finish(RdFit(smooth, RateControl.of(request, RD), 0, clock), request)
+    assert finish.psnr(stream) == EXACT_DB

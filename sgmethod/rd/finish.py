@@ -85,7 +85,7 @@ class Finish:
 
     def psnr(self, stream: StreamV4) -> float:
         """Of a coded picture, in dB; without texture, which is there to be seen and not to be measured."""
-        return min(psnr(draw_whole(stream), self.source), EXACT_DB)
+        return min(psnr(draw_whole(stream, texture=False), self.source), EXACT_DB)
 
     def _quality(self, stream: StreamV4) -> float:
         """By which streams of about one size are compared: PSNR, or less of the error that the eye sees."""
@@ -95,7 +95,7 @@ class Finish:
         """Squared, summed over the picture, white being 1; as the eye sees it, where the file is tuned for it."""
         if self.picture.visibility is None:
             return self.source.size * float(10 ** (-self.psnr(stream) / 10))
-        return eye.error(self.picture.visibility, draw_whole(stream), self.source) / 255**2
+        return eye.error(self.picture.visibility, draw_whole(stream, texture=False), self.source) / 255**2
 
     def _within(self, limit: int) -> StreamV4:
         """The best with a payload of at most `limit` bytes.
