@@ -81,13 +81,13 @@ class Ladder:
             rung.fit.control = self.control
         found = self._within_budget(rungs)
         # Of a quality, the choice is to be the same whatever the quality.
-        is_whole = self._is_quality() and (len(rungs) == len(self.controls) or _is_dense(rungs[-1]))
+        is_whole = not self.control.has_goal and (len(rungs) == len(self.controls) or _is_dense(rungs[-1]))
         return Finish(rungs[-1].fit, self.request).best(found if is_whole else [own, *found])
 
     def _within_budget(self, rungs: Sequence[Rung]) -> list[StreamV4]:
         """What the rungs have found, and what becomes of the Gaussians of the best, and of the next finer, within the
         budget."""
-        if self._is_quality():
+        if not self.control.has_goal:
             return [rung.stream for rung in rungs]
         most = NO_LIMIT if self.control.max_bytes is None else self.control.max_bytes
         fitting = [rung for rung in rungs if len(container.serialise(rung.stream)) <= most]
@@ -97,15 +97,12 @@ class Ladder:
         following = 1 if self.control.max_bytes is None else 2
         return [*streams, *(Finish(rung.fit, self.request).stream() for rung in rungs[at : at + following])]
 
-    def _is_quality(self) -> bool:
-        return self.control.max_bytes is None and self.control.psnr is None
-
     def _is_last(self, rungs: Sequence[Rung]) -> bool:
         """Whether the last rung has so many Gaussians that the next would take long, or the one before it is as good or
         as large as the budget says."""
         if _is_dense(rungs[-1]):
             return True
-        if self._is_quality() or len(rungs) < 2:
+        if not self.control.has_goal or len(rungs) < 2:
             return False
         before = rungs[-2]
         if before.psnr >= min(self.control.psnr or EXACT_DB, EXACT_DB):

@@ -67,6 +67,11 @@ class RateControl:
         bpp = max(8 * max_bytes / pixels, 1e-3)
         return cls(settings, pixels, 0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes)
 
+    @property
+    def has_goal(self) -> bool:
+        """Whether a size or a PSNR steers the quantum."""
+        return self.max_bytes is not None or self.psnr is not None
+
     def expected_gaussians(self) -> int:
         """A first guess of how many Gaussians there will be."""
         if self.max_gaussians is not None:
@@ -101,7 +106,7 @@ class RateControl:
         """The quantum from this time on, given the quantum now and what it comes to: the file's size, and its PSNR in
         dB and that before rounding, which are asked for where they are needed."""
         s, times = self.settings, self.settings.times
-        if self.max_bytes is None and self.psnr is None:
+        if not self.has_goal:
             return self._given_quantum(at)
         if at < times.steering_from:
             return quantum
