@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import math
 import os
+import statistics
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from numbers import Real
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind
 from sgmethod.decoder import SgFile
@@ -21,6 +24,7 @@ from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
 from sgmethod.io.files import write_atomically
 from sgmethod.io.inputs import Input, read_input
+from sgmethod.io.laying import on_backgrounds
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, PROFILES, RdSettings, checked_effort, tuning, with_effort
@@ -30,7 +34,8 @@ from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
 @dataclass(frozen=True)
 class Stats:
-    """What an encode came to. psnr and ms_ssim are of the decoded file; ms_ssim is None for small pictures."""
+    """What an encode came to. psnr and ms_ssim are of the decoded file; ms_ssim is None for small pictures. With alpha
+    they are of the picture on black and on white, both together."""
 
     bytes: int
     bpp: float
@@ -119,13 +124,16 @@ def encode(
     tuned_for = tuning(tune, profile, budget)
     effort = checked_effort(effort)
     settings = with_effort(PROFILES[profile], effort)
-    request = Request(read_input(image), budget, profile, tuned_for, effort, seed, recorder)
+    pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
+    alpha = np.ascontiguousarray(pixels[..., 3]) if pixels.shape[2] == 4 else None
+    colours = np.ascontiguousarray(pixels[..., :3])
+    request = Request(colours, budget, profile, tuned_for, effort, seed, recorder, alpha)
     with _single_torch_thread(), _memory_errors():
         if isinstance(settings, RdSettings):
             data, steps = rd.encode(request, replace(settings, tune=tuned_for))
         else:
             data, steps = paper.encode(request, settings)
-    return _measured(request, data, steps)
+    return _measured(request, pixels, data, steps)
 
 
 def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
@@ -162,18 +170,19 @@ def _memory_errors() -> Iterator[None]:
         raise MemoryError("there is not enough memory for this encode") from error
 
 
-def _measured(request: Request, data: bytes, steps: int) -> Encoded:
-    """Decode the very bytes and measure them."""
-    file, source = SgFile(data), request.pixels
-    decoded = file.pixels()
-    height, width = source.shape[:2]
+def _measured(request: Request, pixels: NDArray[np.uint8], data: bytes, steps: int) -> Encoded:
+    """Decode the very bytes and measure them against pixels [H, W, 3 or 4]."""
+    file = SgFile(data)
+    decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
+    height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
+    similar = [one for one in map(ms_ssim, decoded, source) if one is not None]
     request.recorder.report("done", steps, steps, 10 ** (-db / 10), (gaussians, 8 * len(data)))
     stats = Stats(
         bytes=len(data),
         bpp=8 * len(data) / (width * height),
         psnr=db,
-        ms_ssim=ms_ssim(decoded, source),
+        ms_ssim=statistics.fmean(similar) if similar else None,
         gaussians=gaussians,
         steps=steps,
         seconds=request.recorder.clock.seconds(),

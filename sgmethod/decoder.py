@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
 from sgmethod.bitstream.v3 import StreamV3
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.errors import BitstreamError
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Scene
@@ -25,7 +26,7 @@ MAX_PIXELS = (
 
 
 def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, texture: bool = True) -> NDArray[np.uint8]:
-    """The picture in an .sg file, or a view of it: [height, width, 3], 8-bit sRGB.
+    """The picture in an .sg file, or a view of it: [height, width, 3], 8-bit sRGB, and with alpha [height, width, 4].
 
     >>> sgmethod.decode("photo.sg").shape
     (96, 128, 3)
@@ -76,6 +77,11 @@ class SgFile:
         return self._stream.width, self._stream.height
 
     @property
+    def has_alpha(self) -> bool:
+        """Whether the picture can be seen through: then pixels() gives four channels."""
+        return isinstance(self._stream, StreamV4) and self._stream.alpha is not None
+
+    @property
     def info(self) -> Info:
         """What the file says of itself."""
         return self._stream.info(len(self._data), container.checksum(self._data))
@@ -87,7 +93,7 @@ class SgFile:
         prefix: float = 1.0,
         texture: bool = True,
     ) -> NDArray[np.uint8]:
-        """[height, width, 3], 8-bit sRGB: the whole picture, or a view of it as sgmethod.View has them.
+        """[height, width, 3 or 4], as decode() gives it: the whole picture, or a view of it as sgmethod.View has them.
 
         Raises ViewError for a view that makes no picture, BitstreamError for one of too many pixels, MemoryError.
         """
@@ -117,15 +123,21 @@ def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDA
     """What draw() makes of the stream's scene, in less time. Raises as scene() and draw() do."""
     if not isinstance(stream, StreamV3):
         return draw(stream.scene(prefix))
-    raster, colors = stream.lay_out(prefix, texture)
-    return _picture(raster, colors, stream.background)
+    pixels = _picture(*stream.lay_out(prefix, texture), stream.background)
+    alpha = stream.alpha if isinstance(stream, StreamV4) else None
+    return pixels if alpha is None else _with_alpha(pixels, draw_whole(alpha))
 
 
 def draw(scene: Scene) -> NDArray[np.uint8]:
-    """Pixels [height, width, 3]. They are the same on every instruction set and for every number of threads.
+    """Pixels [height, width, 3 or 4]. They are the same on every instruction set and for every number of threads.
 
     Raises BitstreamError where the Gaussians overlap so much that drawing them would take unbounded time.
     """
+    pixels = _drawn(scene)
+    return pixels if scene.alpha is None else _with_alpha(pixels, _drawn(scene.alpha))
+
+
+def _drawn(scene: Scene) -> NDArray[np.uint8]:
     gaussians, size, (x, y) = scene.gaussians, (scene.width, scene.height), scene.origin
     t = scene.texture
     try:
@@ -150,3 +162,8 @@ def _picture(raster: native.Rasterization, colors: FloatArray, background: tuple
     red, green, blue = (level / 255 for level in background)
     raster.render_bytes(colors, pixels, (red, green, blue))
     return pixels
+
+
+def _with_alpha(colours: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """[height, width, 4] from two pictures, of which the second is grey."""
+    return np.concatenate([colours, alpha[..., :1]], axis=2)

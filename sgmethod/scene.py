@@ -48,7 +48,8 @@ class Scene:
 
     width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends;
     pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 4); origin: the first pixel
-    (x, y) that is drawn, in the coordinates of the means; texture: in a pyramid alone.
+    (x, y) that is drawn, in the coordinates of the means; texture: in a pyramid alone; alpha: a grey scene of the same
+    pixels, white where the picture is opaque.
     """
 
     gaussians: Gaussians
@@ -59,3 +60,4 @@ class Scene:
     pyramid: bool = False
     origin: tuple[int, int] = (0, 0)
     texture: Texture | None = None
+    alpha: Scene | None = None

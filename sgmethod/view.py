@@ -77,7 +77,9 @@ class View:
         gaussians = _resized(scene.gaussians, (x, y), origin, scale, widening)
         if texture is not None:
             texture = _resized_texture(texture, (x, y), origin, scale)
-        return replace(scene, gaussians=gaussians, width=width, height=height, origin=origin, texture=texture)
+        alpha = None if scene.alpha is None else self.apply(scene.alpha)
+        drawn = replace(scene, gaussians=gaussians, width=width, height=height, origin=origin)
+        return replace(drawn, texture=texture, alpha=alpha)
 
 
 def _variance(cutoff: float) -> float:

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image, UnidentifiedImageError
 
 import sgmethod
-from sgmethod import Budget, BudgetError, ImageError, ImageWarning, SgError, SgFile, View, ViewError
+from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
 from sgmethod.profiles import PROFILES
 from tests.harness import profiles
 from tests.harness.data import PHOTOGRAPHS, golden_path
@@ -58,14 +58,14 @@ def test_grey_is_three_equal_channels() -> None:
         assert encoded(form) == expected
 
 
-def test_transparency_is_laid_over_white_and_said() -> None:
+def test_transparency_is_kept_whatever_the_form() -> None:
     alpha = np.tile(np.arange(128, dtype=np.uint8) * 2, (96, 1))[..., None]
-    part = (alpha / 255).astype(np.float32)
-    expected = encoded(PIXELS / np.float32(255) * part + (1 - part))
     both = np.concatenate([PIXELS, alpha], 2)
-    for form in (both, Image.fromarray(both), both / 255):
-        with pytest.warns(ImageWarning, match="over white"):
-            assert encoded(form) == expected
+    expected = encoded(both)
+    assert sgmethod.decode(expected).shape == (96, 128, 4)
+    Image.fromarray(both).save("clear.png")
+    for form in (Image.fromarray(both), both / 255, both.astype(np.uint16) * 257, "clear.png"):
+        assert encoded(form) == expected
 
 
 def test_pictures_of_pillow_are_taken_as_they_are_seen() -> None:

@@ -121,7 +121,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
 
     try:
         encoded = encode(
-            read_image_8_bit(source),
+            read_image_8_bit(source, keep_alpha=True),
             Budget(request.budget_kind, request.budget_value),
             request.profile,
             tune=request.tune,

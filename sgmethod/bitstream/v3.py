@@ -40,6 +40,14 @@ def quantum_of(code: int) -> float:
     return (1 + (code & 0xFF) / 256) * 2.0 ** (4 - (code >> 8))
 
 
+def checked_quantum(code: int) -> float:
+    """The same of a file's code. Raises BitstreamError."""
+    quantum = quantum_of(code)
+    if not MIN_QUANTUM <= quantum <= MAX_QUANTUM:
+        raise BitstreamError(f"header field quantum is {quantum}, outside {MIN_QUANTUM} .. {MAX_QUANTUM}")
+    return quantum
+
+
 @dataclass(frozen=True, kw_only=True)
 class InfoV3(Info):
     """Info of a version 3 file. The other fields as in StreamV3."""
@@ -90,9 +98,7 @@ class StreamV3:
             raise BitstreamError(f"the picture's size is {width} x {height}")
         if flags > cls.FLAGS:
             raise BitstreamError(f"header field flags is {flags}, which this version does not know")
-        quantum = quantum_of(code)
-        if not MIN_QUANTUM <= quantum <= MAX_QUANTUM:
-            raise BitstreamError(f"header field quantum is {quantum}, outside {MIN_QUANTUM} .. {MAX_QUANTUM}")
+        quantum = checked_quantum(code)
         limits.check_size(width, height)
         red, green, blue = background
         grey, upright = bool(flags & FLAG_GREY), bool(flags & FLAG_UPRIGHT)

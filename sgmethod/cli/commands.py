@@ -13,7 +13,8 @@ from sgmethod.cli import files
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.decoder import decode, info
-from sgmethod.io.pictures import SUFFIXES, encode_picture
+from sgmethod.io.laying import WHITE, laid_over
+from sgmethod.io.pictures import OPAQUE, SUFFIXES, encode_picture
 from sgmethod.view import View
 
 if TYPE_CHECKING:
@@ -37,6 +38,8 @@ def run_decode(arguments: argparse.Namespace) -> int:
         said = f"{target} is there already: skipped"
     else:
         pixels = decode(files.read(source), view=view)
+        if pixels.shape[2] == 4 and kind in OPAQUE:
+            files.print_notes(source, [f"a {kind} has no alpha: its transparency is laid over white"])
         data = encode_picture(pixels, kind)
         files.write(target, data)
         height, width = pixels.shape[:2]
@@ -143,7 +146,11 @@ def _picture(path: str) -> NDArray[np.uint8]:
 
     data = files.read(path)
     if data.startswith(MAGIC):
-        return decode(data)
+        pixels = decode(data)
+        if pixels.shape[2] == 3:
+            return pixels
+        files.print_notes(path, ["its transparency is laid over white"])
+        return laid_over(pixels, WHITE)
     try:
         pixels, notes = files.read_pixels(data)
     except ImageError as error:

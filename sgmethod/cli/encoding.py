@@ -157,7 +157,7 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, shown: bool) -> Result:
     encode = _load_encoder()
-    pixels, notes = files.read_pixels(image)
+    pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     del image  # the file: a photograph of some megabytes
     with progress_line(shown) as show:
         encoded = encode(

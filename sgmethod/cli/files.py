@@ -41,13 +41,14 @@ def read(path: str) -> bytes:
     return bytes(data)
 
 
-def read_pixels(image: bytes) -> tuple[NDArray[np.uint8], list[str]]:
-    """Pixels [H, W, 3] of an image file, and what is left out of it. Raises ImageError."""
+def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.uint8], list[str]]:
+    """Pixels of an image file, [H, W, 3], or [H, W, 4] if alpha is to be kept and there is any; and what is left out of
+    it. Raises ImageError."""
     from sgmethod.io.image import read_image_8_bit
 
     with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
         warnings.simplefilter("always", ImageWarning)
-        pixels = read_image_8_bit(image)
+        pixels = read_image_8_bit(image, keep_alpha=keep_alpha)
     return pixels, [str(warning.message) for warning in caught]
 
 

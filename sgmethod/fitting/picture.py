@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from sgmethod.fitting import eye
+from sgmethod.fitting.leads import Lead
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
 from sgmethod.scene import FloatArray
@@ -42,12 +43,14 @@ class Picture:
         pyramid: bool = False,
         spacing: int = 1,
         visibility: eye.Visibility | None = None,
+        shown: eye.Visibility | None = None,
+        lead: Lead | None = None,
     ) -> None:
         """target: of target_of(); lambda_g weighs the geometry-consistent regularisation; cutoff: sigma at which the
         weight of a Gaussian ends, and pyramid: whether it is drawn in one, by the version of the format; visibility
-        [H, W]: then gradients, residuals and colours are those of the error as the eye sees it (eye.py)."""
-        self.target, self.visibility = target, visibility
-        self.lead = None if visibility is None else eye.Lead(target)
+        [H, W]: then gradients, residuals and colours are those of the error as it is seen (eye.py); shown: what alone
+        weighs error(), where the picture can be seen through; lead: what follow() moves the target by."""
+        self.target, self.visibility, self.shown, self.lead = target, visibility, shown, lead
         self.height, self.width = target.shape[1:]
         self.values = target.size
         self.spacing = spacing
@@ -73,7 +76,7 @@ class Picture:
         sums += even[:, 1::2, 1::2]
         sums += 2
         sums >>= 2
-        visibility = None if self.visibility is None else eye.halved(self.visibility)
+        visibility = None if self.visibility is None else self.visibility.halved()
         half = sums.astype(np.int16)
         return Picture(half, self.lambda_g, self.cutoff, self.pyramid, 2 * self.spacing, visibility)
 
@@ -104,10 +107,14 @@ class Picture:
 
     def error(self, p: Parameters) -> float:
         """Mean squared error."""
-        return self.rasterise(p.means, p.factors).error(p.colors.contiguous().numpy(), self._unmoved())
+        raster, colors = self.rasterise(p.means, p.factors), p.colors.contiguous().numpy()
+        if self.shown is None:
+            return raster.error(colors, self._unmoved())
+        gradients = p.alike().arrays()  # which nobody reads
+        return raster.squared_error(colors, self._unmoved(), *gradients, self.shown.values, self.shown.by_eye)
 
     def follow(self, p: Parameters) -> None:
-        """Move the target as the eye wants it (eye.Lead)."""
+        """Move the target, where something leads it."""
         if self.lead is not None:
             self.lead.follow(self._missing(p, self._unmoved()))
             self.target = self.lead.target
@@ -120,7 +127,8 @@ class Picture:
         out = p.alike()
         colors = p.colors.contiguous().numpy()
         raster = self.rasterise(p.means, p.factors)
-        return raster.squared_error(colors, self.target, *out.arrays(), self.visibility), out
+        seen = () if self.visibility is None else (self.visibility.values, self.visibility.by_eye)
+        return raster.squared_error(colors, self.target, *out.arrays(), *seen), out
 
     def residual(self, p: Parameters) -> Callable[[int, int], FloatArray]:
         """Target minus picture, in this picture's pixels, as far as it is seen. It is drawn when it is asked for rows:
@@ -128,7 +136,7 @@ class Picture:
         visibility, missing = self.visibility, self._missing(p, self.target)
         if visibility is None:
             return missing
-        return lambda first, end: eye.amplitudes(visibility[first:end], missing(first, end))
+        return lambda first, end: eye.amplitudes(visibility, missing(first, end), first, end)
 
     def _missing(self, p: Parameters, target: Target) -> Callable[[int, int], FloatArray]:
         """What residual() gives, all of it, of a target."""
@@ -160,13 +168,13 @@ class Picture:
         _, gradients = self._squared_error(black if others is None else others.with_more(black))
         residual = gradients.colors[-n:] * (-self.values / 2)  # each one's product with what is missing
         if self.visibility is not None:  # gram() and the colours that solve it know nothing of how colours count
-            residual = residual @ torch.tensor(np.linalg.inv(eye.COLOR), dtype=torch.float32)
+            residual = residual @ torch.tensor(np.linalg.inv(self.visibility.color), dtype=torch.float32)
         raster = self.rasterise(means, factors)
         colors, product = torch.zeros(n, 3), torch.empty(n, 3)
         direction = z = residual / energy
         rz = (residual * z).sum(0)
         for _ in range(steps):
-            raster.gram(direction.numpy(), product.numpy(), self.visibility)
+            raster.gram(direction.numpy(), product.numpy(), None if self.visibility is None else self.visibility.values)
             q = product + damping * energy * direction
             alpha = rz / (direction * q).sum(0).clamp_min(1e-30)
             colors = colors + alpha * direction

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from copy import copy
 
 from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
 
@@ -39,6 +40,12 @@ class Recorder:
         self.preview = on_preview or shown_to_nobody
         self.points: list[TracePoint] = []
         self._interval_s = REPORT_INTERVAL_S
+
+    def previewing(self, preview: Preview) -> Recorder:
+        """The same, with another preview."""
+        other = copy(self)
+        other.preview = preview
+        return other
 
     def report(
         self, phase: str, step: int, steps: int, mse: float | Callable[[], float], counts: tuple[int, int]

@@ -21,7 +21,11 @@ WINDING_DOWN = 0.25
 
 @dataclass(frozen=True)
 class Request:
-    """Pixels, uint8 [H, W, 3], and what encode() was given with them."""
+    """Pixels, uint8 [H, W, 3], and what encode() was given with them.
+
+    alpha: uint8 [H, W], what shows of the pixels, where they are not opaque; part: of a time limit that this is to be
+    done in, where other things follow.
+    """
 
     pixels: NDArray[np.uint8]
     budget: Budget
@@ -30,6 +34,8 @@ class Request:
     effort: int
     seed: int
     recorder: Recorder
+    alpha: NDArray[np.uint8] | None = None
+    part: float = 1.0
 
     def until_s(self, share: float = 1.0) -> float | None:
         """The second, on the recorder's clock, at which that share of the time for fitting is over; None without a
@@ -38,7 +44,7 @@ class Request:
         clock, found = self.recorder.clock, []
         if clock.limit_s is not None:
             megapixels = float(self.pixels.shape[0] * self.pixels.shape[1]) / 1e6
-            found.append(share * (clock.limit_s - RESERVE_S - RESERVE_S_PER_MEGAPIXEL * megapixels))
+            found.append(share * self.part * (clock.limit_s - RESERVE_S - RESERVE_S_PER_MEGAPIXEL * megapixels))
         stopped_s = clock.stopped_s()
         if stopped_s is not None:
             found.append(stopped_s * (1 + share * WINDING_DOWN))

@@ -21,12 +21,14 @@ both, and whatever they refuse is an ImageError with one clear sentence; what th
                    profile is one of tables; AVIF, HEIC and rarer 16-bit kinds (grey with alpha, premultiplied alpha,
                    CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are refused, because they do not
                    say which value is white.
-    transparency   composited over white, in values of sRGB, value * alpha + (1 - alpha), with a warning
+    transparency   kept where the caller keeps it, in 8 bits; else composited over white, in values of sRGB,
+                   value * alpha + (1 - alpha), with a warning
     the rest       other metadata is left out
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -35,12 +37,11 @@ from PIL import ImageFile
 
 from sgmethod.io import formats
 from sgmethod.io.header import ImageHeader, ImageLimits, Opened, is_still, only_image_errors, open_file, warn
-from sgmethod.io.levels import over_white, with_alpha
+from sgmethod.io.levels import Samples, Uint8Array, samples_of, values_of
 
 __all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image", "read_image_8_bit"]
 
 Float32Array = npt.NDArray[np.float32]
-Uint8Array = npt.NDArray[np.uint8]
 Values = TypeVar("Values", bound=npt.NDArray[Any])
 
 
@@ -65,63 +66,55 @@ def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:
     Returns float32 [H, W, 3] in [0, 1], sRGB, C-contiguous. Warns with ImageWarning of what is left out.
     Raises ImageError where read_header does, and if pixel data are damaged or missing.
     """
-    levels, peak = _read(data, limits)
-    return levels if levels.dtype == np.float32 else _values(levels, peak)
+    samples, notes = _read(data, limits, keep_alpha=False)
+    warn(notes)
+    values: Float32Array = samples.levels
+    if values.dtype != np.float32:
+        values = values_of(samples.levels, samples.white)
+    return np.ascontiguousarray(np.broadcast_to(values, (*values.shape[:2], 3)))
 
 
-def read_image_8_bit(data: bytes, limits: ImageLimits | None = None) -> Uint8Array:
+def read_image_8_bit(data: bytes, limits: ImageLimits | None = None, *, keep_alpha: bool = False) -> Uint8Array:
     """The same picture, uint8 [H, W, 3]: all that an encode uses of it, in a quarter of the memory.
 
-    Samples of more bits, and mixtures with white, are rounded.
+    keep_alpha: [H, W, 4] in place of a mixture with white where anything can be seen through. Samples of more bits,
+    and mixtures, are rounded.
     """
-    return to_8_bit(*_read(data, limits))
+    samples, notes = _read(data, limits, keep_alpha)
+    warn(notes)
+    return samples.in_8_bits()
 
 
-def to_8_bit(pixels: npt.NDArray[Any], peak: int = 1) -> Uint8Array:
-    """Values in [0, peak] as levels 0 to 255, C-contiguous; uint8 is levels already. Row by row: whole pictures take
-    enough memory as they are."""
-    if pixels.dtype == np.uint8:
-        return np.ascontiguousarray(pixels, np.uint8)
-    levels = np.empty(pixels.shape, np.uint8)
-    for row, values in zip(levels, pixels, strict=True):
-        row[...] = np.round(_values(values, peak) * 255)
-    return levels
-
-
-def _values(levels: npt.NDArray[Any], peak: int) -> Float32Array:
-    """Float32 in [0, 1]."""
-    values = levels.astype(np.float32)
-    if peak != 1:
-        values /= peak
-    return values
-
-
-def _read(data: bytes, limits: ImageLimits | None) -> tuple[npt.NDArray[Any], int]:
-    """Pixels [H, W, 3] as the file is to be seen, and their white."""
+def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool) -> tuple[Samples, list[str]]:
+    """The picture as it is to be seen, and what is left out of it."""
     with only_image_errors():
         kind = formats.name_of(data)
         opened = open_file(data, kind, limits)
-        read = pixels_of(opened, data)
+        samples = upright_samples(opened, data, keep_alpha)
         if kind == "PNG":
             verified: ImageFile.ImageFile = formats.open_reader(data, kind)
             verified.verify()  # all checksums; decoding skips those of the pixels
-    warn(opened.notes)
-    return read
+    return samples, opened.notes
 
 
-def pixels_of(opened: Opened, data: bytes | None) -> tuple[npt.NDArray[Any], int]:
-    """Pixels [H, W, 3], upright, and their white; of floats that is 1."""
-    pixels: npt.NDArray[Any]
-    pixels, peak, alpha, opaque = with_alpha(opened.reader, data, opened.colour)
-    if alpha is not None and alpha.min() < opaque:
-        opened.notes.append("its transparency is laid over white")
-        pixels, peak = over_white(pixels, peak, alpha, opaque), 1
-    return _turn(three_channels(pixels), opened.orientation), peak
+def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Samples:
+    """Turned as the picture is to be seen, and over white unless alpha is kept, which is noted."""
+    samples = samples_of(opened.reader, data, opened.colour)
+    if not keep_alpha:
+        samples = without_alpha(samples, opened.notes)
+    alpha = samples.alpha
+    return replace(
+        samples,
+        levels=_turn(samples.levels, opened.orientation),
+        alpha=None if alpha is None else _turn(alpha, opened.orientation),
+    )
 
 
-def three_channels(values: Values) -> Values:
-    """[H, W, 1 or 3] -> [H, W, 3]."""
-    return np.ascontiguousarray(np.broadcast_to(values, (*values.shape[:2], 3)))  # type: ignore[return-value]
+def without_alpha(samples: Samples, notes: list[str]) -> Samples:
+    """Over white, which is noted."""
+    if samples.alpha is not None:
+        notes.append("its transparency is laid over white")
+    return samples.over_white()
 
 
 def _turn(pixels: Values, orientation: int) -> Values:

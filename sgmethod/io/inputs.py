@@ -12,50 +12,50 @@ from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io.header import ImageLimits, Opened, check_mode, colour_of, only_image_errors, orientation_of, warn
-from sgmethod.io.image import Uint8Array, pixels_of, read_image_8_bit, three_channels, to_8_bit
-from sgmethod.io.levels import over_white
+from sgmethod.io.image import read_image_8_bit, upright_samples, without_alpha
+from sgmethod.io.levels import Samples, Uint8Array
 
 Input = str | os.PathLike[str] | bytes | Image.Image | npt.NDArray[Any]
 
 
-def read_input(image: Input) -> Uint8Array:
+def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
     """uint8 [H, W, 3], sRGB, C-contiguous, of the path or the bytes of an image file (sgmethod/io/image.py has the
-    rules), of a picture of Pillow's, or of an array as from_array() takes it.
+    rules), of a picture of Pillow's, or of an array as from_array() takes it. keep_alpha: [H, W, 4] where anything can
+    be seen through, in place of a mixture with white.
 
     Warns with ImageWarning of what is left out. Raises ImageError, and OSError for a path that cannot be read.
     """
     if isinstance(image, np.ndarray):
-        return from_array(image)
+        return from_array(image, keep_alpha)
     if isinstance(image, Image.Image):
-        return from_pillow(image)
+        return from_pillow(image, keep_alpha)
     if isinstance(image, bytes | bytearray | memoryview):
-        return read_image_8_bit(bytes(image))
+        return read_image_8_bit(bytes(image), keep_alpha=keep_alpha)
     if isinstance(image, str | os.PathLike):
-        return read_image_8_bit(Path(image).read_bytes())
+        return read_image_8_bit(Path(image).read_bytes(), keep_alpha=keep_alpha)
     raise ImageError(
         "an image must be a path, the bytes of an image file, a picture of Pillow's or a numpy array, "
         f"not {type(image).__name__}"
     )
 
 
-def from_pillow(image: Image.Image) -> Uint8Array:
-    """A picture of Pillow's by the same rules, uint8 [H, W, 3]: turned upright, in sRGB, over white."""
+def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
+    """A picture of Pillow's by the same rules: turned upright, in sRGB."""
     with only_image_errors():
         ImageLimits().check(*image.size)
         check_mode(image)
         image = image.copy()
         orientation = orientation_of(image.info.get("exif"))
         stated, notes = colour_of(image, None)
-        read = pixels_of(Opened(image, orientation, stated, notes), None)
+        samples = upright_samples(Opened(image, orientation, stated, notes), None, keep_alpha)
     warn(notes)
-    return to_8_bit(*read)
+    return samples.in_8_bits()
 
 
-def from_array(pixels: npt.NDArray[Any]) -> Uint8Array:
+def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Uint8Array:
     """Levels in uint8 or uint16, or values in [0, 1]; grey [H, W] or [H, W, 1], RGB [H, W, 3] or RGBA [H, W, 4].
 
-    Returns uint8 [H, W, 3], over white. Raises ImageError for another type or shape, other values, or a size beyond
-    ImageLimits.
+    Raises ImageError for another type or shape, other values, or a size beyond ImageLimits.
     """
     if pixels.ndim == 2:
         pixels = pixels[..., None]
@@ -67,11 +67,13 @@ def from_array(pixels: npt.NDArray[Any]) -> Uint8Array:
             raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
         if not (pixels.min() >= 0 and pixels.max() <= 1):  # false for what is not a number
             raise ImageError("the image's values must lie in [0, 1]")
-    peak = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
+    white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
+    notes: list[str] = []
+    samples = Samples(pixels, white)
     if pixels.shape[2] == 4:
         levels, alpha = pixels[..., :3], pixels[..., 3:]
-        if alpha.min() < peak:
-            warn(["its transparency is laid over white"])
-            return to_8_bit(over_white(levels, peak, alpha, peak), 1)
-        pixels = levels
-    return to_8_bit(three_channels(pixels), peak)
+        samples = Samples(levels, white, None if alpha.min() == white else alpha, white)
+    if not keep_alpha:
+        samples = without_alpha(samples, notes)
+    warn(notes)
+    return samples.in_8_bits()

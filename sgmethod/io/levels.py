@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,63 @@ from sgmethod.io import chunks, colour
 from sgmethod.io.colour import Colour, Levels, Transform
 
 Float32Array = npt.NDArray[np.float32]
+Uint8Array = npt.NDArray[np.uint8]
 
 # TIFF tags, and a value
 BITS_PER_SAMPLE, PHOTOMETRIC = 258, 262
 WHITE_IS_ZERO = 0
 
 
-def with_alpha(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Levels, int, Levels | None, int]:
-    """Decode: levels of sRGB [H, W, 1 or 3] and the one that is white; alpha [H, W, 1] or None, and what is opaque.
+@dataclass(frozen=True)
+class Samples:
+    """A picture. levels: of sRGB, [H, W, 1 or 3], and the one that is white; alpha: [H, W, 1], or None where all is
+    opaque, and the one that is opaque."""
+
+    levels: npt.NDArray[Any]
+    white: int
+    alpha: npt.NDArray[Any] | None = None
+    opaque: int = 1
+
+    def over_white(self) -> Samples:
+        """Without alpha: value * alpha + (1 - alpha)."""
+        if self.alpha is None:
+            return self
+        part = values_of(self.alpha, self.opaque)
+        values = values_of(self.levels, self.white)
+        values *= part
+        values += 1 - part
+        return Samples(values, 1)
+
+    def in_8_bits(self) -> Uint8Array:
+        """Levels 0 to 255, C-contiguous: [H, W, 3], and with alpha [H, W, 4]."""
+        height, width = self.levels.shape[:2]
+        colour = np.broadcast_to(self.levels, (height, width, 3))
+        if self.alpha is None:
+            return to_8_bit(colour, self.white)
+        return np.dstack([to_8_bit(colour, self.white), to_8_bit(self.alpha, self.opaque)])
+
+
+def values_of(levels: npt.NDArray[Any], peak: int) -> Float32Array:
+    """Float32 in [0, 1]; a copy."""
+    values = levels.astype(np.float32)
+    if peak != 1:
+        values /= peak
+    return values
+
+
+def to_8_bit(levels: npt.NDArray[Any], peak: int = 1) -> Uint8Array:
+    """Levels in [0, peak] as levels 0 to 255, C-contiguous; uint8 is that already. Row by row: whole pictures take
+    enough memory as they are."""
+    if levels.dtype == np.uint8:
+        return np.ascontiguousarray(levels, np.uint8)
+    pixels = np.empty(levels.shape, np.uint8)
+    for row, values in zip(pixels, levels, strict=True):
+        row[...] = np.round(values_of(values, peak) * 255)
+    return pixels
+
+
+def samples_of(reader: Image.Image, data: bytes | None, stated: Colour) -> Samples:
+    """Decode; with alpha where anything can be seen through.
 
     reader: not yet loaded; data: its file, without which 16-bit RGB comes in 8 bits; stated: its colours.
     """
@@ -37,7 +87,9 @@ def with_alpha(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple
     opaque = peak
     if stated is not None and not (isinstance(stated, Transform) and stated.mode == "CMYK"):
         levels, peak = stated.convert(levels, peak)
-    return levels, peak, alpha, opaque
+    if alpha is None or alpha.min() == opaque:
+        return Samples(levels, peak)
+    return Samples(levels, peak, alpha, opaque)
 
 
 def _stored(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Levels, int]:
@@ -114,14 +166,3 @@ def stated_colour(reader: Image.Image, mode: str, data: bytes | None) -> Colour:
         return colour.of_code_points(*points)
     # A picture of Pillow's that was read from a PNG still has what that stated.
     return None if info.get("srgb") is not None else colour.of_png(info)
-
-
-def over_white(levels: Levels, peak: int, alpha: Levels, opaque: int) -> Float32Array:
-    """Values in [0, 1] of levels laid over white: value * alpha + (1 - alpha)."""
-    part = alpha.astype(np.float32)
-    part /= opaque
-    values = levels.astype(np.float32)
-    values /= peak
-    values *= part
-    values += 1 - part
-    return values

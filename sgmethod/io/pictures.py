@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.errors import ImageError
+from sgmethod.io.laying import WHITE, laid_over
 from sgmethod.io.png import Compress, encode_png, zlib_compress
 
 SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WebP", ".avif": "AVIF", ".ppm": "PPM"}
+OPAQUE = ("JPEG", "PPM")
 OPTIONS: dict[str, dict[str, Any]] = {
     "JPEG": {"quality": 95, "subsampling": "4:4:4"},
     "WebP": {"quality": 95},
@@ -31,7 +33,8 @@ def encode_picture(
     options: Mapping[str, Any] | None = None,
     compress: Compress = zlib_compress,
 ) -> bytes:
-    """The file of pixels, uint8 [H, W, 3], sRGB, in a format of SUFFIXES.
+    """The file of pixels, uint8 [H, W, 3], or [H, W, 4] with alpha, sRGB, in a format of SUFFIXES. JPEG and PPM have no
+    alpha, and get them laid over white.
 
     options: for Pillow's writer of JPEG, WebP or AVIF, in place of OPTIONS; compress: for a PNG, as encode_png has it.
 
@@ -39,6 +42,8 @@ def encode_picture(
     """
     if kind == "PNG":
         return encode_png(pixels, compress)
+    if kind in OPAQUE and pixels.shape[2] == 4:
+        pixels = laid_over(pixels, WHITE)
     height, width = pixels.shape[:2]
     if kind == "PPM":
         return b"P6\n%d %d\n255\n" % (width, height) + pixels.tobytes()

@@ -23,7 +23,7 @@ from sgmethod.io.chunks import PNG_MAGIC
 
 FILTER_UP = 2  # PNG specification, 9.2: each byte less the one above it
 SRGB = b"\0"  # 11.3.2.5: the intent, perceptual
-RGB_8 = (8, 2, 0, 0, 0)  # 11.2.2: bits of a sample, colour type, compression, filter method, no interlace
+COLOUR_TYPES = {3: 2, 4: 6}  # 11.2.2, by channels: RGB, and that with alpha
 MAX_CHUNK_BYTES = 1 << 24
 ZLIB_LEVEL = 4
 
@@ -36,12 +36,13 @@ def zlib_compress(data: memoryview) -> bytes:
 
 
 def encode_png(pixels: NDArray[np.uint8], compress: Compress = zlib_compress) -> bytes:
-    """The bytes of an 8-bit RGB PNG file of pixels, uint8 [H, W, 3]; ValueError on another shape or type.
+    """The bytes of an 8-bit PNG file of pixels, uint8 [H, W, 3], or [H, W, 4] with alpha; ValueError on another shape
+    or type.
 
-    compress: makes the zlib stream (RFC 1950) of the filtered rows, uint8 [H, 1 + 3 W].
+    compress: makes the zlib stream (RFC 1950) of the filtered rows, uint8 [H, 1 + 3 W] or [H, 1 + 4 W].
     """
-    if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
-        raise ValueError(f"pixels must be uint8 [H, W, 3], got {pixels.dtype} {list(pixels.shape)}")
+    if pixels.dtype != np.uint8 or pixels.ndim != 3 or pixels.shape[2] not in COLOUR_TYPES or pixels.size == 0:
+        raise ValueError(f"pixels must be uint8 [H, W, 3 or 4], got {pixels.dtype} {list(pixels.shape)}")
     height, width, channels = pixels.shape
     flat = pixels.reshape(height, width * channels)
     rows = np.empty((height, 1 + width * channels), np.uint8)
@@ -50,7 +51,7 @@ def encode_png(pixels: NDArray[np.uint8], compress: Compress = zlib_compress) ->
     np.subtract(flat[1:], flat[:-1], out=rows[1:, 1:])
     data = compress(rows.data)
     parts = [data[start : start + MAX_CHUNK_BYTES] for start in range(0, len(data), MAX_CHUNK_BYTES)]
-    header = struct.pack(">IIBBBBB", width, height, *RGB_8)
+    header = struct.pack(">IIBBBBB", width, height, 8, COLOUR_TYPES[channels], 0, 0, 0)
     chunks = [
         _chunk(b"IHDR", header),
         _chunk(b"sRGB", SRGB),

@@ -105,9 +105,10 @@ class Rasterization:
         factors: FloatArray,
         out_colors: FloatArray,
         visibility: NDArray[np.int16] | None = None,
+        by_eye: bool = True,
     ) -> float:
-        """The mean squared error against a target, to the eye where there is a visibility; fills its gradients as
-        backward does."""
+        """The mean squared error against a target; fills its gradients as backward does. With a visibility each pixel
+        counts so much, and colours as the eye sees them or, without by_eye, alike."""
 
     def error(self, colors: FloatArray, target: NDArray[np.int16]) -> float:
         """The mean squared error against a target."""
@@ -208,8 +209,10 @@ def rd_refine(
     seconds: float,
     max_bytes: int,
     visibility: NDArray[np.int16] | None = None,
+    by_eye: bool = True,
 ) -> bytes:
-    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h)."""
+    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h).
+    visibility, by_eye: as in squared_error()."""
 
 def rd_lay_out(
     parameters: RdParameters, data: bytes, prefix: bool, cutoff: float, pyramid: bool, texture: Texture | None = None

@@ -41,18 +41,18 @@ class SgImageFile(ImageFile.ImageFile):
             self._file = SgFile(self.fp.read())
         except SgError as error:
             raise UnidentifiedImageError(str(error)) from error
-        self._mode = "RGB"
+        self._mode = "RGBA" if self._file.has_alpha else "RGB"
         self._set_size(self._file.size)
 
     def _set_size(self, size: tuple[int, int]) -> None:
         self._size = size
-        self.tile = [ImageFile._Tile("raw", (0, 0, *size), 0, "RGB")]
+        self.tile = [ImageFile._Tile("raw", (0, 0, *size), 0, self._mode)]
 
     def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
         """Have it drawn smaller, but not below size, by Pillow's rules."""
         from sgmethod.view import MIN_SCALE, View
 
-        del mode  # it is drawn in RGB alone
+        del mode  # it is drawn in its own alone
         if size is None or not self.tile:
             return None
         width, height = self._file.size

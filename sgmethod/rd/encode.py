@@ -9,7 +9,8 @@
 
 Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what 4 has to meet. More effort repeats 2 to
 5 in rounds: more Gaussians than can stay are added and fitted, those that gain least go, and the best file is kept.
-Small pictures of lines, letters or noise are fitted at fixed qualities too (ladder.py).
+Small pictures of lines, letters or noise are fitted at fixed qualities too (ladder.py). Alpha is a picture of its own,
+and goes the same way first (alpha.py).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.native import native
 from sgmethod.profiles import RdSettings
+from sgmethod.rd import alpha
 from sgmethod.rd.finish import Finish
 from sgmethod.rd.ladder import Ladder, is_stiff
 from sgmethod.rd.rate_control import RateControl
@@ -29,28 +31,37 @@ from sgmethod.rd.runs import Runs, place
 
 def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
     """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
-    control = RateControl.of(request, settings)
     with torch.no_grad():
-        runs = Runs(place(request, control, request.recorder.preview), request)
-        ladder = Ladder(request, control) if is_stiff(request, settings) else None
-        if ladder:
-            runs.in_all += ladder.most_steps
-        runs.first()
-        found = []
-        for rounds in settings.rounds[:-1]:
-            runs.until_round(rounds)
-            if not runs.has_time():
-                break
-            found.append(Finish(runs.fit, request).stream())
-        runs.until_round(settings.rounds[-1])
-        finish, steps, in_all = Finish(runs.fit, request), runs.steps, runs.in_all
-        del runs  # what only steps need
-        native.release_memory()
-        best = finish.best([*found, finish.stream()])
-        if ladder and best.payload:
-            best = ladder.best(best, in_all)
-            steps += ladder.steps
-        return write(best), steps
+        if request.alpha is None:
+            stream, steps = encode_layer(request, settings)
+        else:
+            stream, steps = alpha.encode(request, settings, encode_layer)
+    return write(stream), steps
+
+
+def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]:
+    """The stream of one picture without alpha, and the steps it took. What of it alpha shows weighs its errors."""
+    control = RateControl.of(request, settings)
+    runs = Runs(place(request, control, request.recorder.preview), request)
+    ladder = Ladder(request, control) if is_stiff(request, settings) else None
+    if ladder:
+        runs.in_all += ladder.most_steps
+    runs.first()
+    found = []
+    for rounds in settings.rounds[:-1]:
+        runs.until_round(rounds)
+        if not runs.has_time():
+            break
+        found.append(Finish(runs.fit, request).stream())
+    runs.until_round(settings.rounds[-1])
+    finish, steps, in_all = Finish(runs.fit, request), runs.steps, runs.in_all
+    del runs  # what only steps need
+    native.release_memory()
+    best = finish.best([*found, finish.stream()])
+    if ladder and best.payload:
+        best = ladder.best(best, in_all)
+        steps += ladder.steps
+    return best, steps
 
 
 def write(stream: StreamV4) -> bytes:

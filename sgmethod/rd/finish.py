@@ -84,8 +84,13 @@ class Finish:
         return coder.refined(self.p, self.picture.target, *limits, self.picture.visibility)
 
     def psnr(self, stream: StreamV4) -> float:
-        """Of a coded picture, in dB; without texture, which is there to be seen and not to be measured."""
-        return min(psnr(draw_whole(stream, texture=False), self.source), EXACT_DB)
+        """Of a coded picture, in dB, as far as alpha shows it; without texture, which is there to be seen and not to be
+        measured."""
+        decoded, shown = draw_whole(stream, texture=False), self.picture.shown
+        if shown is None:
+            return min(psnr(decoded, self.source), EXACT_DB)
+        mse = eye.error(shown, decoded, self.source) / (255**2 * self.source.size)
+        return -10 * math.log10(max(mse, 10 ** (-EXACT_DB / 10)))
 
     def _quality(self, stream: StreamV4) -> float:
         """By which streams of about one size are compared: PSNR, or less of the error that the eye sees."""

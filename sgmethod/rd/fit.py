@@ -15,8 +15,8 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import background_of
-from sgmethod.fitting import eye
+from sgmethod.bitstream.v3 import HEADER_BYTES, background_of
+from sgmethod.fitting import eye, leads
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
@@ -46,17 +46,26 @@ class RdFit:
         seed: int,
         clock: Clock,
         preview: Preview = shown_to_nobody,
+        alpha: NDArray[np.uint8] | None = None,
     ) -> None:
-        """pixels [H, W, 3]; preview: is given the file as it would be now, whenever its size is looked at."""
+        """pixels [H, W, 3]; preview: is given the file as it would be now, whenever its size is looked at; alpha:
+        [H, W], what shows of the pixels, where they are not opaque."""
         self.control, self.clock, self.preview = control, clock, preview
         self.settings = settings = control.settings
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = background_of(pixels)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
         self.coder = Coder((self.width, self.height), control.quantum, background, grey)
-        seen = eye.visibility_of(pixels) if settings.tune == "visual" else None
+        shown = None if alpha is None else eye.shown_by(alpha)
+        seen = eye.visibility_of(pixels, shown) if settings.tune == "visual" else shown
         self.seen = None if seen is None else eye.Seen(seen)
-        self.picture = Picture(target_of(pixels, background), 0.0, native.CUTOFF_V3, pyramid=True, visibility=seen)
+        target = target_of(pixels, background)
+        lead: leads.Lead | None = None
+        if settings.overshoot > 0:
+            lead = leads.Overshoot(target, pixels, settings.overshoot)
+        elif settings.tune == "visual":
+            lead = leads.CoarseError(target)
+        self.picture = Picture(target, 0.0, native.CUTOFF_V3, pyramid=True, visibility=seen, shown=shown, lead=lead)
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
         self.steps = 0
@@ -99,9 +108,9 @@ class RdFit:
         if at is not None:  # of several that one slow step has passed, the last
             self._reconsider(at)
         picture = self.pyramid.at(progress, self.settings.times, len(self.p.means))
-        # Growth would take what moved the target for error, add wide Gaussians for it and leave fine errors alone.
+        lead = picture.lead
         has_grown = progress > self.settings.times.growth_at[-1]
-        if has_grown and picture is self.picture and self.steps % eye.Lead.EVERY == 0:
+        if lead is not None and self.steps % lead.EVERY == 0 and (has_grown or lead.WHILE_GROWING):
             picture.follow(self.p)
         self.steps += 1
         mse, grad = picture.gradients(self.p)
@@ -162,9 +171,10 @@ class RdFit:
 
     def _steer(self, at: float) -> None:
         """Move the quantum as the rate control says."""
-        file = container.serialise(self.coder.stream(self.p))
-        self.size = len(file)
-        self.preview(file)
+        stream = self.coder.stream(self.p)
+        self.size = HEADER_BYTES + len(stream.payload)
+        if self.preview is not shown_to_nobody:
+            self.preview(container.serialise(stream))
         psnrs = (lambda: self._rounded_psnr(self.p)), (lambda: self._psnr(self.p))
         quantum = self.control.steered(self.coder.quantum, at, self.size, *psnrs)
         if quantum != self.coder.quantum:

@@ -79,12 +79,13 @@ class Coder:
         """The coded picture, with integers changed one Gaussian at a time where that lowers squared error plus price
         times bits; then without those that gain least for their bits, until the payload has at most max_payload bytes.
 
-        target: of the picture; price: squared error summed over the picture, to the eye if there is a visibility;
+        target: of the picture; price: squared error summed over the picture, as it is seen if there is a visibility;
         sweeps over all Gaussians, at most, and no longer than seconds.
         """
         upright = not bool(p.factors[:, 1].any())
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
         arrays = *p.arrays(), target
         limits = price, sweeps, seconds, max_payload
-        payload = native.rd_refine(parameters, *arrays, native.CUTOFF_V3, *limits, visibility)
+        seen = () if visibility is None else (visibility.values, visibility.by_eye)
+        payload = native.rd_refine(parameters, *arrays, native.CUTOFF_V3, *limits, *seen)
         return StreamV4(*self.size, self.quantum, self.background, self.grey, upright, payload)

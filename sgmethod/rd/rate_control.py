@@ -9,6 +9,7 @@ gain, and what is added early is not what is best late. The surplus is given up 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -29,6 +30,16 @@ def quality_quantum(quality: float) -> float:
     """The quantum of a quality in 0 .. 100: 16 points halve it, 0 is 3.2. On photographs of 0.4 megapixels 25 comes to
     about 0.05 bpp, 50 to 0.2, 75 to 0.8, 100 to 2.3."""
     return 3.2 * 2 ** (-quality / 16)
+
+
+def quantum_of_psnr(psnr_db: float) -> float:
+    """About the quantum of a photograph's file of so many decibels."""
+    return 0.1 * 2 ** ((34 - psnr_db) / 2.5)
+
+
+def psnr_of_quantum(quantum: float) -> float:
+    """The other way round."""
+    return 34 - 2.5 * math.log2(quantum / 0.1)
 
 
 @dataclass(frozen=True)
@@ -55,7 +66,7 @@ class RateControl:
         if budget.kind == "quality":
             return cls(settings, pixels, quality_quantum(budget.value))
         if budget.kind == "psnr":
-            return cls(settings, pixels, min(0.1 * 2 ** ((34 - budget.value) / 2.5), 0.4), psnr=budget.value)
+            return cls(settings, pixels, min(quantum_of_psnr(budget.value), 0.4), psnr=budget.value)
         if budget.kind == "gaussians":
             quantum = quality_quantum(GAUSSIANS_QUALITY)
             return cls(settings, pixels, quantum, max_gaussians=request.gaussians_asked())

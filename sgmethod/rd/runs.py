@@ -11,7 +11,7 @@ from sgmethod.trace import Preview
 
 def place(request: Request, control: RateControl, preview: Preview) -> RdFit:
     """Few Gaussians, ready to be fitted."""
-    return RdFit(request.pixels, control, request.seed, request.recorder.clock, preview)
+    return RdFit(request.pixels, control, request.seed, request.recorder.clock, preview, request.alpha)
 
 
 class Runs:

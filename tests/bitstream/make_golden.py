@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod import Budget, decode, encode
+from sgmethod.bitstream import container
 from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v1 import Group, StreamV1
@@ -128,6 +129,19 @@ def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False) -> bytes:
     return serialise(replace(stream, texture=codes.astype(np.uint8)))
 
 
+def rd_alpha(size: tuple[int, int], n: int, *, textured: bool) -> bytes:
+    """Alpha of n Gaussians that leave what decoding clamps, over a picture; or the same everywhere."""
+    rng = np.random.default_rng(8)
+    minor, aspect, angle = np.geomspace(0.8, 20, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
+    colors = np.repeat(rng.normal(0.5, 1, (n, 1)), 3, axis=1)
+    values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
+    gaussians = Gaussians(*(value.astype(np.float32) for value in values))
+    alpha = StreamV4.of(gaussians, size, 0.04, (100, 100, 100), grey=True)
+    picture = container.parse(rd_texture(size, 9) if textured else rd_scattered(size, 9, upright=True))
+    assert isinstance(picture, StreamV4)
+    return serialise(replace(picture, alpha=replace(alpha, upright=False)))
+
+
 def colors_of(n: int) -> FloatArray:
     return np.random.default_rng(4).normal(0, 0.25, (n, 3))
 
@@ -161,6 +175,8 @@ GOLDEN: dict[str, Callable[[], bytes]] = {
     "v4-needles": rd_needles,
     "v4-texture": lambda: rd_texture((66, 200), 20),
     "v4-texture-alone": lambda: rd_texture((70, 9), 0, grey=True),
+    "v4-alpha": lambda: rd_alpha((70, 41), 15, textured=True),
+    "v4-alpha-alone": lambda: rd_alpha((33, 20), 0, textured=False),
     "v4-empty": lambda: rd_scattered((7, 5), 0),
     "v4-pixel": lambda: rd_scattered((1, 1), 1),
 }

@@ -55,6 +55,7 @@ class Header:
     background: tuple[int, int, int]
     numbers: Numbers = V3
     texture: bool = False
+    alpha: bool = False
 
 
 def parse_header(data: bytes, numbers: Numbers = V3) -> Header:
@@ -65,9 +66,14 @@ def parse_header(data: bytes, numbers: Numbers = V3) -> Header:
     flags, width, height, quantum, red, green, blue = struct.unpack_from(">BHHHBBB", data, 8)
     refuse_unless(flags <= numbers.most_flags, "flags")
     refuse_unless(width > 0 and height > 0, "size")
-    refuse_unless(quantum == 0 or 256 <= quantum <= 3839, "quantum")
-    value = (1 + (quantum & 255) / 256) * 2.0 ** (4 - (quantum >> 8))
-    return Header(bool(flags & 1), bool(flags & 2), width, height, value, (red, green, blue), numbers, bool(flags & 4))
+    value = quantum_of(quantum)
+    kinds = [bool(flags >> bit & 1) for bit in range(4)]
+    return Header(*kinds[:2], width, height, value, (red, green, blue), numbers, *kinds[2:])
+
+
+def quantum_of(code: int) -> float:
+    refuse_unless(code == 0 or 256 <= code <= 3839, "quantum")
+    return (1 + (code & 255) / 256) * 2.0 ** (4 - (code >> 8))
 
 
 def start_tables() -> dict[str, list[list[int]]]:

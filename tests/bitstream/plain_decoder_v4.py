@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -35,7 +36,7 @@ NUMBERS = Numbers(
     most_v=TEXT["most V"],
     most_r=TEXT["most R"],
     least_colour_step=TEXT["least colour step"],
-    most_flags=7,
+    most_flags=15,
 )
 OCTAVES, CELL, MOST_STRENGTH = (int(TEXT[name]) for name in ("octaves", "cell", "most strength"))
 NARROWEST, TOP_LEVEL = TEXT["narrowest"], int(TEXT["top level"])
@@ -366,7 +367,31 @@ def mix(h: int) -> int:
 def parse(data: bytes) -> tuple[Header, list[Gaussian]]:
     """The header and the Gaussians."""
     header = v3.parse_header(data, NUMBERS)
-    return header, list(read_gaussians(header, Coder(read_texture(header, data[18:])[1]), part=False))
+    return header, list(read_gaussians(header, Coder(payload_of(header, data)), part=False))
+
+
+def payload_of(header: Header, data: bytes) -> bytes:
+    rest = read_texture(header, data[18:])[1]
+    return read_alpha(header, rest)[2] if header.alpha else rest
+
+
+def read_alpha(header: Header, rest: bytes) -> tuple[Header, bytes, bytes]:
+    """Of what follows the texture: the header of alpha as of a picture, its payload, and what follows."""
+    refuse_unless(len(rest) >= 7, "alpha")
+    code, level, size = struct.unpack_from(">HBI", rest)
+    refuse_unless(len(rest) >= 7 + size, "alpha")
+    quantum = v3.quantum_of(code)
+    of_alpha = Header(True, False, header.width, header.height, quantum, (level, level, level), NUMBERS)
+    return of_alpha, rest[7 : 7 + size], rest[7 + size :]
+
+
+def alpha_of(data: bytes) -> tuple[Header, list[Gaussian]] | None:
+    """Of a file, as parse() gives a picture."""
+    header = v3.parse_header(data, NUMBERS)
+    if not header.alpha:
+        return None
+    of_alpha, payload, _ = read_alpha(header, read_texture(header, data[18:])[1])
+    return of_alpha, list(read_gaussians(of_alpha, Coder(payload), part=False))
 
 
 def texture_of(data: bytes) -> Codes:
@@ -377,7 +402,7 @@ def texture_of(data: bytes) -> Codes:
 def parse_part(data: bytes, part: float) -> tuple[Header, list[Gaussian]]:
     """The header, and the Gaussians in a part, above 0 and below 1, of the payload."""
     header = v3.parse_header(data, NUMBERS)
-    payload = read_texture(header, data[18:])[1]
+    payload = payload_of(header, data)
     coder = Coder(payload[: math.ceil(part * len(payload))])
     found = []
     try:
@@ -477,11 +502,14 @@ def draw(
 
 
 def decode(data: bytes) -> tuple[int, int, bytes]:
-    """Width, height and the samples: height rows of width pixels of red, green and blue."""
+    """Width, height and the samples: height rows of width pixels of red, green and blue, and alpha if there is any."""
     header, gaussians = parse(data)
+    return view(data, 1) if header.alpha else (header.width, header.height, drawn(header, gaussians, data))
+
+
+def drawn(header: Header, gaussians: list[Gaussian], data: bytes) -> bytes:
     texture = Texture(texture_of(data))
-    pixels = draw(gaussians, texture, range(header.width), range(header.height), header.background)
-    return header.width, header.height, pixels
+    return draw(gaussians, texture, range(header.width), range(header.height), header.background)
 
 
 def view(data: bytes, scale: float, region: Region | None = None) -> tuple[int, int, bytes]:
@@ -493,4 +521,15 @@ def view(data: bytes, scale: float, region: Region | None = None) -> tuple[int, 
     ox, oy = math.floor(region[0] * sx) % 65536, math.floor(region[1] * sy) % 65536
     shown = resized(gaussians, region, scale, CUTOFF, (ox, oy))
     texture = Texture(texture_of(data), (sx, sy), (ox - region[0] * sx, oy - region[1] * sy))
-    return width, height, draw(shown, texture, range(ox, ox + width), range(oy, oy + height), header.background)
+    part = range(ox, ox + width), range(oy, oy + height)
+    pixels = draw(shown, texture, *part, header.background)
+    alpha = alpha_of(data)
+    if alpha is None:
+        return width, height, pixels
+    of_alpha, gaussians = alpha
+    shown = resized(gaussians, region, scale, CUTOFF, (ox, oy))
+    grey = draw(shown, Texture([]), *part, of_alpha.background)
+    samples = bytearray()
+    for at in range(0, len(pixels), 3):
+        samples += pixels[at : at + 3] + grey[at : at + 1]
+    return width, height, bytes(samples)

@@ -105,6 +105,10 @@ def test_golden_streams_show_everything() -> None:
     assert max(levels(streams["v4-color"].gaussians())) > 1
     codes = [s.texture for s in streams.values() if s.texture is not None]
     assert set(np.concatenate([c.ravel() for c in codes])) == set(range(native.TEXTURE_STRENGTHS))
+    alphas = [s.alpha for s in streams.values() if isinstance(s, StreamV4) and s.alpha is not None]
+    assert {len(alpha.gaussians()) > 0 for alpha in alphas} == {False, True}
+    shown = decode(GOLDEN["v4-alpha"])[..., 3]
+    assert 0.1 < np.isin(shown, (0, 255)).mean() < 0.9  # what is clamped, and what is not
     assert {bool(c[1].any()) for c in codes} == {False, True}  # the highest level of a picture without Gaussians
 
 
@@ -122,7 +126,14 @@ def test_the_plain_decoder_finds_the_same_gaussians(name: str) -> None:
     header, plain = plain_decoder_v4.parse(GOLDEN[name])
     s = container.parse(GOLDEN[name])
     textured = isinstance(s, StreamV4) and s.texture is not None
-    assert header == Header(s.grey, s.upright, s.width, s.height, s.quantum, s.background, NUMBERS, textured)
+    alpha = s.alpha if isinstance(s, StreamV4) else None
+    kinds = textured, alpha is not None
+    assert header == Header(s.grey, s.upright, s.width, s.height, s.quantum, s.background, NUMBERS, *kinds)
+    if alpha is not None:
+        of_alpha, plain_alpha = plain_decoder_v4.alpha_of(GOLDEN[name]) or (None, [])
+        same = alpha.grey, alpha.upright, alpha.width, alpha.height, alpha.quantum, alpha.background
+        assert of_alpha == Header(*same, NUMBERS)
+        assert rows(alpha.gaussians()) == plain_alpha
     if textured:
         assert s.texture.tolist() == plain_decoder_v4.texture_of(GOLDEN[name])
     assert rows(s.gaussians()) == plain
@@ -164,7 +175,7 @@ def test_the_plain_decoder_shares_nothing() -> None:
     source = Path(plain_decoder_v4.__file__).read_text()
     imports = re.findall(r"^(?:from|import) ([\w.]+)", source, re.MULTILINE)
     others = {f"tests.bitstream{name}" for name in ("", ".plain_decoder", ".plain_decoder_v3")}
-    assert set(imports) == {"__future__", "collections.abc", "dataclasses", "math", "re", *others}
+    assert set(imports) == {"__future__", "collections.abc", "dataclasses", "math", "re", "struct", *others}
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import StreamV3
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.v4 import FLAG_ALPHA, StreamV4
 from sgmethod.scene import Gaussians
 from sgmethod.view import View
 from tests.bitstream.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove
@@ -45,7 +45,7 @@ def picture_size(data: bytes, place: float, number: int) -> bytes:
 def header_field(data: bytes, place: float, number: int) -> bytes:
     """Flags, quantum or background."""
     at, values = [
-        (8, [bytes([v]) for v in (0, 1, 2, 3, 4, 255)]),
+        (8, [bytes([v]) for v in (0, 1, 2, 3, 4, 8, 12, 255)]),
         (13, [v.to_bytes(2, "big") for v in (0, 1, 255, 256, 3584, 3839, 3840, 65_535, number % 65_536)]),
         (15, [b"\0\0\0", b"\xff\xff\xff"]),
     ][int(place * 3)]
@@ -109,12 +109,13 @@ def outcome(data: bytes, view: View) -> str:
         )
     else:
         size = struct.unpack_from(">HH", data, 9)
-        assert pixels.shape == (*view.size(*size)[::-1], 3)
+        with_alpha = data[3] == 4 and bool(data[8] & FLAG_ALPHA)
+        assert pixels.shape == (*view.size(*size)[::-1], 4 if with_alpha else 3)
         assert pixels.dtype == np.uint8
         if view.prefix == 1:
             fields = info(data).to_dict()
             assert fields["bytes"] == len(data)
-            assert fields["gaussians"] <= min(size[0] * size[1], 8 * len(data))  # type: ignore[operator]
+            assert fields["gaussians"] <= (1 + with_alpha) * min(size[0] * size[1], 8 * len(data))  # type: ignore[operator]
         found = "drawn"
     assert time.process_time() - began < MAX_CPU_S
     return found

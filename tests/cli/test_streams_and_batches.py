@@ -265,9 +265,22 @@ def test_what_is_left_out_is_said(run: Run) -> None:
     PHOTO.convert("RGBA").resize((64, 48)).save("input.png")
     Image.new("RGBA", (64, 48), (10, 200, 30, 99)).save("input.png")
     ran = run("encode", "input.png", "out.sg", "--gaussians", "9")
-    assert ran.status == 0
-    assert ran.err == "sgmethod: note: input.png: its transparency is laid over white\n"
+    assert (ran.status, ran.err) == (0, "")
+    said = "its transparency is laid over white\n"
+    ran = run("encode", "input.png", "paper.sg", "--gaussians", "9", "--profile", "paper", "--time-limit", "0.3")
+    assert (ran.status, ran.err) == (0, f"sgmethod: note: input.png: {said}")
     assert run("encode", "input.png", "out.sg", "--gaussians", "9", "--quiet") == Ran(0, "", "")
+    for kind, mode in (("png", "RGBA"), ("webp", "RGBA"), ("avif", "RGBA"), ("jpg", "RGB"), ("ppm", "RGB")):
+        ran = run("decode", "out.sg", f"out.{kind}")
+        notes = "" if mode == "RGBA" else f"sgmethod: note: out.sg: a {SUFFIXES[f'.{kind}']} has no alpha: {said}"
+        assert (ran.status, ran.err) == (0, notes)
+        picture = Image.open(f"out.{kind}")
+        assert picture.mode == mode
+        if mode == "RGBA":
+            assert np.abs(np.asarray(picture)[..., 3].astype(int) - 99).max() < 3
+        else:
+            assert np.abs(np.asarray(picture).reshape(-1, 3).mean(0) - [160, 234, 168]).max() < 4
+    assert run("compare", "input.png", "out.sg").err.count(said) == 2
 
 
 def test_a_read_only_folder(run: Run) -> None:

@@ -23,13 +23,15 @@ def visibility(width: int, height: int, seed: int = 0) -> eye.Visibility:
     """That changes little from one pixel to the next, by a factor of four in all."""
     y, x = np.mgrid[:height, :width]
     levels = native.VISIBLE * 2.0 ** np.sin(x / 17 + y / 23 + seed)
-    return np.asarray(np.round(levels), np.int16)
+    return eye.Visibility(np.asarray(np.round(levels), np.int16))
 
 
 def seen(planes: FloatArray, visible: eye.Visibility) -> float:
     """The definition: of an error [3, H, W], summed."""
     luma = np.tensordot(np.array(native.SEEN_LUMA), planes, 1)
-    return float(((native.SEEN_COLOR * np.square(planes).sum(0) + luma**2) * visible / native.VISIBLE).sum())
+    squares = np.square(planes).sum(0)
+    counts = native.SEEN_COLOR * squares + luma**2 if visible.by_eye else squares
+    return float((counts * visible.values / native.VISIBLE).sum())
 
 
 def some(n: int, size: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -40,28 +42,30 @@ def some(n: int, size: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatAr
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 64), (17, 65), (100, 140)])
 @pytest.mark.parametrize("pyramid", [False, True])
-def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: bool) -> None:
+@pytest.mark.parametrize("by_eye", [True, False])
+def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: bool, by_eye: bool) -> None:
     means, factors, colors = some(30, size)
     target = np.random.default_rng(4).integers(-native.TARGET_WHITE, native.TARGET_WHITE, (3, *size[::-1]), np.int16)
-    visible = visibility(*size)
+    visible = eye.Visibility(visibility(*size).values, by_eye)
+    levels = visible.values
     found, wanted = (tuple(np.empty_like(a) for a in (means, factors, colors)) for _ in range(2))
     drawn = np.empty(target.shape, np.float32)
     for isa in range(native.best_isa() + 1):
         raster = native.Rasterization(means, factors, *size, CUTOFF, isa=isa, pyramid=pyramid)
         raster.render(colors, drawn)
         difference = drawn - target / np.float32(native.TARGET_WHITE)
-        by_picture = np.tensordot(eye.COLOR, difference, 1) * visible / native.VISIBLE * 2 / difference.size
+        by_picture = np.tensordot(visible.color, difference, 1) * levels / native.VISIBLE * 2 / difference.size
         raster.backward(colors, by_picture.astype(np.float32), *wanted)
-        error = raster.squared_error(colors, target, *found, visible)
+        error = raster.squared_error(colors, target, *found, levels, by_eye)
         assert error == pytest.approx(seen(difference, visible) / difference.size, rel=1e-5)
         for a, b in zip(found, wanted, strict=True):
             assert np.allclose(a, b, rtol=1e-4, atol=1e-6)
         product, by_gram = np.empty_like(colors), np.empty_like(colors)
-        raster.gram(colors, by_gram, visible)
-        raster.backward(colors, (drawn * visible / native.VISIBLE).astype(np.float32), *wanted[:2], product)
+        raster.gram(colors, by_gram, levels)
+        raster.backward(colors, (drawn * levels / native.VISIBLE).astype(np.float32), *wanted[:2], product)
         assert np.allclose(by_gram, product, rtol=1e-4, atol=1e-5)
     with pytest.raises(ValueError, match="visibility"):
-        raster.squared_error(colors, target, *found, visible[:, :0])
+        raster.squared_error(colors, target, *found, levels[:, :0])
 
 
 def test_gradients_are_those_of_finite_differences() -> None:
@@ -87,22 +91,24 @@ def test_gradients_are_those_of_finite_differences() -> None:
 def test_squares_of_amplitudes_are_what_is_seen() -> None:
     planes = np.random.default_rng(6).normal(0, 1, (3, 20, 30)).astype(np.float32)
     visible = visibility(30, 20)
-    assert np.square(eye.amplitudes(visible, planes)).sum() == pytest.approx(seen(planes, visible), rel=1e-5)
+    assert np.square(eye.amplitudes(visible, planes, 0, 20)).sum() == pytest.approx(seen(planes, visible), rel=1e-5)
     a, b = np.random.default_rng(7).integers(0, 256, (2, 20, 30, 3), np.uint8)
     difference = (a.astype(np.float32) - b).transpose(2, 0, 1)
     assert eye.error(visible, a, b) == pytest.approx(seen(difference, visible), rel=1e-5)
     grey = np.full((3, 20, 30), 0.5, np.float32)  # counts as its square does
-    assert seen(grey, np.full_like(visible, native.VISIBLE)) == pytest.approx(float(np.square(grey).sum()), rel=0.01)
+    assert seen(grey, eye.Visibility(np.full((20, 30), native.VISIBLE, np.int16))) == pytest.approx(
+        float(np.square(grey).sum()), rel=0.01
+    )
 
 
 def test_detail_hides_errors() -> None:
     pixels = np.full((96, 128, 3), 128, np.uint8)
     pixels[:, 64:] = np.random.default_rng(8).integers(0, 256, (12, 8, 3), np.uint8).repeat(8, 0).repeat(8, 1)
-    visible = eye.visibility_of(pixels)
+    visible = eye.visibility_of(pixels).values
     assert visible.shape == (96, 128)
     assert visible[:, :40].min() > 2 * visible[:, 80:].max()
-    assert (eye.visibility_of(pixels[:1, :1]) == native.VISIBLE).all()
-    assert eye.halved(visible[:95, :127]).shape == (48, 64)
+    assert (eye.visibility_of(pixels[:1, :1]).values == native.VISIBLE).all()
+    assert eye.Visibility(visible[:95, :127]).halved().values.shape == (48, 64)
 
 
 @pytest.mark.parametrize("make", [scene, wide_scene])
@@ -112,7 +118,7 @@ def test_each_sweep_of_refining_lowers_what_is_seen(seed: int, make) -> None:  #
     parameters, visible = native.RdParameters(*SIZE, 0.4), visibility(*SIZE, seed)
     errors = []
     for sweeps in (0, 1, 6):
-        payload = refined(parameters, values, target, sweeps=sweeps, visibility=visible)
+        payload = refined(parameters, values, target, sweeps=sweeps, visibility=visible.values)
         left = picture(_decoded(parameters, payload)) - target / np.float32(native.TARGET_WHITE)
         errors.append(seen(left, visible))
     assert errors[2] < errors[1] < errors[0]

@@ -20,7 +20,7 @@ from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.schedule import Schedule
-from sgmethod.io.image import to_8_bit
+from sgmethod.io.levels import to_8_bit
 from sgmethod.native import native, reference
 from sgmethod.paper.fit import fit
 from sgmethod.profiles import BASELINE, PAPER, PaperSettings

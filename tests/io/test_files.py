@@ -12,7 +12,7 @@ from sgmethod.io import encode_png, write_atomically
 
 
 def test_encode_png_refuses_other_arrays() -> None:
-    for pixels in (np.zeros((2, 2, 4), np.uint8), np.zeros((2, 2), np.uint8), np.zeros((0, 2, 3), np.uint8)):
+    for pixels in (np.zeros((2, 2, 5), np.uint8), np.zeros((2, 2), np.uint8), np.zeros((0, 2, 3), np.uint8)):
         with pytest.raises(ValueError, match="uint8"):
             encode_png(pixels)
     with pytest.raises(ValueError, match="float64"):

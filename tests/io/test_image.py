@@ -17,7 +17,8 @@ from PIL import Image
 
 from sgmethod.errors import ImageError
 from sgmethod.io import formats
-from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image, read_image_8_bit, to_8_bit
+from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image, read_image_8_bit
+from sgmethod.io.levels import to_8_bit
 from sgmethod.io.png import encode_png
 from tests.harness.data import PHOTOGRAPHS, golden_path
 

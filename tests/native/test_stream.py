@@ -84,7 +84,7 @@ def test_stream_round_trip(stream_of: type[StreamV3]) -> None:
     ("at", "value", "why"),
     [
         (4, b"\0\0\0\0", "checksum"),
-        (8, b"\x08", "flags"),
+        (8, b"\x10", "flags"),
         (9, b"\0\0", "size is 0 x"),
         (11, b"\0\0", "x 0"),
         (13, b"\0\1", "quantum"),

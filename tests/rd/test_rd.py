@@ -16,7 +16,8 @@ from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.recorder import Clock
-from sgmethod.io.image import read_image, to_8_bit
+from sgmethod.io.image import read_image
+from sgmethod.io.levels import to_8_bit
 from sgmethod.native import native
 from sgmethod.native.reference import render
 from sgmethod.profiles import RD

@@ -30,8 +30,8 @@ NB_MODULE(_native, m) {
   m.attr("MIN_SCALE") = sg::kMinScale;
   m.attr("TARGET_WHITE") = sg::kTargetWhite;
   m.attr("VISIBLE") = sg::kVisible;
-  m.attr("SEEN_COLOR") = sg::kSeenColor;
-  m.attr("SEEN_LUMA") = std::make_tuple(sg::kSeenLuma[0], sg::kSeenLuma[1], sg::kSeenLuma[2]);
+  m.attr("SEEN_COLOR") = sg::kSeenByEye.color;
+  m.attr("SEEN_LUMA") = std::make_tuple(sg::kSeenByEye.luma[0], sg::kSeenByEye.luma[1], sg::kSeenByEye.luma[2]);
   m.attr("TILE_WIDTH") = sg::kTileWidth;
   m.attr("TILE_HEIGHT") = sg::kTileHeight;
   m.attr("TEXTURE_OCTAVES") = sg::kTextureOctaves;

@@ -24,15 +24,18 @@ constexpr double kMaxAmplitude = 32.0;   // of each colour, 1 being full white
 // quarter, are whole numbers too. Memory for a large picture, and the time to read it, are half of what float takes.
 constexpr int kTargetWhite = 16 * 255;
 
-// How the eye sees an error e in red, green and blue: it counts (kSeenColor |e|^2 + (kSeenLuma e)^2) times the visibility of
-// its pixel, in int16, of which kVisible is 1. An error in grey counts as much as its square; one in colour counts less.
+// An error e in red, green and blue counts (color |e|^2 + (luma e)^2) times the visibility of its pixel, in int16, of which
+// kVisible is 1. To the eye an error in grey counts as much as its square, and one in colour less.
 constexpr int kVisible = 256;
-constexpr float kSeenColor = 0.4f, kSeenLuma[3] = {0.3484f, 0.8844f, 0.1072f};
-// Half the gradient of that for a visibility of 1, in the place of e [3].
-inline void as_seen(float* e) {
-  const float luma = e[0] * kSeenLuma[0] + e[1] * kSeenLuma[1] + e[2] * kSeenLuma[2];
-  for (int k = 0; k < 3; ++k) e[k] = kSeenColor * e[k] + luma * kSeenLuma[k];
-}
+struct Seen {
+  float color, luma[3];
+  // Half the gradient of that for a visibility of 1, in the place of e [3].
+  void weigh(float* e) const {
+    const float sum = e[0] * luma[0] + e[1] * luma[1] + e[2] * luma[2];
+    for (int k = 0; k < 3; ++k) e[k] = color * e[k] + sum * luma[k];
+  }
+};
+constexpr Seen kSeenByEye = {0.4f, {0.3484f, 0.8844f, 0.1072f}}, kSeenAlike = {1.0f, {0.0f, 0.0f, 0.0f}};
 
 // A tile is the part of a picture that one task draws: a strip of columns, cut into blocks of rows.
 constexpr int kTileWidth = 16;

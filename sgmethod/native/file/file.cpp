@@ -11,7 +11,7 @@
 namespace sg {
 namespace {
 
-constexpr size_t kPrefixBytes = 8, kHeaderBytesV1 = 15, kHeaderBytesV3 = 18;
+constexpr size_t kPrefixBytes = 8, kHeaderBytesV1 = 15, kHeaderBytesV3 = 18, kAlphaBytes = 7;
 constexpr size_t kTableBytes = 136, kGroupBytes = 4;
 constexpr int kMostBits = 16, kColorBits = 3, kCodebook = 48;  // of a code; of an entry; values of both codebooks
 constexpr double kMinQuantum = 1.0 / 1024, kMaxQuantum = 16.0;
@@ -93,20 +93,26 @@ void read_v1(Header& h, const uint8_t* p) {
           "a header field is out of range");
 }
 
+double quantum_of(int code) {
+  const double quantum = std::ldexp(1.0 + (code & 0xFF) / 256.0, 4 - (code >> 8));
+  require(quantum >= kMinQuantum && quantum <= kMaxQuantum, "a header field is out of range");
+  return quantum;
+}
+
 void read_v3(Header& h, const uint8_t* p) {
   const int flags = p[8], code = static_cast<int>(number(p + 13, 2));
   h.profile = 2;
   h.width = static_cast<int>(number(p + 9, 2));
   h.height = static_cast<int>(number(p + 11, 2));
-  h.quantum = std::ldexp(1.0 + (code & 0xFF) / 256.0, 4 - (code >> 8));
+  h.quantum = quantum_of(code);
   std::copy_n(p + 15, 3, h.background);
   h.grey = flags & 1;
   h.upright = flags & 2;
   h.cutoff = kCutoffV3;
   h.pyramid = h.version == 4;
   h.textured = flags & 4;
-  require(flags <= (h.version == 4 ? 7 : 3), "the header has flags that this version does not know");
-  require(h.quantum >= kMinQuantum && h.quantum <= kMaxQuantum, "a header field is out of range");
+  h.with_alpha = flags & 8;
+  require(flags <= (h.version == 4 ? 15 : 3), "the header has flags that this version does not know");
 }
 
 // The groups of version 1, their records checked to be all there.
@@ -146,14 +152,28 @@ File::File(const uint8_t* data, size_t size) {
   else read_v3(header_, data);
   require(header_.width > 0 && header_.height > 0, "the picture has no pixels");
   require(int64_t{header_.width} * header_.height <= kMaxPixels, "the picture has too many pixels");
-  begin_ = data + header_bytes;
-  size_ = size - header_bytes;
-  if (version == 1) check_v1(header_, begin_, size_);
-  if (!header_.textured) return;
-  size_t used = 0;
-  texture_ = unpack_texture(begin_, size_, header_.width, header_.height, used);
-  begin_ += used;
-  size_ -= used;
+  const Header& h = header_;
+  picture_ = {data + header_bytes, size - header_bytes, h.quantum, h.grey, h.upright, {}};
+  std::copy_n(h.background, 3, picture_.background);
+  if (version == 1) check_v1(h, picture_.begin, picture_.size);
+  if (h.textured) {
+    size_t used = 0;
+    texture_ = unpack_texture(picture_.begin, picture_.size, h.width, h.height, used);
+    picture_.begin += used;
+    picture_.size -= used;
+  }
+  if (h.with_alpha) read_alpha();
+}
+
+// At the beginning of what is left.
+void File::read_alpha() {
+  const uint8_t* p = picture_.begin;
+  require(picture_.size >= kAlphaBytes, "the file is damaged: its alpha is cut short");
+  const size_t bytes = number(p + 3, 4);
+  require(picture_.size - kAlphaBytes >= bytes, "the file is damaged: its alpha is cut short");
+  alpha_ = {p + kAlphaBytes, bytes, quantum_of(static_cast<int>(number(p, 2))), true, false, {p[2], p[2], p[2]}};
+  picture_.begin += kAlphaBytes + bytes;
+  picture_.size -= kAlphaBytes + bytes;
 }
 
 GaussianArrays File::gaussians(double prefix) const {
@@ -162,20 +182,24 @@ GaussianArrays File::gaussians(double prefix) const {
     if (prefix < 1) refuse<std::invalid_argument>("version 1 has no order that a prefix could follow");
     return gaussians_v1();
   }
+  return gaussians_of(picture_, prefix);
+}
+
+GaussianArrays File::gaussians_of(const Layer& l, double prefix) const {
   const Header& h = header_;
-  const auto used = static_cast<size_t>(std::ceil(prefix * static_cast<double>(size_)));
-  return rd_decode({h.width, h.height, h.quantum, h.grey, h.upright, h.version}, begin_, used, prefix < 1, kMaxGaussians,
-                   size_ - used);
+  const auto used = static_cast<size_t>(std::ceil(prefix * static_cast<double>(l.size)));
+  return rd_decode({h.width, h.height, l.quantum, l.grey, l.upright, h.version}, l.begin, used, prefix < 1, kMaxGaussians,
+                   l.size - used);
 }
 
 GaussianArrays File::gaussians_v1() const {
   GaussianArrays out;
   if (header_.groups == 0) return out;
   Range ranges[5];  // x, y, l1, l2, l3
-  for (int i = 0; i < 5; ++i) ranges[i] = {float_of(begin_ + 8 * i), float_of(begin_ + 8 * i + 4)};
+  for (int i = 0; i < 5; ++i) ranges[i] = {float_of(picture_.begin + 8 * i), float_of(picture_.begin + 8 * i + 4)};
   float entries[kCodebook];
-  for (int i = 0; i < kCodebook; ++i) entries[i] = half_of(begin_ + 40 + 2 * i);
-  const uint8_t *group = begin_ + kTableBytes, *const end = group + kGroupBytes * static_cast<size_t>(header_.groups);
+  for (int i = 0; i < kCodebook; ++i) entries[i] = half_of(picture_.begin + 40 + 2 * i);
+  const uint8_t *group = picture_.begin + kTableBytes, *const end = group + kGroupBytes * static_cast<size_t>(header_.groups);
   Bits bits(end);
   for (; group != end; group += kGroupBytes)
     for (uint32_t n = number(group + 1, 3); n > 0; --n) {

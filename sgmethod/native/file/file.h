@@ -25,7 +25,16 @@ struct Header {
   int position_bits, groups;
   // Of the others.
   double quantum;
-  bool grey, upright, textured;
+  bool grey, upright, textured, with_alpha;
+};
+
+// A payload of profile rd, and what of its header may differ between a picture and its alpha.
+struct Layer {
+  const uint8_t* begin;
+  size_t size;
+  double quantum;
+  bool grey, upright;
+  uint8_t background[3];  // red, green, blue
 };
 
 // A part of a picture, at any size (docs/format.md, Views).
@@ -50,12 +59,16 @@ class File {
   // Throws std::runtime_error for a payload that no encoder writes, std::invalid_argument for a prefix of version 1 or one
   // that is out of its range.
   GaussianArrays gaussians(double prefix = 1.0) const;
+  // Those of alpha, which are grey; only where the header says that there are any.
+  GaussianArrays alpha() const { return gaussians_of(alpha_, 1.0); }
+  uint8_t alpha_background() const { return alpha_.background[0]; }
 
  private:
   GaussianArrays gaussians_v1() const;
-  const uint8_t* begin_;  // of what follows the header
-  size_t size_;
+  GaussianArrays gaussians_of(const Layer& layer, double prefix) const;
+  void read_alpha();
   Header header_{};
+  Layer picture_{}, alpha_{};  // of version 1, picture_ is what follows the header
   std::vector<uint8_t> texture_;
 };
 
@@ -65,8 +78,10 @@ struct Size {
 };
 Size size_of(const Header& header, const View& view);
 
-// pixels [height, width, 3] of 8 bits. Throws as the above do, and std::overflow_error for Gaussians that overlap beyond
-// what a picture needs.
+// pixels [height, width, 3] of 8 bits, without alpha. Throws as the above do, and std::overflow_error for Gaussians that
+// overlap beyond what a picture needs.
 void draw(const File& file, const View& view, uint8_t* pixels);
+// Alpha of the same pixels, as grey, where a file has it.
+void draw_alpha(const File& file, const View& view, uint8_t* pixels);
 
 }  // namespace sg

@@ -75,10 +75,11 @@ Size size_of(const Header& header, const View& view) {
   return size;
 }
 
-void draw(const File& file, const View& view, uint8_t* pixels) {
+namespace {
+
+void draw(const File& file, const View& view, GaussianArrays g, bool textured, const uint8_t* below, uint8_t* pixels) {
   const Header& header = file.header();
   const Size size = size_of(header, view);
-  GaussianArrays g = file.gaussians(view.prefix);
   Canvas canvas{0, 0, size.width, size.height, header.cutoff, header.pyramid};
   const auto cells = [](int pixels) { return static_cast<int>(texture_cells(pixels)); };
   TextureGrid grid{cells(header.width), cells(header.height), kTextureCell, kTextureCell, 0, 0, 0};
@@ -94,12 +95,24 @@ void draw(const File& file, const View& view, uint8_t* pixels) {
     const double origin[2] = {static_cast<double>(canvas.x), static_cast<double>(canvas.y)};
     g = resized(g, part, origin, scale, kPixelVariance / variance(header.cutoff));
   }
-  if (view.texture && !file.texture().empty()) canvas.texture = std::make_shared<Texture>(file.texture().data(), grid);
+  if (textured) canvas.texture = std::make_shared<Texture>(file.texture().data(), grid);
   const auto n = static_cast<int>(g.means.size() / 2);
   const Rasterization raster(g.means.data(), g.factors.data(), n, canvas, -1, most_pairs(n, size.width, size.height));
   float background[3];
-  for (int k = 0; k < 3; ++k) background[k] = static_cast<float>(header.background[k] / 255.0);
+  for (int k = 0; k < 3; ++k) background[k] = static_cast<float>(below[k] / 255.0);
   raster.render_bytes(g.colors.data(), background, pixels);
+}
+
+}  // namespace
+
+void draw(const File& file, const View& view, uint8_t* pixels) {
+  const bool textured = view.texture && !file.texture().empty();
+  draw(file, view, file.gaussians(view.prefix), textured, file.header().background, pixels);
+}
+
+void draw_alpha(const File& file, const View& view, uint8_t* pixels) {
+  const uint8_t below[3] = {file.alpha_background(), file.alpha_background(), file.alpha_background()};
+  draw(file, view, file.alpha(), false, below, pixels);
 }
 
 }  // namespace sg

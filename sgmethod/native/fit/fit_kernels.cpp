@@ -66,14 +66,14 @@ SG_INLINE double difference_body(float* values, const TileTarget& target) {
   return V::sum(sum);
 }
 
-// The same of the error as the eye sees it.
+// The same of the error as it is seen.
 template <int W>
 SG_INLINE double seen_difference_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
   using F = typename V::F;
   constexpr float kStep = 1.0f / kTargetWhite, kUnit = 1.0f / kVisible;
-  constexpr float y0 = kSeenLuma[0], y1 = kSeenLuma[1], y2 = kSeenLuma[2];
   const TileTarget t = target;
+  const float y0 = t.seen.luma[0], y1 = t.seen.luma[1], y2 = t.seen.luma[2], color = t.seen.color;
   F sum{};
   int16_t part[4][kTileWidth] = {};  // of a row that the picture ends in: nothing is visible beyond
   for (int row = 0; row < t.rows; ++row, values += 3 * kTileWidth) {
@@ -90,7 +90,7 @@ SG_INLINE double seen_difference_body(float* values, const TileTarget& target) {
       const F e0 = V::load(values + i) - load_target<W>(in[0] + i) * kStep;
       const F e1 = V::load(values + kTileWidth + i) - load_target<W>(in[1] + i) * kStep;
       const F e2 = V::load(values + 2 * kTileWidth + i) - load_target<W>(in[2] + i) * kStep;
-      const F seen = load_target<W>(in[3] + i) * kUnit, own = seen * kSeenColor;
+      const F seen = load_target<W>(in[3] + i) * kUnit, own = seen * color;
       const F luma = e0 * y0 + e1 * y1 + e2 * y2, of_luma = seen * luma;
       sum += own * (e0 * e0 + e1 * e1 + e2 * e2) + of_luma * luma;
       V::store(values + i, (own * e0 + of_luma * y0) * t.scale);

@@ -297,11 +297,12 @@ void Rasterization::gram(const float* colors, float* out_colors, const int16_t* 
 
 int64_t Rasterization::samples() const { return 3 * static_cast<int64_t>(width()) * height(); }
 
-TileTarget Rasterization::part(const int16_t* target, int tile, int64_t ahead, float scale, const int16_t* visibility) const {
+TileTarget Rasterization::part(const int16_t* target, int tile, int64_t ahead, float scale, const int16_t* visibility,
+                               const Seen& seen) const {
   const Area a = area(tile);
   const int64_t first = static_cast<int64_t>(a.y) * width() + a.x;
-  const int16_t* seen = visibility == nullptr ? nullptr : visibility + first;
-  return {target + first, samples() / 3, width(), ahead, a.columns, a.rows, scale, seen};
+  const int16_t* here = visibility == nullptr ? nullptr : visibility + first;
+  return {target + first, samples() / 3, width(), ahead, a.columns, a.rows, scale, here, seen};
 }
 
 // values of a tile of the picture times the visibility of their pixels.
@@ -321,7 +322,7 @@ void Rasterization::leave(const float* colors, const int16_t* target, const Stri
   const auto each = [&](int tile, float* values) {
     if (tile >= tiles(0)) return;
     draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
-    fit_kernels(isa_).difference(values, part(target, tile, 0, -1.0f, nullptr));
+    fit_kernels(isa_).difference(values, part(target, tile, 0, -1.0f, nullptr, kSeenAlike));
     const Area a = area(tile);
     std::memcpy(left.row(a.x / kTileWidth, a.y), values, static_cast<size_t>(a.rows) * 3 * kTileWidth * sizeof(float));
     if (visibility != nullptr) weigh(visibility, tile, values);
@@ -330,7 +331,7 @@ void Rasterization::leave(const float* colors, const int16_t* target, const Stri
 }
 
 double Rasterization::squared_error(const float* colors, const int16_t* target, const Gradients& out,
-                                    const int16_t* visibility) const {
+                                    const int16_t* visibility, const Seen& seen) const {
   if (canvas_.x != 0 || canvas_.y != 0) refuse<std::invalid_argument>("a fit is of the whole picture");
   const float scale = 2.0f / static_cast<float>(samples());
   Planes coarse(grids_, Planes::Rows::kWhole);
@@ -342,7 +343,7 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
   const auto fill = [&](int tile, float* gradient, float* pair_gradients) {
     const std::unique_ptr<float[]> first(new float[first_value_count(*this, tile)]);  // all written by the kernel
     begin_tile({0, rows_of(tile)}, below(coarse, tile), kBlack, gradient);
-    const TileTarget here = part(target, tile, ahead, scale, visibility);
+    const TileTarget here = part(target, tile, ahead, scale, visibility, seen);
     errors[tile] = fit_kernels(isa_).squared_error(*this, tile, colors, here, first.get(), gradient, pair_gradients);
   };
   gradients(colors, fill, out);
@@ -356,7 +357,7 @@ double Rasterization::squared_error(const float* colors, const int16_t* target) 
   parallel_for(tiles(0), [&](int tile) {
     alignas(64) float values[kTileFloats];
     draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
-    errors[tile] = fit_kernels(isa_).difference(values, part(target, tile, 0, 0.0f, nullptr));
+    errors[tile] = fit_kernels(isa_).difference(values, part(target, tile, 0, 0.0f, nullptr, kSeenAlike));
   });
   return mean(errors);
 }

@@ -28,6 +28,7 @@ struct TileTarget {
   int columns, rows;      // within the picture
   float scale;            // of the gradient
   const int16_t* visibility = nullptr;  // of the tile's first pixel, its rows as far apart as the target's
+  Seen seen = kSeenAlike;               // how much colours count there
 };
 
 struct TileKernels {
@@ -52,7 +53,7 @@ struct FitKernels {
   double (*squared_error)(const Rasterization&, int tile, const float* colors, const TileTarget&, float* first,
                           float* values, float* pair_gradients);
   // values = (values less the target) times its scale, and 0 beyond the picture. Returns the squared error. Where the target
-  // has a visibility, the error counts as the eye sees it (core/constants.h), and values become half of its gradient.
+  // has a visibility, the error counts as it is seen (core/constants.h), and values become half of its gradient.
   double (*difference)(float* values, const TileTarget&);
   // values times the visibility of their pixels, whose rows are `stride` apart.
   void (*weigh)(float* values, const int16_t* visibility, int64_t stride, int columns, int rows);

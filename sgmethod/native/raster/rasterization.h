@@ -78,9 +78,9 @@ class Rasterization {
   void gram(const float* colors, float* out_colors, const int16_t* visibility = nullptr) const;
   // The mean squared error against target [3, height, width], in which white is kTargetWhite, and its gradients: render, loss and backward at once, so
   // that no picture goes through memory.
-  // visibility [height, width]: then errors count as the eye sees them (constants.h).
+  // visibility [height, width]: then errors count as they are seen (constants.h).
   double squared_error(const float* colors, const int16_t* target, const Gradients& out,
-                       const int16_t* visibility = nullptr) const;
+                       const int16_t* visibility = nullptr, const Seen& seen = kSeenByEye) const;
   // The mean squared error alone.
   double squared_error(const float* colors, const int16_t* target) const;
 
@@ -160,7 +160,8 @@ class Rasterization {
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
   int64_t samples() const;  // of the picture, in all channels
-  TileTarget part(const int16_t* target, int tile, int64_t ahead, float scale, const int16_t* visibility) const;
+  TileTarget part(const int16_t* target, int tile, int64_t ahead, float scale, const int16_t* visibility,
+                  const Seen& seen) const;
   void weigh(const int16_t* visibility, int tile, float* values) const;
   double mean(const std::vector<double>& errors) const;
   void load(Planes& planes, int tile, float* values) const;

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "core/constants.h"
 #include "rd/codec.h"
 
 namespace sg {
@@ -14,7 +15,8 @@ struct RefineSettings {
   int sweeps;        // over all Gaussians, at most
   double seconds;    // after which no further sweep begins, and one under way ends soon
   uint64_t max_bytes;  // of the payload; Gaussians that gain least for their bits go until it fits
-  const int16_t* visibility = nullptr;  // [height, width]: errors then count as the eye sees them (core/constants.h)
+  const int16_t* visibility = nullptr;  // [height, width]: errors then count as they are seen (core/constants.h)
+  Seen seen = kSeenByEye;
 };
 
 // The payload of the Gaussians, rounded, with integers changed one Gaussian at a time wherever that lowers squared error

@@ -70,7 +70,7 @@ struct State {
   // of FitKernels::project.
   double change(const Candidate& c, const float* products, double times) const {
     float seen[3] = {c.color[0], c.color[1], c.color[2]};
-    if (visibility != nullptr) as_seen(seen);
+    if (visibility != nullptr) settings.seen.weigh(seen);
     double error = 0;
     for (int k = 0; k < 3; ++k) error += seen[k] * (static_cast<double>(c.color[k]) * products[3] + times * products[k]);
     return error;

@@ -53,12 +53,12 @@ function run(call) {
   }
 }
 
-/** What a file says of itself: version, profile, width, height, checksum, gaussians, background, bytes, bpp. */
+/** What a file says of itself: version, profile, width, height, checksum, gaussians, background, alpha, bytes, bpp. */
 export function info(bytes) {
   const kernels = open(bytes);
   const at = run(() => kernels.info());
-  const fields = new Float64Array(kernels.memory.buffer, at, 9);
-  const [version, profile, width, height, checksum, gaussians, ...background] = fields;
+  const fields = new Float64Array(kernels.memory.buffer, at, 10);
+  const [version, profile, width, height, checksum, gaussians, red, green, blue, alpha] = fields;
   return {
     bytes: bytes.byteLength,
     bpp: (8 * bytes.byteLength) / (width * height),
@@ -68,7 +68,8 @@ export function info(bytes) {
     width,
     height,
     gaussians,
-    background,
+    background: [red, green, blue],
+    alpha: Boolean(alpha),
   };
 }
 

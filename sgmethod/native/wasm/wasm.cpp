@@ -14,7 +14,7 @@ namespace {
 
 std::vector<uint8_t> data;
 std::unique_ptr<sg::File> file;
-double fields[9];
+double fields[10];
 
 }  // namespace
 
@@ -28,19 +28,20 @@ SG_EXPORT(room) uint8_t* room(size_t bytes) {
 
 SG_EXPORT(open) void open() { file = std::make_unique<sg::File>(data.data(), data.size()); }
 
-// Version, profile, width, height, checksum, number of Gaussians, background.
+// Version, profile, width, height, checksum, number of Gaussians, background, whether there is alpha.
 SG_EXPORT(info) const double* info() {
   const sg::Header& h = file->header();
-  const auto gaussians = static_cast<double>(file->gaussians().means.size() / 2);
+  const size_t of_alpha = h.with_alpha ? file->alpha().means.size() / 2 : 0;
+  const auto gaussians = static_cast<double>(file->gaussians().means.size() / 2 + of_alpha);
   const double all[] = {static_cast<double>(h.version), static_cast<double>(h.profile), static_cast<double>(h.width),
                         static_cast<double>(h.height), static_cast<double>(h.checksum), gaussians,
                         static_cast<double>(h.background[0]), static_cast<double>(h.background[1]),
-                        static_cast<double>(h.background[2])};
-  for (int i = 0; i < 9; ++i) fields[i] = all[i];
+                        static_cast<double>(h.background[2]), static_cast<double>(h.with_alpha)};
+  for (int i = 0; i < 10; ++i) fields[i] = all[i];
   return fields;
 }
 
-// Width, height, and where the pixels lie: rows of red, green, blue and 255.
+// Width, height, and where the pixels lie: rows of red, green, blue and alpha.
 SG_EXPORT(draw) const double* draw(double scale, double prefix, int x, int y, int width, int height, int whole,
                                      int texture) {
   const sg::View view{scale, prefix, whole != 0, x, y, width, height, texture != 0};
@@ -53,6 +54,11 @@ SG_EXPORT(draw) const double* draw(double scale, double prefix, int x, int y, in
     const uint8_t red = rgb[3 * i], green = rgb[3 * i + 1], blue = rgb[3 * i + 2];
     uint8_t* to = pixels + 4 * i;
     to[0] = red, to[1] = green, to[2] = blue, to[3] = 255;
+  }
+  if (file->header().with_alpha) {
+    std::vector<uint8_t> grey(3 * count);
+    sg::draw_alpha(*file, view, grey.data());
+    for (size_t i = 0; i < count; ++i) pixels[4 * i + 3] = grey[3 * i];
   }
   fields[0] = size.width;
   fields[1] = size.height;

@@ -25,7 +25,7 @@ VIEWS = (
     View(2, (1, 0, 3, 2), 0.75),
     View(1, (3, 2, 1, 1)),
 )
-Answer = NDArray[np.uint8] | None  # pixels [H, W, 3], or None for what is refused
+Answer = NDArray[np.uint8] | None  # pixels [H, W, 4], of Python [H, W, 3 or 4], or None for what is refused
 
 
 def ask(command: Sequence[str], questions: Sequence[tuple[Path, View]]) -> list[Answer]:
@@ -43,8 +43,8 @@ def ask(command: Sequence[str], questions: Sequence[tuple[Path, View]]) -> list[
             answers.append(None)
             continue
         width, height = map(int, line.split())
-        answers.append(np.frombuffer(rest[: 3 * width * height], np.uint8).reshape(height, width, 3))
-        rest = rest[3 * width * height :]
+        answers.append(np.frombuffer(rest[: 4 * width * height], np.uint8).reshape(height, width, 4))
+        rest = rest[4 * width * height :]
     if rest:
         raise ValueError(f"{len(rest)} bytes too many")
     return answers
@@ -86,8 +86,12 @@ def differing(command: Sequence[str], questions: Sequence[tuple[Path, View]]) ->
     wrong = []
     for (path, view), answer in zip(questions, ask(command, questions), strict=True):
         expected = decoded(path, view)
-        same = np.array_equal(answer, expected) if answer is not None and expected is not None else answer is expected
+        same = answer is None and expected is None
+        if answer is not None and expected is not None:
+            if expected.shape[2] == 3 and (answer[..., 3] == 255).all():
+                answer = answer[..., :3]
+            same = np.array_equal(answer, expected)
         golden = path.stem in GOLDEN and view == View()
-        if not same or (golden and not (answer is not None and is_golden(path.stem, answer))):
+        if not same or (golden and not (answer is not None and is_golden(path.stem, np.ascontiguousarray(answer)))):
             wrong.append(f"{path.name} {view}")
     return wrong

@@ -79,7 +79,7 @@ def settled(page: Browser) -> np.ndarray[Any, Any]:
 
 
 def decoded(page: Browser, data: bytes, options: str = "{}") -> np.ndarray[Any, Any]:
-    """By the decoder of the page: RGB."""
+    """By the decoder of the page: RGBA."""
     text = page.run(f"""
         const bytes = Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0));
         return import("/static/decoder/decoder.js").then(({{ decode }}) => {{
@@ -88,4 +88,4 @@ def decoded(page: Browser, data: bytes, options: str = "{}") -> np.ndarray[Any, 
         }});
     """)
     width, height, levels = text
-    return np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(height, width, 4)[..., :3]
+    return np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(height, width, 4)

@@ -23,7 +23,7 @@ def see_through() -> bytes:
     return file.getvalue()
 
 
-def test_transparency_is_laid_over_white(page: Chromium, web: Service) -> None:
+def test_transparency_is_shown_on_white(page: Chromium, web: Service) -> None:
     open_page(page, web)
     give(page, "drop", see_through(), "clear.png")
     says(page, "in the queue")
@@ -31,7 +31,7 @@ def test_transparency_is_laid_over_white(page: Chromium, web: Service) -> None:
     assert row[len(row) // 3].tolist() == [255, 255, 255]
     assert row[2 * len(row) // 3].tolist() == [10, 90, 200]
     page.click("#cancel")
-    says(page, "laid over white", "#note")
+    says(page, "stays transparent in the file", "#note")
     assert complaints(page) == []
 
 

@@ -63,6 +63,14 @@ def test_views_of_a_job_and_of_a_body(web: Service, done: str, query: str, view:
     np.testing.assert_array_equal(pixels_of(posted), expected)
 
 
+def test_alpha_is_kept_where_a_format_has_it(web: Service) -> None:
+    data = golden_path("v4-alpha.sg").read_bytes()
+    job, pixels = web.published(data), sgmethod.decode(data)
+    np.testing.assert_array_equal(pixels_of(web.client.get(f"/decode/{job}.png")), pixels)
+    shapes = {kind: pixels_of(web.client.get(f"/decode/{job}.{kind}")).shape for kind in ("webp", "avif", "jpg")}
+    assert shapes == {"webp": pixels.shape, "avif": pixels.shape, "jpg": (*pixels.shape[:2], 3)}
+
+
 def test_texture_can_be_left_out(web: Service) -> None:
     job = web.published(TEXTURED)
     smooth = sgmethod.decode(TEXTURED, texture=False)

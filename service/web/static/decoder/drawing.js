@@ -228,7 +228,21 @@ export function draw(file, { scale = 1, region = null, count = file.count, textu
       if (its === level) addTexture(planes[level], file.texture, octave, level, placing, gain);
     }
   }
-  return { width, height, data: toBytes(planes[0].samples, file.background) };
+  const data = toBytes(planes[0].samples, file.background);
+  if (file.alpha) {
+    const grey = draw(file.alpha, { scale, region }).data;
+    for (let at = 0; at < data.length; at += 4) data[at + 3] = grey[at];
+  }
+  return { width, height, data };
+}
+
+/** What a picture that can be seen through is on white, in place. */
+export function layOverWhite({ data }) {
+  for (let at = 0; at < data.length; at += 4) {
+    const share = data[at + 3] / 255;
+    for (let c = 0; c < 3; c++) data[at + c] = data[at + c] * share + 255 * (1 - share);
+    data[at + 3] = 255;
+  }
 }
 
 function toBytes(samples, background) {

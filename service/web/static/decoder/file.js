@@ -7,7 +7,8 @@ const HEADER_BYTES = 18;
 const MOST = { colour: 2 ** 22, exponent: 18, uBits: 12, partBits: 16, rawBits: 24, v: 8, r: 4096 };
 const LEAST_COLOUR_STEP = 2 ** -16;
 const LEAST_WIDTH = Math.fround(0.3);
-const [GREY, UPRIGHT, TEXTURE] = [1, 2, 4];
+const [GREY, UPRIGHT, TEXTURE, ALPHA] = [1, 2, 4, 8];
+const ALPHA_BYTES = 7;
 export const OCTAVES = 2;
 export const CELL = 64; // pixels along a side of a cell of texture
 const MOST_STRENGTH = 15;
@@ -36,6 +37,11 @@ function crc32(bytes) {
   return ~crc >>> 0;
 }
 
+function quantumOf(code) {
+  refuseUnless(code === 0 || (code >= 256 && code <= 3839), "its quantum is out of range");
+  return (1 + (code & 255) / 256) * 2 ** (4 - (code >> 8));
+}
+
 /** What the first 18 bytes say. Throws SgError. */
 function readHeader(bytes) {
   if (!isSg(bytes)) throw new SgError("this is no .sg file");
@@ -44,18 +50,18 @@ function readHeader(bytes) {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   refuseUnless(view.getUint32(4) === crc32(bytes.subarray(8)), "its checksum is wrong");
   const flags = view.getUint8(8);
-  if (flags > 7) throw new SgError("the file has a part that is not known here", true);
+  if (flags > 15) throw new SgError("the file has a part that is not known here", true);
   const code = view.getUint16(13);
   const [width, height] = [view.getUint16(9), view.getUint16(11)];
   refuseUnless(width > 0 && height > 0, "it has no size");
-  refuseUnless(code === 0 || (code >= 256 && code <= 3839), "its quantum is out of range");
   return {
     width,
     height,
     grey: Boolean(flags & GREY),
     upright: Boolean(flags & UPRIGHT),
     textured: Boolean(flags & TEXTURE),
-    quantum: (1 + (code & 255) / 256) * 2 ** (4 - (code >> 8)),
+    hasAlpha: Boolean(flags & ALPHA),
+    quantum: quantumOf(code),
     background: [view.getUint8(15), view.getUint8(16), view.getUint8(17)],
   };
 }
@@ -118,18 +124,40 @@ class Gaussians {
 export function readFile(bytes) {
   const header = readHeader(bytes);
   const texture = header.textured ? readTexture(bytes, header.width, header.height) : null;
-  const start = texture ? texture.end : HEADER_BYTES;
-  const payload = bytes.subarray(start);
+  const end = texture ? texture.end : HEADER_BYTES;
+  const alpha = header.hasAlpha ? readAlpha(bytes, end, header) : null;
+  const start = alpha ? alpha.end : end;
+  return {
+    ...header,
+    texture,
+    alpha,
+    start, // of the payload
+    textureBytes: end - HEADER_BYTES,
+    alphaBytes: start - end,
+    bytes: bytes.length,
+    ...readPayload(header, bytes.subarray(start)),
+  };
+}
+
+/** Alpha: a grey picture of the same size, which can be drawn as a file can, and where it ends. */
+function readAlpha(bytes, start, { width, height }) {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  const begin = start + ALPHA_BYTES;
+  refuseUnless(begin <= bytes.length, "its alpha is cut short");
+  const end = begin + view.getUint32(start + 3);
+  refuseUnless(end <= bytes.length, "its alpha is cut short");
+  const level = view.getUint8(start + 2);
+  const header = { width, height, grey: true, upright: false, quantum: quantumOf(view.getUint16(start)) };
+  const read = readPayload(header, bytes.subarray(begin, end));
+  return { ...header, ...read, background: [level, level, level], texture: null, end };
+}
+
+function readPayload(header, payload) {
   const found = new Gaussians(Math.ceil(payload.length / 3));
   if (payload.length) readGaussians(header, new Coder(payload), found);
   const { values, bits, ends, count, spent } = found;
   return {
-    ...header,
-    texture,
-    start, // of the payload
-    textureBytes: start - HEADER_BYTES,
     spent,
-    bytes: bytes.length,
     count,
     values: values.slice(0, 8 * count),
     bits: bits.slice(0, count),

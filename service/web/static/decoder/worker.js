@@ -1,6 +1,6 @@
-// The decoder in a worker, beside the page: it keeps opened files by a number and draws views of them.
+// The decoder in a worker, beside the page: it keeps opened files by a number and draws views of them, on white.
 
-import { draw } from "./drawing.js";
+import { draw, layOverWhite } from "./drawing.js";
 import { readFile } from "./file.js";
 
 const files = new Map();
@@ -12,7 +12,10 @@ const answers = {
     return { ...file };
   },
   draw({ key, ...view }) {
-    return draw(files.get(key), view);
+    const file = files.get(key);
+    const picture = draw(file, view);
+    if (file.alpha) layOverWhite(picture);
+    return picture;
   },
   close({ key }) {
     files.delete(key);

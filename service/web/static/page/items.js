@@ -23,7 +23,7 @@ const remove = (id) => ask(jobPath(id), { method: "DELETE" }).catch(() => undefi
 
 export const imageOf = ({ data, width }) => createImageBitmap(new ImageData(data, width));
 
-/** A picture over white, as the codec takes it, since files have no transparency; null if nothing can be seen through. */
+/** A picture over white, as it is shown here; null if nothing can be seen through. */
 function overWhite(image) {
   const { width, height } = image;
   const canvas = new OffscreenCanvas(width, height);

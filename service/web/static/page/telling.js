@@ -36,7 +36,7 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
   else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
   const said = item.state === "failed" ? sentence(item.words) : item.words;
   const unseen = item.source && !item.original && "This browser cannot show the original.";
-  const laid = item.wasTransparent && "What is transparent in the original is laid over white: files have no transparency.";
+  const laid = item.wasTransparent && "What can be seen through is shown on white here, and stays transparent in the file.";
   const note = item.busy || item.state === "failed" ? said : item.note || unseen || laid;
   $("note").hidden = !note;
   $("note").textContent = note || "";

@@ -4,7 +4,7 @@ import { $, element } from "../page/parts.js";
 import { size } from "../page/words.js";
 
 /** [name, bytes, or null for what was left out, words] for each part. The bytes add up to the file's. */
-export function contentsOf({ bytes, start, textureBytes, spent, grey, upright, texture }) {
+export function contentsOf({ bytes, start, textureBytes, alphaBytes, spent, grey, upright, texture }) {
   const { place, shape, slant, light, tint } = spent;
   const rest = 8 * (bytes - start) - place - shape - slant - light - tint;
   return [
@@ -14,7 +14,8 @@ export function contentsOf({ bytes, start, textureBytes, spent, grey, upright, t
     ["Light", light / 8, "brighter or darker"],
     grey ? ["Tint", null, "the picture is grey"] : ["Tint", tint / 8, "rest of the colour"],
     texture ? ["Texture", textureBytes, "how strong its noise is"] : ["Texture", null, "if tuned for the eye"],
-    ["Header", start - textureBytes, "size and fineness"],
+    alphaBytes ? ["Alpha", alphaBytes, "what can be seen through"] : ["Alpha", null, "if it can be seen through"],
+    ["Header", start - textureBytes - alphaBytes, "size and fineness"],
     ["Counts", rest / 8, "of each size"],
     ["Code tables", null, "learnt on the way"],
     ["Opacity", null, "it is a plain sum"],

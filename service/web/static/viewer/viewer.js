@@ -174,7 +174,7 @@ export class Viewer {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    if (fromGaussians && this.gpu && !this.gpu.lost) {
+    if (fromGaussians && this.gpu && !this.gpu.lost && !file.alpha) {
       const corner = [-x / zoom, -y / zoom];
       const drawn = this.gpu.draw(file, count, corner, zoom, canvas.width, canvas.height, this.textured);
       context.drawImage(drawn, 0, 0);

@@ -1,0 +1,224 @@
+"""Alpha: a grey picture of its own in the file. It is coded first; then colours count as far as it shows them.
+
+An error e of a colour under alpha a is a e on any background, so it weighs a^2: what nobody sees costs nothing. An
+error d of alpha is d times the colour less the background. A file's error is the mean over a white and a black one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
+from sgmethod.budget import MAX_PSNR_DB, Budget
+from sgmethod.decoder import draw_whole
+from sgmethod.errors import BudgetError
+from sgmethod.fitting.recorder import Recorder
+from sgmethod.fitting.request import Request
+from sgmethod.io.laying import on_backgrounds
+from sgmethod.metrics import psnr
+from sgmethod.profiles import EFFORTS, RdSettings
+from sgmethod.rd.finish import NO_LIMIT
+from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, psnr_of_quantum
+
+Pixels = NDArray[np.uint8]
+Plane = NDArray[np.float32]
+Encode = Callable[[Request, RdSettings], tuple[StreamV4, int]]  # the file's stream, and the steps it took
+
+SMALLEST = SMALLEST_FILE + ALPHA_HEADER.size
+FIRST_BYTES = 48  # of the smallest alpha that is tried; the next have twice as many each
+MOST_BYTES = 0.6  # of a budget, for alpha, while colours may need the rest
+LEFT_OVER = 0.1  # of a budget of bytes, beyond which what colours have left goes to alpha
+SHARES = (0.3, 0.1, 0.03)  # of the error that a budget lets expect, at most by alpha; the first that serves
+ENOUGH = 0.05  # of the colours' error; alpha with less of it needs no more bytes
+GUESSED_BYTES = 0.2  # of a budget, for alpha, while it is not known
+ERROR_PER_BYTES = 1.0  # the colours' error goes with about this power of their bytes' inverse
+MOST_GAUSSIANS = 0.25  # of a budget of Gaussians
+OVERSHOOT = 0.4
+OF_TIME = 0.3  # of a time limit
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Alpha that was coded, and the file's error if nothing but alpha were wrong."""
+
+    stream: StreamV4
+    error: float
+
+    @property
+    def size(self) -> int:
+        """Bytes, at least 1."""
+        return max(len(self.stream.payload), 1)
+
+
+def encode(request: Request, settings: RdSettings, encode_layer: Encode) -> tuple[StreamV4, int]:
+    """The stream of a request with alpha, and the steps it took. encode_layer: for a request without.
+
+    Raises BudgetError for a budget no file can meet.
+    """
+    return _Layers(request, settings, encode_layer).encode()
+
+
+class _Layers:
+    """One encode: alpha, then colours."""
+
+    def __init__(self, request: Request, settings: RdSettings, encode_layer: Encode) -> None:
+        assert request.alpha is not None
+        self.request, self.settings, self.encode_layer = request, settings, encode_layer
+        self.source, self.steps = request.alpha, 0
+        self.pixels = continued(request.pixels, self.source)
+        height, width = self.source.shape
+        self.max_bytes = request.budget.max_bytes(width, height)
+        if self.max_bytes is not None and self.max_bytes < SMALLEST:
+            raise BudgetError(f"a file with alpha takes at least {SMALLEST} bytes, the budget is {self.max_bytes}")
+
+    def encode(self) -> tuple[StreamV4, int]:
+        """As above."""
+        if self.request.budget.kind == "psnr":
+            return self._at_psnr(self.request.budget.value), self.steps
+        alpha = self._alpha()
+        stream = self._colours(alpha, self.settings)
+        if self.max_bytes is not None:
+            left = self.max_bytes - len(container.serialise(stream))
+            if left > LEFT_OVER * self.max_bytes:
+                more = self._within(len(alpha.payload) + left)
+                stream = replace(stream, alpha=more.stream)
+        return stream, self.steps
+
+    def _alpha(self) -> StreamV4:
+        budget = self.request.budget
+        if budget.kind == "gaussians":
+            return self._layer(Budget("gaussians", max(int(MOST_GAUSSIANS * self.request.gaussians_asked()), 1)))
+        if self.max_bytes is not None:
+            return self._of_bytes(self.max_bytes - SMALLEST)
+        quantum = RateControl.of(self.request, self.settings).quantum
+        return self._of_error(SHARES[0] * _mse(psnr_of_quantum(quantum)))
+
+    def _at_psnr(self, psnr_db: float) -> StreamV4:
+        """Where colours cannot mend what alpha makes wrong, alpha is made better."""
+        for share in SHARES:
+            stream = self._colours(self._of_error(share * _mse(psnr_db)), self.settings)
+            if self._error_of(draw_whole(stream)) <= _mse(psnr_db) or self._is_late():
+                break
+        return stream
+
+    def _of_error(self, most: float) -> StreamV4:
+        """About the smallest that makes no more error."""
+        *before, found = self._larger_and_larger(most, NO_LIMIT)
+        if before and found.error <= most:
+            between = self._within(round(found.size / math.sqrt(2)))
+            return (between if between.error <= most else found).stream
+        return found.stream
+
+    def _of_bytes(self, most: int) -> StreamV4:
+        """The one with which colours in the rest of so many bytes make the least error, in all."""
+        guess = self._within(int(GUESSED_BYTES * most))
+        colours = self._colours(guess.stream, replace(self.settings, **EFFORTS[min(EFFORTS)]))
+        colours_error = self._error_of(np.dstack([draw_whole(colours)[..., :3], self.source]))
+        tried = self._larger_and_larger(ENOUGH * colours_error, int(MOST_BYTES * most))
+
+        def error(size: float) -> float:
+            """In all, by what was tried."""
+            sizes, errors = (np.log([max(getattr(one, name), 1e-12) for one in tried]) for name in ("size", "error"))
+            ours = math.exp(float(np.interp(math.log(size), sizes, errors)))
+            theirs = (max(most - guess.size, 1) / max(most - size, 1)) ** ERROR_PER_BYTES
+            return ours + colours_error * float(theirs)
+
+        steps = [one.size * factor for one in tried for factor in (math.sqrt(0.5), 1.0)]
+        best = min(steps, key=error)
+        nearest = min(tried, key=lambda one: abs(math.log(one.size / best)))
+        return nearest.stream if error(nearest.size) <= error(best) else self._within(round(best)).stream
+
+    def _larger_and_larger(self, enough: float, most: int) -> list[_Tried]:
+        """Each of twice the bytes, until the error is small enough, the bytes are most, or there is no time left."""
+        tried, size = [self._within(min(FIRST_BYTES, most))], 2 * FIRST_BYTES
+        while tried[-1].error > enough and size <= most and not self._is_late():
+            tried.append(self._within(size))
+            if tried[-1].size < 0.75 * size:  # nothing is left that a larger one could mend
+                break
+            size *= 2
+        return tried
+
+    def _is_late(self) -> bool:
+        until_s = replace(self.request, part=OF_TIME).until_s()
+        return until_s is not None and self.request.recorder.clock.seconds() > until_s
+
+    def _within(self, size: int) -> _Tried:
+        """The best with a payload of at most so many bytes."""
+        stream = self._layer(Budget("bytes", HEADER_BYTES + size))
+        return _Tried(stream, self._error_of(np.dstack([self.pixels, draw_whole(stream)[..., 0]])))
+
+    def _layer(self, budget: Budget) -> StreamV4:
+        """Alpha, coded."""
+        grey = np.repeat(self.source[..., None], 3, axis=2)
+        recorder = Recorder(self.request.recorder.clock, None)
+        part = replace(self.request, pixels=grey, alpha=None, budget=budget, recorder=recorder, part=OF_TIME)
+        settings = replace(self.settings, tune="psnr", overshoot=OVERSHOOT, rounds=(0,), ladder_pixels=0)
+        stream, steps = self.encode_layer(part, settings)
+        self.steps += steps
+        return stream
+
+    def _colours(self, alpha: StreamV4, settings: RdSettings) -> StreamV4:
+        """With their alpha."""
+        shown, budget = draw_whole(alpha)[..., 0], self.request.budget
+        if self.max_bytes is not None:
+            budget = Budget("bytes", self.max_bytes - ALPHA_HEADER.size - len(alpha.payload))
+        elif budget.kind == "gaussians":
+            used = len(alpha.gaussians()) if alpha.payload else 0
+            budget = Budget("gaussians", max(self.request.gaussians_asked() - used, 1))
+        elif budget.kind == "psnr":
+            left = _mse(budget.value) - self._error_of(np.dstack([self.pixels, shown]))
+            budget = Budget("psnr", min(-10 * math.log10(max(left, _mse(budget.value) / 4)), MAX_PSNR_DB))
+        preview = self.request.recorder.preview
+        recorder = self.request.recorder.previewing(lambda file: preview(_with_alpha(file, alpha)))
+        part = replace(self.request, pixels=self.pixels, alpha=shown, budget=budget, recorder=recorder)
+        stream, steps = self.encode_layer(part, settings)
+        self.steps += steps
+        return replace(stream, alpha=alpha)
+
+    def _error_of(self, decoded: Pixels) -> float:
+        """The mean squared error of decoded pixels [H, W, 4]."""
+        return _mse(psnr(on_backgrounds(decoded), on_backgrounds(np.dstack([self.pixels, self.source]))))
+
+
+def continued(pixels: Pixels, alpha: Pixels) -> Pixels:
+    """Pixels [H, W, 3] in which those that alpha [H, W] hides are as those around them: whatever a file has there is
+    nobody's picture. Means over ever larger squares of what is seen fill the gaps."""
+    if alpha.all():
+        return pixels
+    share = np.asarray(alpha, np.float32) / np.float32(255)
+    levels: list[tuple[Plane, Plane]] = [(pixels * share[..., None], share)]
+    while max(alpha.shape) > 1 << (len(levels) - 1):
+        levels.append((_halved(levels[-1][0]), _halved(levels[-1][1])))
+    colours, weight = levels[-1]
+    filled: NDArray[Any] = colours / np.maximum(weight, 1e-6)[..., None]
+    for colours, weight in reversed(levels[:-1]):
+        height, width = weight.shape
+        coarse = cv2.resize(filled, (width, height), interpolation=cv2.INTER_LINEAR).reshape(height, width, 3)
+        known = weight[..., None]
+        filled = coarse * (1 - known) + colours
+    return np.where(alpha[..., None] > 0, pixels, np.rint(np.clip(filled, 0, 255)).astype(np.uint8))
+
+
+def _halved(plane: Plane) -> Plane:
+    height, width = plane.shape[:2]
+    size = max(-(-width // 2), 1), max(-(-height // 2), 1)
+    return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _mse(psnr_db: float) -> float:
+    return float(10 ** (-psnr_db / 10))
+
+
+def _with_alpha(file: bytes, alpha: StreamV4) -> bytes:
+    stream = container.parse(file)
+    assert isinstance(stream, StreamV4)
+    return container.serialise(replace(stream, alpha=alpha))

@@ -1,0 +1,193 @@
+"""Pictures that can be seen through: a layer of its own, which only they pay for."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+import sgmethod
+from sgmethod import Budget, BudgetError, codec, decode, encode, info
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
+from sgmethod.fitting.leads import Overshoot
+from sgmethod.fitting.picture import target_of
+from sgmethod.io.laying import on_backgrounds
+from sgmethod.metrics import psnr
+from sgmethod.native import native
+from sgmethod.profiles import RD
+from sgmethod.rd.alpha import SMALLEST, continued
+from tests.harness.data import PHOTOGRAPHS
+
+Pixels = NDArray[np.uint8]
+
+
+@pytest.fixture(autouse=True)
+def short_profile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Encodes of a fraction of a second."""
+    monkeypatch.setattr(codec, "PROFILES", {**codec.PROFILES, "rd": replace(RD, steps=120, rounds=(0,))})
+
+
+@cache
+def photograph() -> Pixels:
+    return np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"))[:72, :96].copy()
+
+
+def disc(soft: bool) -> Pixels:
+    """Opaque in the middle, with an edge of one pixel or of twenty."""
+    y, x = np.mgrid[:72, :96] + 0.5
+    inside = (28 - np.hypot(x - 48, y - 36)) / (20 if soft else 1)
+    return np.rint(255 * np.clip(inside + 0.5, 0, 1)).astype(np.uint8)
+
+
+def seen_through(soft: bool = False) -> Pixels:
+    return np.dstack([photograph(), disc(soft)])
+
+
+def stream_of(data: bytes) -> StreamV4:
+    stream = container.parse(data)
+    assert isinstance(stream, StreamV4)
+    return stream
+
+
+@pytest.mark.parametrize("soft", [False, True])
+@pytest.mark.parametrize("tune", ["psnr", "visual"])
+def test_bytes_are_kept_to_and_used(soft: bool, tune: str) -> None:
+    pixels = seen_through(soft)
+    encoded = encode(pixels, bytes=1200, tune=tune)
+    assert 0.95 * 1200 < len(encoded.data) <= 1200
+    said = info(encoded.data)
+    assert 50 < said.bits["alpha"] / 8 < 700
+    assert sum(said.bits.values()) == 8 * len(encoded.data)
+    decoded = decode(encoded.data)
+    assert decoded.shape == pixels.shape
+    assert encoded.stats.psnr == pytest.approx(psnr(on_backgrounds(decoded), on_backgrounds(pixels)))
+    assert encoded.stats.psnr > 30
+    assert np.square(decoded[..., 3].astype(float) - pixels[..., 3]).mean() ** 0.5 < 10
+    assert encode(pixels, bytes=1200, tune=tune).data == encoded.data
+
+
+def test_what_nobody_sees_costs_nothing() -> None:
+    pixels, other = seen_through(), seen_through()
+    hidden = pixels[..., 3] == 0
+    other[hidden, :3] = np.random.default_rng(0).integers(0, 256, (hidden.sum(), 3))
+    assert encode(pixels, bpp=1).data == encode(other, bpp=1).data
+
+
+def test_an_opaque_picture_pays_nothing() -> None:
+    opaque = np.dstack([photograph(), np.full((72, 96), 255, np.uint8)])
+    assert encode(opaque, bpp=1).data == encode(photograph(), bpp=1).data
+    assert decode(encode(opaque, bpp=1).data).shape[2] == 3
+
+
+@pytest.mark.parametrize("level", [0, 100])
+def test_the_same_alpha_everywhere_is_a_header(level: int) -> None:
+    pixels = np.dstack([photograph(), np.full((72, 96), level, np.uint8)])
+    encoded = encode(pixels, quality=50)
+    assert info(encoded.data).bits["alpha"] == 8 * ALPHA_HEADER.size
+    assert (decode(encoded.data)[..., 3] == level).all()
+    if level == 0:
+        assert len(encoded.data) == SMALLEST
+
+
+@pytest.mark.parametrize("aim", [28, 34])
+def test_a_psnr_is_reached_on_black_and_on_white(aim: float) -> None:
+    assert aim - 0.02 < encode(seen_through(), psnr=aim).stats.psnr < aim + 0.5
+
+
+def test_better_qualities_and_more_gaussians() -> None:
+    pixels = seen_through(soft=True)
+    found = [encode(pixels, quality=quality).stats for quality in (30, 60, 90)]
+    assert sorted(found, key=lambda s: s.bytes) == sorted(found, key=lambda s: s.psnr) == found
+    for most in (1, 5, 60):
+        assert encode(pixels, gaussians=most).stats.gaussians <= max(most, 2)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 3)])
+def test_tiny_pictures(size: tuple[int, int]) -> None:
+    pixels = np.random.default_rng(1).integers(0, 256, (*size, 4), np.uint8)
+    for budget in (Budget("bytes", 120), Budget("quality", 80), Budget("psnr", 25)):
+        assert decode(encode(pixels, budget).data).shape == pixels.shape
+    with pytest.raises(BudgetError, match=f"at least {SMALLEST} bytes"):
+        encode(pixels, bytes=SMALLEST - 1)
+    assert len(encode(pixels, bytes=SMALLEST).data) <= SMALLEST
+
+
+def test_time_and_stop_end_it_early() -> None:
+    pixels = np.dstack(
+        [np.kron(photograph(), np.ones((4, 4, 1), np.uint8)), np.kron(disc(True), np.ones((4, 4), np.uint8))]
+    )
+    whole = encode(pixels, bpp=0.5).stats
+    short = encode(pixels, bpp=0.5, time_limit_s=0.4).stats
+    stopped = encode(pixels, bpp=0.5, stop=lambda: True).stats
+    for early in (short, stopped):
+        assert early.bpp <= 0.5
+        assert early.steps < whole.steps
+
+
+def test_previews_have_alpha() -> None:
+    files: list[bytes] = []
+    encode(seen_through(), bpp=1, on_preview=files.append)
+    assert files
+    assert all(decode(file).shape == (72, 96, 4) for file in files)
+
+
+def test_views_and_prefixes() -> None:
+    file = sgmethod.open(encode(seen_through(), bpp=1.5).data)
+    assert file.has_alpha
+    whole = file.pixels()
+    assert file.pixels(scale=2).shape == (144, 192, 4)
+    np.testing.assert_array_equal(file.pixels(region=(8, 16, 40, 24)), whole[16:40, 8:48])
+    np.testing.assert_array_equal(file.pixels(prefix=0.3)[..., 3], whole[..., 3])
+    small = file.pixels(scale=0.5)[..., 3].astype(float)
+    wanted = whole[..., 3].reshape(36, 2, 48, 2).mean((1, 3))
+    assert np.square(small - wanted).mean() ** 0.5 < 16
+
+
+def test_other_profiles_lay_it_over_white() -> None:
+    with pytest.warns(sgmethod.ImageWarning, match="over white"):
+        encoded = encode(seen_through(), gaussians=40, profile="paper", time_limit_s=0.5)
+    assert decode(encoded.data).shape == (72, 96, 3)
+
+
+def test_pillow_gives_it_back() -> None:
+    file = io.BytesIO()
+    Image.fromarray(seen_through()).save(file, "SGM", bpp=1)
+    image = Image.open(file)
+    assert image.mode == "RGBA"
+    np.testing.assert_array_equal(np.asarray(image), decode(file.getvalue()))
+
+
+def test_hidden_pixels_continue_those_around_them() -> None:
+    pixels = np.zeros((16, 24, 3), np.uint8)
+    pixels[:, :8], pixels[:, 16:] = (200, 0, 0), (0, 0, 100)
+    alpha = np.full((16, 24), 255, np.uint8)
+    alpha[:, 8:16] = 0
+    filled = continued(pixels, alpha)
+    np.testing.assert_array_equal(filled[alpha > 0], pixels[alpha > 0])
+    assert filled[:, 8:12, 0].min() > 80
+    assert filled[:, 12:16, 2].min() > 40
+    assert (filled[..., 1] == 0).all()
+    assert (continued(pixels, np.zeros_like(alpha)) == 0).all()
+    assert continued(pixels, np.full_like(alpha, 9)) is pixels
+
+
+def test_only_what_is_clamped_may_overshoot() -> None:
+    level = np.zeros((9, 30), np.uint8)
+    level[:, 10:20], level[:, 20:] = 128, 255
+    grey = np.repeat(level[..., None], 3, 2)
+    lead = Overshoot(target_of(grey), grey, 0.4)
+    white = native.TARGET_WHITE
+    for drawn in (-1.0, -0.2, 0.5, 1.2, 2.0):
+        lead.follow(lambda first, end, drawn=drawn: lead.unmoved[:, first:end] / white - np.float32(drawn))
+        target = lead.target[0] / white
+        assert np.allclose(target[:, :10], np.clip(drawn, -0.4, -0.02), atol=0.21)
+        assert target[:, :10].max() < 0
+        assert (lead.target[0, :, 10:20] == lead.unmoved[0, :, 10:20]).all()
+        assert target[:, 20:].min() > 1
+        assert target[:, 20:].max() < 1.41
