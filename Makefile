@@ -94,7 +94,7 @@ cross: $(STAMP)
 
 WASM_CLANG ?= clang++
 WASM_SOURCES := $(wildcard $(addprefix sgmethod/native/,core/isa.cpp texture/*.cpp raster/*.cpp rd/codec.cpp rd/symbols.cpp \
-                file/*.cpp wasm/*.cpp))
+                file/file.cpp file/view.cpp wasm/*.cpp))
 WASM_FLAGS := --target=wasm32-wasi -mexec-model=reactor -msimd128 -std=c++17 -stdlib=libc++ -O2 -ffp-contract=off \
               -fno-math-errno -fno-trapping-math -fno-exceptions -fno-rtti -ffunction-sections -fdata-sections -DNDEBUG \
               -Wall -Wextra -Isgmethod/native -Wl,-z,stack-size=1048576 -s
