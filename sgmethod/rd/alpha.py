@@ -7,7 +7,7 @@ error d of alpha is d times the colour less the background. A file's error is th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,7 +26,6 @@ from sgmethod.fitting.request import Request
 from sgmethod.io.laying import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.profiles import EFFORTS, RdSettings
-from sgmethod.rd.finish import NO_LIMIT
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, psnr_of_quantum
 
 Pixels = NDArray[np.uint8]
@@ -34,13 +33,16 @@ Plane = NDArray[np.float32]
 Encode = Callable[[Request, RdSettings], tuple[StreamV4, int]]  # the file's stream, and the steps it took
 
 SMALLEST = SMALLEST_FILE + ALPHA_HEADER.size
-FIRST_BYTES = 48  # of the smallest alpha that is tried; the next have twice as many each
+FEWEST_BYTES, PIXELS_PER_BYTE = 48, 500  # of the first alpha that is tried for an error
 MOST_BYTES = 0.6  # of a budget, for alpha, while colours may need the rest
 LEFT_OVER = 0.1  # of a budget of bytes, beyond which what colours have left goes to alpha
 SHARES = (0.3, 0.1, 0.03)  # of the error that a budget lets expect, at most by alpha; the first that serves
-ENOUGH = 0.05  # of the colours' error; alpha with less of it needs no more bytes
 GUESSED_BYTES = 0.2  # of a budget, for alpha, while it is not known
-ERROR_PER_BYTES = 1.0  # the colours' error goes with about this power of their bytes' inverse
+# Errors go with about these powers of the bytes' inverse, those of colours and of alpha.
+ERROR_PER_BYTES, ALPHA_ERROR_PER_BYTES = 1.0, 1.5
+MOST_TRIES = 5
+NEAR, MOST_FACTOR = 1.3, 16.0  # between the sizes of two tries
+NEAR_ERROR, NEARLY_ALL = 0.5, 0.75  # of an error asked for, and of bytes, that are as good as all
 MOST_GAUSSIANS = 0.25  # of a budget of Gaussians
 OVERSHOOT = 0.4
 OF_TIME = 0.3  # of a time limit
@@ -112,40 +114,35 @@ class _Layers:
 
     def _of_error(self, most: float) -> StreamV4:
         """About the smallest that makes no more error."""
-        *before, found = self._larger_and_larger(most, NO_LIMIT)
-        if before and found.error <= most:
-            between = self._within(round(found.size / math.sqrt(2)))
-            return (between if between.error <= most else found).stream
-        return found.stream
+        tried: list[_Tried] = []
+        size = max(FEWEST_BYTES, self.source.size // PIXELS_PER_BYTE)
+        while not _is_near(size, tried) and len(tried) < MOST_TRIES and not (tried and self._is_late()):
+            tried.append(self._within(size))
+            if NEAR_ERROR * most <= tried[-1].error <= most or tried[-1].size < NEARLY_ALL * size:
+                break  # or a larger one would be as this one is
+            factor = (tried[-1].error / (math.sqrt(NEAR_ERROR) * most)) ** (1 / _exponent(tried))
+            size = max(round(size * min(max(factor, 1 / MOST_FACTOR), MOST_FACTOR)), FEWEST_BYTES)
+        enough = [one for one in tried if one.error <= most]
+        return (min(enough, key=lambda one: one.size) if enough else min(tried, key=lambda one: one.error)).stream
 
     def _of_bytes(self, most: int) -> StreamV4:
         """The one with which colours in the rest of so many bytes make the least error, in all."""
-        guess = self._within(int(GUESSED_BYTES * most))
-        colours = self._colours(guess.stream, replace(self.settings, **EFFORTS[min(EFFORTS)]))
-        colours_error = self._error_of(np.dstack([draw_whole(colours)[..., :3], self.source]))
-        tried = self._larger_and_larger(ENOUGH * colours_error, int(MOST_BYTES * most))
+        tried = [self._within(int(GUESSED_BYTES * most))]
+        colours = self._colours(tried[0].stream, replace(self.settings, **EFFORTS[min(EFFORTS)]))
+        error = self._error_of(np.dstack([draw_whole(colours)[..., :3], self.source]))
+        guess, sizes = tried[0].size, np.geomspace(FEWEST_BYTES, max(MOST_BYTES * most, FEWEST_BYTES + 1), 64)
 
-        def error(size: float) -> float:
-            """In all, by what was tried."""
-            sizes, errors = (np.log([max(getattr(one, name), 1e-12) for one in tried]) for name in ("size", "error"))
-            ours = math.exp(float(np.interp(math.log(size), sizes, errors)))
-            theirs = (max(most - guess.size, 1) / max(most - size, 1)) ** ERROR_PER_BYTES
-            return ours + colours_error * float(theirs)
+        def in_all(size: float, alpha: _Tried) -> float:
+            """The error with so many bytes for alpha, by one that was tried."""
+            theirs = error * (max(most - guess, 1) / max(most - size, 1)) ** ERROR_PER_BYTES
+            return float(alpha.error * (size / alpha.size) ** -_exponent(tried) + theirs)
 
-        steps = [one.size * factor for one in tried for factor in (math.sqrt(0.5), 1.0)]
-        best = min(steps, key=error)
-        nearest = min(tried, key=lambda one: abs(math.log(one.size / best)))
-        return nearest.stream if error(nearest.size) <= error(best) else self._within(round(best)).stream
-
-    def _larger_and_larger(self, enough: float, most: int) -> list[_Tried]:
-        """Each of twice the bytes, until the error is small enough, the bytes are most, or there is no time left."""
-        tried, size = [self._within(min(FIRST_BYTES, most))], 2 * FIRST_BYTES
-        while tried[-1].error > enough and size <= most and not self._is_late():
-            tried.append(self._within(size))
-            if tried[-1].size < 0.75 * size:  # nothing is left that a larger one could mend
+        while tried[0].error > 0 and len(tried) < MOST_TRIES and not self._is_late():
+            best = min(sizes, key=lambda size: in_all(size, _nearest(size, tried)))
+            if _is_near(best, tried):
                 break
-            size *= 2
-        return tried
+            tried.append(self._within(round(best)))
+        return min(tried, key=lambda one: in_all(one.size, one)).stream
 
     def _is_late(self) -> bool:
         until_s = replace(self.request, part=OF_TIME).until_s()
@@ -187,6 +184,23 @@ class _Layers:
     def _error_of(self, decoded: Pixels) -> float:
         """The mean squared error of decoded pixels [H, W, 4]."""
         return _mse(psnr(on_backgrounds(decoded), on_backgrounds(np.dstack([self.pixels, self.source]))))
+
+
+def _exponent(tried: Sequence[_Tried]) -> float:
+    """Of the bytes' inverse with which the error goes, by the last two."""
+    if len(tried) < 2 or tried[-1].size == tried[-2].size:
+        return ALPHA_ERROR_PER_BYTES
+    last, before = tried[-1], tried[-2]
+    found = math.log(max(before.error, 1e-12) / max(last.error, 1e-12)) / math.log(last.size / before.size)
+    return min(max(found, 1.0), 2 * ALPHA_ERROR_PER_BYTES)
+
+
+def _nearest(size: float, tried: Sequence[_Tried]) -> _Tried:
+    return min(tried, key=lambda one: abs(math.log(size / one.size)))
+
+
+def _is_near(size: float, tried: Sequence[_Tried]) -> bool:
+    return any(1 / NEAR < size / one.size < NEAR for one in tried)
 
 
 def continued(pixels: Pixels, alpha: Pixels) -> Pixels:
