@@ -7,7 +7,7 @@ import socket
 
 from service.settings import Settings
 
-BACKLOG = 512
+BACKLOG = 2048  # connections that the system holds until they are accepted; clients of more try again after a second
 
 
 def listen(settings: Settings) -> socket.socket:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any
@@ -16,6 +15,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from service.web.guards import access
 from service.web.guards.addresses import UNKNOWN, Network, address_of, is_within
+from service.web.guards.crowd import Crowd
 from service.web.guards.metrics import Metrics
 from service.web.guards.problems import MEDIA_TYPE, ProblemError, problem_document
 
@@ -44,6 +44,7 @@ def limited_connections(limits: ConnectionLimits, metrics: Metrics) -> type[asyn
     class LimitedConnection(_Connection):
         LIMITS = limits
         METRICS = metrics
+        CROWD = Crowd()
 
     return LimitedConnection
 
@@ -51,11 +52,11 @@ def limited_connections(limits: ConnectionLimits, metrics: Metrics) -> type[asyn
 class _Connection(HttpToolsProtocol):
     LIMITS: ConnectionLimits
     METRICS: Metrics
+    CROWD: Crowd[_Connection]
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._place = BETWEEN_REQUESTS
-        self._quiet_since = time.monotonic()
         self._address = UNKNOWN
         self._head_bytes = 0
         self._offers_upgrade = False  # the request whose head was read last
@@ -80,31 +81,32 @@ class _Connection(HttpToolsProtocol):
         """Close the connection that has been slowest to ask for something, if there are too many; refuse this one if
         all are being answered. An address that has too many makes room among its own.
         """
-        everybody = [c for c in self.connections if isinstance(c, _Connection) and not c.transport.is_closing()]
-        if self._address != UNKNOWN and not is_within(self._address, self.LIMITS.trusted):
-            own = [other for other in everybody if other._address == self._address]
-            if len(own) > self.LIMITS.most_of_one and not self._close_slowest(own):
-                detail = "there are too many connections from this address"
-                self._refuse(ProblemError(429, detail, reason="own_connections"))
-                return False
-        if len(everybody) > self.LIMITS.most and not self._close_slowest(everybody):
+        address, crowd = self._address, self.CROWD
+        one = address != UNKNOWN and not is_within(address, self.LIMITS.trusted)
+        if one and crowd.size(address) >= self.LIMITS.most_of_one and not self._close(crowd.quietest(address)):
+            detail = "there are too many connections from this address"
+            self._refuse(ProblemError(429, detail, reason="own_connections"))
+            return False
+        if crowd.size() >= self.LIMITS.most and not self._close(crowd.quietest()):
             self._refuse(ProblemError(503, "there are too many connections", reason="connections"))
             return False
+        crowd.enter(self, address)
         return True
 
-    def _close_slowest(self, among: Iterable[_Connection]) -> bool:
+    def _close(self, slowest: _Connection | None) -> bool:
         """False if there is none that nothing is lost with."""
-        slow = [other for other in among if other is not self and other._asks_for_nothing]
-        if slow:
-            min(slow, key=lambda other: other._quiet_since).transport.close()
-        return bool(slow)
+        if slowest is None:
+            return False
+        self.CROWD.leave(slowest)  # at once: the loop says that it is lost after others have come
+        slowest.transport.close()
+        return True
 
-    @property
-    def _asks_for_nothing(self) -> bool:
-        answered = self.cycle is None or self.cycle.response_complete
-        return answered and self._place != IN_BODY
+    def _rest_if_answered(self) -> None:
+        if self._place != IN_BODY and self.cycle.response_complete:
+            self.CROWD.rest(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
+        self.CROWD.leave(self)
         self._stop_timer()
         super().connection_lost(exc)  # which resumes writing
 
@@ -175,6 +177,7 @@ class _Connection(HttpToolsProtocol):
             return
         self._stop_timer()
         self._place, self._offers_upgrade = IN_BODY, self.parser.should_upgrade()
+        self.CROWD.stir(self)
         if self._offers_upgrade and self._get_upgrade() == b"websocket":  # RFC 6455, 4.2.2
             self._refuse_unless_closing(ProblemError(404, "there are no WebSockets here", reason="websocket"))
         if not self.transport.is_closing():
@@ -187,9 +190,14 @@ class _Connection(HttpToolsProtocol):
     def on_message_complete(self) -> None:
         if self._offers_upgrade:
             return  # the body is still to come
-        self._place, self._quiet_since = BETWEEN_REQUESTS, time.monotonic()
+        self._place = BETWEEN_REQUESTS
         if not self.transport.is_closing():
             super().on_message_complete()
+            self._rest_if_answered()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()  # which may begin to answer the next request
+        self._rest_if_answered()
 
     def _count(self, head_bytes: int) -> None:
         self._head_bytes += head_bytes

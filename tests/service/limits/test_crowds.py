@@ -1,0 +1,98 @@
+"""Very many connections and requests of one client at once: others come in between."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from service.web.guards.crowd import Crowd
+from tests.harness.service import Service, StartService
+
+LIVE = b"GET /livez HTTP/1.1\r\nHost: test\r\n\r\n"
+
+
+def test_a_crowd_knows_who_has_been_quiet_for_longest() -> None:
+    crowd: Crowd[str] = Crowd()
+    for member in ("eve1", "ann1", "eve2"):
+        crowd.enter(member, member[:3])
+    assert (crowd.size(), crowd.size("eve"), crowd.size("bob")) == (3, 2, 0)
+    assert (crowd.quietest(), crowd.quietest("ann"), crowd.quietest("bob")) == ("eve1", "ann1", None)
+    crowd.stir("eve1")
+    assert (crowd.quietest(), crowd.quietest("eve"), crowd.size("eve")) == ("ann1", "eve2", 2)
+    crowd.rest("eve1")
+    crowd.leave("ann1")
+    assert (crowd.quietest(), crowd.size(), crowd.size("ann")) == ("eve2", 2, 0)
+    for call in (crowd.leave, crowd.stir, crowd.rest):  # of one that has left
+        call("ann1")
+    crowd.stir("eve2")
+    crowd.stir("eve1")
+    assert (crowd.quietest(), crowd.quietest("eve"), crowd.size()) == (None, None, 2)
+    crowd.leave("eve1")
+    crowd.leave("eve2")
+    assert (crowd.size(), crowd.size("eve")) == (0, 0)
+
+
+@contextmanager
+def suspended(web: Service) -> Iterator[None]:
+    """The web process stands still, while the system takes what is sent to it."""
+    os.kill(web.process.pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(web.process.pid, signal.SIGCONT)
+
+
+def test_a_newcomer_does_not_wait_behind_every_connection(start_service: StartService) -> None:
+    """Each of them took a turn of the event loop, in which the requests of all others went on."""
+    web = start_service("web")
+    others = [web.connect() for _ in range(10)]
+    crowd: list[socket.socket] = []
+    for other in others:
+        other.sendall(LIVE)
+        assert other.recv(15) == b"HTTP/1.1 200 OK"
+    with suspended(web):
+        for other in others:
+            other.sendall(100 * LIVE)
+        crowd = [web.connect() for _ in range(400)]
+        newcomer = web.connect()
+        newcomer.sendall(b"GET /metrics HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n")
+    text = b""
+    while data := newcomer.recv(65536):
+        text += data
+    for connection in (*others, *crowd, newcomer):
+        connection.close()
+    answered = re.search(rb'sgmethod_requests_total\{method="GET",route="/livez",status="200"\} ([0-9.]+)', text)
+    assert answered is not None
+    assert float(answered[1]) < 400  # of 1,000: 100, where it were 790
+
+
+def cpu_s_of(web: Service) -> float:
+    fields = Path(f"/proc/{web.process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def cpu_s_of_newcomers(web: Service, present: int) -> float:
+    """What a thousand more connections cost, each of which takes the place of another."""
+    crowd = [web.connect() for _ in range(present)]
+    cpu_s = cpu_s_of(web)
+    crowd += [web.connect() for _ in range(1000)]
+    crowd[-1].sendall(LIVE)
+    assert crowd[-1].recv(15) == b"HTTP/1.1 200 OK"
+    cpu_s = cpu_s_of(web) - cpu_s
+    for connection in crowd:
+        connection.close()
+    return cpu_s
+
+
+def test_a_newcomer_costs_the_same_however_many_there_are(start_service: StartService) -> None:
+    """It was compared with each that was there: 14 times the processor time beside 1,000 as beside 10."""
+    of_few, of_many = (
+        cpu_s_of_newcomers(start_service("web", max_connections=n, max_connections_per_address=n), n)
+        for n in (10, 1000)
+    )
+    assert of_many < 3 * of_few
