@@ -24,6 +24,7 @@ from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
 from service.web.guards.metrics import Metrics, RequestMetrics
 from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, HeadAsGet, ResponseHeaders
+from service.web.guards.pace import PacedRequests
 from service.web.guards.problems import install_problem_handlers, problems
 from service.web.guards.shares import Shares
 from service.web.helpers.turns import Turns
@@ -160,7 +161,8 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
     settings = parts.settings
     # From the inside out. They stand outside FastAPI: its answer to an unexpected error skips its own middleware.
     secret = settings.link_secret.get_secret_value()
-    gate = Gate(HeadAsGet(app), parts.keys, RateLimit(settings.key_request_rate), secret)
+    paced = PacedRequests(HeadAsGet(app), settings.max_connections_per_address)
+    gate = Gate(paced, parts.keys, RateLimit(settings.key_request_rate), secret)
     uploads = Shares(settings.max_uploads, "uploads", "uploads are under way")
     guarded: ASGIApp = BodyGuard(gate, _body_limits(settings), uploads)
     if settings.cors_origins:
