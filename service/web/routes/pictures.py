@@ -121,10 +121,12 @@ async def _remembered(request: Request, parts: Parts, etag: str, made: Callable[
     """The picture file of that name, from memory if it was asked for lately. Raises ProblemError 429 or 503."""
     file = parts.pictures.get(etag)
     parts.metrics.cache.labels("no" if file is None else "yes").inc()
+    client = request.state.caller.client
+    parts.outflow.check(client)
     if file is None:
-        parts.outflow.check(request.state.caller.client)
         file = await made()
         parts.pictures.put(etag, file)
+        parts.outflow.check(client)  # again: others of its pictures may be on their way by now
     return file
 
 
@@ -213,6 +215,7 @@ async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, pa
             file = await _drawn(request, parts, upload.file, wish, parts.settings.max_decode_gaussians)
         except BitstreamError as error:
             raise ProblemError(422, str(error)) from error
+    parts.outflow.check(request.state.caller.client)  # again: others of its pictures may be on their way by now
     return Response(file, headers={**NOTHING_KEPT, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 
 

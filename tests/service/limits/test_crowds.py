@@ -11,13 +11,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import httpx
+
 from service.web.guards.crowd import Crowd
 from service.web.guards.pace import Pace
 from service.web.guards.problems import ProblemError
+from tests.harness.data import ROOT
 from tests.harness.service import Service, StartService
 
+PICTURE = (ROOT / "service/web/static/samples/cat.sg").read_bytes()
 LIVE = b"GET /livez HTTP/1.1\r\nHost: test\r\n\r\n"
 NEVER_S = 10_000
+OTHER = "127.0.0.2"  # an address beside the one that a crowd comes from
 
 
 def test_a_crowd_knows_who_has_been_quiet_for_longest() -> None:
@@ -168,3 +173,23 @@ def test_a_newcomer_costs_the_same_however_many_there_are(start_service: StartSe
         for n in (10, 1000)
     )
     assert of_many < 3 * of_few
+
+
+def test_pictures_from_memory_count_as_on_their_way(start_service: StartService) -> None:
+    """One client asked for the same picture over many connections, and others got none any more."""
+    web = start_service("web", max_answer_bytes=60_000_000)
+    path = f"/decode/{web.published(PICTURE)}.png"
+    size = len(web.client.get(f"{path}?scale=16").content)  # which is in memory from now on
+    assert 12_000_000 < size < 15_000_000  # more than a connection holds
+    crowd = [web.connect() for _ in range(6)]
+    try:
+        for connection in crowd:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            connection.sendall(f"GET {path}?scale=16 HTTP/1.1\r\nHost: test\r\n\r\n".encode())
+        statuses = [connection.recv(12)[-3:] for connection in crowd]
+        with httpx.Client(base_url=web.url, transport=httpx.HTTPTransport(local_address=OTHER), timeout=100) as other:
+            assert other.get(path).status_code == 200
+        assert (statuses.count(b"200"), statuses.count(b"429")) == (3, 3)  # half, and what goes beyond it
+    finally:
+        for connection in crowd:
+            connection.close()
