@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import AsyncIterator
-from typing import Annotated
 
 from anyio import to_thread
 from fastapi import APIRouter, Depends
@@ -36,9 +35,10 @@ async def _place(parts: UseParts, caller: UseCaller) -> AsyncIterator[None]:
     response_class=EventSourceResponse,
     responses=problems(404, 429, 503),
     summary="Watch a job",
+    dependencies=[Depends(_place)],  # which come first: too many streams are refused before a job is looked up
     openapi_extra=curl("-N HOST/jobs/ID/events"),
 )
-async def events(job: KnownJob, parts: UseParts, _: Annotated[None, Depends(_place)]) -> AsyncIterator[ServerSentEvent]:
+async def events(job: KnownJob, parts: UseParts) -> AsyncIterator[ServerSentEvent]:
     """The job as it goes on: "state" with the job whenever it has changed, "trace" with new points and the progress,
     at last "done" or "failed" with the job, or "removed".
 
