@@ -36,7 +36,8 @@
 #endif
 
 // The model of a thread's storage that needs no memory at the first use: there the system ends the process if it has none.
-#ifdef __ELF__
+// Where the C library is musl, no first use needs any, and a library of that model is refused once a program runs.
+#if defined(__ELF__) && defined(__GLIBC__)
 #define SG_STORED_AT_START __attribute__((tls_model("initial-exec")))
 #else
 #define SG_STORED_AT_START
