@@ -10,6 +10,8 @@
 # make fuzz [MINUTES=n]
 #              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
 # make cross   compile the kernels for other machines, and run what can be run here; takes what compilers there are
+# make wheel   pack the source, build wheels of it for this system, and decode with each where it is installed alone; the
+#              results lie in dist
 # make wasm    the decoder in WebAssembly, in build/wasm, and its tests; needs Clang and Debian's libraries for it
 #
 # The set-up is done again only when pyproject.toml or a source of the compiled part changes. Edits to Python
@@ -40,7 +42,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check test measured measured-service measured-whole unmeasured versions sanitize fuzz cross wasm bench
+.PHONY: serve check test measured measured-service measured-whole unmeasured versions sanitize fuzz cross wheel wasm bench
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -91,6 +93,9 @@ fuzz: $(STAMP)
 # Other systems' libraries come with zig, a C++ compiler; without it they are left out, and said to be.
 cross: $(STAMP)
 	$(BIN)/python -m tests.native.cross
+
+wheel: $(STAMP)
+	$(BIN)/python -m tests.wheels
 
 WASM_CLANG ?= clang++
 WASM_SOURCES := $(wildcard $(addprefix sgmethod/native/,core/isa.cpp texture/*.cpp raster/*.cpp rd/codec.cpp rd/symbols.cpp \

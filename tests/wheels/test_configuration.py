@@ -1,0 +1,36 @@
+"""What is said of releases in several places is said alike. `make wheel` makes one and tries it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+from tests.harness.data import ROOT
+from tests.wheels.__main__ import RELEASED, STABLE
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+WHEELS = PROJECT["tool"]["cibuildwheel"]
+
+
+def test_wheels_are_made_for_every_python_that_the_project_names() -> None:
+    named = re.findall(r"Python :: 3\.(\d+)", "\n".join(PROJECT["project"]["classifiers"]))
+    assert WHEELS["build"] == f"cp3{{{','.join(named)}}}-*"
+
+
+def test_the_stable_abi_begins_where_nanobind_has_it() -> None:
+    assert WHEELS["config-settings"] == {"wheel.py-api": "cp{}{}".format(*STABLE)}
+
+
+def test_every_wheel_is_tried_by_a_script_that_exists() -> None:
+    python, _, script = WHEELS["test-command"].partition(" {project}/")
+    assert python == "python"
+    assert (ROOT / script).is_file()
+
+
+def test_the_packed_source_and_the_image_hold_the_same() -> None:
+    packed = PROJECT["tool"]["scikit-build"]["sdist"]["exclude"]
+    image = (ROOT / ".dockerignore").read_text().splitlines()
+    assert packed[0] == "/*"
+    assert image[0] == "*"
+    for names in ([name.removeprefix("!/") for name in packed[1:]], re.findall(r"!(\S+)", "\n".join(image))):
+        assert sorted(names) == sorted(RELEASED)
