@@ -235,7 +235,8 @@ TEST(gram_products_are_those_of_enlarged_pictures) {
 }
 
 TEST(a_gaussian_that_is_given_back_leaves_the_residual_of_the_others) {
-  for (const auto& [width, height] : kSizes) {
+  for (const auto& size : kSizes) {
+    const int width = size[0], height = size[1];  // older Clangs capture no structured bindings
     const sg::GaussianArrays g = scattered(width, height);
     const Residual all(width, height, g);
     for_patches(g, all.raster.grids(), [&](size_t i, int level, const sg::Patch& patch, float gain) {
