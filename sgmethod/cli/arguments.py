@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NoReturn
 
-from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, BudgetKind
-from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, DEFAULT_TUNE, EFFORTS, PROFILE_NAMES, TUNES
-from sgmethod.view import MAX_SCALE, MIN_SCALE
-
 BAD_INPUT = 2
-BUDGET_HELP: dict[BudgetKind, tuple[str, str]] = {
-    "bpp": ("F", f"at most so many bits per pixel ({DEFAULT_BUDGET.value} if no budget is given)"),
+BUDGET_HELP = {
+    "bpp": ("F", "at most so many bits per pixel ({default} if no budget is given)"),
     "bytes": ("N", "at most so many bytes"),
     "psnr": ("DB", "this quality in as few bytes as can be found"),
     "quality": ("Q", "a fineness, above 0 to 100, of profile rd alone"),
@@ -99,32 +95,34 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def parser() -> argparse.ArgumentParser:
-    """What it returns has the name of the command to carry out as `run`."""
+def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """What it returns has the name of the command to carry out as `run`.
+
+    Commands that argv does not name have no arguments: those of encode import every profile, and a decode has no use
+    for them.
+    """
     whole = _Parser(prog="sgmethod", description="Photographs as small sets of 2D Gaussians.", epilog=EXAMPLES)
     whole.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = whole.add_subparsers(metavar="COMMAND", required=True)
 
-    def command(name: str, texts: tuple[str, str]) -> argparse.ArgumentParser:
-        found = commands.add_parser(name, help=texts[0], description=texts[0], epilog=texts[1])
-        found.set_defaults(run=name)
-        return found
-
-    _add_encode_arguments(command("encode", ENCODE))
-    _add_decode_arguments(command("decode", DECODE))
-    fields = command("info", INFO)
-    fields.add_argument("input", metavar="IN.sg", help="- for standard input")
-    fields.add_argument("--json", action="store_true", help="print one JSON object, with every field")
-    two = command("compare", COMPARE)
-    two.add_argument("first", metavar="A")
-    two.add_argument("second", metavar="B")
-    two.add_argument("--weights", metavar="DIR", help="weights of the networks that LPIPS and DISTS need")
-    two.add_argument("--json", action="store_true", help="print one JSON object")
-    _add_plot_arguments(command("plot", PLOT))
+    for name, (texts, add) in {
+        "encode": (ENCODE, _add_encode_arguments),
+        "decode": (DECODE, _add_decode_arguments),
+        "info": (INFO, _add_info_arguments),
+        "compare": (COMPARE, _add_compare_arguments),
+        "plot": (PLOT, _add_plot_arguments),
+    }.items():
+        command = commands.add_parser(name, help=texts[0], description=texts[0], epilog=texts[1])
+        command.set_defaults(run=name)
+        if name in argv:
+            add(command)
     return whole
 
 
 def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
+    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET
+    from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, DEFAULT_TUNE, EFFORTS, PROFILE_NAMES, TUNES
+
     parser.add_argument(
         "names", nargs="+", metavar="IN [OUT.sg]", help="- for standard input and output; OUT.sg is IN's name otherwise"
     )
@@ -132,7 +130,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
         # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
-        budget.add_argument(f"--{kind}", type=float, metavar=metavar, help=text)
+        budget.add_argument(f"--{kind}", type=float, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
     parser.add_argument("--output-dir", metavar="DIR", help="all names are of pictures; write DIR/NAME.sg for each")
     parser.add_argument(
         "--jobs",
@@ -169,6 +167,8 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
+    from sgmethod.view import MAX_SCALE, MIN_SCALE
+
     parser.add_argument("input", metavar="IN.sg", help="- for standard input")
     parser.add_argument("output", metavar="OUT", help="- for standard output, as PNG")
     scales = f"{MIN_SCALE} to {MAX_SCALE:g} (default: 1)"
@@ -179,6 +179,18 @@ def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--no-texture", action="store_true", help="leave out the texture that a file may ask for")
     _add_common_arguments(parser)
+
+
+def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("input", metavar="IN.sg", help="- for standard input")
+    parser.add_argument("--json", action="store_true", help="print one JSON object, with every field")
+
+
+def _add_compare_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("first", metavar="A")
+    parser.add_argument("second", metavar="B")
+    parser.add_argument("--weights", metavar="DIR", help="weights of the networks that LPIPS and DISTS need")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def _add_plot_arguments(parser: argparse.ArgumentParser) -> None:

@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     with suppress(AttributeError):  # names need not be valid text; stderr writes those so already
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    arguments = parser().parse_args(argv)
+    arguments = parser(argv).parse_args(argv)
     try:
         status = _run(arguments)
         print(end="", flush=True)

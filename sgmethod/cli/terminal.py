@@ -7,9 +7,10 @@ import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
-from sgmethod.trace import Progress, TracePoint
+if TYPE_CHECKING:
+    from sgmethod.trace import Progress, TracePoint
 
 BAR_CELLS = 24
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 from pathlib import Path
 
 
@@ -20,9 +19,9 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
         target.write_bytes(data)
         return
     if unfinished is None:
-        temporary = target.with_name(f".{target.name[:40]}.{secrets.token_hex(8)}.tmp")
+        temporary = target.with_name(f".{target.name[:40]}.{os.urandom(8).hex()}.tmp")
     else:
-        temporary = unfinished / secrets.token_hex(16)
+        temporary = unfinished / os.urandom(16).hex()
     try:
         with temporary.open("xb") as file:
             file.write(data)
