@@ -41,7 +41,7 @@ GUESSED_BYTES = 0.2  # of a budget, for alpha, while it is not known
 # Errors go with about these powers of the bytes' inverse, those of colours and of alpha.
 ERROR_PER_BYTES, ALPHA_ERROR_PER_BYTES = 1.0, 1.5
 MOST_TRIES = 5
-NEAR, MOST_FACTOR = 1.3, 16.0  # between the sizes of two tries
+NEAR, MOST_FACTOR = 1.15, 16.0  # between the sizes of two tries
 NEAR_ERROR, NEARLY_ALL = 0.5, 0.75  # of an error asked for, and of bytes, that are as good as all
 MOST_GAUSSIANS = 0.25  # of a budget of Gaussians
 OVERSHOOT = 0.4
@@ -130,7 +130,8 @@ class _Layers:
         tried = [self._within(int(GUESSED_BYTES * most))]
         colours = self._colours(tried[0].stream, replace(self.settings, **EFFORTS[min(EFFORTS)]))
         error = self._error_of(np.dstack([draw_whole(colours)[..., :3], self.source]))
-        guess, sizes = tried[0].size, np.geomspace(FEWEST_BYTES, max(MOST_BYTES * most, FEWEST_BYTES + 1), 64)
+        guess, largest = tried[0].size, max(MOST_BYTES * most, 1.0)
+        sizes = np.geomspace(min(FEWEST_BYTES, largest), largest, 64)
 
         def in_all(size: float, alpha: _Tried) -> float:
             """The error with so many bytes for alpha, by one that was tried."""
