@@ -97,7 +97,8 @@ def encode(
 
     image: the path or the bytes of an image file, a picture of Pillow's, or an array [H, W], [H, W, 1], [H, W, 3] or
     [H, W, 4] of levels in uint8 or uint16 or of values in [0, 1], in sRGB. sgmethod/io/image.py has the rules for
-    files and pictures. All is rounded to 8 bits: a decoded picture has no more, and its figures are against them.
+    files and pictures. All is rounded to 8 bits: a decoded picture has no more, and its figures are against them. What
+    can be seen through stays so with profile rd; others lay it over white, with a warning.
     bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which says what each means; 0.3 bpp if not told.
     profile: one of sgmethod.profiles.PROFILE_NAMES; tune: what the file is to be good for, "psnr" (squared error) or
     "visual" (the eye; with profile rd, and no budget in dB), which is the default where it can be had; effort: from 1,

@@ -27,6 +27,7 @@ from sgmethod.io.laying import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.profiles import EFFORTS, RdSettings
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, psnr_of_quantum
+from sgmethod.trace import shown_to_nobody
 
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -175,8 +176,10 @@ class _Layers:
         elif budget.kind == "psnr":
             left = _mse(budget.value) - self._error_of(np.dstack([self.pixels, shown]))
             budget = Budget("psnr", min(-10 * math.log10(max(left, _mse(budget.value) / 4)), MAX_PSNR_DB))
-        preview = self.request.recorder.preview
-        recorder = self.request.recorder.previewing(lambda file: preview(_with_alpha(file, alpha)))
+        recorder = self.request.recorder
+        preview = recorder.preview
+        if preview is not shown_to_nobody:
+            recorder = recorder.previewing(lambda file: preview(_with_alpha(file, alpha)))
         part = replace(self.request, pixels=self.pixels, alpha=shown, budget=budget, recorder=recorder)
         stream, steps = self.encode_layer(part, settings)
         self.steps += steps

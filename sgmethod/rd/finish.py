@@ -11,6 +11,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from sgmethod.bitstream.texture import Codes, pack
 from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.v4 import StreamV4
@@ -34,7 +36,7 @@ class Finish:
     def __init__(self, fit: RdFit, request: Request) -> None:
         self.p, self.coder, self.picture = fit.p, fit.coder, fit.picture
         self.control, self.settings = fit.control, fit.settings
-        self.source = request.pixels
+        self.source, self.alpha = request.pixels, request.alpha
         self.clock, self.until = request.recorder.clock, request.until_s
 
     def stream(self) -> StreamV4:
@@ -70,6 +72,8 @@ class Finish:
         if self.settings.tune == "psnr":
             return None
         drawn = draw_whole(self.coder.stream(self.p))
+        if self.alpha is not None:  # nobody sees what was left there
+            drawn = np.where(self.alpha[..., None] > 0, drawn, self.source)
         codes = estimate(self.source, drawn, self.settings)
         most = self.settings.texture_share * (self.control.max_bytes or math.inf)
         return codes if codes is not None and len(pack(codes)) <= most else None

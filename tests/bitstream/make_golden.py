@@ -129,16 +129,17 @@ def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False) -> bytes:
     return serialise(replace(stream, texture=codes.astype(np.uint8)))
 
 
-def rd_alpha(size: tuple[int, int], n: int, *, textured: bool) -> bytes:
-    """Alpha of n Gaussians that leave what decoding clamps, over a picture; or the same everywhere."""
+def rd_alpha(data: bytes, n: int) -> bytes:
+    """A picture with alpha of n Gaussians that leave what decoding clamps; of none, the same everywhere."""
+    picture = container.parse(data)
+    assert isinstance(picture, StreamV4)
+    size = picture.width, picture.height
     rng = np.random.default_rng(8)
     minor, aspect, angle = np.geomspace(0.8, 20, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
     colors = np.repeat(rng.normal(0.5, 1, (n, 1)), 3, axis=1)
     values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
     gaussians = Gaussians(*(value.astype(np.float32) for value in values))
     alpha = StreamV4.of(gaussians, size, 0.04, (100, 100, 100), grey=True)
-    picture = container.parse(rd_texture(size, 9) if textured else rd_scattered(size, 9, upright=True))
-    assert isinstance(picture, StreamV4)
     return serialise(replace(picture, alpha=replace(alpha, upright=False)))
 
 
@@ -175,10 +176,9 @@ GOLDEN: dict[str, Callable[[], bytes]] = {
     "v4-needles": rd_needles,
     "v4-texture": lambda: rd_texture((66, 200), 20),
     "v4-texture-alone": lambda: rd_texture((70, 9), 0, grey=True),
-    "v4-alpha": lambda: rd_alpha((70, 41), 15, textured=True),
-    "v4-alpha-alone": lambda: rd_alpha((33, 20), 0, textured=False),
+    "v4-alpha": lambda: rd_alpha(rd_texture((70, 41), 9), 15),
     "v4-empty": lambda: rd_scattered((7, 5), 0),
-    "v4-pixel": lambda: rd_scattered((1, 1), 1),
+    "v4-pixel": lambda: rd_alpha(rd_scattered((1, 1), 1), 0),
 }
 
 
