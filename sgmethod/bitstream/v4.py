@@ -83,8 +83,7 @@ class StreamV4(StreamV3):
         """The description of the file. Raises BitstreamError, also for more Gaussians than the limit."""
         said = vars(super().info(file_bytes, checksum, limits))
         if self.alpha is not None:
-            left = limits.max_gaussians
-            left = None if left is None else left - said["gaussians"]
+            left = None if limits.max_gaussians is None else limits.max_gaussians - said["gaussians"]
             said["gaussians"] += len(self.alpha.gaussians(limits=replace(limits, max_gaussians=left)))
         return InfoV4(**said, texture=self.texture is not None, alpha=self.alpha is not None)
 

@@ -14,9 +14,8 @@ from sgmethod.native import native
 from sgmethod.scene import FloatArray
 
 Target = NDArray[np.int16]
-Error = Callable[
-    [int, int], FloatArray
-]  # the target, unmoved, less the picture, by rows as Picture.residual() gives them
+# The target, unmoved, less the picture, by rows as Picture.residual() gives them.
+Error = Callable[[int, int], FloatArray]
 BAND = 256  # rows, a multiple of SHRINK
 
 

@@ -77,6 +77,7 @@ class _Layers:
         assert request.alpha is not None
         self.request, self.settings, self.encode_layer = request, settings, encode_layer
         self.source, self.steps = request.alpha, 0
+        self.within: dict[int, _Tried] = {}
         self.pixels = continued(request.pixels, self.source)
         height, width = self.source.shape
         self.max_bytes = request.budget.max_bytes(width, height)
@@ -151,9 +152,12 @@ class _Layers:
         return until_s is not None and self.request.recorder.clock.seconds() > until_s
 
     def _within(self, size: int) -> _Tried:
-        """The best with a payload of at most so many bytes."""
-        stream = self._layer(Budget("bytes", HEADER_BYTES + size))
-        return _Tried(stream, self._error_of(np.dstack([self.pixels, draw_whole(stream)[..., 0]])))
+        """The best with a payload of at most so many bytes, fitted once."""
+        if size not in self.within:
+            stream = self._layer(Budget("bytes", HEADER_BYTES + size))
+            error = self._error_of(np.dstack([self.pixels, draw_whole(stream)[..., 0]]))
+            self.within[size] = _Tried(stream, error)
+        return self.within[size]
 
     def _layer(self, budget: Budget) -> StreamV4:
         """Alpha, coded."""
