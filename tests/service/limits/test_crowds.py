@@ -15,9 +15,9 @@ import httpx
 
 from service.web.guards.crowd import Crowd
 from service.web.guards.pace import Pace
-from service.web.guards.problems import ProblemError
 from tests.harness.data import ROOT
 from tests.harness.service import Service, StartService
+from tests.service.limits.test_turns import Clients
 
 PICTURE = (ROOT / "service/web/static/samples/cat.sg").read_bytes()
 LIVE = b"GET /livez HTTP/1.1\r\nHost: test\r\n\r\n"
@@ -46,70 +46,34 @@ def test_a_crowd_knows_who_has_been_quiet_for_longest() -> None:
     assert (crowd.size(), crowd.size("eve")) == (0, 0)
 
 
-class Requests:
-    """Requests at a pace; each goes on until it is told to end."""
-
-    def __init__(self, pace: Pace) -> None:
-        self._pace = pace
-        self.begun: list[str] = []
-        self._ends: dict[str, asyncio.Event] = {}
-        self._tasks: dict[str, asyncio.Task[None]] = {}
-
-    async def come(self, *names: str) -> None:
-        for name in names:
-            self._ends[name] = asyncio.Event()
-            self._tasks[name] = asyncio.create_task(self._run(name))
-            await asyncio.sleep(0)
-
-    async def _run(self, name: str) -> None:
-        async with self._pace.turn(name[:3]):
-            self.begun.append(name)
-            await self._ends[name].wait()
-
-    async def end(self, *names: str) -> None:
-        for name in names:
-            self._ends[name].set()
-        await asyncio.gather(*(self._tasks[name] for name in names))
-        await asyncio.sleep(0)
-
-    async def give_up(self, name: str) -> None:
-        self._tasks[name].cancel()
-        await asyncio.gather(self._tasks[name], return_exceptions=True)
-
-    def refusal(self, name: str) -> ProblemError:
-        error = self._tasks[name].exception()
-        assert isinstance(error, ProblemError)
-        return error
-
-
 def test_few_requests_of_one_client_begin_at_once() -> None:
     async def scenario() -> None:
-        requests = Requests(Pace(2, NEVER_S, 3))
-        await requests.come("eve1", "eve2", "eve3", "eve4", "eve5", "eve6", "ann1")
+        requests = Clients(Pace(2, NEVER_S, 3))
+        await requests.asks("eve1", "eve2", "eve3", "eve4", "eve5", "eve6", "ann1")
         assert requests.begun == ["eve1", "eve2", "ann1"]
         assert (requests.refusal("eve6").status, requests.refusal("eve6").reason) == (429, "own_requests")
-        await requests.give_up("eve3")
-        await requests.end("eve2", "ann1")
+        await requests.goes("eve3")
+        await requests.ends("eve2", "ann1")
         assert requests.begun == ["eve1", "eve2", "ann1", "eve4"]
-        await requests.end("eve1", "eve4", "eve5")
-        await requests.come("eve7", "eve8", "eve9")
+        await requests.ends("eve1", "eve4", "eve5")
+        await requests.asks("eve7", "eve8", "eve9")
         assert requests.begun[-2:] == ["eve7", "eve8"]
-        await requests.end("eve7", "eve8", "eve9")
+        await requests.ends("eve7", "eve8", "eve9")
 
     asyncio.run(scenario())
 
 
 def test_a_request_that_waits_for_something_holds_up_no_other() -> None:
     async def scenario() -> None:
-        requests = Requests(Pace(1, 0.01, 10))
-        await requests.come("eve1", "eve2", "eve3")
+        requests = Clients(Pace(1, 0.01, 10))
+        await requests.asks("eve1", "eve2", "eve3")
         assert requests.begun == ["eve1"]
         while len(requests.begun) < 3:
             await asyncio.sleep(0.01)
-        await requests.end("eve1", "eve2", "eve3")
-        await requests.come("eve4", "eve5")
+        await requests.ends("eve1", "eve2", "eve3")
+        await requests.asks("eve4", "eve5")
         assert requests.begun[3:] == ["eve4"]
-        await requests.end("eve4", "eve5")
+        await requests.ends("eve4", "eve5")
 
     asyncio.run(scenario())
 

@@ -7,17 +7,19 @@ import asyncio
 import pytest
 
 from service.web.guards.addresses import UNKNOWN, address_of
+from service.web.guards.pace import Pace
 from service.web.guards.problems import ProblemError
 from service.web.guards.shares import Shares
 from service.web.helpers.turns import Turns
 
 
-class Crowd:
-    """Tasks in turns; each runs until it is told to end."""
+class Clients:
+    """Tasks in turns, or at a pace; each runs until it is told to end. begun: all that have ever run."""
 
-    def __init__(self, turns: Turns) -> None:
+    def __init__(self, turns: Turns | Pace) -> None:
         self.turns = turns
         self.running: list[str] = []
+        self.begun: list[str] = []
         self._ends: dict[str, asyncio.Event] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
@@ -31,14 +33,16 @@ class Crowd:
     async def _run(self, name: str) -> None:
         async with self.turns.turn(name[:3]):
             self.running.append(name)
+            self.begun.append(name)
             try:
                 await self._ends[name].wait()
             finally:
                 self.running.remove(name)
 
-    async def ends(self, name: str) -> None:
-        self._ends[name].set()
-        await self._tasks[name]
+    async def ends(self, *names: str) -> None:
+        for name in names:
+            self._ends[name].set()
+        await asyncio.gather(*(self._tasks[name] for name in names))
         await settle()
 
     async def goes(self, name: str) -> None:
@@ -60,7 +64,7 @@ async def settle() -> None:
 
 def test_one_client_never_has_the_last_place() -> None:
     async def scenario() -> None:
-        crowd = Crowd(Turns(3, 100))
+        crowd = Clients(Turns(3, 100))
         await crowd.asks(*(f"eve{number}" for number in range(50)))
         assert crowd.running == ["eve0", "eve1"]
         await crowd.asks("ann1")
@@ -71,7 +75,7 @@ def test_one_client_never_has_the_last_place() -> None:
 
 def test_a_single_place_serves_everybody() -> None:
     async def scenario() -> None:
-        crowd = Crowd(Turns(1, 100))
+        crowd = Clients(Turns(1, 100))
         await crowd.asks("eve1", "eve2", "ann1", "bob1", "ann2")
         order = []
         for _ in range(5):
@@ -86,7 +90,7 @@ def test_a_single_place_serves_everybody() -> None:
 
 def test_clients_take_turns_whoever_came_first() -> None:
     async def scenario() -> None:
-        crowd = Crowd(Turns(2, 100))
+        crowd = Clients(Turns(2, 100))
         await crowd.asks("eve1", "ann1", "eve2", "eve3", "eve4", "bob1", "ann2")
         await crowd.ends("eve1")  # ann has one running, eve none, bob none: eve has waited longest
         assert crowd.running == ["ann1", "eve2"]
@@ -104,7 +108,7 @@ def test_clients_take_turns_whoever_came_first() -> None:
 
 def test_lines_are_bounded() -> None:
     async def scenario() -> None:
-        crowd = Crowd(Turns(1, 4))
+        crowd = Clients(Turns(1, 4))
         await crowd.asks("eve1", "eve2", "eve3", "eve4")
         assert crowd.refusal("eve4").status == 429
         await crowd.asks("ann1", "bob1", "cat1")
@@ -117,7 +121,7 @@ def test_lines_are_bounded() -> None:
 
 def test_who_goes_leaves_nothing_behind() -> None:
     async def scenario() -> None:
-        crowd = Crowd(Turns(1, 10))
+        crowd = Clients(Turns(1, 10))
         await crowd.asks("eve1", "ann1", "ann2", "bob1")
         await crowd.goes("ann1")
         await crowd.goes("bob1")
@@ -136,7 +140,7 @@ def test_who_goes_at_the_moment_of_being_served() -> None:
 
     async def scenario() -> None:
         turns = Turns(1, 10)
-        crowd = Crowd(turns)
+        crowd = Clients(turns)
         await crowd.asks("eve1", "ann1")
         crowd._ends["eve1"].set()
         while turns.waiting:  # no further than to where ann is served
@@ -151,7 +155,7 @@ def test_who_goes_at_the_moment_of_being_served() -> None:
 @pytest.mark.parametrize("places", [1, 2, 5])
 def test_as_many_at_once_as_there_are_places(places: int) -> None:
     async def scenario() -> None:
-        crowd = Crowd(Turns(places, 100))
+        crowd = Clients(Turns(places, 100))
         await crowd.asks(*(f"{client}{number}" for number in range(4) for client in ("ann", "bob", "cat")))
         assert len(crowd.running) == places
 
