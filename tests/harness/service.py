@@ -146,6 +146,14 @@ class Service(ServiceProcess):
         assert job
         return job
 
+    def figures(self) -> dict[str, float]:
+        """What GET /metrics says, by name and labels."""
+        answer = self.client.get("/metrics")
+        assert answer.status_code == 200
+        assert answer.headers["content-type"].startswith("text/plain")
+        lines = [line for line in answer.text.splitlines() if not line.startswith("#")]
+        return {name: float(value) for name, value in (line.rsplit(" ", 1) for line in lines)}
+
     def clear(self) -> None:
         """Remove all jobs; returns when nothing is left of them."""
         while jobs := self.client.get("/jobs?limit=200").json()["jobs"]:

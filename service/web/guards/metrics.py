@@ -30,6 +30,9 @@ class Metrics:
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
+        self.taken = Gauge(
+            "sgmethod_taken", "What clients have now of things that are limited.", ("what",), registry=registry
+        )
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.key_requests = Counter("sgmethod_key_requests", "Requests of an API key.", ("key",), registry=registry)
         self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)

@@ -27,6 +27,10 @@ class Shares:
         self._what = what
         self._taken: Counter[str] = Counter()
 
+    def total(self) -> int:
+        """How much all clients have now."""
+        return self._taken.total()
+
     def refusal(self, client: str, more: int = 1) -> ProblemError | None:
         """Why the client cannot have so much more: 503 if there is not so much left, 429 if its own part is used up."""
         if self._taken.total() + more > self._most:

@@ -15,14 +15,6 @@ from tests.harness.service import STAND_IN, Service, StartService, assert_proble
 PICTURE = golden_path("v3-color.sg").read_bytes()
 
 
-def figures(service: Service) -> dict[str, float]:
-    answer = service.client.get("/metrics")
-    assert answer.status_code == 200
-    assert answer.headers["content-type"].startswith("text/plain")
-    lines = [line for line in answer.text.splitlines() if not line.startswith("#")]
-    return {name: float(value) for name, value in (line.rsplit(" ", 1) for line in lines)}
-
-
 @pytest.mark.parametrize("path", ["/livez", "/healthz", "/readyz"])
 def test_probes(web: Service, path: str) -> None:
     answer = web.client.get(path)
@@ -50,10 +42,10 @@ def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
     service = start_service(stall_s=1, extra=STAND_IN)
     service.wait(service.accepted_slow(), "running")
     service.accepted()
-    started = figures(service)["process_start_time_seconds"]
-    wait_until(lambda: figures(service)["sgmethod_oldest_job_waits_seconds"] > 2)
+    started = service.figures()["process_start_time_seconds"]
+    wait_until(lambda: service.figures()["sgmethod_oldest_job_waits_seconds"] > 2)
     assert service.client.get("/readyz").status_code == 200
-    assert figures(service)["process_start_time_seconds"] == started
+    assert service.figures()["process_start_time_seconds"] == started
 
 
 def test_a_storage_out_of_reach(start_service: StartService) -> None:
@@ -70,7 +62,7 @@ def test_a_job_table_out_of_reach(start_service: StartService) -> None:
             file.write(b"this is no database" * 1000)
     assert_problem(web.client.get("/readyz"), 503, "job table")
     assert web.client.get("/livez").status_code == 200
-    assert figures(web)["sgmethod_job_table_up"] == 0
+    assert web.figures()["sgmethod_job_table_up"] == 0
 
 
 def test_figures(start_service: StartService) -> None:
@@ -82,8 +74,10 @@ def test_figures(start_service: StartService) -> None:
     web.client.get("/decode/nothing.png")
     web.client.get("/no/such/path")
     web.client.request("BREW", "/no/such/path")
-    seen = figures(web)
+    seen = web.figures()
     assert seen["sgmethod_jobs_accepted_total"] == 1
+    limited = {name for name in seen if name.startswith("sgmethod_taken")}
+    assert limited == {f'sgmethod_taken{{what="{what}"}}' for what in ("streams", "answers", "uploads")}
     assert (seen['sgmethod_jobs{state="queued"}'], seen['sgmethod_jobs{state="done"}']) == (1, 1)
     route = "/decode/{job_id}.{kind}"
     assert seen[f'sgmethod_requests_total{{method="GET",route="{route}",status="200"}}'] == 3
@@ -102,13 +96,13 @@ def test_refusals_by_reason(start_service: StartService) -> None:
     web = start_service("web", queue_length=1, max_header_bytes=1024)
     web.post(key="once")
     web.post(key="once")
-    assert figures(web)["sgmethod_jobs_accepted_total"] == 1
+    assert web.figures()["sgmethod_jobs_accepted_total"] == 1
     for answer in (web.post(), web.post(b"", key="once"), web.post(bpp=-1)):
         assert answer.status_code in (422, 429)
     web.client.get("/livez?x=1")
     web.client.get("/livez", headers={"Upgrade": "websocket", "Connection": "upgrade"})
     web.raw(b"GET /livez HTTP/1.1\r\nHost: test\r\nX: " + b"x" * 2000)
     web.raw(b"nonsense\r\n\r\n")
-    reasons = {name: number for name, number in figures(web).items() if name.startswith("sgmethod_refusals_total")}
+    reasons = {name: number for name, number in web.figures().items() if name.startswith("sgmethod_refusals_total")}
     expected = {"queue": 2, "invalid": 2, "websocket": 1, "head": 1, "malformed": 1}
     assert reasons == {f'sgmethod_refusals_total{{reason="{reason}"}}': number for reason, number in expected.items()}

@@ -107,31 +107,30 @@ def one_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     assert service.stop() == 0
 
 
+def taken(web: Service) -> float:
+    """How many wait or watch."""
+    return web.figures()['sgmethod_taken{what="streams"}']
+
+
 def test_too_many_that_wait_get_a_job_at_once(one_place: Service) -> None:
     with one_place.connect() as stream:
         stream.sendall(f"GET /jobs/{one_place.accepted()}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
-        assert stream.recv(15) == b"HTTP/1.1 200 OK"
+        wait_until(lambda: taken(one_place) == 1)
         assert one_place.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
 
 
 def test_who_goes_leaves_a_job_and_no_place_taken(one_place: Service) -> None:
     web = one_place
     web.clear()
-    job_id = web.accepted()
-
-    def has_a_place() -> bool:
-        with httpx.stream("GET", f"{web.url}/jobs/{job_id}/events") as answer:
-            return answer.status_code == 200
-
-    assert wait_until(has_a_place)  # which the test before has given back
+    wait_until(lambda: taken(web) == 0)  # the test before has given its place back
     with web.connect() as gone:
         head = (
             f"POST /encode?wait=300 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}"
         )
         gone.sendall(head.encode() + b"\r\n\r\n" + SMALL)
-        wait_until(lambda: not has_a_place())
-    assert len(web.client.get("/jobs").json()["jobs"]) == 2
-    assert wait_until(has_a_place)
+        wait_until(lambda: taken(web) == 1)
+    assert len(web.client.get("/jobs").json()["jobs"]) == 1
+    wait_until(lambda: taken(web) == 0)
 
 
 def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
