@@ -74,8 +74,8 @@ class Opened:
 
 
 @contextmanager
-def only_image_errors() -> Iterator[None]:
-    """Everything that Pillow raises on a bad file leaves as ImageError, and its warnings are not shown."""
+def only_image_errors(kind: str = "image") -> Iterator[None]:
+    """Everything that Pillow raises on a bad file of a format leaves as ImageError, and its warnings are not shown."""
     with _PILLOW_LOCK, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -88,7 +88,7 @@ def only_image_errors() -> Iterator[None]:
             raise ImageError("there is not enough memory to decode the image") from error
         except Exception as error:
             reason = str(error).strip().split("\n")[0] or type(error).__name__
-            raise ImageError(f"the image is damaged, cut short or of an unsupported kind ({reason})") from error
+            raise ImageError(f"the {kind} is damaged, cut short or of an unsupported kind ({reason})") from error
 
 
 def warn(notes: list[str]) -> None:

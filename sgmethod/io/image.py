@@ -51,8 +51,8 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     Raises ImageError if data is none of the formats, has a damaged header, samples of an unknown range, colours of
     high dynamic range, or a size of zero or beyond limits. A file that passes can still have damaged pixels.
     """
-    with only_image_errors():
-        kind = formats.name_of(data)
+    kind = formats.name_of(data)
+    with only_image_errors(kind):
         opened = open_file(data, kind, limits)
         reader = opened.reader
         # Pillow's TIFF reader has the size of the turned picture.
@@ -87,8 +87,8 @@ def read_image_8_bit(data: bytes, limits: ImageLimits | None = None, *, keep_alp
 
 def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool) -> tuple[Samples, list[str]]:
     """The picture as it is to be seen, and what is left out of it."""
-    with only_image_errors():
-        kind = formats.name_of(data)
+    kind = formats.name_of(data)
+    with only_image_errors(kind):
         opened = open_file(data, kind, limits)
         samples = upright_samples(opened, data, keep_alpha)
         if kind == "PNG":

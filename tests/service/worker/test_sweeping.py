@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from service.jobs.job import EncodeResult, JobError, new_job_id
-from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import JobRules, JobTable
+from service.jobs.table import JobTable
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.disk import DiskStorage
 from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.sweeping import Sweeper, Swept, pause_s, sweep
 from tests.harness import job_table
-from tests.harness.job_table import claimed
+from tests.harness.job_table import LONG_S, OpenTable, claimed
 from tests.harness.processes import wait_until
 
 AT_ONCE_S = -5.0
-
-
-@pytest.fixture
-def table(tmp_path: Path) -> Iterator[JobTable]:
-    table = SqliteJobTable(tmp_path / "jobs.sqlite3", JobRules(60.0, 4))
-    yield table
-    table.close()
 
 
 @pytest.fixture
@@ -75,21 +66,20 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert stored(storage) == needed
 
 
-def test_images_go_before_their_jobs(table: JobTable, storage: Storage, tmp_path: Path) -> None:
+def test_images_go_before_their_jobs(table: JobTable, storage: Storage, open_job_table: OpenTable) -> None:
     """And are not counted any more then."""
     job_id = submitted(table, storage)
     assert table.finish(claimed(table), EncodeResult(bitstream_key(job_id, 1), "", {"bytes": 7}))
-    keeping = SqliteJobTable(tmp_path / "jobs.sqlite3", JobRules(60.0, 4, source_retention_s=60.0))
+    keeping = open_job_table(LONG_S, source_retention_s=60.0)
     assert sweep(keeping, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 0)
     assert stored(storage) == {source_key(job_id)}
-    keeping.close()
     assert sweep(table, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
     assert (stored(storage), table.stored_bytes()) == (set(), 7)
 
 
-def test_an_image_goes_when_its_time_is_over(tmp_path: Path, storage: Storage) -> None:
+def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage: Storage) -> None:
     """However young it is; and once."""
-    table = SqliteJobTable(tmp_path / "jobs.sqlite3", JobRules(60.0, 4, source_retention_s=60.0))
+    table = open_job_table(LONG_S, source_retention_s=60.0)
     done, refused, waiting = (submitted(table, storage) for _ in range(3))
     assert table.finish(claimed(table), EncodeResult(bitstream_key(done, 1), "", {"bytes": 7}))
     assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
@@ -99,7 +89,6 @@ def test_an_image_goes_when_its_time_is_over(tmp_path: Path, storage: Storage) -
         assert sweep(table, storage, retention_s=1000, source_retention_s=AT_ONCE_S) == swept
         assert stored(storage) == {source_key(waiting)}
     assert {job.id for job in table.page(10)} == {done, refused, waiting}
-    table.close()
 
 
 def test_the_sweeper_needs_no_job_to_begin(table: JobTable, storage: Storage) -> None:
