@@ -25,7 +25,8 @@ EXAMPLES = """examples:
 each command has examples of its own: sgmethod encode --help"""
 ENCODE = (
     "Encode pictures as .sg files.",
-    """PNG, JPEG, WebP, AVIF, HEIC (with its package), TIFF, BMP, GIF, PPM and QOI are read, and converted to sRGB.
+    """PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF, PPM, QOI, and with their packages HEIC and JPEG XL are read, and converted
+to sRGB.
 
 examples:
   sgmethod encode photo.jpg                        writes photo.sg, of at most 0.3 bits per pixel

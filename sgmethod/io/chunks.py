@@ -1,12 +1,32 @@
-"""What Pillow does not tell of a file, read from its own structure: PNG's chunks, the boxes of AVIF and HEIC."""
+"""What Pillow does not tell of a file, read from its own structure: PNG's chunks, the boxes of AVIF and HEIC,
+the header of JPEG XL."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
 Span = tuple[bytes, int, int]  # kind, where its content begins and ends
+
+JPEG_XL_MAGICS = (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")  # of a bare codestream, and of one in boxes
+# ISO/IEC 18181-1: what a number of so many bits is added to; by two bits before it.
+SIDES = ((9, 1), (13, 1), (18, 1), (30, 1))
+PREVIEW_SIDES = ((6, 1), (8, 65), (10, 321), (12, 1345))
+PREVIEW_EIGHTHS = ((0, 16), (0, 32), (5, 1), (9, 33))
+DEPTHS = ((0, 8), (0, 10), (0, 12), (6, 1))
+RATIOS = ((1, 1), (12, 10), (4, 3), (3, 2), (16, 9), (5, 4), (2, 1))
+
+
+class JpegXl(NamedTuple):
+    """What the header of a JPEG XL says: pixels as the picture is to be seen, whether it moves, bits of a sample."""
+
+    width: int
+    height: int
+    moves: bool
+    depth: int
 
 
 def of_png(data: bytes) -> dict[bytes, bytes]:
@@ -53,6 +73,64 @@ def code_points(data: bytes) -> tuple[int, int] | None:
         if kind == b"colr" and data[at : at + 4] == b"nclx":
             return _number(data, at + 4, 2), _number(data, at + 6, 2)
     return None
+
+
+def of_jpeg_xl(data: bytes) -> JpegXl:
+    """The header of a JPEG XL file, without decoding it (ISO/IEC 18181-1, annex D). Raises ValueError."""
+    if data.startswith(JPEG_XL_MAGICS[1]):  # in parts, each with its number first, or whole
+        starts = {b"jxlp": 4, b"jxlc": 0}
+        parts = (data[at + starts[kind] : end] for kind, at, end in _boxes(data, 0, len(data)) if kind in starts)
+        data = b"".join(part[:64] for part in parts)
+    bits = _Bits(int.from_bytes(data[2:64], "little"), 8 * len(data[2:64]))
+    height, width = bits.size()
+    orientation, moves, depth = 1, False, 8
+    if not bits.take(1):
+        if bits.take(1):
+            orientation = 1 + bits.take(3)
+            if bits.take(1):
+                bits.size()
+            if bits.take(1):
+                bits.preview()
+            moves = bool(bits.take(1))
+        if not moves:  # else how it moves stands here
+            depth = 32 if bits.take(1) else bits.choice(DEPTHS)
+    return JpegXl(height, width, moves, depth) if orientation >= 5 else JpegXl(width, height, moves, depth)
+
+
+@dataclass
+class _Bits:
+    """The fields of a JPEG XL header, the lowest bit first."""
+
+    value: int
+    count: int
+
+    def take(self, count: int) -> int:
+        if count > self.count:
+            raise ValueError("its header is cut short")
+        taken = self.value & ((1 << count) - 1)
+        self.value >>= count
+        self.count -= count
+        return taken
+
+    def choice(self, of: tuple[tuple[int, int], ...]) -> int:
+        count, least = of[self.take(2)]
+        return least + self.take(count)
+
+    def size(self) -> tuple[int, int]:
+        """Height and width."""
+        return self._two(lambda: 8 * (1 + self.take(5))) if self.take(1) else self._two(lambda: self.choice(SIDES))
+
+    def preview(self) -> tuple[int, int]:
+        if self.take(1):
+            return self._two(lambda: 8 * self.choice(PREVIEW_EIGHTHS))
+        return self._two(lambda: self.choice(PREVIEW_SIDES))
+
+    def _two(self, side: Callable[[], int]) -> tuple[int, int]:
+        height, ratio = side(), self.take(3)
+        if ratio == 0:
+            return height, side()
+        over, under = RATIOS[ratio - 1]
+        return height, height * over // under
 
 
 def _number(data: bytes, at: int, length: int) -> int:

@@ -25,6 +25,7 @@ MAGICS: dict[str, tuple[bytes, ...]] = {
     "BMP": (b"BM",),
     "GIF": (b"GIF87a", b"GIF89a"),
     "QOI": (b"qoif",),
+    "JPEG XL": chunks.JPEG_XL_MAGICS,
     "PPM": tuple(b"P%d%c" % (kind, space) for kind in range(1, 7) for space in b" \t\n\r#"),
 }
 HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1"}
@@ -37,12 +38,12 @@ READERS = {
     "GIF": ("PIL.GifImagePlugin", "GifImageFile"),
     "AVIF": ("PIL.AvifImagePlugin", "AvifImageFile"),
     "HEIC": ("pillow_heif", "HeifImageFile"),
+    "JPEG XL": ("pillow_jxl.JpegXLImagePlugin", "JXLImageFile"),
     "PPM": ("PIL.PpmImagePlugin", "PpmImageFile"),
     "QOI": ("PIL.QoiImagePlugin", "QoiImageFile"),
 }
 REFUSED = {
     "an .sg file already": (b"SGM",),
-    "a JPEG XL": (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n"),
     "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
     "a PDF": (b"%PDF",),
     "a Photoshop file": (b"8BPS",),
@@ -51,7 +52,11 @@ REFUSED = {
     "an icon": (b"\0\0\1\0",),
 }
 FILM_BRANDS = {b"isom", b"mp41", b"mp42", b"qt  "}
-PLUGINS = {"HEIC": "pip install 'sgmethod[heif]'", "AVIF": "pip install 'pillow>=11.3'"}
+PLUGINS = {
+    "HEIC": "pip install 'sgmethod[heif]'",
+    "JPEG XL": "pip install 'sgmethod[jxl]'",
+    "AVIF": "pip install 'pillow>=11.3'",
+}
 
 # Without a handler Python prints what Pillow logs about odd files to stderr.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
@@ -79,18 +84,22 @@ def name_of(data: bytes) -> str:
 def is_read(first: bytes) -> bool:
     """Whether a file is in a format that is read here; its first 256 bytes tell."""
     try:
-        name = name_of(first)
-    except ImageError:
+        return importlib.util.find_spec(READERS[name_of(first)][0]) is not None
+    except (ImageError, ModuleNotFoundError):
         return False
-    return importlib.util.find_spec(READERS[name][0]) is not None
 
 
-def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
-    """The reader of a file of a format, which has parsed its header. Raises ImageError where its package is missing,
-    and whatever the reader raises."""
+def reader_of(name: str) -> type[ImageFile.ImageFile]:
+    """The class that reads a format. Raises ImageError where its package is missing."""
     module, reader = READERS[name]
     try:
         found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
     except ImportError as error:
         raise ImageError(f"this is a {name} file; to read it: {PLUGINS[name]}") from error
-    return found(io.BytesIO(data))
+    return found
+
+
+def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
+    """The reader of a file of a format, which has parsed its header. Raises ImageError where its package is missing,
+    and whatever the reader raises."""
+    return reader_of(name)(io.BytesIO(data))

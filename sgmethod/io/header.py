@@ -99,19 +99,36 @@ def warn(notes: list[str]) -> None:
 
 def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     """After every check that needs no pixels."""
+    if kind == "JPEG XL":
+        check_jpeg_xl(data, limits)
     reader = formats.open_reader(data, kind)
     (limits or ImageLimits()).check(*reader.size)
     notes = [] if is_still(reader) else ["it holds more than one picture: the first is taken"]
     if kind == "TIFF":
         _check_tiff(reader)
     _check_tiles(reader, kind)
+    if kind == "JPEG XL" and reader.mode == "LA" and chunks.of_jpeg_xl(data).depth > 8:
+        raise ImageError("grey JPEG XL files with alpha of more than 8 bits are not supported")
     if not (reader.mode == "I" and kind == "PPM"):
         check_mode(reader)
     stated, profile_notes = colour_of(reader, data)
     block = reader.info.get("exif") or (chunks.of_png(data).get(b"eXIf") if kind == "PNG" else None)
-    # Pillow's TIFF reader turns the picture itself, and libheif does.
-    orientation = 1 if kind in ("TIFF", "HEIC") else orientation_of(block)
+    # Pillow's TIFF reader turns the picture itself, and so do libheif, and libjxl unless it gives a JPEG back.
+    turned = kind in ("TIFF", "HEIC") or (kind == "JPEG XL" and not getattr(reader, "jpeg", False))
+    orientation = 1 if turned else orientation_of(block)
     return Opened(reader, orientation, stated, [*notes, *profile_notes])
+
+
+def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
+    """The header of a JPEG XL, whose reader decodes all of it as it opens, and not each as the picture it holds.
+
+    Raises ImageError."""
+    formats.reader_of("JPEG XL")
+    header = chunks.of_jpeg_xl(data)
+    (limits or ImageLimits()).check(header.width, header.height)
+    if header.moves:
+        raise ImageError("JPEG XL files that move are not supported")
+    return header
 
 
 def is_still(reader: Image.Image) -> bool:
@@ -137,7 +154,7 @@ def _check_tiles(reader: Any, kind: str) -> None:
     """Raise ImageError if the file has data for some of its pixels only; Pillow leaves the others black."""
     # Pillow hands a compressed TIFF to libtiff, which checks this, and lists no tiles for a WebP or HEIC. The first
     # frame of a GIF may be a part of its screen.
-    if kind in ("WebP", "HEIC", "GIF") or (reader.tile and reader.tile[0][0] == "libtiff"):
+    if kind in ("WebP", "HEIC", "GIF", "JPEG XL") or (reader.tile and reader.tile[0][0] == "libtiff"):
         return
     apart = kind == "TIFF" and reader.tag_v2.get(PLANAR) == APART
     planes = len(reader.getbands()) if apart else 1

@@ -3,11 +3,11 @@
 read_header looks at a file without decoding a pixel of it; read_image decodes it. The same rules hold for
 both, and whatever they refuse is an ImageError with one clear sentence; what they leave out is an ImageWarning:
 
-    formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI, and HEIC with the extra `heif`;
-                   known by their first bytes, never by a file name
+    formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI; HEIC with the extra
+                   `heif`, JPEG XL with the extra `jxl`; known by their first bytes, never by a file name
     size           checked against ImageLimits from the header, before pixels are decoded
     frames         the first, with a warning if there are others. A JPEG with pictures behind its own (a preview, a
-                   gain map) is one picture.
+                   gain map) is one picture. A JPEG XL that moves is refused.
     whole          a file that is cut short or leaves pixels unset is refused, as is a PNG with any damage;
                    damage inside other formats can go unseen, because they carry no checksum
     orientation    the EXIF orientation is applied; EXIF data that cannot be parsed counts as absent
@@ -18,9 +18,9 @@ both, and whatever they refuse is an ImageError with one clear sentence; what th
                    expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. That a
                    QOI file holds light is not believed: Pillow writes so into each.
     depth          16-bit grey and 16-bit RGB(A) keep all their bits, through the conversion of colours too unless the
-                   profile is one of tables; AVIF, HEIC and rarer 16-bit kinds (grey with alpha, premultiplied alpha,
-                   CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are refused, because they do not
-                   say which value is white.
+                   profile is one of tables; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (grey with alpha, premultiplied
+                   alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are refused, because they do
+                   not say which value is white.
     transparency   kept where the caller keeps it, in 8 bits; else composited over white, in values of sRGB,
                    value * alpha + (1 - alpha), with a warning
     the rest       other metadata is left out
@@ -36,7 +36,16 @@ import numpy.typing as npt
 from PIL import ImageFile
 
 from sgmethod.io import formats
-from sgmethod.io.header import ImageHeader, ImageLimits, Opened, is_still, only_image_errors, open_file, warn
+from sgmethod.io.header import (
+    ImageHeader,
+    ImageLimits,
+    Opened,
+    check_jpeg_xl,
+    is_still,
+    only_image_errors,
+    open_file,
+    warn,
+)
 from sgmethod.io.levels import Samples, Uint8Array, samples_of, values_of
 
 __all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image", "read_image_8_bit"]
@@ -53,6 +62,9 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     """
     kind = formats.name_of(data)
     with only_image_errors(kind):
+        if kind == "JPEG XL":
+            told = check_jpeg_xl(data, limits)
+            return ImageHeader(kind, told.width, told.height, "RGB", True)
         opened = open_file(data, kind, limits)
         reader = opened.reader
         # Pillow's TIFF reader has the size of the turned picture.

@@ -105,6 +105,33 @@ PHOTO = Image.open(PHOTOGRAPHS / "kodim05-crop.png").convert("RGB").resize((96, 
 SMALL_FRAME = saved("GIF", OTHER).replace(struct.pack("<HH", *SIZE), struct.pack("<HH", 99, 77), 1)
 TALL = (SIZE[1], SIZE[0])
 
+# Made by cjxl 0.7.
+JXL = {
+    "plain": bytes.fromhex(
+        "ff0ac5404271210012880200f8005de5120000152aa38c1bbc9cebf9f24387c5b48deb0c6db56d6149a2c838364927704812"
+        "6b20ec1c5205120007ce7c1d00cf02608304c87096a101504902"
+    ),
+    "Display P3": bytes.fromhex("ff0ac540402637020802010068004b188b1500d413638c71e2cc05220000a469010020807cd3fb6b"),
+    "PQ": bytes.fromhex(
+        "ff0ac5041090478f381c00000000020802010068004b188b1500d413638c71e2cc05220000a469010020807cd3fb6b"
+    ),
+    "moves": bytes.fromhex(
+        "ff0ac5040308282e09080208000068004b188b1500d413638c71e2cc05220000a469010020807cd3fb6b0802040068004b18"
+        "8b1500d419638c19639c0b44001028b50010284004468006"
+    ),
+    "on its side": bytes.fromhex(
+        "0000000c4a584c200d0a870a00000014667479706a786c20000000006a786c20000000306a786c63ff0ac52c10505c120802"
+        "010068004b188b1500d413638c71e2cc05220000a469010020908cd3fb73"
+    ),
+    "grey with alpha in 16 bits": bytes.fromhex(
+        "0000000c4a584c200d0a870a00000014667479706a786c20000000006a786c20000000096a786c6c0a0000002d6a786c63ff"
+        "0ac5f0a3282e04080810005c004b188b158065d4ff050e00040084083d0186789091a590"
+    ),
+    "in boxes": bytes.fromhex(
+        "0000000c4a584c200d0a870a00000014667479706a786c20000000006a786c200000002f6a786c63ff0ac540407121080201"
+        "0068004b188b1500d413638c71e2cc05220000a469010020807cd3fb6b"
+    ),
+}
 
 ODD = {
     # Profiles
@@ -163,6 +190,11 @@ ODD = {
     "heic": Odd(heic(), RED, off=3),
     "heic in HLG": Odd(pointed(heic(), 9, 18), "range (HLG)"),
     # Depths and modes
+    "jpeg xl": Odd(JXL["plain"], RED, off=3),
+    "jpeg xl in boxes": Odd(JXL["in boxes"], RED, off=0),
+    "jpeg xl in Display P3": Odd(JXL["Display P3"], IN_P3),
+    "jpeg xl in PQ": Odd(JXL["PQ"], "range (PQ)"),
+    "jpeg xl of grey with alpha in 16 bits": Odd(JXL["grey with alpha in 16 bits"], "of more than 8 bits"),
     "two colours": Odd(saved("PNG", Image.new("1", SIZE, 1)), (255, 255, 255), off=0),
     "grey in 16 bits": Odd(chunked(depth=16, colour=0, sample=(0x8080,)), (128, 128, 128), off=0),
     "grey with alpha in 16 bits": Odd(chunked(depth=16, colour=4, sample=(0, 0x8000)), (127, 127, 127), ALPHA),
@@ -187,6 +219,7 @@ ODD = {
     "jpeg on its side": Odd(saved("JPEG", quality=100, exif=exif_with(6)), RED, off=2, size=TALL),
     "avif on its side": Odd(saved("AVIF", quality=100, exif=exif_with(6)), RED, off=3, size=TALL),
     "heic on its side": Odd(heic(PLAIN, exif=exif_with(8)), RED, off=3, size=TALL),
+    "jpeg xl on its side": Odd(JXL["on its side"], RED, off=3, size=TALL),
     "tiff on its side": Odd(saved("TIFF", tiffinfo={274: 5}), RED, off=0, size=TALL),
     # More than one picture
     "gif that moves": Odd(saved("GIF", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
@@ -195,13 +228,18 @@ ODD = {
     "webp that moves": Odd(saved("WEBP", save_all=True, append_images=[OTHER], lossless=True), RED, FIRST, 0),
     "apng": Odd(saved("PNG", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "avif that moves": Odd(saved("AVIF", save_all=True, append_images=[OTHER], quality=100), RED, FIRST, 3),
+    "jpeg xl that moves": Odd(JXL["moves"], "that move"),
     "tiff of two pages": Odd(saved("TIFF", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "jpeg with a second picture": Odd(saved("MPO", save_all=True, append_images=[OTHER], quality=100), RED, off=2),
     # Broken ones
     "nothing": Odd(b"", "empty"),
     "words": Odd(b"hello", "not a PNG, JPEG"),
     "an .sg file": Odd(golden_path("v4-color.sg").read_bytes(), "an .sg file already"),
-    "jpeg xl": Odd(b"\xff\x0a" + bytes(50), "a JPEG XL"),
+    "a jpeg xl of zeros": Odd(b"\xff\x0a" + bytes(50), "the JPEG XL is damaged"),
+    "half a jpeg xl": Odd(JXL["plain"][:38], "the JPEG XL is damaged, cut short"),
+    "a jpeg xl without its last box": Odd(JXL["in boxes"][:40], "the JPEG XL is damaged, cut short"),
+    "a huge jpeg xl": Odd(b"\xff\x0a" + (0b11 << 1 | 0xFFFFF << 3).to_bytes(5, "little") + bytes(9), "too large"),
+    "a header of jpeg xl": Odd(b"\xff\x0a" + bytes(3), "the JPEG XL is damaged, cut short"),
     "half a gif": Odd(saved("GIF", PHOTO)[:2000], "damaged, cut short"),
     "half a png": Odd(saved("PNG", PHOTO)[:2000], "the PNG is damaged, cut short"),
     "half an avif": Odd(saved("AVIF", PHOTO)[:900], "damaged, cut short"),

@@ -119,7 +119,7 @@ def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> N
             "BMP": "BM..",
         },
         **{"AVIF": "\0\0\0\x1cftypavif....", "HEIC": "\0\0\0\x18ftypmif1....heic", "QOI": "qoif", "PPM": "P6\n1 1"},
-        **{"TIFF": "II*\0....", "": "something else"},
+        **{"JPEG XL": "\xff\n....", "TIFF": "II*\0....", "": "something else"},
     }
     found = page.run(f"""
         return (async () => {{

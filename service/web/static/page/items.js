@@ -9,7 +9,7 @@ import { size } from "./words.js";
 const POLL_MS = 400;
 const RETRY_MS = 2000;
 const RETRIES = 30;
-const UNREAD_HEIC = "This is a HEIC picture, which this service cannot read. Save or share it as JPEG first.";
+const unread = (format) => `This is a ${format} picture, which this service cannot read. Save or share it as JPEG first.`;
 
 const decoder = new Remote("/static/decoder/worker.js");
 let [keys, made] = [0, 0];
@@ -119,7 +119,7 @@ export class Item {
     try {
       await task();
     } catch (error) {
-      const words = this.format === "HEIC" && error.message.includes("to read it") ? UNREAD_HEIC : error.message;
+      const words = error.message.includes("to read it") ? unread(this.format) : error.message;
       this.tell({ state: "failed", words, done: null, soFar: null });
     }
   }

@@ -8,7 +8,6 @@ const REFUSED = [
   [(b) => text(b, 4, 8) === "ftyp" && /^(isom|mp4|qt  |M4V|iso)/.test(text(b, 8, 12)), "a video"],
   [(b) => /^\s*<(\?xml|svg)/.test(text(b, 0, 64)), "an SVG drawing"],
   [(b) => text(b, 0, 2) === "PK", "a ZIP archive"],
-  [(b) => text(b, 0, 12) === "\0\0\0\x0cJXL \r\n\x87\n" || text(b, 0, 2) === "\xff\x0a", "a JPEG XL"],
   [(b) => text(b, 0, 4) === "8BPS", "a Photoshop file"],
 ];
 
@@ -19,6 +18,7 @@ const IMAGES = [
   ["WebP", (b) => text(b, 0, 4) === "RIFF" && text(b, 8, 12) === "WEBP"],
   ["AVIF", (b) => text(b, 4, 8) === "ftyp" && /avif|avis/.test(text(b, 8, 32))],
   ["HEIC", (b) => text(b, 4, 8) === "ftyp" && /hei[cmsx]|hev[cx]|mif1|msf1/.test(text(b, 8, 32))],
+  ["JPEG XL", (b) => text(b, 0, 12) === "\0\0\0\x0cJXL \r\n\x87\n" || text(b, 0, 2) === "\xff\x0a"],
   ["TIFF", (b) => /^(II\*\0|MM\0\*)/.test(text(b, 0, 4))],
   ["BMP", (b) => text(b, 0, 2) === "BM"],
   ["QOI", (b) => text(b, 0, 4) === "qoif"],
