@@ -3,12 +3,23 @@
 from __future__ import annotations
 
 import os
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sgmethod.io import encode_png, write_atomically
+from sgmethod.io.png import ZLIB_LEVEL, zlib_compress
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 1000, 70_000, 200_000])
+def test_two_threads_make_one_stream(size: int) -> None:
+    """What repeats reaches back over the middle."""
+    data = (np.arange(size) % 20_011 * 7 % 251).astype(np.uint8)
+    compressed = zlib_compress(data.data)
+    assert zlib.decompress(compressed) == data.tobytes()
+    assert len(compressed) < len(zlib.compress(data, ZLIB_LEVEL)) * 1.1 + 20
 
 
 def test_encode_png_refuses_other_arrays() -> None:
