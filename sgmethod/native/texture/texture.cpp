@@ -42,14 +42,15 @@ SG_INLINE U mixed(U h) {
 
 // What all rows of a tile that lie between the same cells share.
 struct Strip {
-  alignas(64) uint32_t columns[kTileWidth];  // places, within kRepeat
-  const float *upper, *lower;                // strengths in the rows of cells above and below
+  uint32_t first;              // place of the first column
+  uint32_t mask;               // of places, which repeat
+  const float *upper, *lower;  // strengths in the rows of cells above and below
 };
 
 // Rows of a tile from `first` to before `end`; place: of row 0; part: of the way from upper to lower, for each row. A word
 // of noise is for four rows, a byte for each.
 template <int W>
-SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, int mask, const float* part, int first, int end,
+SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const float* part, int first, int end,
                         float* accumulators) {
   using V = Simd<W>;
   using F = typename V::F;
@@ -57,19 +58,17 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, int mask
   using U = typename UnsignedLanes<W>::U;
   constexpr int kVectors = kTileWidth / W;
   F upper[kVectors], change[kVectors];
+  U columns[kVectors];
   for (int i = 0; i < kVectors; ++i) {
     upper[i] = V::load(strip.upper + i * W);
     change[i] = V::load(strip.lower + i * W) - upper[i];
+    for (int lane = 0; lane < W; ++lane) columns[i][lane] = (strip.first + static_cast<uint32_t>(i * W + lane)) & strip.mask;
   }
   for (int row = first; row < end;) {
-    const int at = (place + row) & mask;
+    const int at = (place + row) & static_cast<int>(strip.mask);
     const uint32_t key = mixed(mixed(octave + 1) + static_cast<uint32_t>(at >> 2));
     U noise[kVectors];
-    for (int i = 0; i < kVectors; ++i) {
-      U columns;
-      std::memcpy(&columns, strip.columns + i * W, sizeof columns);
-      noise[i] = mixed(columns + key) >> 8 * (at & 3);
-    }
+    for (int i = 0; i < kVectors; ++i) noise[i] = mixed(columns[i] + key) >> 8 * (at & 3);
     for (const int next = std::min(row + 4 - (at & 3), end); row < next; ++row) {
       float* out = accumulators + row * 3 * kTileWidth;
       for (int i = 0; i < kVectors; ++i, out += W) {
@@ -84,12 +83,12 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, int mask
   }
 }
 
-using Add = void (*)(const Strip&, uint32_t, int, int, const float*, int, int, float*);
+using Add = void (*)(const Strip&, uint32_t, int, const float*, int, int, float*);
 
 #define SG_TEXTURE(name, width, attribute)                                                                       \
-  attribute void add_##name(const Strip& s, uint32_t octave, int place, int mask, const float* part, int first, int end, \
+  attribute void add_##name(const Strip& s, uint32_t octave, int place, const float* part, int first, int end,    \
                             float* accumulators) {                                                               \
-    add_body<width>(s, octave, place, mask, part, first, end, accumulators);                                      \
+    add_body<width>(s, octave, place, part, first, end, accumulators);                                            \
   }
 
 SG_TEXTURE(baseline, 4, )
@@ -179,19 +178,24 @@ Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
 }
 
 TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int columns, int rows)
-    : octave_(level - texture.grid_.shift), mask_((kRepeat >> level) - 1), x_(x), y_(y), stride_(columns) {
+    : octave_(level - texture.grid_.shift), mask_((kRepeat >> level) - 1), x_(x), y_(y), strips_(columns / kTileWidth) {
   const TextureGrid& grid = texture.grid_;
   if (octave_ < 0 || octave_ >= kTextureOctaves || level > texture.top()) return;
   const Between across(level, grid.cell_x, grid.x, grid.columns, x, columns);
   Between down(level, grid.cell_y, grid.y, grid.rows, y, rows);
   const int first = down.cells.front(), end = down.cells.back() + 2;  // one more, which the last rows go towards
-  strengths_.reserve(static_cast<size_t>(end - first) * static_cast<size_t>(columns));
+  strengths_.resize(static_cast<size_t>(end - first) * static_cast<size_t>(columns));
+  busy_.resize(static_cast<size_t>(end - first) * static_cast<size_t>(strips_));
+  float* strength = strengths_.data();
+  uint8_t* busy = busy_.data();
   for (int row = first; row < end; ++row) {
     const float* from = &texture.strengths_[(int64_t{octave_} * grid.rows + std::min(row, grid.rows - 1)) * grid.columns];
     for (int i = 0; i < columns; ++i) {
       const float left = from[across.cells[i]], right = from[std::min(across.cells[i] + 1, grid.columns - 1)];
-      strengths_.push_back(left + (right - left) * across.parts[i]);
+      strength[i] = left + (right - left) * across.parts[i];
     }
+    for (int strip = 0; strip < strips_; ++strip, strength += kTileWidth)
+      *busy++ = std::any_of(strength, strength + kTileWidth, [](float s) { return s > 0.0f; });
   }
   for (int& cell : down.cells) cell -= first;
   cells_ = std::move(down.cells);
@@ -201,17 +205,17 @@ TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int 
 void TextureLayer::add(int isa, int x, int y, int first_row, int end_row, float* accumulators) const {
   if (strengths_.empty()) return;
   const int* cells = &cells_[y - y_];
-  Strip strip;
-  for (int i = 0; i < kTileWidth; ++i) strip.columns[i] = static_cast<uint32_t>((x + i) & mask_);
+  const int across = (x - x_) / kTileWidth, stride = strips_ * kTileWidth;
+  Strip strip{static_cast<uint32_t>(x), static_cast<uint32_t>(mask_), nullptr, nullptr};
   for (int row = first_row; row < end_row;) {
     int end = row + 1;
     while (end < end_row && cells[end] == cells[row]) ++end;
-    strip.upper = &strengths_[int64_t{cells[row]} * stride_ + (x - x_)];
-    strip.lower = strip.upper + stride_;
-    float most = 0.0f;
-    for (int i = 0; i < kTileWidth; ++i) most = std::max({most, strip.upper[i], strip.lower[i]});
-    if (most > 0.0f)
-      kAdd[isa](strip, static_cast<uint32_t>(octave_), y, mask_, &parts_[y - y_], row, end, accumulators);
+    const int64_t cell = cells[row];
+    if (busy_[cell * strips_ + across] || busy_[(cell + 1) * strips_ + across]) {
+      strip.upper = &strengths_[cell * stride + across * kTileWidth];
+      strip.lower = strip.upper + stride;
+      kAdd[isa](strip, static_cast<uint32_t>(octave_), y, &parts_[y - y_], row, end, accumulators);
+    }
     row = end;
   }
 }

@@ -46,8 +46,8 @@ class Texture {
   std::vector<float> strengths_;  // [kTextureOctaves, rows, columns], of the noise's unit
 };
 
-// The noise of one level, over so many columns and rows of its samples from (x, y) on. There 0 is the sample whose corner is
-// that of the picture.
+// The noise of one level, over so many columns, whole strips of them, and rows of its samples from (x, y) on. There 0 is the
+// sample whose corner is that of the picture.
 class TextureLayer {
  public:
   TextureLayer(const Texture& texture, int level, int x, int y, int columns, int rows);
@@ -56,10 +56,11 @@ class TextureLayer {
   void add(int isa, int x, int y, int first_row, int end_row, float* accumulators) const;
 
  private:
-  int octave_, mask_, x_, y_, stride_;
+  int octave_, mask_, x_, y_, strips_;
   std::vector<int> cells_;        // of each row: the row of cells before it, counted from that of the first
   std::vector<float> parts_;      // of each row: the part of the way to the next row of cells
   std::vector<float> strengths_;  // [rows of cells, columns]; empty where there is no noise
+  std::vector<uint8_t> busy_;     // [rows of cells, strips]: whether any of them is above 0
 };
 
 }  // namespace sg
