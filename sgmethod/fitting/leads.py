@@ -16,7 +16,7 @@ from sgmethod.scene import FloatArray
 Target = NDArray[np.int16]
 # The target, unmoved, less the picture, by rows as Picture.residual() gives them.
 Error = Callable[[int, int], FloatArray]
-BAND = 256  # rows, a multiple of SHRINK
+BAND = 1 << 20  # pixels, about
 
 
 class Lead(Protocol):
@@ -53,8 +53,7 @@ class CoarseError:
         """As Lead.follow."""
         _, height, width = self.unmoved.shape
         coarse = np.empty((3, *self.size), np.float32)
-        for first in range(0, height, BAND):
-            end = min(first + BAND, height)
+        for first, end in _bands(height, width):
             here = slice(first // SHRINK, -(-end // SHRINK))
             for plane, to in zip(error(first, end), coarse[:, here], strict=True):
                 to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
@@ -91,13 +90,19 @@ class Overshoot:
 
     def follow(self, error: Error) -> None:
         """As Lead.follow."""
-        _, height, _ = self.unmoved.shape
+        _, height, width = self.unmoved.shape
         self.target = np.empty_like(self.unmoved)
-        for first in range(0, height, BAND):
-            here = slice(first, min(first + BAND, height))
-            beyond = np.clip(-error(first, here.stop)[0], self.low[here], self.high[here])
+        for first, end in _bands(height, width):
+            here = slice(first, end)
+            beyond = np.clip(-error(first, end)[0], self.low[here], self.high[here])
             moved = np.rint(beyond * native.TARGET_WHITE).astype(np.int16)
             np.add(self.unmoved[:, here], moved, out=self.target[:, here])
+
+
+def _bands(height: int, width: int) -> list[tuple[int, int]]:
+    """First rows, and those before which they end: residuals of large pictures take too much memory as a whole."""
+    rows = max(BAND // width // SHRINK, 1) * SHRINK
+    return [(first, min(first + rows, height)) for first in range(0, height, rows)]
 
 
 def _slope(level: NDArray[np.uint8]) -> FloatArray:

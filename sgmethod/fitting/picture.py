@@ -141,16 +141,13 @@ class Picture:
     def _missing(self, p: Parameters, target: Target) -> Callable[[int, int], FloatArray]:
         """What residual() gives, all of it, of a target."""
         arrays, colors = self._scaled(p.means, p.factors), p.colors.contiguous().numpy()
-        scale = np.float32(1 / native.TARGET_WHITE)
 
         def rows(first: int, end: int) -> FloatArray:
-            drawn = np.empty((3, end - first, self.width), np.float32)
+            missing = np.empty((3, end - first, self.width), np.float32)
             size = (self.width, end - first)
             raster = native.Rasterization(*arrays, *size, cutoff=self.cutoff, pyramid=self.pyramid, y=first)
-            raster.render(colors, drawn)
-            for plane, wanted in zip(drawn, target[:, first:end], strict=True):
-                np.subtract(wanted * scale, plane, out=plane)
-            return drawn
+            raster.missing(colors, np.ascontiguousarray(target[:, first:end]), missing)
+            return missing
 
         return rows
 

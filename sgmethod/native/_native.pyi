@@ -92,6 +92,9 @@ class Rasterization:
     def render(self, colors: FloatArray, image: FloatArray) -> None:
         """Fill image [3, height, width]."""
 
+    def missing(self, colors: FloatArray, target: NDArray[np.int16], image: FloatArray) -> None:
+        """Fill image [3, height, width]: target, in which white is TARGET_WHITE, less the picture, in which it is 1."""
+
     def render_bytes(
         self, colors: FloatArray, image: NDArray[np.uint8], background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> None:

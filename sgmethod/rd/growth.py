@@ -11,7 +11,7 @@ A place qualifies where its gain is the largest of all scales within the Gaussia
 are worth. Wide blurs are done on smaller pictures, and looked for on them. So each size of the picture has two things
 to know of the others: the most that is gained at a coarser one, enlarged, and the most in four samples of a finer one.
 
-The whole size is done in bands of rows, which keeps memory small.
+The whole size of a large picture is done in bands of rows, which keeps memory small.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from sgmethod.scene import FloatArray
 BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first is that of a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
-BAND = 256  # rows; an even number
+BAND = 1 << 20  # samples of a plane, about
+LEAST_BAND = 128  # rows; an even number
 REACH = 4  # of a blur, in multiples of it; what cv2 takes
 
 Rows = Callable[[int, int], FloatArray]  # of a residual, from the first to before another: [3, rows, W]
@@ -67,7 +68,10 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float) -> list[Pl
     for b in blurs:
         by_shrink.setdefault(_shrink(b, min(size)), []).append(b)
     narrow = by_shrink.pop(1)
-    bands = [(first, min(first + BAND, height)) for first in range(0, height, BAND)]
+    rows = max(BAND // width // 2 * 2, LEAST_BAND)
+    bands = [(first, min(first + rows, height)) for first in range(0, height, rows)]
+    if len(bands) == 1:
+        residual = _drawn_once(residual, height)
     half_size = -(-height // 2), -(-width // 2)
     margin = math.ceil(REACH * narrow[-1]) + _reach(narrow[-1], 1)
     half, seen = np.empty((3, *half_size), np.float32), np.zeros(half_size, np.float32)
@@ -91,6 +95,12 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float) -> list[Pl
         found.append(level.places(seen, least_gain))
         seen = _most_of_four(seen)
     return found
+
+
+def _drawn_once(residual: Rows, height: int) -> Rows:
+    """The same rows, which are asked for twice."""
+    whole = residual(0, height)
+    return lambda first, end: whole[:, first:end]
 
 
 class _Level:

@@ -119,17 +119,40 @@ int Rasterization::rows_of(int tile) const {
   return std::min(kTileHeight, grid.y + grid.height - corner(tile).y);
 }
 
-void Rasterization::render(const float* colors, float* image) const {
+// Calls take(tile, its values) for each tile of the picture.
+template <typename Take>
+void Rasterization::draw_tiles(const float* colors, const Take& take) const {
   Planes coarse(grids_, Planes::Rows::kWhole);
   draw_coarse(colors, 1, coarse);
   parallel_for(tiles(0), [&](int tile) {
-    alignas(64) float acc[kTileFloats];
-    draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, acc);
-    const Area a = area(tile);
-    for (int row = 0; row < a.rows; ++row)
-      for (int k = 0; k < 3; ++k)
-        std::copy_n(acc + ((a.skip_rows + row) * 3 + k) * kTileWidth + a.skip_columns, std::max(a.columns, 0),
-                    image + (static_cast<int64_t>(k) * height() + a.y + row) * width() + a.x);
+    alignas(64) float values[kTileFloats];
+    draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
+    take(tile, values);
+  });
+}
+
+// Calls take(values, place in an image [3, height, width], columns) for the rows of a tile.
+template <typename Take>
+void Rasterization::for_rows(int tile, const float* values, const Take& take) const {
+  const Area a = area(tile);
+  for (int row = 0; row < a.rows; ++row)
+    for (int k = 0; k < 3; ++k)
+      take(values + ((a.skip_rows + row) * 3 + k) * kTileWidth + a.skip_columns,
+           (static_cast<int64_t>(k) * height() + a.y + row) * width() + a.x, std::max(a.columns, 0));
+}
+
+void Rasterization::render(const float* colors, float* image) const {
+  draw_tiles(colors, [&](int tile, const float* values) {
+    for_rows(tile, values, [&](const float* from, int64_t at, int columns) { std::copy_n(from, columns, image + at); });
+  });
+}
+
+void Rasterization::missing(const float* colors, const int16_t* target, float* image) const {
+  constexpr float kStep = 1.0f / kTargetWhite;
+  draw_tiles(colors, [&](int tile, const float* values) {
+    for_rows(tile, values, [&](const float* from, int64_t at, int columns) {
+      for (int i = 0; i < columns; ++i) image[at + i] = static_cast<float>(target[at + i]) * kStep - from[i];
+    });
   });
 }
 
@@ -351,12 +374,8 @@ double Rasterization::squared_error(const float* colors, const int16_t* target, 
 }
 
 double Rasterization::squared_error(const float* colors, const int16_t* target) const {
-  Planes coarse(grids_, Planes::Rows::kWhole);
-  draw_coarse(colors, 1, coarse);
   std::vector<double> errors(tiles(0));
-  parallel_for(tiles(0), [&](int tile) {
-    alignas(64) float values[kTileFloats];
-    draw_tile(tile, {0, rows_of(tile)}, below(coarse, tile), kBlack, colors, values);
+  draw_tiles(colors, [&](int tile, float* values) {
     errors[tile] = fit_kernels(isa_).difference(values, part(target, tile, 0, 0.0f, nullptr, kSeenAlike));
   });
   return mean(errors);

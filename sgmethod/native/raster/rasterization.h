@@ -69,6 +69,8 @@ class Rasterization {
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;
+  // image [3, height, width] = target, in which white is kTargetWhite, less the picture, in which it is 1.
+  void missing(const float* colors, const int16_t* target, float* image) const;
   // image [height, width, 3]: background [3] plus the Gaussians, clamped to [0, 1] and rounded to 8 bits.
   void render_bytes(const float* colors, const float* background, uint8_t* image) const;
   // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
@@ -156,6 +158,10 @@ class Rasterization {
   void add_texture(int tile, Rows rows, float* accumulators) const;
   void draw_tile(int tile, Rows rows, Samples coarse, const float* background, const float* colors,
                  float* accumulators) const;
+  template <typename Take>
+  void draw_tiles(const float* colors, const Take& take) const;
+  template <typename Take>
+  void for_rows(int tile, const float* values, const Take& take) const;
   void write_bytes(int tile, const float* accumulators, uint8_t* image) const;
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
