@@ -24,7 +24,7 @@ from sgmethod.rd.rate_control import RateControl, quality_quantum
 from sgmethod.rd.runs import Runs, place
 from sgmethod.trace import shown_to_nobody
 
-DENSE = 16  # pixels, or fewer, for each Gaussian
+DENSE, FEW = 16, 1000  # pixels, or fewer, for each Gaussian, where there are not few of them: then a fit takes long
 KEPT = 0.5  # of the variance; of 36 photographs one is below, if it is reduced to 96 pixels
 
 
@@ -111,4 +111,5 @@ class Ladder:
 
 
 def _is_dense(rung: Rung) -> bool:
-    return DENSE * len(rung.fit.p.means) > rung.fit.height * rung.fit.width
+    n = len(rung.fit.p.means)
+    return n > FEW and DENSE * n > rung.fit.height * rung.fit.width

@@ -22,6 +22,7 @@ SMALLEST_FILE = HEADER_BYTES  # without any Gaussian there is no payload
 GAUSSIANS_QUALITY = 85.0  # at which a number of Gaussians asked for is fitted
 # First guesses of how many Gaussians there will be: by the bits of one, and by pixels over the quantum.
 BIT_GUESS = 30.0
+MOST_BYTES = 12  # that a pixel can use, where each has a Gaussian of its own; more would ask for steps without end
 GAUSSIANS_GUESS = 0.0023
 PIXELS_OF_FIRST_GUESS = 20  # a Gaussian, at least; growth may put more
 
@@ -73,8 +74,7 @@ class RateControl:
         asked = budget.max_bytes(width, height) or 0
         if asked < SMALLEST_FILE:
             raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {asked}")
-        # More bytes than the picture has samples would ask for steps so fine that nothing is left of the method.
-        max_bytes = min(asked, SMALLEST_FILE + 3 * pixels)
+        max_bytes = min(asked, SMALLEST_FILE + MOST_BYTES * pixels)
         bpp = max(8 * max_bytes / pixels, 1e-3)
         return cls(settings, pixels, 0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes)
 

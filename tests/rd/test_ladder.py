@@ -72,6 +72,16 @@ def test_a_psnr_takes_no_more_than_a_file_of_another_budget_that_reaches_it(name
     assert len(file.data) <= len(other.data)
 
 
+@pytest.mark.parametrize("size", [(1, 2), (3, 3), (1, 17), (5, 7), (64, 1)])
+def test_tiny_pictures_use_what_they_are_given(size: tuple[int, int]) -> None:
+    """A pixel needs as many bytes as a Gaussian has, not as many as samples."""
+    pixels = np.random.default_rng(8).integers(0, 256, (*size, 3), np.uint8)
+    assert encode(pixels, bytes=100_000, tune="psnr").stats.psnr > 30
+    qualities = [encode(pixels, quality=quality, tune="psnr").stats.psnr for quality in (10, 60, 100)]
+    assert sorted(qualities) == qualities
+    assert qualities[-1] > 25
+
+
 @pytest.mark.parametrize("size", [60, 150, 400])
 def test_texture_is_within_the_bytes(size: int) -> None:
     assert len(encode(noise(), Budget("bytes", size), tune="visual").data) <= size
