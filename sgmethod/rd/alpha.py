@@ -38,6 +38,8 @@ FEWEST_BYTES, PIXELS_PER_BYTE = 48, 500  # of the first alpha that is tried for 
 MOST_BYTES = 0.6  # of a budget, for alpha, while colours may need the rest
 LEFT_OVER = 0.1  # of a budget of bytes, beyond which what colours have left goes to alpha
 SHARES = (0.3, 0.1, 0.03)  # of the error that a budget lets expect, at most by alpha; the first that serves
+NEARLY_DB = 0.5  # a PSNR is missed by so little that better colours may mend it
+AIMS = 4  # at a PSNR
 GUESSED_BYTES = 0.2  # of a budget, for alpha, while it is not known
 # Errors go with about these powers of the bytes' inverse, those of colours and of alpha.
 ERROR_PER_BYTES, ALPHA_ERROR_PER_BYTES = 1.0, 1.5
@@ -46,7 +48,7 @@ NEAR, MOST_FACTOR = 1.15, 16.0  # between the sizes of two tries
 NEAR_ERROR, NEARLY_ALL = 0.5, 0.75  # of an error asked for, and of bytes, that are as good as all
 MOST_GAUSSIANS = 0.25  # of a budget of Gaussians
 OVERSHOOT = 0.4
-OF_TIME = 0.3  # of a time limit
+OF_TIME, FIRST_OF_TIME = 0.3, 0.5  # of a time limit, for all alpha that is tried, and for the first
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,8 @@ class _Layers:
         self.request, self.settings, self.encode_layer = request, settings, encode_layer
         self.source, self.steps = request.alpha, 0
         self.within: dict[int, _Tried] = {}
+        self.quick: StreamV4 | None = None  # a whole picture, made early to see what errors cost
+        self.quick_s = 0.0
         self.pixels = continued(request.pixels, self.source)
         height, width = self.source.shape
         self.max_bytes = request.budget.max_bytes(width, height)
@@ -90,11 +94,14 @@ class _Layers:
             return self._at_psnr(self.request.budget.value), self.steps
         alpha = self._alpha()
         stream = self._colours(alpha, self.settings)
+        if self.quick is not None and self._left_s() < self.quick_s:  # time may have been short
+            stream = min(stream, self.quick, key=lambda one: self._error_of(draw_whole(one)))
         if self.max_bytes is not None:
-            left = self.max_bytes - len(container.serialise(stream))
-            if left > LEFT_OVER * self.max_bytes:
-                more = self._within(len(alpha.payload) + left)
-                stream = replace(stream, alpha=more.stream)
+            left, error = self.max_bytes - len(container.serialise(stream)), self._error_by(alpha)
+            if left > LEFT_OVER * self.max_bytes and error > 0:
+                more = self._layer(Budget("bytes", HEADER_BYTES + len(alpha.payload) + left), 1.0)
+                if self._error_by(more) < error:
+                    stream = replace(stream, alpha=more)
         return stream, self.steps
 
     def _alpha(self) -> StreamV4:
@@ -106,13 +113,26 @@ class _Layers:
         quantum = RateControl.of(self.request, self.settings).quantum
         return self._of_error(SHARES[0] * _mse(psnr_of_quantum(quantum)))
 
+    def _error_by(self, alpha: StreamV4) -> float:
+        """The file's, if nothing but alpha were wrong."""
+        return self._error_of(np.dstack([self.pixels, draw_whole(alpha)[..., 0]]))
+
     def _at_psnr(self, psnr_db: float) -> StreamV4:
-        """Where colours cannot mend what alpha makes wrong, alpha is made better."""
-        for share in SHARES:
-            stream = self._colours(self._of_error(share * _mse(psnr_db)), self.settings)
-            if self._error_of(draw_whole(stream)) <= _mse(psnr_db) or self._is_late():
+        """Colours do not know all of an error: what alpha adds to theirs, and that both are rounded. So they are asked
+        for more, or alpha is, where the PSNR is missed."""
+        shares, aim, found = list(SHARES), psnr_db, []
+        alpha = self._of_error(shares.pop(0) * _mse(psnr_db))
+        for _ in range(AIMS):
+            stream = self._colours(alpha, self.settings, aim)
+            missed = psnr_db + 10 * math.log10(max(self._error_of(draw_whole(stream)), _mse(MAX_PSNR_DB)))
+            found.append((missed, stream))
+            if missed <= 0 or self._is_late():
                 break
-        return stream
+            if missed <= NEARLY_DB:
+                aim += missed + self.settings.psnr_slack_db / 2
+            elif shares:
+                alpha = self._of_error(shares.pop(0) * _mse(psnr_db))
+        return min(found, key=lambda one: one[0])[1]
 
     def _of_error(self, most: float) -> StreamV4:
         """About the smallest that makes no more error."""
@@ -130,7 +150,9 @@ class _Layers:
     def _of_bytes(self, most: int) -> StreamV4:
         """The one with which colours in the rest of so many bytes make the least error, in all."""
         tried = [self._within(int(GUESSED_BYTES * most))]
+        began = self._left_s()
         colours = self._colours(tried[0].stream, replace(self.settings, **EFFORTS[min(EFFORTS)]))
+        self.quick, self.quick_s = colours, began - self._left_s() if math.isfinite(began) else 0.0
         error = self._error_of(np.dstack([draw_whole(colours)[..., :3], self.source]))
         guess, largest = tried[0].size, max(MOST_BYTES * most, 1.0)
         sizes = np.geomspace(min(FEWEST_BYTES, largest), largest, 64)
@@ -148,29 +170,32 @@ class _Layers:
         return min(tried, key=lambda one: in_all(one.size, one)).stream
 
     def _is_late(self) -> bool:
-        until_s = replace(self.request, part=OF_TIME).until_s()
-        return until_s is not None and self.request.recorder.clock.seconds() > until_s
+        return self._left_s(OF_TIME) < 0
+
+    def _left_s(self, part: float = 1.0) -> float:
+        """Seconds until a part of the time is over; without a limit, infinity."""
+        until_s = replace(self.request, part=part).until_s()
+        return math.inf if until_s is None else until_s - self.request.recorder.clock.seconds()
 
     def _within(self, size: int) -> _Tried:
         """The best with a payload of at most so many bytes, fitted once."""
         if size not in self.within:
-            stream = self._layer(Budget("bytes", HEADER_BYTES + size))
-            error = self._error_of(np.dstack([self.pixels, draw_whole(stream)[..., 0]]))
-            self.within[size] = _Tried(stream, error)
+            stream = self._layer(Budget("bytes", HEADER_BYTES + size), OF_TIME if self.within else FIRST_OF_TIME)
+            self.within[size] = _Tried(stream, self._error_by(stream))
         return self.within[size]
 
-    def _layer(self, budget: Budget) -> StreamV4:
-        """Alpha, coded."""
+    def _layer(self, budget: Budget, part: float = FIRST_OF_TIME) -> StreamV4:
+        """Alpha, coded in a part of the time."""
         grey = np.repeat(self.source[..., None], 3, axis=2)
         recorder = Recorder(self.request.recorder.clock, None)
-        part = replace(self.request, pixels=grey, alpha=None, budget=budget, recorder=recorder, part=OF_TIME)
+        layer = replace(self.request, pixels=grey, alpha=None, budget=budget, recorder=recorder, part=part)
         settings = replace(self.settings, tune="psnr", overshoot=OVERSHOOT, rounds=(0,), ladder_pixels=0)
-        stream, steps = self.encode_layer(part, settings)
+        stream, steps = self.encode_layer(layer, settings)
         self.steps += steps
         return stream
 
-    def _colours(self, alpha: StreamV4, settings: RdSettings) -> StreamV4:
-        """With their alpha."""
+    def _colours(self, alpha: StreamV4, settings: RdSettings, psnr_db: float = 0.0) -> StreamV4:
+        """With their alpha. psnr_db: to aim at in place of the budget's, where that is one."""
         shown, budget = draw_whole(alpha)[..., 0], self.request.budget
         if self.max_bytes is not None:
             budget = Budget("bytes", self.max_bytes - ALPHA_HEADER.size - len(alpha.payload))
@@ -178,8 +203,8 @@ class _Layers:
             used = len(alpha.gaussians()) if alpha.payload else 0
             budget = Budget("gaussians", max(self.request.gaussians_asked() - used, 1))
         elif budget.kind == "psnr":
-            left = _mse(budget.value) - self._error_of(np.dstack([self.pixels, shown]))
-            budget = Budget("psnr", min(-10 * math.log10(max(left, _mse(budget.value) / 4)), MAX_PSNR_DB))
+            left = _mse(psnr_db) - self._error_by(alpha)
+            budget = Budget("psnr", min(-10 * math.log10(max(left, _mse(psnr_db) / 4)), MAX_PSNR_DB))
         recorder = self.request.recorder
         preview = recorder.preview
         if preview is not shown_to_nobody:

@@ -24,7 +24,7 @@ from sgmethod.profiles import RD
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
-from sgmethod.trace import Stop
+from tests.harness.clocks import SlowClock
 from tests.harness.data import PHOTOGRAPHS
 
 CUTOFF = native.CUTOFF_V3
@@ -243,17 +243,6 @@ def test_odd_pictures(name: str, budget: Budget, monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("budget", [Budget("bytes", 400), Budget("psnr", 24), Budget("quality", 50)])
 def test_a_time_limit_shortens_the_schedule(budget: Budget, monkeypatch: pytest.MonkeyPatch) -> None:
-    class SlowClock(Clock):
-        """Each look at it takes a hundredth of a second."""
-
-        def __init__(self, limit_s: float | None = None, stop: Stop | None = None) -> None:
-            super().__init__(limit_s, stop)
-            self.now = 0.0
-
-        def seconds(self) -> float:
-            self.now += 0.01
-            return self.now
-
     monkeypatch.setattr(codec, "Clock", SlowClock)
     encoded = encode(crop(), budget, time_limit_s=2.0)
     assert_sound(encoded, crop())
