@@ -24,6 +24,7 @@ import struct
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, BinaryIO
@@ -116,28 +117,31 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     signal.signal(END_EARLY, lambda *_: stopped.set())
     from sgmethod.budget import Budget
     from sgmethod.codec import encode
-    from sgmethod.errors import SgError
+    from sgmethod.errors import ImageWarning, SgError
     from sgmethod.io.image import read_image_8_bit
 
     try:
-        encoded = encode(
-            read_image_8_bit(source, keep_alpha=True),
-            Budget(request.budget_kind, request.budget_value),
-            request.profile,
-            tune=request.tune,
-            effort=request.effort,
-            time_limit_s=request.time_limit_s,
-            on_progress=lambda point: send(pipe, TRACE, to_json(point.to_dict())),
-            stop=stopped.is_set,
-            on_preview=_now_and_then(lambda file: send(pipe, PREVIEW, file)),
-        )
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ImageWarning)
+            encoded = encode(
+                read_image_8_bit(source, keep_alpha=True),
+                Budget(request.budget_kind, request.budget_value),
+                request.profile,
+                tune=request.tune,
+                effort=request.effort,
+                time_limit_s=request.time_limit_s,
+                on_progress=lambda point: send(pipe, TRACE, to_json(point.to_dict())),
+                stop=stopped.is_set,
+                on_preview=_now_and_then(lambda file: send(pipe, PREVIEW, file)),
+            )
     except SgError as error:
         send(pipe, REFUSED, str(error).encode())
         return
     except MemoryError:  # another attempt would have no more of it
         send(pipe, REFUSED, NO_MEMORY)
         return
-    send(pipe, STATS, to_json(encoded.stats.to_dict()))
+    notes = [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]
+    send(pipe, STATS, to_json(encoded.stats.to_dict() | ({"notes": notes} if notes else {})))
     send(pipe, BITSTREAM, encoded.data)
 
 

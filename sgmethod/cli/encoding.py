@@ -82,9 +82,12 @@ def run_encode(arguments: argparse.Namespace) -> int:
 def _conversions(arguments: argparse.Namespace) -> list[Conversion]:
     """What is to become what, by the names that were given. Raises CommandError."""
     names = arguments.names
-    if not all(Path(name).name for name in names):
-        raise CommandError("a name of a file is empty")
+    for name in names:
+        if not Path(name).name:
+            raise CommandError(f"{name!r} is no name of a file")
     if arguments.output_dir is None:
+        if len(names) == 1 and names[0].lower().endswith(SUFFIX):
+            raise CommandError(f"{names[0]} is an .sg file by its name; if it is a picture, name the output too")
         if len(names) > 2 or (len(names) == 2 and not _takes_sg(names[1])):
             raise CommandError(
                 f"{names[1]} is no name of an .sg file; to encode several pictures, name a folder: --output-dir out"
@@ -110,7 +113,7 @@ def _takes_sg(path: str) -> bool:
 def _named(source: str) -> str:
     """photo.jpg -> photo.sg, beside it; what is no suffix of a picture stays."""
     path = Path(source)
-    known = {*SUFFIXES, ".tif", ".tiff", ".bmp", ".gif", ".heic", ".heif", ".hif", ".jpe", ".jfif", ".apng"}
+    known = {*SUFFIXES, ".tif", ".tiff", ".bmp", ".gif", ".heic", ".heif", ".hif", ".jxl", ".jpe", ".jfif", ".apng"}
     known |= {".pbm", ".pgm", ".pnm", ".qoi", ".avifs", ".dib", SUFFIX}
     return str(path.with_suffix(SUFFIX) if path.suffix.lower() in known else path.with_name(path.name + SUFFIX))
 
@@ -180,7 +183,7 @@ def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, s
         raise CommandError("a server takes no --seed")
     with Client(arguments.server, os.environ.get("SG_API_KEY")) as client, progress_line(shown) as show:
         encoded = client.encode(image, budget, arguments.profile, **_choices(arguments), on_progress=show)
-    return encoded.data, encoded.figures, encoded.trace, []
+    return encoded.data, encoded.figures, encoded.trace, encoded.notes
 
 
 def _load_encoder() -> Callable[..., Encoded]:

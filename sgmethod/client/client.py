@@ -32,11 +32,13 @@ WAIT_S = 50  # of one request: less than what proxies, and this client, take for
 
 @dataclass(frozen=True)
 class RemoteEncoded:
-    """An .sg file, the server's figures of it (sgmethod.Stats as a dictionary) and the trace."""
+    """An .sg file, the server's figures of it (sgmethod.Stats as a dictionary), the trace, and notes: what of the image
+    is left out."""
 
     data: bytes
     figures: Json
     trace: list[TracePoint]
+    notes: list[str]
 
 
 class Client:
@@ -89,7 +91,8 @@ class Client:
             else:
                 job = self.wait(job_id, on_progress)
                 data = self.bitstream(job_id)
-            return RemoteEncoded(data, job["result"], [_point(point) for point in job["trace"]])
+            trace = [_point(point) for point in job["trace"]]
+            return RemoteEncoded(data, job["result"], trace, job.get("notes", []))  # older servers have none
         finally:
             self._remove_if_there(job_id)
 

@@ -101,7 +101,10 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     """After every check that needs no pixels."""
     if kind == "JPEG XL":
         check_jpeg_xl(data, limits)
-    reader = formats.open_reader(data, kind)
+    try:
+        reader = formats.open_reader(data, kind)
+    except RuntimeError as error:
+        raise ValueError("its library refuses it") from error  # what that says is for its developers
     (limits or ImageLimits()).check(*reader.size)
     notes = [] if is_still(reader) else ["it holds more than one picture: the first is taken"]
     if kind == "TIFF":

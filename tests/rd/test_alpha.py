@@ -22,8 +22,8 @@ from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.profiles import RD
 from sgmethod.rd.alpha import SMALLEST, continued
-from tests.harness.clocks import SlowClock
 from tests.harness.data import PHOTOGRAPHS
+from tests.rd.clocks import SlowClock
 
 Pixels = NDArray[np.uint8]
 

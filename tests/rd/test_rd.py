@@ -24,8 +24,8 @@ from sgmethod.profiles import RD
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
-from tests.harness.clocks import SlowClock
 from tests.harness.data import PHOTOGRAPHS
+from tests.rd.clocks import SlowClock
 
 CUTOFF = native.CUTOFF_V3
 

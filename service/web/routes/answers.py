@@ -30,7 +30,7 @@ EXAMPLE_ACCEPTED = {
     "bitstream_url": f"/bitstreams/{EXAMPLE_ID}.sg",
 }
 EXAMPLE_POINT = {"seconds": 1.52, "step": 300, "steps": 3000, "psnr": 29.4, "bytes": 12288, "gaussians": 1200}
-EXAMPLE_SUMMARY = {
+EXAMPLE_SUMMARY: dict[str, Any] = {
     **EXAMPLE_ACCEPTED,
     "state": "running",
     "position": None,
@@ -48,6 +48,7 @@ EXAMPLE_SUMMARY = {
     "expires_at": None,
     "image_expires_at": None,
     "result": None,
+    "notes": [],
     "error": None,
 }
 EXAMPLE_TRACE = {"progress": 0.06, "trace": [{**EXAMPLE_POINT, "phase": "fit"}]}
@@ -112,6 +113,7 @@ class JobSummary(AcceptedView):
     expires_at: datetime | None = Field(description="when all that is kept of it is removed, once finished")
     image_expires_at: datetime | None = Field(description="until when its image can be encoded again, once finished")
     result: dict[str, Figure] | None = Field(description="the codec's figures, once done")
+    notes: list[str] = Field(description="what is left out of the image, once done")
     error: ErrorView | None = Field(description="once failed")
 
 
@@ -180,7 +182,7 @@ def expires_at(job: Job, retention_s: float) -> datetime | None:
 
 def summary(job: Job, retention_s: float, source_retention_s: float) -> JobSummary:
     """The job without its trace. retention_s: for how long jobs are kept, 0 for ever; source_retention_s: images."""
-    request, image = job.request, job.image
+    request, image, stats = job.request, job.image, job.result.stats if job.result else {}
     return JobSummary(
         id=job.id,
         **urls(job.id),
@@ -199,7 +201,8 @@ def summary(job: Job, retention_s: float, source_retention_s: float) -> JobSumma
         finished_at=_time(job.finished_at),
         expires_at=expires_at(job, retention_s),
         image_expires_at=None if job.finished_at is None else _time(job.finished_at + source_retention_s),
-        result=dict(job.result.stats) if job.result else None,
+        result={name: value for name, value in stats.items() if name != "notes"} if job.result else None,
+        notes=stats.get("notes", []),
         # A queued job can carry the error of its last crash, which is no concern of the client's yet.
         error=ErrorView(code=job.error.code, detail=job.error.detail) if job.error and job.state == "failed" else None,
     )

@@ -228,7 +228,7 @@ def test_a_full_disk_shows_and_takes_no_jobs(start_service: StartService) -> Non
 @pytest.mark.parametrize(
     ("first", "name"),
     [
-        (b"\xff\x0a\xfa\x1f", "JPEG XL"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG 2000"),
         (b"\0\0\0\x18ftypisom\0\0\0\0mp41isom", "film"),
         (b"%PDF-1.7", "PDF"),
         (b"<svg xmlns=", "SVG"),

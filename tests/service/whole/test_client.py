@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import socket
@@ -11,6 +12,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 import sgmethod
 from service.keys import digest
@@ -49,6 +51,16 @@ def test_one_request_brings_the_file(service: Service) -> None:
             client.encode(SMALL[: len(SMALL) // 2], Budget("bpp", 2))
     assert service.client.get("/jobs").json()["jobs"] == []
     assert (watches(service), asked(service, "/bitstreams/{job_id}.sg")) == before
+
+
+def test_what_is_left_out_is_told(service: Service) -> None:
+    file = io.BytesIO()
+    Image.new("RGBA", (64, 48), (200, 80, 60, 100)).save(file, "PNG")
+    with Client(service.url) as client:
+        kept = client.encode(file.getvalue(), Budget("bytes", 200), time_limit_s=0.5)
+        laid = client.encode(file.getvalue(), Budget("gaussians", 4), "baseline", time_limit_s=0.5)
+    assert (kept.notes, laid.notes) == ([], ["its transparency is laid over white"])
+    assert "notes" not in laid.figures
 
 
 def test_what_is_not_done_in_one_request_is_waited_for(web: Service, monkeypatch: pytest.MonkeyPatch) -> None:
