@@ -5,18 +5,16 @@ magic "SGM" | version, 1 byte | CRC-32 of all that follows, 4 bytes | the versio
 
 from __future__ import annotations
 
+import importlib
 import struct
 import zlib
 
 from sgmethod.bitstream.stream import MAGIC, NO_LIMITS, PREFIX_BYTES, Info, Limits, Stream
-from sgmethod.bitstream.v1 import StreamV1
-from sgmethod.bitstream.v3 import StreamV3
-from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.errors import BitstreamError
 
-# A new version of the format is a module beside this one, and a name here.
-STREAMS: tuple[type[Stream], ...] = (StreamV1, StreamV3, StreamV4)
-VERSIONS = {stream.VERSION: stream for stream in STREAMS}
+# A new version of the format is a module beside this one, and a line here. Only those that are met are imported: a
+# decode from a cold start waits for each.
+STREAMS = {1: "v1.StreamV1", 3: "v3.StreamV3", 4: "v4.StreamV4"}
 CHECKSUM = struct.Struct(">I")
 
 
@@ -35,15 +33,21 @@ def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
     if data[:3] != MAGIC:
         raise BitstreamError("this is not an .sg file")
-    version = VERSIONS.get(data[3])
-    if version is None:
-        raise BitstreamError(f"version {data[3]} of the format is not known to this decoder")
+    version = _stream_of(data[3])
     if len(data) < version.MIN_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
     body = memoryview(data)[PREFIX_BYTES:]
     if zlib.crc32(body) != CHECKSUM.unpack(data[4:PREFIX_BYTES])[0]:
         raise BitstreamError("the file is damaged: its checksum does not match")
     return version.parse(body, limits)
+
+
+def _stream_of(version: int) -> type[Stream]:
+    if version not in STREAMS:
+        raise BitstreamError(f"version {version} of the format is not known to this decoder")
+    module, name = STREAMS[version].split(".")
+    found: type[Stream] = getattr(importlib.import_module(f"sgmethod.bitstream.{module}"), name)
+    return found
 
 
 def checksum(data: bytes) -> str:

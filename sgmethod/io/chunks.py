@@ -4,7 +4,6 @@ the header of JPEG XL."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -81,7 +80,7 @@ def of_jpeg_xl(data: bytes) -> JpegXl:
         starts = {b"jxlp": 4, b"jxlc": 0}
         parts = (data[at + starts[kind] : end] for kind, at, end in _boxes(data, 0, len(data)) if kind in starts)
         data = b"".join(part[:64] for part in parts)
-    bits = _Bits(int.from_bytes(data[2:64], "little"), 8 * len(data[2:64]))
+    bits = _Bits(data[2:64])
     height, width = bits.size()
     orientation, moves, depth = 1, False, 8
     if not bits.take(1):
@@ -97,12 +96,11 @@ def of_jpeg_xl(data: bytes) -> JpegXl:
     return JpegXl(height, width, moves, depth) if orientation >= 5 else JpegXl(width, height, moves, depth)
 
 
-@dataclass
 class _Bits:
     """The fields of a JPEG XL header, the lowest bit first."""
 
-    value: int
-    count: int
+    def __init__(self, data: bytes) -> None:
+        self.value, self.count = int.from_bytes(data, "little"), 8 * len(data)
 
     def take(self, count: int) -> int:
         if count > self.count:

@@ -19,8 +19,8 @@ both, and whatever they refuse is an ImageError with one clear sentence; what th
                    QOI file holds light is not believed: Pillow writes so into each.
     depth          16-bit grey and 16-bit RGB(A) keep all their bits, through the conversion of colours too unless the
                    profile is one of tables; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's grey with alpha, TIFF's
-                   premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are refused, because they do
-                   not say which value is white.
+                   premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are refused,
+                   because they do not say which value is white.
     transparency   kept where the caller keeps it, in 8 bits; else composited over white, in values of sRGB,
                    value * alpha + (1 - alpha), with a warning
     the rest       other metadata is left out
