@@ -8,6 +8,7 @@ written whole or not at all, and whether it can be written is known before the w
 from __future__ import annotations
 
 import argparse
+import gc
 import os
 import sys
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ INTERRUPTED, NO_READER = 130, 141  # 128 and the number of SIGINT, and of SIGPIP
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status, except for --help, --version and wrong usage, which exit."""
+    ends_here = argv is None  # and not in somebody's process
     argv = sys.argv[1:] if argv is None else argv
     if argv[:1] != ["encode"]:
         # Threads for numpy's linear algebra, of which only encodes have much, take a third of a short command's time.
@@ -45,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         _abandon_stdout()
         return _fail(str(error))
+    if ends_here:
+        gc.freeze()  # or Python would look through all that it has imported once more, which takes longer than a decode
     return status
 
 
