@@ -26,7 +26,7 @@ from sgmethod.rd import alpha
 from sgmethod.rd.finish import Finish
 from sgmethod.rd.ladder import Ladder, is_stiff
 from sgmethod.rd.rate_control import RateControl
-from sgmethod.rd.runs import Runs, place
+from sgmethod.rd.runs import Runs, most_steps, place
 
 
 def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
@@ -42,10 +42,9 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
 def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]:
     """The stream of one picture without alpha, and the steps it took. What of it alpha shows weighs its errors."""
     control = RateControl.of(request, settings)
-    runs = Runs(place(request, control, request.recorder.preview), request)
     ladder = Ladder(request, control) if is_stiff(request, settings) else None
-    if ladder:
-        runs.in_all += ladder.most_steps
+    in_all = most_steps(control) + (ladder.most_steps if ladder else 0)
+    runs = Runs(place(request, control, request.recorder.preview), request, in_all)
     runs.first()
     found = []
     for rounds in settings.rounds[:-1]:
@@ -54,7 +53,7 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
             break
         found.append(Finish(runs.fit, request).stream())
     runs.until_round(settings.rounds[-1])
-    finish, steps, in_all = Finish(runs.fit, request), runs.steps, runs.in_all
+    finish, steps = Finish(runs.fit, request), runs.steps
     del runs  # what only steps need
     native.release_memory()
     best = finish.best([*found, finish.stream()])

@@ -64,8 +64,7 @@ class Ladder:
         rungs: list[Rung] = []
         for control in self.controls:
             fit = place(self.request, control, shown_to_nobody)  # a picture that grew sharper is not to begin anew
-            runs = Runs(fit, self.request, in_all - self.most_steps + self.steps)
-            runs.in_all = in_all
+            runs = Runs(fit, self.request, in_all, in_all - self.most_steps + self.steps)
             if not runs.has_time():
                 break
             runs.first()

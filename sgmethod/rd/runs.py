@@ -14,17 +14,26 @@ def place(request: Request, control: RateControl, preview: Preview) -> RdFit:
     return RdFit(request.pixels, control, request.seed, request.recorder.clock, preview, request.alpha)
 
 
+def steps_of_round(control: RateControl) -> int:
+    """Steps of each round."""
+    return max(round(control.settings.round_steps * control.steps()), 1)
+
+
+def most_steps(control: RateControl) -> int:
+    """Steps of the first run and all rounds."""
+    return control.steps() + control.settings.rounds[-1] * steps_of_round(control)
+
+
 class Runs:
     """Runs of the schedule of one fit: the first, and rounds.
 
-    steps, rounds: done so far; before, in_all: the encode's steps before this fit, and all of them, for the trace.
+    steps, rounds: done so far; in_all, before: the encode's steps, and those before this fit, for the trace.
     """
 
-    def __init__(self, fit: RdFit, request: Request, before: int = 0) -> None:
+    def __init__(self, fit: RdFit, request: Request, in_all: int, before: int = 0) -> None:
         self.fit, self.request = fit, request
-        self.length = fit.control.steps()
-        self.of_round = max(round(fit.settings.round_steps * self.length), 1)
-        self.before, self.in_all = before, self.length + fit.settings.rounds[-1] * self.of_round
+        self.length, self.of_round = fit.control.steps(), steps_of_round(fit.control)
+        self.in_all, self.before = in_all, before
         self.steps, self.rounds, self.took_s = 0, 0, 0.0
 
     def first(self) -> None:
