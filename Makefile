@@ -33,6 +33,9 @@ TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/tes
 UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/test_fuzz_*.py)
 # About half of the service's tests, all of which mostly wait: for processes that start, end or are killed.
 WHOLE := tests/service/whole tests/service/process tests/service/worker
+# The service's encoders stand behind all who answer, so behind tests that compute as well, unless those do so too: without
+# this an encode beside them has a hundredth of a core.
+YIELDING := nice -n 19
 COVERAGE ?=
 # Further targets, made beside the measured tests.
 ALSO ?=
@@ -69,7 +72,7 @@ else
 endif
 
 measured: $(STAMP)
-	$(BIN)/python -m coverage run -m pytest $(filter-out tests/service,$(TESTS)) $(addprefix --ignore=,$(UNMEASURED))
+	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service,$(TESTS)) $(addprefix --ignore=,$(UNMEASURED))
 
 measured-whole: $(STAMP)
 	$(BIN)/python -m coverage run -m pytest --quiet $(WHOLE)
@@ -78,13 +81,13 @@ measured-service: $(STAMP)
 	$(BIN)/python -m coverage run -m pytest --quiet $(filter tests/service,$(TESTS)) $(addprefix --ignore=,$(WHOLE))
 
 unmeasured: $(STAMP)
-	$(BIN)/python -m pytest --quiet $(UNMEASURED)
+	$(YIELDING) $(BIN)/python -m pytest --quiet $(UNMEASURED)
 
 versions:
-	.ci/versions $(VERSIONS)
+	$(YIELDING) .ci/versions $(VERSIONS)
 
 sanitize: $(STAMP)
-	$(BIN)/python -m tests.native.sanitize --mutations $(MUTATIONS) $(if $(SEED),--seed $(SEED))
+	$(YIELDING) $(BIN)/python -m tests.native.sanitize --mutations $(MUTATIONS) $(if $(SEED),--seed $(SEED))
 
 fuzz: $(STAMP)
 	$(BIN)/python -m pip show --quiet atheris || $(BIN)/python -m pip install '$(ATHERIS)'
