@@ -134,8 +134,8 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         KeyRing(settings.key_names),
         metrics,
     )
-    metrics.taken.labels("streams").set_function(parts.streams.total)
-    metrics.taken.labels("answers").set_function(parts.outflow.total)
+    metrics.watch(parts.streams)
+    metrics.watch(parts.outflow)
     install_problem_handlers(app)
     app.include_router(health_routes.router, dependencies=[Depends(known_query)])
     # The gate does the work; this is how the document says so.
@@ -166,7 +166,7 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
     paced = PacedRequests(HeadAsGet(app), settings.max_connections_per_address)
     gate = Gate(paced, parts.keys, RateLimit(settings.key_request_rate), secret)
     uploads = Shares(settings.max_uploads, "uploads", "uploads are under way")
-    parts.metrics.taken.labels("uploads").set_function(uploads.total)
+    parts.metrics.watch(uploads)
     guarded: ASGIApp = BodyGuard(gate, _body_limits(settings), uploads)
     if settings.cors_origins:
         guarded = CORSMiddleware(

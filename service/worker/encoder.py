@@ -140,7 +140,12 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     except MemoryError:  # another attempt would have no more of it
         send(pipe, REFUSED, NO_MEMORY)
         return
-    notes = [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]
+    notes = []
+    for warning in caught:
+        if issubclass(warning.category, ImageWarning):
+            notes.append(str(warning.message))
+        else:  # for the worker's log
+            warnings.showwarning(warning.message, warning.category, warning.filename, warning.lineno)
     send(pipe, STATS, to_json(encoded.stats.to_dict() | ({"notes": notes} if notes else {})))
     send(pipe, BITSTREAM, encoded.data)
 

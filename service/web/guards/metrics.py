@@ -9,6 +9,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.jobs.table import Census
 from service.web.guards.problems import REFUSAL
+from service.web.guards.shares import Shares
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
@@ -30,7 +31,7 @@ class Metrics:
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
-        self.taken = Gauge(
+        self._taken = Gauge(
             "sgmethod_taken", "What clients have now of things that are limited.", ("what",), registry=registry
         )
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
@@ -50,6 +51,10 @@ class Metrics:
         self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
+
+    def watch(self, shares: Shares) -> None:
+        """Show how much of a limited thing clients have."""
+        self._taken.labels(shares.reason).set_function(shares.total)
 
     def accept(self, owner: str | None) -> None:
         """Count a job that was accepted, and whose API key it came with."""

@@ -23,7 +23,7 @@ class Shares:
     def __init__(self, most: int, reason: str, what: str) -> None:
         self._most = most
         self._own_most = -(-most // 2)
-        self._reason = reason
+        self.reason = reason
         self._what = what
         self._taken: Counter[str] = Counter()
 
@@ -33,11 +33,11 @@ class Shares:
 
     def refusal(self, client: str, more: int = 1) -> ProblemError | None:
         """Why the client cannot have so much more: 503 if there is not so much left, 429 if its own part is used up."""
-        if self._taken.total() + more > self._most:
-            return ProblemError(503, f"too many {self._what}", reason=self._reason, headers=RETRY_AFTER)
+        if self.total() + more > self._most:
+            return ProblemError(503, f"too many {self._what}", reason=self.reason, headers=RETRY_AFTER)
         if self._taken[client] + more > self._own_most:
             detail = f"too many {self._what}, of yours alone"
-            return ProblemError(429, detail, reason=f"own_{self._reason}", headers=RETRY_AFTER)
+            return ProblemError(429, detail, reason=f"own_{self.reason}", headers=RETRY_AFTER)
         return None
 
     def check(self, client: str, more: int = 1) -> None:
