@@ -99,8 +99,7 @@ def warn(notes: list[str]) -> None:
 
 def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     """After every check that needs no pixels."""
-    if kind == "JPEG XL":
-        check_jpeg_xl(data, limits)
+    jpeg_xl = check_jpeg_xl(data, limits) if kind == "JPEG XL" else None
     try:
         reader = formats.open_reader(data, kind)
     except RuntimeError as error:
@@ -110,14 +109,14 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     if kind == "TIFF":
         _check_tiff(reader)
     _check_tiles(reader, kind)
-    if kind == "JPEG XL" and reader.mode == "LA" and chunks.of_jpeg_xl(data).depth > 8:
+    if jpeg_xl is not None and jpeg_xl.depth > 8 and reader.mode == "LA":
         raise ImageError("grey JPEG XL files with alpha of more than 8 bits are not supported")
     if not (reader.mode == "I" and kind == "PPM"):
         check_mode(reader)
     stated, profile_notes = colour_of(reader, data)
     block = reader.info.get("exif") or (chunks.of_png(data).get(b"eXIf") if kind == "PNG" else None)
     # Pillow's TIFF reader turns the picture itself, and so do libheif, and libjxl unless it gives a JPEG back.
-    turned = kind in ("TIFF", "HEIC") or (kind == "JPEG XL" and not getattr(reader, "jpeg", False))
+    turned = kind in ("TIFF", "HEIC") or (jpeg_xl is not None and not getattr(reader, "jpeg", False))
     orientation = 1 if turned else orientation_of(block)
     return Opened(reader, orientation, stated, [*notes, *profile_notes])
 
