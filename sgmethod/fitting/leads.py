@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.fitting.bands import Rows, bands
 from sgmethod.fitting.eye import SHRINK
 from sgmethod.native import native
 from sgmethod.scene import FloatArray
 
 Target = NDArray[np.int16]
-# The target, unmoved, less the picture, by rows as Picture.residual() gives them.
-Error = Callable[[int, int], FloatArray]
-BAND = 1 << 20  # pixels, about
 
 
 class Lead(Protocol):
@@ -27,8 +24,8 @@ class Lead(Protocol):
     unmoved: Target
     target: Target
 
-    def follow(self, error: Error) -> None:
-        """Move the target."""
+    def follow(self, error: Rows) -> None:
+        """Move the target; error: unmoved, it less the picture, by rows."""
         ...
 
 
@@ -49,11 +46,11 @@ class CoarseError:
         self.size = (-(-height // SHRINK), -(-width // SHRINK))
         self.by: FloatArray | None = None  # [3, *size]
 
-    def follow(self, error: Error) -> None:
+    def follow(self, error: Rows) -> None:
         """As Lead.follow."""
         _, height, width = self.unmoved.shape
         coarse = np.empty((3, *self.size), np.float32)
-        for first, end in _bands(height, width):
+        for first, end in bands(height, width):
             here = slice(first // SHRINK, -(-end // SHRINK))
             for plane, to in zip(error(first, end), coarse[:, here], strict=True):
                 to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
@@ -88,21 +85,15 @@ class Overshoot:
         # From the target to the nearest and the furthest that the picture may be beyond it.
         self.low, self.high = ends[1] * margin - ends[0] * most, ends[1] * most - ends[0] * margin
 
-    def follow(self, error: Error) -> None:
+    def follow(self, error: Rows) -> None:
         """As Lead.follow."""
         _, height, width = self.unmoved.shape
         self.target = np.empty_like(self.unmoved)
-        for first, end in _bands(height, width):
+        for first, end in bands(height, width):
             here = slice(first, end)
             beyond = np.clip(-error(first, end)[0], self.low[here], self.high[here])
             moved = np.rint(beyond * native.TARGET_WHITE).astype(np.int16)
             np.add(self.unmoved[:, here], moved, out=self.target[:, here])
-
-
-def _bands(height: int, width: int) -> list[tuple[int, int]]:
-    """First rows, and those before which they end: residuals of large pictures take too much memory as a whole."""
-    rows = max(BAND // width // SHRINK, 1) * SHRINK
-    return [(first, min(first + rows, height)) for first in range(0, height, rows)]
 
 
 def _slope(level: NDArray[np.uint8]) -> FloatArray:

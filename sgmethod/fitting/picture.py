@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from sgmethod.fitting import eye
+from sgmethod.fitting.bands import Rows
 from sgmethod.fitting.leads import Lead
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.native import native
@@ -130,7 +130,7 @@ class Picture:
         seen = () if self.visibility is None else (self.visibility.values, self.visibility.by_eye)
         return raster.squared_error(colors, self.target, *out.arrays(), *seen), out
 
-    def residual(self, p: Parameters) -> Callable[[int, int], FloatArray]:
+    def residual(self, p: Parameters) -> Rows:
         """Target minus picture, in this picture's pixels, as far as it is seen. It is drawn when it is asked for rows:
         from the first to before another, [3, rows, W]."""
         visibility, missing = self.visibility, self._missing(p, self.target)
@@ -138,7 +138,7 @@ class Picture:
             return missing
         return lambda first, end: eye.amplitudes(visibility, missing(first, end), first, end)
 
-    def _missing(self, p: Parameters, target: Target) -> Callable[[int, int], FloatArray]:
+    def _missing(self, p: Parameters, target: Target) -> Rows:
         """What residual() gives, all of it, of a target."""
         arrays, colors = self._scaled(p.means, p.factors), p.colors.contiguous().numpy()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +50,11 @@ class Request:
         if stopped_s is not None:
             found.append(stopped_s * (1 + share * WINDING_DOWN))
         return min(found, default=None)
+
+    def left_s(self, share: float = 1.0) -> float:
+        """Seconds until then, below 0 once it is over; infinity without a limit."""
+        until_s = self.until_s(share)
+        return math.inf if until_s is None else until_s - self.recorder.clock.seconds()
 
     def gaussians_asked(self) -> int:
         """The budget as a number of Gaussians. Raises BudgetError if it is more than pixels."""

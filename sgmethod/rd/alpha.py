@@ -94,15 +94,19 @@ class _Layers:
             return self._at_psnr(self.request.budget.value), self.steps
         alpha = self._alpha()
         stream = self._colours(alpha, self.settings)
-        if self.quick is not None and self._left_s() < self.quick_s:  # time may have been short
+        if self.quick is not None and self.request.left_s() < self.quick_s:  # time may have been short
             stream = min(stream, self.quick, key=lambda one: self._error_of(draw_whole(one)))
         if self.max_bytes is not None:
-            left, error = self.max_bytes - len(container.serialise(stream)), self._error_by(alpha)
-            if left > LEFT_OVER * self.max_bytes and error > 0:
-                more = self._layer(Budget("bytes", HEADER_BYTES + len(alpha.payload) + left), 1.0)
-                if self._error_by(more) < error:
-                    stream = replace(stream, alpha=more)
+            stream = self._with_left_over(stream, self.max_bytes)
         return stream, self.steps
+
+    def _with_left_over(self, stream: StreamV4, max_bytes: int) -> StreamV4:
+        """What colours leave of the bytes goes to alpha, if there is much, and alpha is better then."""
+        alpha, left = stream.alpha, max_bytes - len(container.serialise(stream))
+        if alpha is None or left <= LEFT_OVER * max_bytes or (error := self._error_by(alpha)) == 0:
+            return stream
+        more = self._layer(Budget("bytes", HEADER_BYTES + len(alpha.payload) + left), 1.0)
+        return replace(stream, alpha=more) if self._error_by(more) < error else stream
 
     def _alpha(self) -> StreamV4:
         budget = self.request.budget
@@ -132,6 +136,8 @@ class _Layers:
                 aim += missed + self.settings.psnr_slack_db / 2
             elif shares:
                 alpha = self._of_error(shares.pop(0) * _mse(psnr_db))
+            else:
+                break
         return min(found, key=lambda one: one[0])[1]
 
     def _of_error(self, most: float) -> StreamV4:
@@ -150,9 +156,10 @@ class _Layers:
     def _of_bytes(self, most: int) -> StreamV4:
         """The one with which colours in the rest of so many bytes make the least error, in all."""
         tried = [self._within(int(GUESSED_BYTES * most))]
-        began = self._left_s()
+        clock = self.request.recorder.clock
+        began = clock.seconds()
         colours = self._colours(tried[0].stream, replace(self.settings, **EFFORTS[min(EFFORTS)]))
-        self.quick, self.quick_s = colours, began - self._left_s() if math.isfinite(began) else 0.0
+        self.quick, self.quick_s = colours, clock.seconds() - began
         error = self._error_of(np.dstack([draw_whole(colours)[..., :3], self.source]))
         guess, largest = tried[0].size, max(MOST_BYTES * most, 1.0)
         sizes = np.geomspace(min(FEWEST_BYTES, largest), largest, 64)
@@ -170,12 +177,7 @@ class _Layers:
         return min(tried, key=lambda one: in_all(one.size, one)).stream
 
     def _is_late(self) -> bool:
-        return self._left_s(OF_TIME) < 0
-
-    def _left_s(self, part: float = 1.0) -> float:
-        """Seconds until a part of the time is over; without a limit, infinity."""
-        until_s = replace(self.request, part=part).until_s()
-        return math.inf if until_s is None else until_s - self.request.recorder.clock.seconds()
+        return replace(self.request, part=OF_TIME).left_s() < 0
 
     def _within(self, size: int) -> _Tried:
         """The best with a payload of at most so many bytes, fitted once."""

@@ -37,7 +37,7 @@ class Finish:
         self.p, self.coder, self.picture = fit.p, fit.coder, fit.picture
         self.control, self.settings = fit.control, fit.settings
         self.source, self.alpha = request.pixels, request.alpha
-        self.clock, self.until = request.recorder.clock, request.until_s
+        self.clock, self.request = request.recorder.clock, request
 
     def stream(self) -> StreamV4:
         """The coded picture that meets the budget best."""
@@ -79,8 +79,7 @@ class Finish:
         return codes if codes is not None and len(pack(codes)) <= most else None
 
     def _left_s(self) -> float:
-        until_s = self.until()
-        return math.inf if until_s is None else max(until_s - self.clock.seconds(), 0.0)
+        return max(self.request.left_s(), 0.0)
 
     def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT, dearer: float = 1.0) -> StreamV4:
         price = dearer * self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)

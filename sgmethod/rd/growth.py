@@ -17,23 +17,19 @@ The whole size of a large picture is done in bands of rows, which keeps memory s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.fitting.bands import Rows, bands
 from sgmethod.scene import FloatArray
 
 BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first is that of a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
-BAND = 1 << 20  # samples of a plane, about
-LEAST_BAND = 128  # rows; an even number
 REACH = 4  # of a blur, in multiples of it; what cv2 takes
-
-Rows = Callable[[int, int], FloatArray]  # of a residual, from the first to before another: [3, rows, W]
 
 
 @dataclass(frozen=True)
@@ -68,9 +64,8 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float) -> list[Pl
     for b in blurs:
         by_shrink.setdefault(_shrink(b, min(size)), []).append(b)
     narrow = by_shrink.pop(1)
-    rows = max(BAND // width // 2 * 2, LEAST_BAND)
-    bands = [(first, min(first + rows, height)) for first in range(0, height, rows)]
-    if len(bands) == 1:
+    parts = bands(height, width)
+    if len(parts) == 1:
         residual = _drawn_once(residual, height)
     half_size = -(-height // 2), -(-width // 2)
     margin = math.ceil(REACH * narrow[-1]) + _reach(narrow[-1], 1)
@@ -78,12 +73,12 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float) -> list[Pl
 
     levels: list[_Level] = []
     if by_shrink:
-        for first, end in bands:
+        for first, end in parts:
             for plane, to in zip(residual(first, end), half[:, first // 2 : -(-end // 2)], strict=True):
                 to[...] = _halved(plane)
         levels = _coarse_levels(list(half), by_shrink)
     found = []
-    for first, end in bands:
+    for first, end in parts:
         top, bottom = max(first - margin, 0), min(end + margin, height)
         coarser = levels[-1].enlarged(top, bottom, width) if levels else None
         level = _Level(list(residual(top, bottom)), 1, narrow, coarser)

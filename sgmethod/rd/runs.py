@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from sgmethod.fitting.request import Request
 from sgmethod.fitting.schedule import Schedule
 from sgmethod.rd.fit import RdFit
@@ -38,16 +40,15 @@ class Runs:
 
     def first(self) -> None:
         """Fit and grow; a time limit or a stop shortens the schedule."""
-        until_s = self._until()
-        if until_s is not None:
-            self.fit.hurry(until_s - self.request.recorder.clock.seconds())
+        left_s = self.request.left_s(self.fit.settings.fit_share)
+        if math.isfinite(left_s):
+            self.fit.hurry(left_s)
         self._run(self.length, 0)
         self.took_s *= self.of_round / self.length
 
     def has_time(self) -> bool:
         """Whether a further round, as long as the last, ends in time."""
-        until_s = self._until()
-        return until_s is None or self.request.recorder.clock.seconds() + self.took_s < until_s
+        return self.took_s < self.request.left_s(self.fit.settings.fit_share)
 
     def until_round(self, number: int) -> None:
         """Rounds until there were so many, as far as there is time."""

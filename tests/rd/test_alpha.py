@@ -139,6 +139,7 @@ def test_a_time_limit_spoils_no_alpha(soft: bool, monkeypatch: pytest.MonkeyPatc
     for size in (1500, 20_000):
         some, more = (encode(seen_through(soft), bytes=size, time_limit_s=limit_s).stats for limit_s in (3.0, 20.0))
         assert 30 < some.psnr < more.psnr
+        assert max(some.bytes, more.bytes) <= size
 
 
 def test_previews_have_alpha() -> None:
