@@ -19,20 +19,24 @@ LaidOut laid_out(GaussianArrays&& g, const Canvas& canvas) {
 LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, const Canvas& canvas) {
   const size_t room = 8 * size / kFewestBits + 1;
   if (room > kMostRoom) return laid_out(rd_decode(p, data, size, prefix), canvas);
-  GaussianArrays g;
-  g.means.reserve(2 * room), g.factors.reserve(3 * room), g.colors.reserve(3 * room);
+  Arriving arriving(p, room);
+  std::vector<float> colors(3 * room);
   bool crowded = false;
-  const auto bring = [&](const std::function<void(int)>& there) {
+  Arrivals arrivals{static_cast<int>(room), {}, {}};
+  arrivals.bring = [&](const std::function<void(int)>& there) {
     try {
-      rd_decode(p, data, size, prefix, room, g, [&](size_t n) { there(static_cast<int>(n)); });
+      arriving.decode(data, size, prefix, there);
     } catch (const std::overflow_error&) {
       crowded = true;
     }
   };
-  const Arrivals arrivals{g.means.data(), g.factors.data(), static_cast<int>(room), bring};
+  arrivals.values = [&](int first, int last, float* means, float* factors) {
+    arriving.values(first, last, means, factors, &colors[3 * static_cast<size_t>(first)]);
+  };
   auto raster = std::make_unique<Rasterization>(arrivals, canvas, -1);
   if (crowded) return laid_out(rd_decode(p, data, size, prefix), canvas);
-  return {std::move(raster), std::move(g.colors)};
+  colors.resize(3 * static_cast<size_t>(raster->gaussians()));
+  return {std::move(raster), std::move(colors)};
 }
 
 }  // namespace sg

@@ -2,7 +2,7 @@
 //     e[r + 1] = e[r] ratio[r],   ratio[r + 1] = ratio[r] exp(-1 / l3^2):
 // two multiplications take the place of an exponential. The recurrence cannot run for long. Its rounding error grows
 // with the square of the number of rows, and a value that has underflowed stays zero. So it starts anew after every
-// column segment of `segment` rows. footprint.cpp chooses that number: a lane whose weight is visible anywhere in a
+// column segment of `segment` rows. footprint.h chooses that number: a lane whose weight is visible anywhere in a
 // segment has sigma < kFar in the segment's first row.
 #pragma once
 

@@ -135,7 +135,10 @@ SG_INLINE void sixteenth_body(const float* accumulators, int columns, int rows, 
 }
 
 #define SG_KERNELS(name, width, attribute)                                                                        \
-  attribute void cross_##name(Crossings<kManyStrips>& c, float reach) { cross<width>(c, reach); }                  \
+  attribute void cross_##name(const Placed& placed, const Grid* grids, const int* first_tile, float reach, Cursor& at, \
+                              Crossings& crossings) {                                                             \
+    cross_strips<std::min(width, 8)>(placed, grids, first_tile, reach, at, crossings);                            \
+  }                                                                                                               \
   attribute void forward_##name(const Rasterization& r, int tile, const Pair* begin, const Pair* end,             \
                                 const float* colors, float* accumulators) {                                       \
     for_batches<width>(r, tile, begin, end, [&](const Batch& batch) SG_INLINE_LAMBDA {                            \

@@ -1,7 +1,7 @@
 // The inner loops, one tile at a time, for each instruction set.
 #pragma once
 
-#include "raster/crossings.h"
+#include "raster/placed.h"
 #include "raster/rasterization.h"
 
 namespace sg {
@@ -32,8 +32,8 @@ struct TileTarget {
 };
 
 struct TileKernels {
-  // Finds the rows and lanes of some crossings.
-  void (*cross)(Crossings<kManyStrips>&, float reach);
+  // cross_strips() of placed.h.
+  void (*cross)(const Placed&, const Grid* grids, const int* first_tile, float reach, Cursor&, Crossings&);
   // accumulators [kTileHeight][3][kTileWidth] += sum over pairs of the tile of colour times weight.
   void (*forward)(const Rasterization&, int tile, const Pair* begin, const Pair* end, const float* colors,
                   float* accumulators);

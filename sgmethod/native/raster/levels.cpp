@@ -1,58 +1,12 @@
 #include "raster/levels.h"
 
 namespace sg {
-namespace {
-
-double power_of_quarter(int level) { return std::ldexp(1.0, -2 * level); }
-
-// Variance that enlarging adds, in squared samples of the level.
-double blur(int level) { return (1.0 - power_of_quarter(level)) * 0.25; }
-
-// A Gaussian's factor, and the covariance that is drawn, in samples of its level.
-struct Narrowed {
-  double p1, p2, p3;  // factor before narrowing
-  double q1, q2, q3;  // and after
-};
-
-Narrowed narrowed(const float* l, int level) {
-  const double scale = std::ldexp(1.0, -level), v = blur(level);
-  const double p1 = l[0] * scale, p2 = l[1] * scale, p3 = l[2] * scale;
-  const double a = p1 * p1 - v, b = p1 * p2, c = p2 * p2 + p3 * p3 - v;
-  const double q1 = std::sqrt(a);
-  return {p1, p2, p3, q1, b / q1, std::sqrt(a * c - b * b) / q1};
-}
-
-}  // namespace
-
-int level_of(const float* factor) {
-  const double l1 = factor[0], l2 = factor[1], l3 = factor[2];
-  constexpr double kSurelyNarrow = 1.999 * kNarrowest;  // the minor axis is no longer than l1, and no longer than l3
-  if (l1 < kSurelyNarrow || l3 < kSurelyNarrow) return 0;
-  const double a = l1 * l1, c = l2 * l2 + l3 * l3;
-  const double minor = 2.0 * (a * l3) * l3 / (a + c + std::sqrt((a - c) * (a - c) + 4.0 * (a * l2) * l2));
-  const double squared = minor / (kNarrowest * kNarrowest);  // (samples over kNarrowest)^2
-  int level = 0;
-  for (double next = 4.0; level < kMaxLevel && squared >= next; next *= 4.0) ++level;
-  return level;
-}
-
-Levelled::Levelled(const float* m, const float* l, int level) : mean{m[0], m[1]}, factor{l[0], l[1], l[2]}, gain(1.0f) {
-  if (level == 0) return;
-  const double scale = std::ldexp(1.0, -level);
-  const Narrowed n = narrowed(l, level);
-  for (float& place : mean) place = static_cast<float>(place * scale + kBorder);
-  factor[0] = static_cast<float>(n.q1);
-  factor[1] = static_cast<float>(n.q2);
-  factor[2] = static_cast<float>(n.q3);
-  gain = static_cast<float>(n.p1 * n.p3 / (n.q1 * n.q3));
-}
-
 // With a = p1^2, b = p1 p2, c = p2^2 + p3^2: q1 = sqrt(a - v), q2 = b / q1, q3 = sqrt(c - v - q2^2), and the gain is
 // p1 p3 / (q1 q3). Here d_x is the gradient by x.
 void to_pixels(const float* factor, int level, float by_gain, float* by_mean, float* by_factor) {
   if (level == 0) return;
-  const double scale = std::ldexp(1.0, -level);
-  const auto [p1, p2, p3, q1, q2, q3] = narrowed(factor, level);
+  const double scale = power_of_two(-level);
+  const auto [p1, p2, p3, q1, q2, q3] = Narrowed(factor, level);
   const double d_log_gain = by_gain * (p1 * p3 / (q1 * q3));
   const double d_q3 = by_factor[2] - d_log_gain / q3;
   const double d_c = d_q3 / (2 * q3), d_q2 = by_factor[1] - d_q3 * q2 / q3, d_b = d_q2 / q1;

@@ -7,8 +7,13 @@
 // ratio of the determinants.
 #pragma once
 
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
 #include <vector>
 
+#include "core/simd.h"
 #include "raster/footprint.h"
 
 namespace sg {
@@ -21,15 +26,59 @@ constexpr double kNarrowest = 1.4;  // samples
 constexpr int kBorder = 2;
 inline int border_of(int level) { return level == 0 ? 0 : kBorder; }
 
-// The level of a Gaussian of factor (l1, l2, l3). The same on every machine: double precision, root and comparison alone.
-int level_of(const float* factor);
+// Both without a branch: of loops over many Gaussians the compiler makes vectors. And the same on every machine: double
+// precision, root and comparison alone.
+SG_INLINE double power_of_two(int exponent) {
+  const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
+  double value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+// The level of a Gaussian of factor (l1, l2, l3); 0 if they are not those of an ellipse.
+SG_INLINE int level_of(const float* factor) {
+  const double l1 = factor[0], l2 = factor[1], l3 = factor[2];
+  const double a = l1 * l1, c = l2 * l2 + l3 * l3;
+  const double minor = 2.0 * (a * l3) * l3 / (a + c + std::sqrt((a - c) * (a - c) + 4.0 * (a * l2) * l2));
+  const double squared = minor / (kNarrowest * kNarrowest);  // (samples over kNarrowest)^2
+  uint64_t bits;
+  std::memcpy(&bits, &squared, sizeof bits);
+  const int octaves = static_cast<int>(bits >> 52) - 1023;
+  const bool wide = (l1 > 0) & (l3 > 0) & (squared >= 4.0);
+  return wide ? std::min(octaves >> 1, kMaxLevel) : 0;
+}
 
 // A Gaussian in samples of its level.
 struct Levelled {
-  Levelled(const float* mean, const float* factor, int level);
+  SG_INLINE Levelled(const float* m, const float* l, int level);
   float mean[2], factor[3];
   float gain;  // of its colour
 };
+
+// A Gaussian's factor, and the covariance that is drawn, in samples of its level.
+struct Narrowed {
+  SG_INLINE Narrowed(const float* l, int level) {
+    const double scale = power_of_two(-level), blur = (1.0 - scale * scale) * 0.25;
+    p1 = l[0] * scale, p2 = l[1] * scale, p3 = l[2] * scale;
+    const double a = p1 * p1 - blur, b = p1 * p2, c = p2 * p2 + p3 * p3 - blur;
+    q1 = std::sqrt(a), q2 = b / q1, q3 = std::sqrt(a * c - b * b) / q1;
+  }
+  double p1, p2, p3;  // factor before narrowing
+  double q1, q2, q3;  // and after
+};
+
+SG_INLINE Levelled::Levelled(const float* m, const float* l, int level) {
+  const double scale = power_of_two(-level);
+  const Narrowed n(l, level);
+  const auto on_level = [level](float pixels, double samples) SG_INLINE_LAMBDA {
+    return level == 0 ? pixels : static_cast<float>(samples);
+  };
+  for (int k = 0; k < 2; ++k) mean[k] = on_level(m[k], m[k] * scale + kBorder);
+  factor[0] = on_level(l[0], n.q1);
+  factor[1] = on_level(l[1], n.q2);
+  factor[2] = on_level(l[2], n.q3);
+  gain = on_level(1.0f, n.p1 * n.p3 / (n.q1 * n.q3));
+}
 
 // The gradients by a Gaussian's mean [2] and factor [3] in pixels, from those by its mean, factor and gain in samples of
 // its level. In place.

@@ -3,11 +3,12 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <cstring>
+#include <utility>
 
 #include "core/errors.h"
 #include "core/isa.h"
 #include "core/thread_pool.h"
-#include "raster/crossings.h"
 #include "raster/kernels.h"
 #include "raster/levels.h"
 
@@ -70,9 +71,10 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, co
 Rasterization::Rasterization(const Arrivals& arrivals, const Canvas& canvas, int isa)
     : Rasterization(canvas, isa, arrivals.room) {
   factors_.resize(3 * static_cast<size_t>(n_));
-  const int64_t pairs = find_pairs(arrivals.means, kPairsAtOnce, kPairsAtOnce, [&](const Chunk& body) {
+  const std::unique_ptr<float[]> means(new float[2 * static_cast<size_t>(n_)]);
+  const int64_t pairs = find_pairs(means.get(), kPairsAtOnce, kPairsAtOnce, [&](const Chunk& body) {
     n_ = parallel_while(chunk_, arrivals.bring, [&](int first, int last, int k) {
-      std::copy(arrivals.factors + 3 * int64_t{first}, arrivals.factors + 3 * int64_t{last}, &factors_[3 * size_t(first)]);
+      arrivals.values(first, last, &means[2 * static_cast<size_t>(first)], &factors_[3 * static_cast<size_t>(first)]);
       body(first, last, k);
     });
   });
@@ -81,7 +83,7 @@ Rasterization::Rasterization(const Arrivals& arrivals, const Canvas& canvas, int
   levels_.resize(n_);
   bins_.resize((n_ + chunk_ - 1) / chunk_);
   const int64_t most = most_pairs(n_, width(), height());
-  if (pairs > kPairsAtOnce) lay_out(arrivals.means, most);
+  if (pairs > kPairsAtOnce) lay_out(means.get(), most);
   else if (pairs > most) refuse<std::overflow_error>(kTooManyPairs);
   sort_pairs();
   set_textures();
@@ -126,95 +128,80 @@ int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t mos
   std::atomic<int64_t> total{0};
   each_chunk([&](int first, int last, int k) {
     bins_[k] = Bin(first, last, tiles());
-    Crossings<kManyStrips> crossings;
-    const auto count = [&] {
-      const int64_t found = this->count(crossings), before = total.fetch_add(found, std::memory_order_relaxed);
-      if (before + found <= most_kept) bin(crossings, bins_[k]);
-      crossings.count = 0;
-      return before + found;
-    };
+    Placed placed;
+    Crossings crossings;
     int highest = 0;
-    for (int i = first; i < last; ++i) {
-      const Ellipse ellipse = place(i, means + 2 * static_cast<int64_t>(i));
-      if (footprints_[i].segment == 0) continue;
-      const Grid& grid = grids_[levels_[i]];
-      highest = std::max(highest, int{levels_[i]});
-      for (int strip = ellipse.first_strip(grid), end = ellipse.last_strip(grid); strip <= end; ++strip) {
-        crossings.add(i, strip, ellipse, grid);
-        if (crossings.count == kManyStrips && count() > limit) return;
+    for (int i = first; i < last; i += Placed::kMost) {
+      place(means, factors_.data(), i, std::min(last - i, Placed::kMost), canvas_.pyramid, reach_, placed);
+      for (int j = 0; j < placed.count; ++j) {
+        footprints_[i + j] = placed.footprint(j);
+        levels_[i + j] = static_cast<uint8_t>(placed.level[j]);
+        highest = std::max(highest, placed.level[j]);
+      }
+      for (Cursor at; at.gaussian < placed.count; crossings.count = 0) {
+        kernels(isa_).cross(placed, grids_.data(), first_tile_.data(), reach_, at, crossings);
+        // An empty strip counts too: looking at it takes time.
+        int64_t found = 0, pairs = 0;
+        for (int c = 0; c < crossings.count; ++c) {
+          pairs += crossings.blocks[c];
+          found += std::max(crossings.blocks[c], 1);
+        }
+        const int64_t before = total.fetch_add(found, std::memory_order_relaxed);
+        if (before + found <= most_kept) bin(crossings, pairs, bins_[k]);
+        else if (before + found > limit) return;
       }
     }
-    count();
-    set_decays(&footprints_[first], last - first);
     for (int seen = top; seen < highest && !top.compare_exchange_weak(seen, highest);) {}
   });
   set_levels(top);
   return total;
 }
 
-// A Gaussian's level, and what it is in samples of it.
-Ellipse Rasterization::place(int gaussian, const float* mean) {
-  const float* factor = &factors_[3 * static_cast<int64_t>(gaussian)];
-  Footprint& f = footprints_[gaussian];
-  const int level = canvas_.pyramid ? level_of(factor) : 0;
-  if (level == 0) {
-    f = Footprint(mean, factor);
-    return f.segment == 0 ? Ellipse{} : Ellipse(f, factor, reach_);
-  }
-  const Levelled g(mean, factor, level);
-  f = Footprint(g.mean, g.factor);
-  f.gain = g.gain;
-  levels_[gaussian] = static_cast<uint8_t>(level);
-  return f.segment == 0 ? Ellipse{} : Ellipse(f, g.factor, reach_);
-}
-
-// Finds where ellipses cross, and returns the number of pairs. An empty strip counts too: looking at it takes time.
-int64_t Rasterization::count(Crossings<kManyStrips>& c) const {
-  kernels(isa_).cross(c, reach_);
-  int64_t pairs = 0;
-  for (int k = 0; k < c.count; ++k) pairs += std::max(c.blocks(k), 1);
-  return pairs;
-}
-
-void Rasterization::bin(const Crossings<kManyStrips>& c, Bin& bin) const {
-  int64_t pairs = 0;
-  for (int k = 0; k < c.count; ++k) pairs += c.blocks(k);
+void Rasterization::bin(const Crossings& c, int64_t pairs, Bin& bin) const {
   const size_t before = bin.places.size();
   bin.pairs.resize(before + pairs);
   bin.places.resize(before + pairs);
   Pair* pair = bin.pairs.data() + before;
   int32_t *place = bin.places.data() + before, *next = bin.next.data();
+  const auto add = [&](int32_t gaussian, int32_t within, int32_t tile) {
+    pair->gaussian = gaussian;
+    std::memcpy(&pair->first_row, &within, sizeof within);
+    ++pair;
+    *place++ = tile;
+    ++next[tile];
+  };
   for (int k = 0; k < c.count; ++k) {
-    const int level = levels_[c.gaussian[k]], blocks = c.blocks(k);
-    const Grid& grid = grids_[level];
-    const int first_row = c.first_row[k] - grid.y, last_row = c.last_row[k] - grid.y, across = grid.strips();
-    const int top = first_row / kTileHeight;
-    int tile = first_tile_[level] + top * across + c.strip[k] - grid.x / kTileWidth;
-    bin.counts[c.gaussian[k] - bin.first] += blocks;
-    for (int block = top; block < top + blocks; ++block, tile += across) {
-      const int base = block * kTileHeight;
-      *pair++ = {c.gaussian[k], static_cast<uint8_t>(std::max(first_row - base, 0)),
-                 static_cast<uint8_t>(std::min(last_row - base, kTileHeight - 1)), static_cast<uint8_t>(c.first_lane[k]),
-                 static_cast<uint8_t>(c.last_lane[k])};
-      *place++ = tile;
-      ++next[tile];
-    }
+    const int32_t gaussian = c.gaussian[k], blocks = c.blocks[k];
+    bin.counts[gaussian - bin.first] += blocks;
+    if (blocks == 0) continue;
+    add(gaussian, c.within[k], c.tile[k]);
+    if (blocks == 1) continue;
+    const int32_t lanes = c.within[k] >> 16 << 16, across = grids_[levels_[gaussian]].strips();
+    for (int block = 1; block < blocks; ++block)
+      add(gaussian, lanes | std::min(c.last_row[k] - block * kTileHeight, kTileHeight - 1) << 8, c.tile[k] + block * across);
   }
 }
 
 // A counting sort by tile. Bins come in order, so that each tile's Gaussians come in order of index.
 void Rasterization::sort_pairs() {
-  tile_start_.resize(tiles() + 1);
+  // Bin by bin, since neighbouring tiles are then counted at once.
+  const int count = tiles();
+  std::vector<int32_t> next(count);
+  for (const Bin& bin : bins_)
+    for (int tile = 0; tile < count; ++tile) next[tile] += bin.next[tile];
+  tile_start_.resize(count + 1);
   int64_t total = 0;
-  for (int tile = 0; tile < tiles(); ++tile) {
+  for (int tile = 0; tile < count; ++tile) {
     tile_start_[tile] = total;
-    for (Bin& bin : bins_) {
-      const int32_t count = bin.next[tile];
-      bin.next[tile] = static_cast<int32_t>(total);
-      total += count;
-    }
+    total += std::exchange(next[tile], static_cast<int32_t>(total));
   }
-  tile_start_[tiles()] = total;
+  tile_start_[count] = total;
+  for (Bin& bin : bins_)
+    for (int tile = 0; tile < count; ++tile) {
+      const int32_t here = bin.next[tile];
+      bin.next[tile] = next[tile];
+      next[tile] += here;
+    }
   pairs_.reset(new Pair[total]);  // left unset: every place is written below
   parallel_for(static_cast<int>(bins_.size()), [&](int k) {
     Bin& bin = bins_[k];

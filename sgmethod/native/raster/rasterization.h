@@ -11,8 +11,7 @@
 #include <memory>
 #include <vector>
 
-#include "raster/crossings.h"
-#include "raster/footprint.h"
+#include "raster/placed.h"
 #include "texture/texture.h"
 
 namespace sg {
@@ -45,12 +44,12 @@ struct Canvas {
   std::shared_ptr<const Texture> texture = nullptr;  // which is drawn with them, in a pyramid
 };
 
-// Gaussians that come one after the other, into arrays with room for so many. bring(there) brings them all, and calls
-// there(n) when the first n are in their places.
+// Gaussians that come one after the other, at most `room`. bring(there) brings them all, and calls there(n) when the first
+// n are there. values() gives those of [first, last): means [last - first, 2] and factors [last - first, 3].
 struct Arrivals {
-  const float *means, *factors;
   int room;
   std::function<void(const std::function<void(int)>& there)> bring;
+  std::function<void(int first, int last, float* means, float* factors)> values;
 };
 
 class Planes;
@@ -144,9 +143,7 @@ class Rasterization {
   void lay_out(const float* means, int64_t max_pairs);
   int64_t find_pairs(const float* means, int64_t limit, int64_t most_kept, const EachChunk& each_chunk);
   void set_textures();
-  Ellipse place(int gaussian, const float* mean);
-  int64_t count(Crossings<kManyStrips>& crossings) const;
-  void bin(const Crossings<kManyStrips>& crossings, Bin& bin) const;
+  void bin(const Crossings& crossings, int64_t pairs, Bin& bin) const;
   void sort_pairs();
 
   int rows_of(int tile) const;

@@ -5,8 +5,8 @@
 // that curve from the one before: no bits are spent on the order, which a set does not have. Then come the colour, u
 // within its class, v, r, and the position within the cell.
 //
-// In version 4 the integers of many Gaussians are decoded first. What follows from each by itself comes after, in vectors
-// and on several threads.
+// The integers of many Gaussians are decoded first. What follows from each by itself comes after, in vectors and on
+// several threads.
 #include "rd/codec.h"
 
 #include <algorithm>
@@ -109,6 +109,28 @@ struct Version4 {
   }
 };
 
+}  // namespace
+
+// Gaussians whose integers are decoded, and behind them perhaps one that has only its cell and colour.
+struct Batch {
+  explicit Batch(size_t room, size_t step)
+      : step(std::min(room, step)), stop(this->step), symbols(new Symbols[room + 1]), parts(new Parts[room]) {}
+  const size_t step;
+  size_t n = 0, stop;  // where somebody looks at them; there is room for so many
+  std::unique_ptr<Symbols[]> symbols;
+  std::unique_ptr<Parts[]> parts;
+
+  // Of [first, last), which have come.
+  void values(const RdParameters& p, size_t first, size_t last, float* means, float* factors, float* colors) const {
+    if (p.version == 4)
+      return dequantise(p, &symbols[first], &parts[first], static_cast<int>(last - first), means, factors, colors);
+    for (size_t i = first; i < last; ++i, means += 2, factors += 3, colors += 3)
+      dequantise(p, symbols[i], Geometry(symbols[i], Steps(p, symbols[i])), means, factors, colors);
+  }
+};
+
+namespace {
+
 // The state of a decoder. With prefix = true, it goes up to the first Gaussian that needs more.
 template <typename Version>
 struct Decoding {
@@ -117,8 +139,8 @@ struct Decoding {
   const RdParameters& p;
   const size_t size;
   const bool prefix;
-  GaussianArrays& out;
-  const std::function<void(size_t)>& arrived;  // or empty
+  Batch& batch;
+  const std::function<void()>& reached;  // the batch's stop: it sets another
   Decoder coder;
   typename Version::Models models{};
 
@@ -129,14 +151,6 @@ struct Decoding {
     if (!overrun(now)) return true;
     if (!prefix) refuse<std::runtime_error>("the data end too early");
     return false;
-  }
-  // Room for more Gaussians; returns the first of them.
-  size_t add(size_t more) {
-    const size_t n = out.means.size() / 2;
-    out.means.resize(2 * (n + more));
-    out.factors.resize(3 * (n + more));
-    out.colors.resize(3 * (n + more));
-    return n;
   }
   // Runs a loop that decodes by `now`. What is refused past the end of a prefix means nothing.
   template <typename Loop>
@@ -154,54 +168,32 @@ struct Decoding {
   }
 };
 
-// Decodes Gaussians class by class.
-class ClassesV3 {
- public:
-  explicit ClassesV3(Decoding<Version3>& d) : d_(d) {}
+// At most `room` of `count` Gaussians of a class. Returns how many there are: less where a prefix ends.
+size_t read_class(Decoding<Version3>& d, int size_class, uint32_t count, size_t room) {
+  Symbols s{};
+  s.size_class = size_class;
+  const int raw_bits = raw_distance_bits(d.p, size_class, count);
+  size_t found = 0;
+  d.attempt(d.coder, [&] {
+    for (; found < room; ++found) {
+      s.cell = d.models.cell(d.coder, raw_bits, s.cell);
+      if (!in_grid(d.p, cell_bits(size_class), s.cell)) refuse<std::runtime_error>("a position is out of range");
+      d.models.gaussian(d.coder, d.p, s);
+      if (!d.whole(d.coder)) break;
+      if (d.batch.n == d.batch.stop) d.reached();
+      d.batch.symbols[d.batch.n++] = s;
+    }
+  });
+  return found;
+}
 
-  // At most `room` of `count` Gaussians of a class. Returns how many there are: less where a prefix ends.
-  size_t read(int size_class, uint32_t count, size_t room) {
-    Symbols s{};
-    s.size_class = size_class;
-    const int raw_bits = raw_distance_bits(d_.p, size_class, count);
-    size_t found = 0;
-    d_.attempt(d_.coder, [&] {
-      for (; found < room; ++found) {
-        s.cell = d_.models.cell(d_.coder, raw_bits, s.cell);
-        if (!in_grid(d_.p, cell_bits(size_class), s.cell)) refuse<std::runtime_error>("a position is out of range");
-        const Geometry geometry = d_.models.gaussian(d_.coder, d_.p, s);
-        if (!d_.whole(d_.coder)) break;
-        const size_t at = d_.add(1);
-        dequantise(d_.p, s, geometry, &d_.out.means[2 * at], &d_.out.factors[3 * at], &d_.out.colors[3 * at]);
-      }
-    });
-    return found;
-  }
-  void finish() {
-    if (d_.arrived) d_.arrived(d_.out.means.size() / 2);
-  }
-
- private:
-  Decoding<Version3>& d_;
-};
-
-// Gaussians whose integers are decoded, and behind them perhaps one that has only its cell and colour. Their values come
-// later, of many at a time.
-struct Batch {
-  explicit Batch(int most) : most(most), symbols(new Symbols[most + 1]), parts(new Parts[most]) {}
-  const int most;
-  int n = 0;
-  std::unique_ptr<Symbols[]> symbols;  // without values
-  std::unique_ptr<Parts[]> parts;
-  ColorSize size;  // of the one behind
-};
-
-// Adds `wanted` Gaussians of a class to a batch, or less where a prefix ends: the first of the class if `begin`, not its
-// last if `more`.
-SG_INLINE void decode_batch_body(Decoding<Version4>& d, Batch& batch, const SizeClass& c, int wanted, bool begin,
+// Adds `wanted` Gaussians of a class to the batch, or less where a prefix ends: the first of the class if `begin`, not its
+// last if `more`. of_next: of the Gaussian behind them.
+SG_INLINE void decode_batch_body(Decoding<Version4>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin,
                                  bool more) {
+  Batch& batch = d.batch;
   Decoder coder = d.coder;  // copies, to be kept in registers
-  ColorSize size = batch.size;
+  ColorSize size = of_next;
   const RdParameters p = d.p;
   const SizeClass by = c;
   Models& models = d.models;
@@ -222,17 +214,17 @@ SG_INLINE void decode_batch_body(Decoding<Version4>& d, Batch& batch, const Size
     }
   });
   batch.n += found;
-  batch.size = size;
+  of_next = size;
   d.coder = coder;
 }
-void decode_batch_baseline(Decoding<Version4>& d, Batch& batch, const SizeClass& c, int wanted, bool begin, bool more) {
-  decode_batch_body(d, batch, c, wanted, begin, more);
+void decode_batch_baseline(Decoding<Version4>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin, bool more) {
+  decode_batch_body(d, of_next, c, wanted, begin, more);
 }
 #if SG_X86
-__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<Version4>& d, Batch& batch,
+__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<Version4>& d, ColorSize& of_next,
                                                                       const SizeClass& c, int wanted, bool begin,
                                                                       bool more) {
-  decode_batch_body(d, batch, c, wanted, begin, more);
+  decode_batch_body(d, of_next, c, wanted, begin, more);
 }
 #endif
 
@@ -243,45 +235,24 @@ auto best_decode_batch() {
   return decode_batch_baseline;
 }
 
-class ClassesV4 {
- public:
-  explicit ClassesV4(Decoding<Version4>& d) : d_(d), batch_(d.arrived ? kQuantiseChunk : kBatch) {}
-
-  size_t read(int size_class, uint32_t count, size_t room) {
-    static const auto decode_batch = best_decode_batch();
-    const SizeClass c = class_of(d_.p, size_class, count);
-    size_t found = 0;
-    while (found < room) {
-      if (batch_.n == batch_.most) finish();
-      const int wanted = static_cast<int>(std::min<size_t>(room - found, batch_.most - batch_.n)), before = batch_.n;
-      decode_batch(d_, batch_, c, wanted, found == 0, found + wanted < count);
-      found += batch_.n - before;
-      if (batch_.n - before < wanted) break;
-    }
-    return found;
+size_t read_class(Decoding<Version4>& d, int size_class, uint32_t count, size_t room) {
+  static const auto decode_batch = best_decode_batch();
+  const SizeClass c = class_of(d.p, size_class, count);
+  ColorSize of_next;
+  size_t found = 0;
+  while (found < room) {
+    if (d.batch.n == d.batch.stop) d.reached();
+    const size_t wanted = std::min(room - found, d.batch.stop - d.batch.n), before = d.batch.n;
+    decode_batch(d, of_next, c, static_cast<int>(wanted), found == 0, found + wanted < count);
+    found += d.batch.n - before;
+    if (d.batch.n - before < wanted) break;
   }
-
-  // The values of what is in the batch.
-  void finish() {
-    const size_t done = d_.add(static_cast<size_t>(batch_.n));
-    parallel_chunks(batch_.n, kQuantiseChunk, [&](int first, int last, int) {
-      const size_t at = done + static_cast<size_t>(first);
-      dequantise(d_.p, &batch_.symbols[first], &batch_.parts[first], last - first, &d_.out.means[2 * at],
-                 &d_.out.factors[3 * at], &d_.out.colors[3 * at]);
-    });
-    batch_.symbols[0] = batch_.symbols[batch_.n];
-    if (d_.arrived) d_.arrived(done + static_cast<size_t>(batch_.n));
-    batch_.n = 0;
-  }
-
- private:
-  Decoding<Version4>& d_;
-  Batch batch_;
-};
+  return found;
+}
 
 // Decodes a payload. False where a prefix ended. Throws std::runtime_error on what no encoder writes.
-template <typename Version, typename Classes>
-bool decode_payload(Decoding<Version>& d, Classes& classes, uint64_t limit) {
+template <typename Version>
+bool decode_payload(Decoding<Version>& d, uint64_t limit) {
   const uint64_t most = most_in(d.p, d.size);
   const bool begun = d.coder.begins();
   const int first = kMaxClass - static_cast<int>(Version::class_number(d.coder, 0));
@@ -295,7 +266,7 @@ bool decode_payload(Decoding<Version>& d, Classes& classes, uint64_t limit) {
     if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
     if (done + room > limit) refuse<std::overflow_error>("more Gaussians than the limit");
-    const size_t found = classes.read(c, count, room);
+    const size_t found = read_class(d, c, count, room);
     done += found;
     if (found < count) return false;
   }
@@ -303,25 +274,20 @@ bool decode_payload(Decoding<Version>& d, Classes& classes, uint64_t limit) {
   return true;
 }
 
-template <typename Version, typename Classes>
-void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians, size_t behind,
-                 GaussianArrays& out, const std::function<void(size_t)>& arrived) {
+template <typename Version>
+void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit, size_t behind,
+                 Batch& batch, const std::function<void()>& reached) {
   std::vector<uint8_t> padded(size + Version::Decoder::kSlack);
   std::copy_n(data, size + std::min(behind, Version::Decoder::kSlack), padded.begin());
-  Decoding<Version> d{p, size, prefix, out, arrived, typename Version::Decoder(padded.data())};
-  Classes classes(d);
-  const bool ended = decode_payload(d, classes, max_gaussians);
+  Decoding<Version> d{p, size, prefix, batch, reached, typename Version::Decoder(padded.data())};
+  const bool ended = decode_payload(d, limit);
   const size_t read = std::min(d.coder.read(), size);
   if (ended && !prefix && std::any_of(data + read, data + size, [](uint8_t byte) { return byte != 0; }))
     refuse<std::runtime_error>("there are bytes behind the last Gaussian");
-  classes.finish();
+  reached();
 }
 
-void reserve(GaussianArrays& out, size_t gaussians) {
-  out.means.reserve(2 * gaussians);
-  out.factors.reserve(3 * gaussians);
-  out.colors.reserve(3 * gaussians);
-}
+auto decode_into(const RdParameters& p) { return p.version == 3 ? decode_into<Version3> : decode_into<Version4>; }
 
 template <typename Version>
 std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, typename Version::Models& models) {
@@ -405,18 +371,40 @@ GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size
                          size_t behind) {
   GaussianArrays out;
   if (size == 0) return out;
-  reserve(out, std::min<uint64_t>(most_in(p, size), size / 2));  // in 16 bits each
-  const auto decode = p.version == 3 ? decode_into<Version3, ClassesV3> : decode_into<Version4, ClassesV4>;
-  decode(p, data, size, prefix, max_gaussians, behind, out, nullptr);
+  const size_t expected = std::min<uint64_t>(most_in(p, size), size / 2);  // in 16 bits each
+  out.means.reserve(2 * expected);
+  out.factors.reserve(3 * expected);
+  out.colors.reserve(3 * expected);
+  Batch batch(kBatch, kBatch);
+  decode_into(p)(p, data, size, prefix, max_gaussians, behind, batch, [&] {
+    const size_t done = out.means.size() / 2, all = done + batch.n;
+    out.means.resize(2 * all);
+    out.factors.resize(3 * all);
+    out.colors.resize(3 * all);
+    parallel_chunks(static_cast<int>(batch.n), kQuantiseChunk, [&](int first, int last, int) {
+      const size_t at = done + static_cast<size_t>(first);
+      batch.values(p, first, last, &out.means[2 * at], &out.factors[3 * at], &out.colors[3 * at]);
+    });
+    batch.symbols[0] = batch.symbols[batch.n];
+    batch.n = 0;
+  });
   return out;
 }
 
-void rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, size_t room, GaussianArrays& out,
-               const std::function<void(size_t)>& arrived) {
-  reserve(out, room);
+Arriving::Arriving(const RdParameters& p, size_t room) : p_(p), room_(room), batch_(new Batch(room, kQuantiseChunk)) {}
+Arriving::~Arriving() = default;
+
+void Arriving::decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived) {
   if (size == 0) return;
-  const auto decode = p.version == 3 ? decode_into<Version3, ClassesV3> : decode_into<Version4, ClassesV4>;
-  decode(p, data, size, prefix, room, 0, out, arrived);
+  Batch& batch = *batch_;
+  decode_into(p_)(p_, data, size, prefix, room_, 0, batch, [&] {
+    arrived(static_cast<int>(batch.n));
+    batch.stop = std::min(batch.n + batch.step, room_);
+  });
+}
+
+void Arriving::values(int first, int last, float* means, float* factors, float* colors) const {
+  batch_->values(p_, static_cast<size_t>(first), static_cast<size_t>(last), means, factors, colors);
 }
 
 }  // namespace sg

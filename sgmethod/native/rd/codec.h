@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <memory>
 #include <vector>
 
 namespace sg {
@@ -45,9 +46,25 @@ std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* mean
 GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
                          uint64_t max_gaussians = kMaxGaussians, size_t behind = 0);
 
-// The same, into arrays with room for `room` Gaussians. arrived(n) is called again and again when the first n are there:
-// they stay where they are, and may be read while others come. Throws std::overflow_error where the room may not do.
-void rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix, size_t room,
-               GaussianArrays& out, const std::function<void(size_t)>& arrived);
+struct Batch;
+
+// The Gaussians of a payload while it is being decoded: one thread decodes integers, and others make values of them.
+class Arriving {
+ public:
+  // room: for so many Gaussians.
+  Arriving(const RdParameters& parameters, size_t room);
+  ~Arriving();
+
+  // Decodes as rd_decode() does. arrived(n) is called again and again when the first n are there. Throws
+  // std::overflow_error where the room may not do.
+  void decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived);
+  // Of [first, last), which are there: means [last - first, 2], factors and colors [last - first, 3].
+  void values(int first, int last, float* means, float* factors, float* colors) const;
+
+ private:
+  const RdParameters p_;
+  const size_t room_;
+  const std::unique_ptr<Batch> batch_;
+};
 
 }  // namespace sg

@@ -122,8 +122,8 @@ class Refinement {
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
     for (const size_t i : waiting) {
       const Candidate c = state_.decoded(all_[i]);
-      const int column = clamp_to_int(c.mean[0] * samples / side, 0, columns - 1);
-      const int row = clamp_to_int(c.mean[1] * samples / side, 0, rows - 1);
+      const int column = std::clamp(static_cast<int>(c.mean[0] * samples / side), 0, columns - 1);
+      const int row = std::clamp(static_cast<int>(c.mean[1] * samples / side), 0, rows - 1);
       cells[static_cast<size_t>(row) * columns + column].push_back(i);
     }
     std::atomic<size_t> changed{0};

@@ -179,7 +179,7 @@ class Visitor {
  private:
   static Footprint footprint(const float* mean, const float* factor) {
     Footprint f(mean, factor);
-    set_decays(&f, 1);
+    f.decay = decay_of(f.inv_l3);
     return f;
   }
 

@@ -146,7 +146,7 @@ void for_patches(const sg::GaussianArrays& g, const std::vector<sg::Grid>& grids
     if (level == 0) continue;
     const sg::Levelled own(&g.means[2 * i], &g.factors[3 * i], level);
     sg::Footprint f(own.mean, own.factor);
-    sg::set_decays(&f, 1);
+    f.decay = sg::decay_of(f.inv_l3);
     std::vector<sg::Span> spans;
     sg::spans(f, own.factor, std::sqrt(2 * sg::kCutoffV3), grids[static_cast<size_t>(level)],
               [&](const sg::Span& span) { spans.push_back(span); });
