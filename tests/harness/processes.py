@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
+
+from service.worker.encoder import END_EARLY
 
 T = TypeVar("T")
 Kind = Literal["web", "worker", "encoder"]
@@ -61,3 +64,17 @@ def encoder_of(job_id: str) -> int | None:
         if COMMANDS["encoder"] in process.command and job_id in process.command:
             return number
     return None
+
+
+def end_early(encoder: int) -> None:
+    """Let an encoder end with what it has, as its worker asks it to. What a test does to a running encode it does to
+    one that ends no sooner: however long the test itself has to wait for a core, it is not too late.
+    """
+
+    def listens() -> bool:  # before it does the signal would be its end
+        status = Path("/proc", str(encoder), "status").read_text()
+        caught = re.search(r"^SigCgt:\t([0-9a-f]+)$", status, re.MULTILINE)
+        return caught is not None and bool(int(caught[1], 16) >> (END_EARLY - 1) & 1)
+
+    wait_until(listens)
+    os.kill(encoder, END_EARLY)

@@ -1,7 +1,8 @@
 """A stand-in for the codec, which Python loads at its start where PYTHONPATH names this folder.
 
 The encoder process of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
-2.5 s of a core. The stand-in takes the time limit to the letter, no core, and makes a file of one Gaussian.
+2.5 s of a core. The stand-in takes the time limit to the letter unless it is asked to end early, no core, and makes a
+file of one Gaussian.
 """
 
 from __future__ import annotations
@@ -17,10 +18,18 @@ from typing import Any
 
 NAME = "sgmethod.codec"
 STEPS = 4
+POLL_S = 0.05  # how soon it ends when it is to end early
 
 
 def encode(
-    pixels: Any, _budget: Any, profile: str, *, time_limit_s: float, on_progress: Callable[[Any], None], **_more: Any
+    pixels: Any,
+    _budget: Any,
+    profile: str,
+    *,
+    time_limit_s: float,
+    on_progress: Callable[[Any], None],
+    stop: Callable[[], bool],
+    **_more: Any,
 ) -> Any:
     """As sgmethod.codec.encode has it."""
     import numpy as np
@@ -34,13 +43,21 @@ def encode(
         seconds = time_limit_s * step / STEPS
         on_progress(TracePoint(seconds, step, STEPS, 20.0 + step, 0, 1, "joint"))
         if step < STEPS:
-            time.sleep(time_limit_s / STEPS)
+            _sleep(time_limit_s / STEPS, stop)
+        if stop():
+            break
     height, width = pixels.shape[:2]
     middle, shape = (width / 2, height / 2), (width / 4, 0, height / 4)
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
     data = container.serialise(StreamV3.of(one, (width, height), 0.5, (0, 0, 0), False))
     figures = {"bytes": len(data), "psnr": 24.0, "gaussians": 1, "width": width, "height": height, "profile": profile}
     return SimpleNamespace(data=data, stats=SimpleNamespace(to_dict=lambda: figures))
+
+
+def _sleep(seconds: float, stop: Callable[[], bool]) -> None:
+    until = time.monotonic() + seconds
+    while not stop() and (left := until - time.monotonic()) > 0:
+        time.sleep(min(left, POLL_S))
 
 
 class _StandIn(MetaPathFinder, Loader):

@@ -19,7 +19,7 @@ import pytest
 
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, encoder_of, processes, wait_until
+from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, wait_until
 from tests.harness.service import STAND_IN, Service, StartService
 
 
@@ -102,11 +102,12 @@ def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
 def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) -> None:
     """All processes are killed, one job being encoded and one just accepted: both are done after the next start."""
     service = start_service(extra=STAND_IN)
-    first = service.accepted_long(1)
+    first = service.accepted_slow()
     running(first)
     second = service.accepted()
     service.kill_all()
     service.start()
+    end_early(running(first))
     assert [service.wait(job_id)["attempt"] for job_id in (first, second)] == [2, 1]
     assert_settled(service, first, second)
 
@@ -146,13 +147,15 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
 def test_rule_3_published_once(duo: Service) -> None:
     """A worker sleeps while its encoder finishes; another publishes; the first wakes up with a result in hand."""
     service = duo
-    job_id = service.accepted_long(1)
+    job_id = service.accepted_slow()
     encoder = running(job_id)
     sleeper = processes()[encoder].parent
     os.kill(sleeper, signal.SIGSTOP)
     try:
-        job = service.wait(job_id)
+        end_early(encoder)
         wait_until(lambda: encoder not in processes())
+        end_early(running(job_id))
+        job = service.wait(job_id)
     finally:
         os.kill(sleeper, signal.SIGCONT)
     wait_until(lambda: f"job {job_id}: attempt 1 is no longer ours" in service.log.read_text())
@@ -164,11 +167,12 @@ def test_rule_3_published_once(duo: Service) -> None:
 def test_rule_4_the_encoder_ends_with_its_worker(solo: Service) -> None:
     """The worker is killed: its encoder ends too, and the job goes to the next worker when the lease is over."""
     service = solo
-    job_id = service.accepted_long(1)
+    job_id = service.accepted_slow()
     encoder = running(job_id)
     (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGKILL)
     wait_until(lambda: encoder not in processes())
+    end_early(running(job_id))
     assert service.wait(job_id)["attempt"] == 2
     assert service.ours("worker") != [worker]
     assert_settled(service, job_id)
@@ -203,8 +207,11 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
 def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
     """The encoder process alone dies: its worker starts the job again at once."""
     service = solo
-    job_id = service.accepted_long(1)
-    os.kill(running(job_id), signal.SIGKILL)
+    job_id = service.accepted_slow()
+    encoder = running(job_id)
+    os.kill(encoder, signal.SIGKILL)
+    wait_until(lambda: encoder not in processes())
+    end_early(running(job_id))
     job = service.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
     assert_settled(service, job_id)
@@ -213,7 +220,7 @@ def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
 def test_rule_5_poison(solo: Service) -> None:
     """A job whose encoder always dies fails after four attempts, with its last error."""
     service = solo
-    job_id = service.accepted_long(1)
+    job_id = service.accepted_slow()
     killed: set[int] = set()
     while len(killed) < 4:
         encoder = wait_until(lambda: (number := encoder_of(job_id)) not in killed and number)
