@@ -13,7 +13,7 @@ import pytest
 
 from service.keys import digest
 from tests.harness.pictures import SMALL
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import SMALL_QUEUE, Service, StartService, assert_problem
 
 BOUNDARY = "frontier"
@@ -120,16 +120,19 @@ def test_a_body_that_never_starts(hasty: Service) -> None:
         problem_from(connection, 408)
 
 
+def answered_meanwhile(connection: socket.socket) -> bool:
+    """Whether there is an answer; else one more byte goes out."""
+    if select.select([connection], [], [], 0.1)[0]:
+        return True
+    connection.sendall(b"x")
+    return False
+
+
 def test_a_body_that_trickles(hasty: Service) -> None:
     """Never long without a byte, but in all longer than the 2 s that a body may take."""
     with connect(hasty, "Content-Length: 5000") as connection:
         connection.sendall(HEAD)
-        for _ in range(100):
-            if select.select([connection], [], [], 0.1)[0]:
-                break
-            connection.sendall(b"x")
-        else:
-            raise AssertionError("no answer while the body trickled")
+        wait_until(lambda: answered_meanwhile(connection))
         problem_from(connection, 408)
 
 
@@ -138,10 +141,7 @@ def test_a_body_that_comes_too_slowly_for_its_size(start_service: StartService) 
     web = start_service("web", body_chunk_timeout_s=1, body_timeout_s=100, min_upload_rate=1000)
     with connect(web, "Content-Length: 5000") as connection:
         connection.sendall(HEAD)
-        for _ in range(600):
-            if select.select([connection], [], [], 0.1)[0]:
-                break
-            connection.sendall(b"x")
+        wait_until(lambda: answered_meanwhile(connection))
         problem_from(connection, 408)
 
 
@@ -217,11 +217,12 @@ def test_a_body_where_none_belongs(web: Service) -> None:
 
 def test_the_end_waits_for_an_upload_that_comes(start_service: StartService) -> None:
     """SIGTERM: what has begun is accepted, what is new is not, and the exit status is 0."""
-    service = start_service(stop_grace_s=20)
+    service = start_service(stop_grace_s=2 * PATIENCE_S, body_chunk_timeout_s=PATIENCE_S)
     service.client.get("/livez")
     body = HEAD + SMALL + TAIL
     with connect(service, f"Content-Length: {len(body)}") as connection:
         connection.sendall(body[:1000])
+        wait_until(lambda: service.figures()['sgmethod_taken{what="uploads"}'] == 1)
         service.process.send_signal(signal.SIGTERM)
         wait_until(lambda: refuses(service))
         connection.sendall(body[1000:])
