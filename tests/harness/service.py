@@ -164,11 +164,16 @@ class Service(ServiceProcess):
     def published(self, bitstream: bytes, owner: str | None = None) -> str:
         """The id of a job that is done, with this bitstream as its result; nothing is encoded."""
         info = sgmethod.info(bitstream)
-        request, image = EncodeRequest("bpp", 1.0, "rd", 60.0), SourceImage("PNG", info.width, info.height, 10)
+        job_id = self.submitted(SourceImage("PNG", info.width, info.height, 10), owner)
+        self.publish(job_id, bitstream)
+        return job_id
+
+    def submitted(self, image: SourceImage, owner: str | None = None) -> str:
+        """The id of a new job of which there is no more than its row in the table: nothing was posted."""
         table = self._open_table()
-        job, _ = table.submit(NewJob(new_job_id(), request, image, "f", owner=owner), Room(10_000))
+        new = NewJob(new_job_id(), EncodeRequest("bpp", 1.0, "rd", 60.0), image, "f", owner=owner)
+        job, _ = table.submit(new, Room(10_000))
         table.close()
-        self.publish(job.id, bitstream)
         return job.id
 
     def publish(self, job_id: str, bitstream: bytes) -> None:
