@@ -20,7 +20,7 @@ from tests.harness.attacks import (
 )
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
-from tests.harness.processes import processes, wait_until
+from tests.harness.processes import PATIENCE_S, processes, wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
@@ -202,7 +202,7 @@ def test_idle_connections_keep_nobody_out(start_service: StartService) -> None:
         for connection in crowd:
             connection.settimeout(100)
         for _ in range(5):
-            with httpx.Client(base_url=web.url) as client:
+            with httpx.Client(base_url=web.url, timeout=PATIENCE_S) as client:
                 assert client.get("/livez").status_code == 200
         assert crowd[0].recv(1) == b""  # it had been silent for longest
     finally:

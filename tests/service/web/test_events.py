@@ -11,7 +11,7 @@ import httpx
 
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
@@ -32,7 +32,7 @@ def read(answer: httpx.Response) -> Iterator[Event]:
 
 @contextlib.contextmanager
 def stream(service: Service, job_id: str) -> Iterator[Iterator[Event]]:
-    with httpx.stream("GET", f"{service.url}/jobs/{job_id}/events", timeout=60) as answer:
+    with httpx.stream("GET", f"{service.url}/jobs/{job_id}/events", timeout=PATIENCE_S) as answer:
         yield read(answer)
 
 
@@ -96,8 +96,8 @@ def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: S
     """One client has half of them."""
     web = start_service("web", max_event_streams=3)
     job_id = web.accepted()
-    elsewhere = httpx.HTTPTransport(local_address="127.0.0.2")
-    with stream(web, job_id) as first, stream(web, job_id) as second, httpx.Client(transport=elsewhere) as other:
+    elsewhere = httpx.Client(transport=httpx.HTTPTransport(local_address="127.0.0.2"), timeout=PATIENCE_S)
+    with stream(web, job_id) as first, stream(web, job_id) as second, elsewhere as other:
         next(first), next(second)
         answer = web.client.get(f"/jobs/{job_id}/events")
         assert_problem(answer, 429, "streams", "of yours alone")
@@ -109,14 +109,14 @@ def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: S
     for _ in range(4):  # more than the limit: each gives its place back
 
         def opened() -> bool:
-            with httpx.stream("GET", f"{web.url}/jobs/{job_id}/events", timeout=60) as answer:
+            with httpx.stream("GET", f"{web.url}/jobs/{job_id}/events", timeout=PATIENCE_S) as answer:
                 return answer.status_code == 200 and next(read(answer))[0] == "state"
 
         assert wait_until(opened)
 
 
 def test_open_streams_do_not_hold_up_the_end(start_service: StartService) -> None:
-    web = start_service("web", stop_grace_s=30)
+    web = start_service("web", stop_grace_s=2 * PATIENCE_S)
     job_id = web.accepted()
     with stream(web, job_id) as events:
         next(events)

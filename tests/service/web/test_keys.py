@@ -195,7 +195,7 @@ def test_too_many_requests(start_service: StartService) -> None:
 def test_use_is_counted_by_key(start_service: StartService) -> None:
     """Only for names of keys that are known, or anybody could make up figures; and for the operator alone to read."""
     web = start_service("web", api_keys=KEYS, metrics_key="bob")
-    with httpx.Client(base_url=web.url, headers=bearer(ANN)) as ann:
+    with httpx.Client(base_url=web.url, headers=bearer(ANN), timeout=PATIENCE_S) as ann:
         for _ in range(2):
             assert post(ann, **{"Idempotency-Key": "one"}).status_code == 202
         assert_problem(ann.get("/metrics"), 403, "may not")

@@ -16,7 +16,7 @@ import sgmethod
 from service.keys import digest
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import STAND_IN, Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
@@ -90,7 +90,7 @@ def test_a_job_that_fails_or_is_removed_meanwhile(empty: Service) -> None:
 
 
 def test_who_waits_is_told_when_the_service_stops(start_service: StartService) -> None:
-    web = start_service("web")
+    web = start_service("web", stop_grace_s=2 * PATIENCE_S)
     with ThreadPoolExecutor(1) as pool:
         url = f"{web.url}/encode?wait=300"
         waiting = pool.submit(lambda: httpx.post(url, content=SMALL, headers=BODY, timeout=400))
