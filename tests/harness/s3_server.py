@@ -5,10 +5,9 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-import urllib.error
 import urllib.request
 
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 
 
 class S3Server:
@@ -34,8 +33,8 @@ class S3Server:
 
     def _answers(self) -> bool:
         try:
-            urllib.request.urlopen(f"http://127.0.0.1:{self._port}/", timeout=5).close()
-        except urllib.error.URLError:
+            urllib.request.urlopen(f"http://127.0.0.1:{self._port}/", timeout=PATIENCE_S).close()
+        except OSError:  # an error of HTTP too, or one that comes before it has begun to answer
             return False
         return True
 
@@ -44,7 +43,7 @@ class S3Server:
         self._buckets += 1
         bucket = f"pictures{self._buckets}"
         request = urllib.request.Request(f"http://127.0.0.1:{self._port}/{bucket}", method="PUT")
-        urllib.request.urlopen(request, timeout=5).close()
+        urllib.request.urlopen(request, timeout=PATIENCE_S).close()
         return f"s3://{bucket}/sgmethod"
 
     def stop(self) -> None:
