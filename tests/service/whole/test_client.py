@@ -23,7 +23,7 @@ from sgmethod.errors import ServerError
 from sgmethod.trace import TracePoint
 from tests.harness.data import ROOT, golden_path
 from tests.harness.pictures import SMALL
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import SMALL_QUEUE, STAND_IN, Service, StartService
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
@@ -146,13 +146,13 @@ def asked(web: Service, route: str) -> float:
 
 
 def test_a_server_that_is_not_there() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        url = f"http://127.0.0.1:{free.getsockname()[1]}"
-    with Client(url, patience_s=0.1) as client:
-        with pytest.raises(ServerError, match="cannot be reached"):
-            client.submit(SMALL, Budget("bpp", 1))
-        with pytest.raises(ServerError, match="cannot be reached"):
-            client.wait("0" * 32)
+    with socket.socket() as nobody:  # who has the port, so that nobody else takes it, and does not listen
+        nobody.bind(("127.0.0.1", 0))
+        with Client(f"http://127.0.0.1:{nobody.getsockname()[1]}", patience_s=0.1) as client:
+            with pytest.raises(ServerError, match="cannot be reached"):
+                client.submit(SMALL, Budget("bpp", 1))
+            with pytest.raises(ServerError, match="cannot be reached"):
+                client.wait("0" * 32)
     for wrong in ("http://[", "nonsense"):
         with pytest.raises(ServerError), Client(wrong, patience_s=0) as client:
             client.job("0" * 32)
@@ -197,7 +197,7 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
         environment = {**os.environ, "SG_API_KEY": key, "PYTHONPATH": str(ROOT)}
         everything = [*command, "--time-limit", "1", *arguments]
         return subprocess.run(
-            everything, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60, check=False
+            everything, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=False
         )
 
     done = encode("--bpp", "2", "--json", "--trace", "trace.json")

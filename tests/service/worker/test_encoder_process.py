@@ -21,7 +21,7 @@ from service.worker.encoder import Spec, send, to_json
 from service.worker.encoder_process import Encoded, EncoderProcess, Message, Refused, TracePoint
 from tests.harness.data import ROOT
 from tests.harness.pictures import SMALL
-from tests.harness.processes import processes, wait_until
+from tests.harness.processes import PATIENCE_S, processes, wait_until
 
 PREAMBLE = "import os, sys, time; from service.worker.encoder import send; out = sys.stdout.buffer\n"
 
@@ -137,7 +137,7 @@ def test_the_encoder_ends_with_its_parent() -> None:
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(1.0)
         lifeline.close()
-        assert process.wait(30) == 3
+        assert process.wait(PATIENCE_S) == 3
 
 
 def test_spec_survives_the_command_line() -> None:
