@@ -187,7 +187,8 @@ def test_an_object_store_that_has_no_address_is_one_clear_line(run_command: RunC
 @pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])
 def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) -> None:
     """SIGTERM as soon as there is a sign of life: exit status 0 all the same."""
-    environment = {**os.environ, "SG_PORT": "0", "SG_DATA_DIR": str(tmp_path / "data"), "SG_WORKERS": "1"}
+    settings = {"port": 0, "data_dir": tmp_path / "data", "workers": 1, "stop_grace_s": PATIENCE_S}
+    environment = {**os.environ, **{f"SG_{name}".upper(): str(value) for name, value in settings.items()}}
     with subprocess.Popen(
         [sys.executable, "-m", "service", command],
         cwd=ROOT,
@@ -208,7 +209,7 @@ def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) 
 def test_web_process_and_worker_never_import_torch() -> None:
     modules = "sys, service.web.app, service.worker.loop, service.process.supervisor"
     script = f"import {modules}; sys.exit('torch' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=60, check=False).returncode == 0
+    assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=PATIENCE_S, check=False).returncode == 0
 
 
 def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
