@@ -83,6 +83,7 @@ def test_rule_5_a_job_that_the_engine_forgot(start_service: StartService, postgr
     """A row without a job of the engine gets one."""
     database_url = postgres.new_database()
     service = start_service(database_url=database_url, extra=STAND_IN)
+    wait_until(lambda: ": ready," in service.log.read_text())  # it holds no lock of the set-up that others wait for
     (worker,) = service.ours("worker")
     os.kill(worker, signal.SIGSTOP)
     job_id = service.accepted()
@@ -111,7 +112,7 @@ def test_rule_7_a_database_that_restarts(start_service: StartService, postgres: 
 
 def test_the_end_does_not_wait_for_a_database(start_service: StartService, postgres: PostgresServer) -> None:
     database_url = postgres.new_database()
-    service = start_service(database_url=database_url)
+    service = start_service(database_url=database_url, stop_grace_s=PATIENCE_S / 2)  # in which none comes back
     assert service.client.get("/readyz").status_code == 200
     with psycopg.connect(database_url, autocommit=True) as db:
         wait_until(lambda: db.execute("SELECT 1 FROM sgmethod_engine.procrastinate_workers").fetchone())
