@@ -58,6 +58,11 @@ def processes() -> dict[int, Process]:
     return found
 
 
+def state_of(number: int) -> str:
+    """The state of a process, as "T" for one that is stopped. Raises OSError if there is none."""
+    return Path("/proc", str(number), "stat").read_text().rpartition(")")[2].split()[0]
+
+
 def encoder_of(job_id: str) -> int | None:
     """The process that encodes a job, if there is one, whoever started it."""
     for number, process in processes().items():

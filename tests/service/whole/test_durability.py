@@ -8,8 +8,10 @@ left over but the bitstreams of those that are done.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import sqlite3
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -19,7 +21,7 @@ import pytest
 
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, wait_until
+from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, state_of, wait_until
 from tests.harness.service import STAND_IN, Service, StartService
 
 
@@ -72,6 +74,28 @@ def duo(two_workers: Service) -> Iterator[Service]:
 def running(job_id: str) -> int:
     """Wait for the job's encoder; its process number."""
     return wait_until(lambda: encoder_of(job_id)) or 0
+
+
+def put_to_sleep(service: Service, worker: int) -> None:
+    """Stop a worker at a moment when it does not hold SQLite's lock, for which all others would wait until it wakes up
+    again. PostgreSQL ends such a transaction by itself.
+    """
+    table = service.data_dir / "jobs.sqlite3"
+
+    def sleeps() -> bool:
+        os.kill(worker, signal.SIGSTOP)
+        wait_until(lambda: state_of(worker) == "T")
+        if not table.exists():
+            return True
+        with contextlib.closing(sqlite3.connect(table, timeout=0, isolation_level=None)) as db:
+            try:
+                db.execute("BEGIN IMMEDIATE")
+            except sqlite3.OperationalError:
+                os.kill(worker, signal.SIGCONT)
+                return False
+        return True
+
+    wait_until(sleeps)
 
 
 def assert_settled(service: Service, *done: str) -> None:
@@ -130,7 +154,7 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
     job_id = service.accepted_slow()
     encoder = running(job_id)
     sleeper = processes()[encoder].parent
-    os.kill(sleeper, signal.SIGSTOP)
+    put_to_sleep(service, sleeper)
     try:
         wait_until(lambda: service.job(job_id)["attempt"] == 2)
         assert encoder in processes()
@@ -150,7 +174,7 @@ def test_rule_3_published_once(duo: Service) -> None:
     job_id = service.accepted_slow()
     encoder = running(job_id)
     sleeper = processes()[encoder].parent
-    os.kill(sleeper, signal.SIGSTOP)
+    put_to_sleep(service, sleeper)
     try:
         end_early(encoder)
         wait_until(lambda: encoder not in processes())
@@ -236,7 +260,7 @@ def test_rule_5_poison(solo: Service) -> None:
 
 def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
-    service = start_service(max_attempts=1, extra=STAND_IN)
+    service = start_service(max_attempts=1, stop_grace_s=PATIENCE_S, extra=STAND_IN)
     job_id = service.accepted_slow()
     encoder = running(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
