@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ from service.keys import digest
 from tests.harness.browser import Chromium
 from tests.harness.data import DATA, golden_path
 from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import wait_until
+from tests.harness.processes import encoder_of, wait_until
 from tests.harness.service import Service, StartService
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, OLD, complaints, give, hold_back, open_page, says
 
@@ -66,14 +68,21 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
     give(page, "drop", SLOW, "slow.png")
     wait_until(lambda: page.is_seen("#stop"))
     address = page.run("return location.href")
-    page.open("about:blank")
-    page.open(address)
-    wait_until(lambda: page.is_seen("#stop"))
-    says(page, "Original", "#left-label")
-    page.click("#stop")
+    place = f"/jobs/{address.rpartition('#')[2]}"
+    encoder = encoder_of(place.rpartition("/")[2])
+    assert encoder
+    os.kill(encoder, signal.SIGSTOP)  # so that it is not done before the page is back
+    try:
+        page.open("about:blank")
+        page.open(address)
+        wait_until(lambda: page.is_seen("#stop"))
+        says(page, "Original", "#left-label")
+        page.click("#stop")
+    finally:
+        os.kill(encoder, signal.SIGCONT)
     says(page, "Gaussians", "#right-label")
     assert not page.is_seen("#work")
-    job = service.client.get(f"/jobs/{address.rpartition('#')[2]}").json()
+    job = service.client.get(place).json()
     assert job["state"] == "done"
     assert f"{job['result']['gaussians']:,} Gaussians" in page.text("#figures")
     assert complaints(page) == []
@@ -142,7 +151,7 @@ def test_one_that_is_pasted_and_cancelled(page: Chromium, web: Service) -> None:
     says(page, "Cancelled", "#work")
     assert page.run("return document.getElementById('work').className") == "card"
     assert not page.is_seen("#cancel")
-    assert web.client.get(place).status_code == 404
+    wait_until(lambda: web.client.get(place).status_code == 404)  # it is said before the service knows
 
 
 def test_two_tabs(page: Chromium, web: Service) -> None:
