@@ -77,8 +77,9 @@ def test_an_encode_that_is_stopped(service: Service) -> None:
 
 
 def test_a_preview_goes_with_its_job(service: Service) -> None:
-    job_id = service.accepted_slow()
-    assert service.client.get(f"/jobs/{job_id}/preview.sg").status_code == 204
+    job_id, waiting = service.accepted_slow(), service.accepted()
+    assert service.client.get(f"/jobs/{waiting}/preview.sg").status_code == 204  # for which there cannot be one yet
+    assert service.client.delete(f"/jobs/{waiting}").status_code == 204
     wait_until(lambda: any(name.startswith(f"bitstreams/{job_id}") for name in service.files()))
     assert service.client.delete(f"/jobs/{job_id}").status_code == 204
     wait_until(lambda: not any(job_id in name for name in service.files()))
