@@ -18,13 +18,13 @@ from typing import Any
 
 import httpx
 
-from tests.harness.processes import wait_until
+from tests.harness.processes import PATIENCE_S, wait_until
 
 HINT = "Chromium is not installed, so the page was not tested: sudo apt install chromium chromium-driver"
 FIREFOX_HINT = "Firefox is not installed, so the page was not tested in it: sudo apt install firefox-esr"
 REQUIRED = "SGMETHOD_TEST_BROWSER"  # set to "required", a missing browser fails the tests
 ELEMENT = "element-6066-11e4-a52e-4f735466cecf"  # the protocol's name for a reference to one
-PATIENCE_S = 60.0
+TIMEOUTS = {"script": int(1000 * PATIENCE_S)}  # milliseconds; browsers by themselves give a script 30 s
 OPTIONS = (
     "--headless=new",
     "--no-sandbox",
@@ -126,7 +126,7 @@ class Chromium(Browser):
         port = next(line.split()[-1].rstrip(".") for line in self._process.stdout if "started successfully" in line)
         self._http = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE_S)
         chrome = {"args": (*OPTIONS, "--window-size={},{}".format(*size)), "binary": shutil.which("chromium")}
-        wanted = {"goog:chromeOptions": chrome, "goog:loggingPrefs": {"browser": "ALL"}}
+        wanted = {"goog:chromeOptions": chrome, "goog:loggingPrefs": {"browser": "ALL"}, "timeouts": TIMEOUTS}
         self._session = ""
         started = self._ask("POST", "session", capabilities={"alwaysMatch": wanted})
         self._session = f"session/{started['sessionId']}/"
@@ -200,11 +200,14 @@ class Firefox(Browser):
         self._commands = 0
         self._read()  # its greeting
         self._ask("WebDriver:NewSession", {})
+        self._ask("WebDriver:SetTimeouts", TIMEOUTS)
 
     def _read(self) -> Any:
         length = b""
         while not length.endswith(b":"):
-            length += self._stream.read(1)
+            if not (digit := self._stream.read(1)):
+                raise AssertionError("Firefox has ended")
+            length += digit
         return json.loads(self._stream.read(int(length[:-1])))
 
     def _ask(self, command: str, given: dict[str, Any]) -> Any:
