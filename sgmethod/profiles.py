@@ -97,7 +97,7 @@ class Times:
     excess_until: float = 0.88
 
     # While Gaussians are few, half the size or less serves as well.
-    halved_until: float = 0.5
+    halved_until: float = 0.6
     whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
 
 

@@ -150,7 +150,7 @@ class RdFit:
         self._drop(s.bits_of_dropped if at >= s.times.growth_at[-1] else s.bits_of_nothing, most)
         self._steer(at)
         if at in s.times.growth_at:
-            self._grow(most)
+            self._grow(most, at)
 
     def _drop(self, bits: float, most: int) -> None:
         """Remove Gaussians whose energy is not worth so many bits, and the least of those beyond so many."""
@@ -180,13 +180,14 @@ class RdFit:
         if quantum != self.coder.quantum:
             self.coder = self.coder.with_quantum(quantum)
 
-    def _grow(self, most: int) -> None:
-        """Add Gaussians where they gain more than their bits are worth, so many in all at most."""
+    def _grow(self, most: int, at: float) -> None:
+        """Add Gaussians where they gain more than their bits are worth, so many in all at most. They are looked for on
+        the level of the pyramid that will do for them."""
         if self._price() >= self.price_of_none:
             return  # the error has not grown since, nor will what pays
         n = len(self.p.means)
-        picture = self.pyramid.finest
         room = min(self.control.new_gaussians(n), most - n)
+        picture = self.pyramid.at(at, self.settings.times, n + room)
         least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
         found = growth.candidates(picture.residual(self.p), (picture.height, picture.width), room, least_gain)
         means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
