@@ -132,8 +132,8 @@ void Rasterization::draw_tiles(const float* colors, const Take& take) const {
 }
 
 // Calls take(values, place in an image [3, height, width], columns) for the rows of a tile.
-template <typename Take>
-void Rasterization::for_rows(int tile, const float* values, const Take& take) const {
+template <typename Value, typename Take>
+void Rasterization::for_rows(int tile, Value* values, const Take& take) const {
   const Area a = area(tile);
   for (int row = 0; row < a.rows; ++row)
     for (int k = 0; k < 3; ++k)
@@ -293,11 +293,7 @@ void Rasterization::load(Planes& planes, int tile, float* values) const {
 void Rasterization::backward(const float* colors, const float* image_grad, const Gradients& out) const {
   const auto fill = [&](int tile, float* gradient, float* pair_gradients) {
     std::fill_n(gradient, kTileFloats, 0.0f);
-    const Area a = area(tile);
-    for (int row = 0; row < a.rows; ++row)
-      for (int k = 0; k < 3; ++k)
-        std::copy_n(image_grad + (static_cast<int64_t>(k) * height() + a.y + row) * width() + a.x, std::max(a.columns, 0),
-                    gradient + ((a.skip_rows + row) * 3 + k) * kTileWidth + a.skip_columns);
+    for_rows(tile, gradient, [&](float* to, int64_t at, int columns) { std::copy_n(image_grad + at, columns, to); });
     fit_kernels(isa_).backward(*this, tile, colors, gradient, pair_gradients);
   };
   gradients(colors, fill, out);

@@ -157,8 +157,8 @@ class Rasterization {
                  float* accumulators) const;
   template <typename Take>
   void draw_tiles(const float* colors, const Take& take) const;
-  template <typename Take>
-  void for_rows(int tile, const float* values, const Take& take) const;
+  template <typename Value, typename Take>
+  void for_rows(int tile, Value* values, const Take& take) const;
   void write_bytes(int tile, const float* accumulators, uint8_t* image) const;
   template <typename Fill>
   void gradients(const float* colors, const Fill& fill, const Gradients& out) const;

@@ -8,6 +8,7 @@ const KEPT = (1 - EDGE * (1 + CUTOFF + (CUTOFF * CUTOFF) / 2)) / (1 - EDGE * (1 
 const NARROWEST = 1.4;
 const TOP_LEVEL = 12;
 export const MOST_PIXELS = 50e6;
+export const MOST_SCALE = 64; // of a view; and one over it at least
 const { fround, max, sqrt } = Math;
 
 /** Halves to the even number. */
@@ -21,7 +22,7 @@ function rounded(x) {
 function viewOf(file, scale = 1, region = null) {
   const [x, y, w, h] = region ?? [0, 0, file.width, file.height];
   const within = x >= 0 && y >= 0 && w >= 1 && h >= 1 && x + w <= file.width && y + h <= file.height;
-  if (!(scale >= 1 / 64 && scale <= 64) || !within) throw new SgError("this view is not in the picture");
+  if (!(scale >= 1 / MOST_SCALE && scale <= MOST_SCALE) || !within) throw new SgError("this view is not in the picture");
   const [width, height] = [max(rounded(w * scale), 1), max(rounded(h * scale), 1)];
   if (width * height > MOST_PIXELS) throw new SgError("the picture is too large to be drawn here", true);
   return { x, y, width, height, sx: width / w, sy: height / h };

@@ -1,6 +1,6 @@
 // Take away: the file, pictures of any size, lines to do it again, a link, and a page that shows it.
 
-import { MOST_PIXELS } from "../decoder/drawing.js";
+import { MOST_PIXELS, MOST_SCALE } from "../decoder/drawing.js";
 import { choices, drawn, hasKey, json } from "./api.js";
 import { $ } from "./parts.js";
 import { withoutSuffix } from "./words.js";
@@ -19,8 +19,8 @@ export function save(blob, name) {
 export const saveFile = (item) => save(new Blob([item.sg]), `${withoutSuffix(item.name)}.sg`);
 
 const widths = ([width, height]) => [
-  Math.ceil(width / 64),
-  Math.floor(Math.min(64 * width, Math.sqrt((MOST_PIXELS * width) / height))),
+  Math.ceil(width / MOST_SCALE),
+  Math.floor(Math.min(MOST_SCALE * width, Math.sqrt((MOST_PIXELS * width) / height))),
 ];
 
 /** Let a picture be saved in widths that it can have. */
