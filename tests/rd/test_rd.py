@@ -335,7 +335,7 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     assert hurried.pyramid.at(RD.times.whole_from, RD.times, 1000) is hurried.picture is hurried.pyramid.levels[0]
     with torch.no_grad():
         before = len(hurried.p.means)
-        hurried._grow(before + 10)
+        hurried._grow(before + 10, RD.times.halved_until)
     added = hurried.p.means  # found in the small picture, but in pixels of the whole
     assert len(added) == before + 10
     assert added[:, 0].max() > 80
@@ -364,5 +364,5 @@ def test_the_size_grows_with_the_gaussians() -> None:
         fit.step(1.0, RD.times.growth_at[0])
     before = fit.size / len(fit.p.means)
     with torch.no_grad():
-        fit._grow(10**6)
+        fit._grow(10**6, RD.times.growth_at[1])
     assert fit.size / len(fit.p.means) == pytest.approx(before, rel=0.05)
