@@ -102,6 +102,17 @@ def test_going_back(page: Chromium, web: Service) -> None:
     says(page, "48 × 40 pixels", "#figures")
 
 
+def test_going_back_while_what_is_shown_still_changes(page: Chromium, web: Service) -> None:
+    """The address is another one before the page is told of it. What then becomes new must not take it back."""
+    open_page(page, web)
+    first = page.run("return location.hash")
+    page.click("#sample-cat")
+    says(page, "5.4 kB", "#right-label")
+    page.run(f"location.hash = '{first}'; document.querySelector('#rows [aria-pressed=true]').click()")
+    says(page, "4.7 kB", "#right-label")
+    assert page.run("return location.hash") == first
+
+
 def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Service) -> None:
     """What comes last is shown, not what ends last."""
     open_page(page, web)

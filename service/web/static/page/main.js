@@ -17,6 +17,7 @@ import { size, withoutSuffix } from "./words.js";
 const items = []; // in the order in which they came
 let current = null;
 let entered = null; // what the address stands for
+let address = location.hash.slice(1); // as far as the page has followed it
 let onLeft = "Original";
 
 const viewer = new Viewer($("stage"), $("canvas"), $("divider"), draw);
@@ -79,9 +80,10 @@ function refresh(item) {
 
 /** The address names the picture, so that a reload finds it, and going back goes to the one before. */
 function enter(item) {
-  if (!item.place) return;
-  if (location.hash.slice(1) !== item.place) {
+  if (!item.place || location.hash.slice(1) !== address) return; // who goes elsewhere is about to be followed
+  if (address !== item.place) {
     history[!entered || entered === item ? "replaceState" : "pushState"](null, "", `#${item.place}`);
+    address = item.place;
   }
   entered = item;
 }
@@ -174,6 +176,7 @@ async function again() {
 /** What the address names. */
 async function begin() {
   const wanted = location.hash.slice(1);
+  address = wanted;
   const known = items.find((item) => item.place === wanted);
   if (known) {
     entered = known;
