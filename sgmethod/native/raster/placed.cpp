@@ -15,12 +15,14 @@ SG_INLINE double exact_exp_minus(double x) {
   return v;
 }
 
-SG_INLINE double decay_exponent(float inv_l3) { return std::min(kMaxDecay, static_cast<double>(inv_l3) * inv_l3); }
+SG_INLINE float decay(float inv_l3) {
+  return static_cast<float>(exact_exp_minus(std::min(kMaxDecay, static_cast<double>(inv_l3) * inv_l3)));
+}
 
 }  // namespace
 
 float exp_minus(double x) { return static_cast<float>(exact_exp_minus(x)); }
-float decay_of(float inv_l3) { return exp_minus(decay_exponent(inv_l3)); }
+float decay_of(float inv_l3) { return decay(inv_l3); }
 
 SG_CLONES void place(const float* means, const float* factors, int first, int count, bool pyramid, float reach, Placed& p) {
   means += 2 * static_cast<int64_t>(first), factors += 3 * static_cast<int64_t>(first);
@@ -52,7 +54,7 @@ SG_CLONES void place(const float* means, const float* factors, int first, int co
     p.segment[i] = f.segment;
     p.level[i] = f.segment == 0 ? 0 : p.level[i];
   }
-  for (int i = 0; i < n; ++i) p.decay[i] = static_cast<float>(exact_exp_minus(decay_exponent(p.inv_l3[i])));
+  for (int i = 0; i < n; ++i) p.decay[i] = decay(p.inv_l3[i]);
   for (int i = 0; i < n; ++i) {
     const float factor[3] = {l1[i], l2[i], l3[i]};
     Footprint f;

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import re
 import shutil
-import sqlite3
 
 import httpx
 import pytest
@@ -13,6 +12,7 @@ import pytest
 from tests.harness.data import golden_path
 from tests.harness.processes import wait_until
 from tests.harness.service import STAND_IN, Service, StartService, assert_problem
+from tests.service.jobs.test_jobs import grow_older
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 STALL_S = 1000  # which no test waits for
@@ -41,22 +41,14 @@ def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> No
     assert web.client.get("/readyz").status_code == 200
 
 
-def grow_older(service: Service) -> None:
-    """Let far more time than STALL_S have passed since all that the table tells of."""
-    with contextlib.closing(sqlite3.connect(service.data_dir / "jobs.sqlite3")) as connection, connection as db:
-        ages = {"jobs": ("created_at", "lease_until"), "served": ("at",)}
-        for table, columns in ages.items():
-            older = ", ".join(f"{column} = {column} - {10 * STALL_S}" for column in columns)
-            db.execute(f"UPDATE {table} SET {older}")
-
-
 def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
     """Its worker's heartbeats tell that it lives."""
     service = start_service(stall_s=STALL_S, extra=STAND_IN)
     service.wait(service.accepted_slow(), "running")
     service.accepted()
     started = service.figures()["process_start_time_seconds"]
-    grow_older(service)
+    with contextlib.closing(service._open_table()) as table:
+        grow_older(table, 10 * STALL_S)
     wait_until(lambda: service.client.get("/readyz").status_code == 200)
     assert service.figures()["sgmethod_oldest_job_waits_seconds"] > STALL_S
     assert service.figures()["process_start_time_seconds"] == started
