@@ -95,7 +95,7 @@ def _web(settings: Settings, arguments: argparse.Namespace) -> None:
     if arguments.lifeline is not None:
         lifeline.watch(arguments.lifeline, lambda: os.kill(os.getpid(), signal.SIGTERM))
     given = arguments.socket
-    run_web(settings, _announce(settings) if given is None else socket.socket(fileno=given))
+    run_web(settings, lambda: _announce(settings) if given is None else socket.socket(fileno=given))
 
 
 def _worker(settings: Settings, arguments: argparse.Namespace) -> None:

@@ -7,6 +7,7 @@ import gc
 import resource
 import signal
 import socket
+from collections.abc import Callable
 from types import FrameType
 
 import uvicorn
@@ -22,8 +23,12 @@ KEEP_ALIVE_S = 10
 ACCEPTED_AT_ONCE = 16  # connections, in one turn of the event loop
 
 
-def run_web(settings: Settings, listener: socket.socket) -> None:
-    """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time."""
+def run_web(settings: Settings, listen: Callable[[], socket.socket]) -> None:
+    """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
+
+    listen is asked for the socket once the application has all that it needs: whoever is told of it can rely on that.
+    Raises JobTableError, MissingPackagesError, OSError.
+    """
     limits = ConnectionLimits(
         settings.max_connections,
         settings.max_connections_per_address,
@@ -52,6 +57,7 @@ def run_web(settings: Settings, listener: socket.socket) -> None:
         # more. An end that was asked for is no failure.
         signal.signal(number, server.handle_exit)
     _allow_many_files()
+    listener = listen()
     # uvloop accepts one connection of a socket in each turn. A newcomer would wait for as many turns, in which others
     # are answered, as there are connections before it; limits hold once they are accepted. So it has many sockets.
     server.run(sockets=[listener, *(listener.dup() for _ in range(ACCEPTED_AT_ONCE - 1))])
