@@ -28,6 +28,7 @@ namespace {
 
 constexpr double kConverged = 0.02;   // a sweep that changes a smaller part of the Gaussians is the last
 constexpr int kCoarseSweeps = 2;
+constexpr double kSmallExcess = 0.004;  // of the bytes
 constexpr int kPatience = 64;         // Gaussians between two looks at the clock
 // Samples along a cell's side, whose half is a multiple of kTileWidth. Coarse levels are small, and would be one cell.
 constexpr int kCell = 128, kCoarseCell = 64;
@@ -167,16 +168,14 @@ class Refinement {
   // Leaves out Gaussians until the payload has no more than max_bytes. Returns whether any had to go.
   bool drop_until_it_fits(std::vector<uint8_t>& payload) {
     bool dropped = false;
-    for (; payload.size() > state_.settings.max_bytes && !all_.empty(); dropped = true) {
-      drop_least(payload.size());
-      payload = encode();
-    }
+    for (; payload.size() > state_.settings.max_bytes && !all_.empty(); dropped = true) drop_least(payload);
     return dropped;
   }
 
-  // Leaves out Gaussians, beginning with those that lower the error least for each of their bits. Stops at a part of the
-  // excess: the bits are estimates, and the neighbours of one that has gone are worth more than before.
-  void drop_least(size_t bytes) {
+  // Leaves out Gaussians, beginning with those that lower the error least for each of their bits, until the payload fits.
+  // The neighbours of those that have gone are worth more than before, so this also ends once more than a small excess
+  // would go in the order of before.
+  void drop_least(std::vector<uint8_t>& payload) {
     look();
     std::vector<std::pair<double, size_t>> order(all_.size());
     std::vector<double> sizes(all_.size());
@@ -192,12 +191,19 @@ class Refinement {
       }
     });
     std::sort(order.begin(), order.end());
-    double excess = 0.6 * 8.0 * static_cast<double>(bytes - state_.settings.max_bytes);
-    for (size_t k = 0; k < order.size() && (k == 0 || excess > 0); ++k) {
-      Symbols& s = all_[order[k].second];
-      excess -= sizes[order[k].second];
-      s.y = s.a = s.b = 0;
-    }
+    std::vector<Symbols> staying = all_;
+    size_t next = 0;
+    const auto excess = [&] { return static_cast<double>(payload.size()) - static_cast<double>(state_.settings.max_bytes); };
+    do {
+      double bits = 0.6 * 8.0 * excess();  // a part of them: they are estimates
+      for (; next < order.size() && (bits > 0 || next == 0); ++next) {
+        Symbols& s = staying[order[next].second];
+        bits -= sizes[order[next].second];
+        s.y = s.a = s.b = 0;
+      }
+      all_ = staying;
+      payload = encode();
+    } while (next < order.size() && excess() > 0 && excess() < kSmallExcess * payload.size());
   }
 
   const int16_t* target_;

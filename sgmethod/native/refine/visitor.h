@@ -23,6 +23,7 @@ namespace sg {
 namespace {
 
 constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about, which the models of its integers do not count
+constexpr double kBitsOfColor = 6.0;   // that another colour may save; with fewer, candidates are lost that would win
 
 // A coder that only counts bits. The models stay as they are.
 struct BitCounter {
@@ -213,6 +214,7 @@ class Visitor {
     if (products[3] <= 0.0f) return;
     c.cost = cost(c, products);
     if (c.cost < best.cost) best = c;
+    if (is_hopeless(c, products, best)) return;
     const float color[3] = {products[0] / products[3], products[1] / products[3], products[2] / products[3]};
     Symbols rounded{};
     if (!in_range(c.factor, color) || !quantise(state_.p, c.mean, c.factor, color, rounded)) return;
@@ -226,6 +228,15 @@ class Visitor {
       }
       weigh(s, c, products, best);
     }
+  }
+
+  // Whether c is dearer than the best even in the colour that leaves least error, unrounded, and for fewer bits by more than
+  // another colour is likely to save.
+  bool is_hopeless(const Candidate& c, const float* products, const Candidate& best) const {
+    Candidate ideal = c;
+    for (int k = 0; k < 3; ++k) ideal.color[k] = products[k] / products[3];
+    const double saved = kBitsOfColor * state_.settings.price;
+    return c.cost - state_.change(c, products, -2.0) + state_.change(ideal, products, -2.0) - saved >= best.cost;
   }
 
   // Compares c in the colour of s with the best so far. Another colour may change the steps, and with them the geometry:
