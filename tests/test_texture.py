@@ -168,12 +168,19 @@ def noise(spread: float, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
     return np.random.default_rng(3).normal(0, spread, size[::-1])
 
 
-def test_noise_is_given_back_at_its_strength() -> None:
-    for spread in (6.0, 20.0):
-        codes = estimated(128 + noise(spread))
-        assert codes is not None
-        drawn = decode(file_of(codes), texture=True).astype(float)[:, :, 0]
-        assert drawn.std() / spread == pytest.approx(RD.texture_gain[0], rel=0.25)
+def drawn_spread(spread: float) -> float:
+    """What noise of this spread comes back with."""
+    codes = estimated(128 + noise(spread))
+    assert codes is not None
+    return float(decode(file_of(codes), texture=True)[:, :, 0].std())
+
+
+def test_noise_is_given_back_by_its_strength() -> None:
+    """Most of fine grain, less of what would look like noise."""
+    fine, middle, strong, strongest = (drawn_spread(spread) / spread for spread in (2.0, 3.0, 6.0, 20.0))
+    assert 1 > fine > middle > strong > strongest
+    assert middle == pytest.approx(RD.texture_gain[0], rel=0.25)
+    assert strongest < 0.5 * middle
 
 
 def lettering() -> NDArray[np.float64]:

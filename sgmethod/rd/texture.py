@@ -36,7 +36,7 @@ def estimate(source: Pixels, decoded: Pixels, settings: RdSettings) -> Codes | N
         for octave in range(native.TEXTURE_OCTAVES):
             coarse = cv2.resize(left, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
             detail = left - cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR)
-            found[octave, row] = settings.texture_gain[octave] * _spread(detail, noisy, settings)
+            found[octave, row] = _strength(_spread(detail, noisy, settings), settings.texture_gain[octave], settings)
             left = _plane(coarse)
     codes = _codes(found)
     return codes if codes.any() else None
@@ -73,8 +73,15 @@ def _spread(detail: Plane, noisy: Plane, settings: RdSettings) -> Plane:
     return _plane(np.sqrt(np.maximum(energies, 0)))
 
 
-def _codes(spreads: Plane) -> Codes:
-    """The nearest code of each spread: half a level is code 1, and each further one half a power of two more."""
-    nearest = np.rint(2 * np.log2(np.maximum(spreads, 1e-3) / 0.5)) + 1
+def _strength(spread: Plane, gain: float, settings: RdSettings) -> Plane:
+    """How much of a spread comes back."""
+    middle = settings.texture_middle
+    strength = gain * middle * (spread / middle) ** settings.texture_power
+    return _plane(np.minimum(strength, settings.texture_most * spread))
+
+
+def _codes(strengths: Plane) -> Codes:
+    """The nearest code of each strength: half a level is code 1, and each further one half a power of two more."""
+    nearest = np.rint(2 * np.log2(np.maximum(strengths, 1e-3) / 0.5)) + 1
     codes: Codes = np.clip(nearest, 0, native.TEXTURE_STRENGTHS - 1).astype(np.uint8)
     return codes
