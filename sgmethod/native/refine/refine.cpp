@@ -196,7 +196,7 @@ class Refinement {
     const auto excess = [&] { return static_cast<double>(payload.size()) - static_cast<double>(state_.settings.max_bytes); };
     do {
       double bits = 0.6 * 8.0 * excess();  // a part of them: they are estimates
-      for (; next < order.size() && (bits > 0 || next == 0); ++next) {
+      for (; next < order.size() && bits > 0; ++next) {
         Symbols& s = staying[order[next].second];
         bits -= sizes[order[next].second];
         s.y = s.a = s.b = 0;

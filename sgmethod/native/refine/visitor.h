@@ -214,10 +214,13 @@ class Visitor {
     if (products[3] <= 0.0f) return;
     c.cost = cost(c, products);
     if (c.cost < best.cost) best = c;
-    if (is_hopeless(c, products, best)) return;
-    const float color[3] = {products[0] / products[3], products[1] / products[3], products[2] / products[3]};
+    Candidate ideal = c;  // in the colour that leaves least error, unrounded
+    for (int k = 0; k < 3; ++k) ideal.color[k] = products[k] / products[3];
+    // Nothing more to win, even for fewer bits by more than another colour is likely to save.
+    const double gained = state_.change(c, products, -2.0) - state_.change(ideal, products, -2.0);
+    if (c.cost - gained - kBitsOfColor * state_.settings.price >= best.cost) return;
     Symbols rounded{};
-    if (!in_range(c.factor, color) || !quantise(state_.p, c.mean, c.factor, color, rounded)) return;
+    if (!in_range(c.factor, ideal.color) || !quantise(state_.p, c.mean, c.factor, ideal.color, rounded)) return;
     for (int toward = 0; toward < 4; ++toward) {  // the rounded colour; then one of its three parts a step nearer to zero
       Symbols s = rounded;
       if (toward > 0) {
@@ -228,15 +231,6 @@ class Visitor {
       }
       weigh(s, c, products, best);
     }
-  }
-
-  // Whether c is dearer than the best even in the colour that leaves least error, unrounded, and for fewer bits by more than
-  // another colour is likely to save.
-  bool is_hopeless(const Candidate& c, const float* products, const Candidate& best) const {
-    Candidate ideal = c;
-    for (int k = 0; k < 3; ++k) ideal.color[k] = products[k] / products[3];
-    const double saved = kBitsOfColor * state_.settings.price;
-    return c.cost - state_.change(c, products, -2.0) + state_.change(ideal, products, -2.0) - saved >= best.cost;
   }
 
   // Compares c in the colour of s with the best so far. Another colour may change the steps, and with them the geometry:
