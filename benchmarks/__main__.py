@@ -32,15 +32,20 @@ class Part:
     result: str
     small: str
     full: str
-    rivals: str = ""  # added where imagecodecs is there
+    rivals: str = ""  # added where other codecs are there
     option: str = "--out"
 
 
 PARTS = (
-    Part(
-        "rd", "kodak-rd", f"{IMAGES} --profiles rd --bpp 0.5", f"{IMAGES} --profiles rd --bpp 0.15,0.25,0.4", "--rivals"
-    ),
+    Part("rd", "kodak-rd", f"{IMAGES} --bpp 0.5", f"{IMAGES} --bpp 0.1,0.15,0.25,0.4", "--rivals"),
+    Part("rd", "kodak-quality", "", f"{IMAGES} --quality 20,30,40,50,60,70"),
     Part("rd", "kodak-paper", "", f"{IMAGES} --profiles paper,baseline --bpp 0.147,0.43"),
+    Part(
+        "rd",
+        "kodak-fitted",
+        "",
+        f"{IMAGES} --most 6 --profiles baseline --steps 20000 --coin --bpp 0.15,0.25,0.4",
+    ),
     Part(
         "convergence",
         "convergence",
@@ -71,8 +76,9 @@ PARTS = (
 def run(part: Part, options: argparse.Namespace) -> float:
     """Seconds that the command took. Its failure does not keep others from running."""
     words = (part.full if options.full else part.small).format(images=options.images).split()
+    if options.weights and part.module in ("rd", "convergence"):
+        words += ["--weights", str(options.weights)]
     if part.module == "convergence":
-        words += ["--weights", str(options.weights)] if options.weights else []
         words += [] if has_rivals() else ["--methods", "rd,paper,baseline,plain Adam,siren,hash grid"]
     elif has_rivals():
         words += part.rivals.split()
@@ -88,7 +94,7 @@ def run(part: Part, options: argparse.Namespace) -> float:
 
 def has_rivals() -> bool:
     """Whether other codecs can be measured."""
-    from benchmarks.rd.codecs import versions
+    from benchmarks.rd.rivals import versions
 
     return bool(versions())
 
@@ -99,7 +105,7 @@ def main() -> None:
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
     parser.add_argument("--only", default=",".join(dict.fromkeys(part.module for part in PARTS)), help="commands")
-    parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS")
+    parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS and its like")
     options = parser.parse_args()
     if options.full and options.images == PHOTOGRAPHS:
         parser.error("--full needs --images: a folder with the 24 pictures of Kodak")

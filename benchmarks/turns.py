@@ -18,7 +18,7 @@ from pathlib import Path
 
 from benchmarks.machine import RESULTS, Record, in_words
 from benchmarks.pictures import pictures_in
-from benchmarks.rd.codecs import Avif, Jpeg
+from benchmarks.rd.rivals import Avif, Jpeg
 from sgmethod.io import read_image_8_bit
 from sgmethod.profiles import TUNES
 from tests.harness.data import ROOT

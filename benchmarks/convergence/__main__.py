@@ -6,8 +6,8 @@
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
 and baseline: the trace of one encode, whose last point is the file; rd again under each time limit. plain Adam: as many
 Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget, in half precision. Other codecs:
-each speed or effort at the best quality within the budget. --seconds: for all but rd. --few: two settings of each other
-codec. --weights: a folder as benchmarks.perceptual takes it, for LPIPS.
+each speed or effort at the best quality within the budget, AVIF with tune=psnr. --seconds: for all but rd. --few: two
+settings of each other codec. --weights: a folder as benchmarks.perceptual takes it, for LPIPS.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import Pixels, chosen_from, sized
-from benchmarks.rd.codecs import Avif, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
+from benchmarks.rd.rivals import AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.metrics.perceptual import Networks
@@ -35,7 +35,7 @@ RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
     "jpeg2000": (lambda _: Jpeg2000(), (0,), (0,)),
     "webp": (WebP, tuple(range(7)), (0, 4)),
-    "avif": (Avif, tuple(range(11)), (6, 10)),
+    "avif": (AvifForPsnr, tuple(range(11)), (6, 10)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
 METHODS = (*OURS, "plain Adam", *NETWORKS, *RIVALS)

@@ -60,33 +60,47 @@ def plain_adam(pixels: Pixels, seconds: float, gaussians: int) -> Shown:
     yield from watched(step, show, seconds, began)
 
 
-def siren(pixels: Pixels, seconds: float, size: int) -> Shown:
-    """Sitzmann et al.: sines of sines. Four hidden layers, as wide as so many bytes allow."""
-    began = time.perf_counter()
-    torch.set_num_threads(native.thread_count())
-    width = max((w for w in range(2, 2000) if BYTES_OF_NUMBER * _numbers_of_siren(w) <= size), default=2)
-    sizes = [2, *[width] * (HIDDEN_LAYERS + 1), 3]
-    torch.manual_seed(0)
-    layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
-    with torch.no_grad():
-        for k, layer in enumerate(layers):
-            reach = 1 / 2 if k == 0 else math.sqrt(6 / layer.in_features) / 30
-            layer.weight.uniform_(-reach, reach)
+class Siren(nn.Module):
+    """Sitzmann et al.: sines of sines. hidden: layers between the first and the last."""
 
-    def network(at: Tensor) -> Tensor:
+    def __init__(self, width: int, hidden: int) -> None:
+        super().__init__()
+        torch.manual_seed(0)
+        layers = [nn.Linear(a, b) for a, b in pairwise([2, *[width] * (hidden + 1), 3])]
+        self.layers = nn.ModuleList(layers)
+        with torch.no_grad():
+            for k, layer in enumerate(layers):
+                reach = 1 / 2 if k == 0 else math.sqrt(6 / layer.in_features) / 30
+                layer.weight.uniform_(-reach, reach)
+
+    def forward(self, at: Tensor) -> Tensor:
+        """Colours in [0, 1] at places in [0, 1]."""
+        *inner, last = self.layers
         x = at * 2 - 1
-        for layer in layers[:-1]:
+        for layer in inner:
             x = torch.sin(30 * layer(x))
-        return layers[-1](x) / 2 + 0.5  # type: ignore[no-any-return]
+        return last(x) / 2 + 0.5  # type: ignore[no-any-return]
 
-    numbers = [number for layer in layers for number in layer.parameters()]
-    yield from _trained(network, numbers, RATE_OF_SIREN, pixels, seconds, began)
+
+def width_within(size: int, hidden: int) -> int:
+    """The widest Siren of at most so many bytes."""
+
+    def numbers(width: int) -> int:
+        return 3 * width + hidden * (width + 1) * width + 3 * (width + 1)
+
+    return max((w for w in range(2, 2000) if BYTES_OF_NUMBER * numbers(w) <= size), default=2)
+
+
+def siren(pixels: Pixels, seconds: float, size: int) -> Shown:
+    """Four hidden layers, as wide as so many bytes allow."""
+    began = time.perf_counter()
+    network = Siren(width_within(size, HIDDEN_LAYERS), HIDDEN_LAYERS)
+    yield from trained(network, list(network.parameters()), RATE_OF_SIREN, pixels, seconds, began)
 
 
 def hash_grid(pixels: Pixels, seconds: float, size: int) -> Shown:
     """Müller et al., Instant NGP: tables of features on grids of several sizes, and a small network."""
     began = time.perf_counter()
-    torch.set_num_threads(native.thread_count())
     torch.manual_seed(0)
     network = nn.Sequential(
         nn.Linear(LEVELS * FEATURES, WIDTH), nn.ReLU(), nn.Linear(WIDTH, WIDTH), nn.ReLU(), nn.Linear(WIDTH, 3)
@@ -102,7 +116,7 @@ def hash_grid(pixels: Pixels, seconds: float, size: int) -> Shown:
         found = [_looked_up(table, side, at) for table, side in zip(tables, sides, strict=True)]
         return network(torch.cat(found, 1)) + 0.5  # type: ignore[no-any-return]
 
-    yield from _trained(shown, [*tables, *network.parameters()], RATE_OF_GRID, pixels, seconds, began)
+    yield from trained(shown, [*tables, *network.parameters()], RATE_OF_GRID, pixels, seconds, began)
 
 
 def watched(step: Callable[[], None], show: Callable[[], Pixels], seconds: float, began: float) -> Shown:
@@ -125,7 +139,7 @@ def levels_of(values: NDArray[Any]) -> Pixels:
     return np.asarray(np.round(np.clip(values, 0, 1) * 255), np.uint8)
 
 
-def _trained(
+def trained(
     network: Callable[[Tensor], Tensor],
     numbers: list[nn.Parameter],
     rate: float,
@@ -134,18 +148,15 @@ def _trained(
     began: float,
 ) -> Shown:
     """Adam on the squared error of random pixels; what is shown has its numbers rounded to half precision."""
-    height, width = pixels.shape[:2]
-    colours = torch.from_numpy(pixels.reshape(-1, 3))
+    torch.set_num_threads(native.thread_count())
+    colours = torch.tensor(pixels.reshape(-1, 3))
     optimiser = torch.optim.Adam(numbers, lr=rate)
     random = torch.Generator().manual_seed(0)
-
-    def places(index: Tensor) -> Tensor:
-        return torch.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], 1)
 
     def step() -> None:
         index = torch.randint(len(colours), (BATCH,), generator=random)
         optimiser.zero_grad()
-        loss = ((network(places(index)) - colours[index] / 255) ** 2).mean()
+        loss = ((network(places(index, pixels.shape)) - colours[index] / 255) ** 2).mean()
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
 
@@ -154,17 +165,26 @@ def _trained(
         kept = [number.clone() for number in numbers]
         for number in numbers:
             number.copy_(number.half().float())
-        every = torch.arange(len(colours))
-        parts = [network(places(every[first : first + BATCH])) for first in range(0, len(every), BATCH)]
+        picture = drawn(network, pixels.shape)
         for number, value in zip(numbers, kept, strict=True):
             number.copy_(value)
-        return levels_of(torch.cat(parts).numpy().reshape(height, width, 3))
+        return picture
 
     yield from watched(step, show, seconds, began)
 
 
-def _numbers_of_siren(width: int) -> int:
-    return 3 * width + HIDDEN_LAYERS * (width + 1) * width + 3 * (width + 1)
+@torch.no_grad()
+def drawn(network: Callable[[Tensor], Tensor], shape: tuple[int, ...]) -> Pixels:
+    """The picture [H, W, 3] that a network shows."""
+    every = torch.arange(shape[0] * shape[1])
+    parts = [network(places(every[first : first + BATCH], shape)) for first in range(0, len(every), BATCH)]
+    return levels_of(torch.cat(parts).numpy().reshape(*shape[:2], 3))
+
+
+def places(index: Tensor, shape: tuple[int, ...]) -> Tensor:
+    """Of pixels by their numbers, x and y in [0, 1]."""
+    height, width = shape[:2]
+    return torch.stack([(index % width + 0.5) / width, (index // width + 0.5) / height], 1)
 
 
 def _looked_up(table: Tensor, side: int, at: Tensor) -> Tensor:

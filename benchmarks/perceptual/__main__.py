@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.machine import RESULTS, Record, in_words
 from benchmarks.perceptual.means import KINDS, TITLES, lines
 from benchmarks.pictures import Pixels, pictures_in
-from benchmarks.rd.codecs import Avif
+from benchmarks.rd.rivals import Avif
 from benchmarks.report.section import table
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit

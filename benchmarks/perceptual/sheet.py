@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.pictures import Pixels
-from benchmarks.rd.codecs import Avif, JpegXl
+from benchmarks.rd.rivals import Avif, JpegXl
 from sgmethod import decode, encode
 from sgmethod.io.image import read_image_8_bit
 from tests.harness.data import ROOT

@@ -1,10 +1,16 @@
-"""Rate and distortion over a folder of pictures: real files, decoded again and measured.
+"""Rate and quality over a folder of pictures: real files, decoded again and measured.
 
-    python -m benchmarks.rd --images FOLDER [--profiles paper,baseline] [--bpp 0.147,0.43] [--rivals]
+    python -m benchmarks.rd --images FOLDER [--most N] [--profiles rd,paper,baseline] [--bpp 0.15,0.25] [--effort N]
+                            [--steps N] [--rivals] [--coin] [--coin-seconds 600] [--weights FOLDER]
+    python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--weights FOLDER]
 
-One encode at a time. What the JSON already holds for the same commit and machine is not done again, so that an
-interrupted run goes on where it stopped. With --rivals (pip install '.[benchmark]') other codecs follow at the same
-rates, each at the largest quality whose file is within the rate, or at its smallest file where none is.
+One encode at a time. What the JSON already holds for the same commit, machine and settings is not done again, so that
+an interrupted run goes on where it stopped. Each file is the best of at most so many bits per pixel, or the smallest
+that its codec makes where none is. Profile rd comes twice, tuned for PSNR and for the eye. Others come with --rivals
+and --coin (pip install '.[benchmark]'); rivals.py and coin.py say how each is set.
+
+--quality: profile rd at one quality for all pictures, as published means over pictures mostly are; they may only be
+compared with such. --weights: a folder as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS too.
 """
 
 from __future__ import annotations
@@ -14,25 +20,29 @@ import math
 import statistics
 import tempfile
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.machine import RESULTS, Record, in_words
-from benchmarks.pictures import pictures_in
-from benchmarks.rd.codecs import RIVALS, Codec, Pixels, Sg
+from benchmarks.pictures import chosen_from
+from benchmarks.rd.codecs import FITTED, Codec, Pixels, Sg
+from benchmarks.rd.coin import Coin
 from benchmarks.rd.report import Row, report
-from sgmethod.io.image import read_image
+from benchmarks.rd.rivals import RIVALS, versions
+from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.profiles import PROFILE_NAMES
+from sgmethod.metrics.perceptual import MIN_SIDE, Networks, ssimulacra2
+from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
 DECODES = 5  # the median of their times is reported
 
 
-def measure(codec: Codec, image: str, pixels: Pixels, max_bpp: float) -> Row:
+def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Networks | None = None) -> Row:
     """Encode to a file, read and decode it, compare."""
-    made = codec.run(pixels, max_bpp)
+    made = codec.run(pixels, aim)
     times = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture"
@@ -43,9 +53,9 @@ def measure(codec: Codec, image: str, pixels: Pixels, max_bpp: float) -> Row:
             decoded = made.decode(path.read_bytes())
             times.append(1e3 * (time.perf_counter() - began))
     db = psnr(decoded, pixels)
-    return Row(
+    row = Row(
         codec=codec.name,
-        max_bpp=max_bpp,
+        max_bpp=aim,
         image=image,
         bytes=size,
         bpp=8 * size / (pixels.shape[0] * pixels.shape[1]),
@@ -55,35 +65,87 @@ def measure(codec: Codec, image: str, pixels: Pixels, max_bpp: float) -> Row:
         encode_s=round(made.encode_s, 3),
         decode_ms=round(statistics.median(times), 3),
     )
+    if isinstance(codec, Sg):
+        effort = codec.effort if codec.profile == "rd" else None
+        row = replace(row, effort=effort, steps=codec.steps)
+        row = replace(row, max_bpp=None, quality=aim) if codec.one_quality else row
+    if networks is None or min(pixels.shape[:2]) < MIN_SIDE:
+        return row
+    seen = networks(decoded, pixels)
+    return replace(row, ssimulacra2=ssimulacra2(decoded, pixels), lpips=seen["lpips"], dists=seen["dists"])
+
+
+def codecs_of(options: argparse.Namespace) -> list[Codec]:
+    """Those that are asked for."""
+    if options.quality:
+        return [Sg("rd", tune, options.effort, one_quality=True) for tune in TUNES]
+    ours = [name for name in options.profiles.split(",") if name]
+    codecs: list[Codec] = []
+    for name in ours:
+        codecs += [Sg(name, steps=options.steps)] if name in FITTED else [Sg(name, t, options.effort) for t in TUNES]
+    codecs += [rival() for rival in RIVALS] if options.rivals else []
+    return [*codecs, Coin(options.coin_seconds)] if options.coin else codecs
+
+
+def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """The options. Exits with one clear line for what makes no sense."""
+    options = parser.parse_args()
+    unknown = {*filter(None, options.profiles.split(","))} - {*PROFILE_NAMES}
+    if unknown:
+        parser.error(f"{', '.join(sorted(unknown))}: no such profile; there are {', '.join(PROFILE_NAMES)}")
+    if options.quality and (options.rivals or options.coin):
+        parser.error("--quality is for profile rd alone, without --rivals and --coin")
+    if min(options.bpp) <= 0 or options.most < 1:
+        parser.error("--bpp and --most take numbers above 0")
+    if options.quality and not all(0 < quality <= 100 for quality in options.quality):
+        parser.error("--quality takes numbers above 0, to 100")
+    for folder in (options.images, options.weights):
+        if folder and not folder.is_dir():
+            parser.error(f"{folder} is no folder")
+    if options.rivals and not versions():
+        parser.error("--rivals needs the extra: pip install '.[benchmark]'")
+    return options
+
+
+def numbers(text: str) -> list[float]:
+    """Of a list with commas."""
+    return [float(word) for word in text.split(",")]
 
 
 def main() -> None:
     """The command."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.rd", description="Rate and distortion over a folder.")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
-    parser.add_argument("--profiles", default="paper,baseline", help=f"of {', '.join(PROFILE_NAMES)}; may be empty")
-    parser.add_argument("--bpp", default="0.147,0.25,0.43,0.72", help="rates, each an upper limit for every file")
-    parser.add_argument("--rivals", action="store_true", help="JPEG, JPEG 2000, WebP, AVIF and JPEG XL too")
+    parser.add_argument("--most", type=int, default=10**6, help="pictures, evenly spread over the folder")
+    parser.add_argument("--profiles", default="rd", help=f"of {', '.join(PROFILE_NAMES)}; may be empty")
+    parser.add_argument("--bpp", type=numbers, default=[0.15, 0.25, 0.4], help="each an upper limit for every file")
+    parser.add_argument("--quality", type=numbers, help="in place of --bpp: qualities of profile rd")
+    parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
+    parser.add_argument("--steps", type=int, help="of the fits of profiles paper and baseline")
+    parser.add_argument("--rivals", action="store_true", help="JPEG to AVIF")
+    parser.add_argument("--coin", action="store_true", help="COIN, fitted here")
+    parser.add_argument("--coin-seconds", type=float, default=600, help="for each picture and rate")
+    parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
     parser.add_argument("--out", type=Path, default=RESULTS / "rd.json")
-    options = parser.parse_args()
-    codecs: list[Codec] = [Sg(name) for name in options.profiles.split(",") if name]
-    codecs += [rival() for rival in RIVALS] if options.rivals else []
-    rates = [float(rate) for rate in options.bpp.split(",")]
-    paths = pictures_in(options.images)
-    if not paths:
-        parser.error(f"there is no picture in {options.images}")
-
-    record = Record(options.out, "benchmarks.rd", {})
+    options = checked(parser)
+    settings: dict[str, Any] = {"codecs": versions() if options.rivals else [], "seen": options.weights is not None}
+    settings |= {"coin_seconds": options.coin_seconds} if options.coin else {}
+    networks = Networks(options.weights) if options.weights else None
+    record = Record(options.out, "benchmarks.rd", settings)
     kept = {row.key: row for row in (Row(**kept) for kept in record.rows)}
-    wanted = [(codec, rate, path) for codec in codecs for rate in rates for path in paths]
-    for codec, rate, path in wanted:
-        key = codec.name, rate, path.name
-        if key not in kept:
-            pixels = np.round(read_image(path.read_bytes()) * 255).astype(np.uint8)
-            kept[key] = measure(codec, path.name, pixels, rate)
-            record.add(asdict(kept[key]))
-    shown = report([kept[codec.name, rate, path.name] for codec, rate, path in wanted])
-    print(shown, in_words(record.content), sep="\n\n")
+    paths = chosen_from(options.images, options.most)
+    wanted = []
+    for path in paths:
+        pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
+        for codec in codecs_of(options):
+            for aim in options.quality or options.bpp:
+                key = codec.name, aim, path.name
+                if key not in kept:
+                    kept[key] = measure(codec, path.name, pixels, aim, networks)
+                    record.add(asdict(kept[key]))
+                wanted.append(kept[key])
+    libraries = [f"Other codecs: {', '.join(settings['codecs'])}."] if settings["codecs"] else []
+    print("", report(wanted), *libraries, in_words(record.content), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The report: means over the pictures, differences in rate, and a row for each picture."""
+"""The report: means over the pictures, and differences in rate."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import math
 import statistics
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks import published
+from benchmarks.report.section import number, table
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Row:
     """One picture through one codec at one rate; the fields of the JSON."""
 
     codec: str
-    max_bpp: float
+    max_bpp: float | None  # None where one quality was asked for
     image: str
     bytes: int
     bpp: float
@@ -29,16 +30,46 @@ class Row:
     gaussians: int | None
     encode_s: float
     decode_ms: float
+    quality: float | None = None  # of profile rd, in place of max_bpp
+    effort: int | None = None  # of profile rd; older files have the default and do not say so
+    steps: int | None = None  # of a fit of profiles paper and baseline, None for their own number
+    ssimulacra2: float | None = None  # None where no weights were given, as lpips and dists
+    lpips: float | None = None
+    dists: float | None = None
+
+    @property
+    def aim(self) -> float:
+        """Bits per pixel at most, or the quality."""
+        aim = self.quality if self.max_bpp is None else self.max_bpp
+        assert aim is not None
+        return aim
 
     @property
     def key(self) -> tuple[str, float, str]:
         """What makes a row one of its own."""
-        return self.codec, self.max_bpp, self.image
+        return self.codec, self.aim, self.image
 
 
 Point = tuple[float, float]  # bits per pixel, quality
 Curve = Sequence[tuple[float | None, ...]]  # bits per pixel, PSNR, MS-SSIM
-Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate, then by figure
+Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or quality, then by figure
+ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
+ANCHORS = ("avif tune=psnr", "avif", "baseline")  # measured here; the second is of older runs
+LOW_DB = 32
+FORMATS = {"images": "g", "bytes": ".0f", "bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f"}
+SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
+COSTS = {"gaussians": ".0f", "encode_s": ".2f", "decode_ms": ".2f"}
+TITLES = {
+    "images": "pictures",
+    "psnr": "PSNR",
+    "ms_ssim": "MS-SSIM",
+    "ssimulacra2": "SSIMULACRA 2",
+    "lpips": "LPIPS",
+    "dists": "DISTS",
+    "gaussians": "Gaussians",
+    "encode_s": "encode s",
+    "decode_ms": "decode ms",
+}
 
 
 def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
@@ -66,8 +97,8 @@ def means(rows: Sequence[Row]) -> Means:
     """For each codec and rate the mean of every figure over the pictures; None where a picture has none."""
     groups = defaultdict(list)
     for row in rows:
-        groups[row.codec, row.max_bpp].append(row)
-    figures = ("bytes", "bpp", "psnr", "ms_ssim", "gaussians", "encode_s", "decode_ms")
+        groups[row.codec, row.aim].append(row)
+    figures = [name for name in (*FORMATS, *SEEN, *COSTS) if name != "images"]
     result = {}
     for key, group in groups.items():
         columns = {f: [getattr(row, f) for row in group] for f in figures}
@@ -89,37 +120,80 @@ def scaled(points: Curve, column: int) -> list[Point]:
     return known if column == 1 else [(rate, -10 * math.log10(1 - value)) for rate, value in known if value < 1]
 
 
-def anchors(rows: Sequence[Row], average: Means) -> dict[str, Curve]:
-    """What rates are compared with: profile baseline of this run, and on the Kodak pictures what was published."""
-    found: dict[str, Curve] = {}
-    if any(row.codec == "baseline" for row in rows):
-        found["baseline, measured"] = curve(average, "baseline")
-    if {Path(row.image).stem for row in rows} == {f"kodim{i:02}" for i in range(1, 25)}:
-        points = published.kodak()["GaussianImage"]["points"]
-        found["GaussianImage, quoted"] = [(p["bpp"], p["psnr"], p["ms_ssim"]) for p in points]
-    return found
+def against(rows: Sequence[Row], codec: str, anchor: str) -> tuple[float, int] | None:
+    """The mean over pictures of each one's BD-rate for the same PSNR, and how many they are. None where one of the
+    pictures that both have has no such rate."""
+    images = dict.fromkeys(row.image for row in rows if row.codec == anchor)
+    return mean_rate({image: points(rows, anchor, image) for image in images}, rows, codec)
+
+
+def mean_rate(anchors: dict[str, Sequence[Point]], rows: Sequence[Row], codec: str) -> tuple[float, int] | None:
+    """The same, against points by picture."""
+    images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
+    rates = [bd_rate(anchors[image], points(rows, codec, image)) for image in images]
+    known = [rate for rate in rates if rate is not None]
+    return (statistics.fmean(known), len(known)) if known and len(known) == len(rates) else None
+
+
+def points(rows: Sequence[Row], codec: str, image: str) -> list[Point]:
+    """Bits per pixel and PSNR of one picture."""
+    return [(r.bpp, r.psnr) for r in rows if (r.codec, r.image) == (codec, image) and r.psnr is not None]
+
+
+def against_cool_chic(rows: Sequence[Row], codec: str, below: float | None = None) -> tuple[float, int] | None:
+    """Against the points that Cool-Chic published for each picture. below: dB, where only our points below it count,
+    and pictures that have two of them."""
+    known: dict[str, Sequence[Point]] = {row.image: published.cool_chic().get(Path(row.image).stem, []) for row in rows}
+    if below is None:
+        return mean_rate(known, rows, codec)
+    low = [row for row in rows if row.psnr is not None and row.psnr < below]
+    known = {image: anchor for image, anchor in known.items() if len(points(low, codec, image)) > 1}
+    return mean_rate(known, low, codec)
+
+
+def against_quoted(average: Means, codec: str, other: str, column: int = 1) -> float | None:
+    """Of means over pictures, against a published curve of means. None where the two average in different ways."""
+    quoted = published.kodak()[other]
+    if ("one rate" in quoted["averaged"]) is (ONE_QUALITY in codec):
+        return None
+    anchor = [(p["bpp"], p["psnr"], p.get("ms_ssim")) for p in quoted["points"]]
+    return bd_rate(scaled(anchor, column), scaled(curve(average, codec), column))
+
+
+def is_kodak(rows: Sequence[Row]) -> bool:
+    """Whether the pictures are those that published means are of."""
+    return {Path(row.image).stem for row in rows} == {f"kodim{i:02}" for i in range(1, 25)}
+
+
+def means_table(average: Means) -> str:
+    """A line for each codec and rate; figures that nothing has are left out."""
+    columns = {name: form for name, form in (FORMATS | SEEN | COSTS).items() if any(m[name] for m in average.values())}
+    qualities = any(ONE_QUALITY in codec for codec, _ in average)
+    titles = ["codec", "quality" if qualities else "bpp at most", *(TITLES.get(name, name) for name in columns)]
+    lines = [
+        [codec, f"{aim:g}", *(number(m[name], form) for name, form in columns.items())]
+        for (codec, aim), m in sorted(average.items(), key=lambda item: item[0][1])
+    ]
+    return table(" | ".join(titles), lines)
+
+
+def rates_table(rows: Sequence[Row]) -> str:
+    """BD-rates for the same PSNR against what was measured, picture by picture, and what was published."""
+    average, kodak = means(rows), is_kodak(rows)
+    lines = []
+    for codec in dict.fromkeys(row.codec for row in rows):
+        for anchor in ANCHORS:
+            if anchor != codec and (found := against(rows, codec, anchor)):
+                lines.append([codec, anchor, f"mean over {found[1]} pictures", f"{found[0]:+.1f} %"])
+        for below, what in ((None, "Cool-Chic 5.0, quoted"), (LOW_DB, f"Cool-Chic 5.0, quoted, below {LOW_DB} dB")):
+            if found := against_cool_chic(rows, codec, below):
+                lines.append([codec, what, f"mean over {found[1]} pictures", f"{found[0]:+.1f} %"])
+        for other, quoted in published.kodak().items() if kodak else ():
+            if (rate := against_quoted(average, codec, other)) is not None:
+                lines.append([codec, f"{other}, quoted", f"of means {quoted['averaged']}", f"{rate:+.1f} %"])
+    return table("codec | against | how | BD-rate, PSNR", lines) if lines else ""
 
 
 def report(rows: Sequence[Row]) -> str:
-    """Markdown: means, differences in rate from the published baseline, then every picture."""
-    average = means(rows)
-    titles = "| bpp at most | images | bytes | bpp | PSNR | MS-SSIM | Gaussians | encode s | decode ms |"
-    rule = "|---" * 10 + "|"
-    lines = ["| codec " + titles, rule]
-    lines += [f"| {codec} | {limit:g} | {m['images']:g} | {_cells(m)}" for (codec, limit), m in average.items()]
-    lines += ["", "| codec | rate against | BD-rate, PSNR | BD-rate, MS-SSIM |", "|---" * 4 + "|"]
-    for name, anchor in anchors(rows, average).items():
-        for codec in dict.fromkeys(codec for codec, _ in average if not name.startswith(f"{codec},")):
-            rates = [bd_rate(*(scaled(p, column) for p in (anchor, curve(average, codec)))) for column in (1, 2)]
-            cells = ["-" if rate is None else f"{rate:+.1f} %" for rate in rates]
-            lines.append(f"| {codec} | {name} | {cells[0]} | {cells[1]} |")
-    lines += ["", "| codec " + titles.replace("images", "image"), rule]
-    lines += [f"| {r.codec} | {r.max_bpp:g} | {r.image} | {_cells(asdict(r))}" for r in rows]
-    return "\n".join(lines)
-
-
-def _cells(figures: dict[str, float | None]) -> str:
-    formats = {"bytes": ".0f", "bpp": ".4f", "psnr": ".2f", "ms_ssim": ".4f", "gaussians": ".0f"}
-    formats |= {"encode_s": ".2f", "decode_ms": ".2f"}
-    cells = ["-" if figures[name] is None else format(figures[name], form) for name, form in formats.items()]
-    return " | ".join(cells) + " |"
+    """Markdown: means over the pictures, then differences in rate, below 0 % for fewer bits."""
+    return "\n\n".join(filter(None, [means_table(means(rows)), rates_table(rows)]))

@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
-import statistics
 from collections.abc import Sequence
 from itertools import cycle
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks import published
-from benchmarks.rd.report import Means, Row, bd_rate, curve, means, scaled
+from benchmarks.rd.report import (
+    LOW_DB,
+    SEEN,
+    Means,
+    Row,
+    against,
+    against_cool_chic,
+    against_quoted,
+    curve,
+    means,
+    scaled,
+)
 from benchmarks.report.section import Content, Section, number, table
 
 NAMES = {
     "rd": "`rd`",
+    "rd visual": "`rd`, tuned for the eye",
+    "rd one quality": "`rd`, one quality",
+    "rd visual one quality": "`rd`, tuned for the eye, one quality",
     "paper": "`paper`",
     "baseline": "`baseline`",
     "avif": "AVIF, 4:2:0, speed 4",
+    "avif tune=psnr": "AVIF, 4:4:4, speed 4, `tune=psnr`",
+    "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
+    "avif grain": "AVIF, the same with grain",
+    "heic": "HEIC, x265, 4:2:0, `tune=psnr`",
     "jpeg2000": "JPEG 2000",
     "webp": "WebP, method 6",
     "jpegxl": "JPEG XL, effort 7",
+    "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
+    "coin": "COIN",
 }
 RATES = (0.15, 0.25, 0.4)
 ANCHOR = "GaussianImage"
+AVIF_FOR_EYES = "avif tune=iq"
 
 
 def rows_of(*contents: Content) -> list[Row]:
@@ -34,18 +53,31 @@ def rows_of(*contents: Content) -> list[Row]:
     return [Row(**row) for content in contents for row in content["rows"]]
 
 
-def section(*measured_in: Content | None) -> Section:
-    """From kodak-rd.json and kodak-paper.json, as far as there are."""
-    contents = [content for content in measured_in if content]
-    rows = rows_of(*contents)
+def name_of(codec: str) -> str:
+    """As a reader sees it. Names with an effort or a number of steps say what they are."""
+    return NAMES.get(codec, codec)
+
+
+def avif_of(rows: Sequence[Row], best: str) -> str:
+    """AVIF's row that is compared with, where it was measured; older runs have one alone."""
+    return best if any(row.codec == best for row in rows) else "avif"
+
+
+def section(
+    main: Content | None, paper: Content | None, one_quality: Content | None = None, fitted: Content | None = None
+) -> Section:
+    """From kodak-rd.json, kodak-paper.json, kodak-quality.json and kodak-fitted.json, as far as there are."""
+    contents = [content for content in (main, paper, one_quality, fitted) if content]
+    rows = rows_of(*(content for content in (main, paper) if content))
     average = means(rows)
+    rates = {
+        "GaussianImage as published": against_quoted(average, "rd", ANCHOR),
+        "AVIF": first(against(rows, "rd", avif_of(rows, "avif tune=psnr"))),
+        "Cool-Chic 5.0 as published": first(against_cool_chic(rows, "rd")),
+    }
     told = [
         f"{abs(rate):.1f} % {'fewer' if rate < 0 else 'more'} bits than {name}"
-        for name, rate in (
-            ("GaussianImage as published", rate_against_quoted(average, "rd")),
-            ("AVIF", against(rows, "rd", "avif")),
-            ("Cool-Chic 5.0 as published", against_cool_chic(rows, "rd")),
-        )
+        for name, rate in rates.items()
         if rate is not None
     ]
     said = (
@@ -53,7 +85,11 @@ def section(*measured_in: Content | None) -> Section:
         f"them? Profile `rd` needs {', '.join(told)}. Kodak alone, and PSNR and MS-SSIM alone, are no "
         "statement on other pictures, nor on what an eye sees."
     )
-    tables = [measured(average), differences(rows, average), quoted()]
+    tables = [measured(average), differences(rows, average)]
+    tables += [seen(average)] if any(row.lpips is not None for row in rows) else []
+    tables += [on_fewer(rows, rows_of(fitted))] if fitted else []
+    tables += [at_one_quality(rows_of(one_quality))] if one_quality else []
+    tables += [quoted()]
     return Section("rate", "Rate against quality", said, tables, contents, draw=lambda axes: draw(axes, average))
 
 
@@ -63,7 +99,7 @@ def measured(average: Means) -> str:
     forms = {"images": "g", "bytes": ".0f", "bpp": ".4f", "psnr": ".2f", "ms_ssim": ".4f", "gaussians": ".0f"}
     forms |= {"encode_s": ".2f", "decode_ms": ".2f"}
     cells = [
-        [NAMES[codec], f"{limit:g}", *(number(m[name], form) for name, form in forms.items())]
+        [name_of(codec), f"{limit:g}", *(number(m[name], form) for name, form in forms.items())]
         for (codec, limit), m in sorted(average.items(), key=lambda item: (item[0][1], -(item[1]["psnr"] or 0)))
     ]
     return table(titles, cells)
@@ -71,13 +107,73 @@ def measured(average: Means) -> str:
 
 def differences(rows: Sequence[Row], average: Means) -> str:
     """BD-rates, each against what averages in the same way."""
+    avif = avif_of(rows, "avif tune=psnr")
     titles = "codec | against GaussianImage, quoted, of means | against Cool-Chic 5.0, quoted, mean of pictures | "
-    titles += "against AVIF, mean of pictures"
+    titles += f"the same below {LOW_DB} dB | against {name_of(avif).partition(',')[0]}, mean of pictures"
     lines = []
     for codec in dict.fromkeys(codec for codec, _ in average):
-        found = (rate_against_quoted(average, codec), against_cool_chic(rows, codec), against(rows, codec, "avif"))
-        lines.append([NAMES[codec], *(number(rate, "+.1f") + (" %" if rate is not None else "") for rate in found)])
-    return "BD-rate for the same PSNR, below 0 for fewer bits:\n\n" + table(titles, lines)
+        found = (
+            against_quoted(average, codec, ANCHOR),
+            first(against_cool_chic(rows, codec)),
+            None if codec == avif else first(against(rows, codec, avif)),
+        )
+        low = against_cool_chic(rows, codec, LOW_DB)
+        cells = [*map(percent, found)]
+        cells.insert(2, percent(low[0]) + f" ({low[1]})" if low else percent(None))
+        lines.append([name_of(codec), *cells])
+    note = (
+        f"BD-rate for the same PSNR, below 0 for fewer bits. Below {LOW_DB} dB: the mean of those pictures, in "
+        "brackets how many, of which the codec has two points or more there."
+    )
+    return f"{note}\n\n" + table(titles, lines)
+
+
+def seen(average: Means) -> str:
+    """Metrics that follow the eye, beside AVIF as it is tuned for that."""
+    limits = sorted({limit for codec, limit in average if codec == AVIF_FOR_EYES})
+    lines = []
+    for limit in limits:
+        mine = {codec: m for (codec, at), m in average.items() if at == limit and m["lpips"] is not None}
+        for codec, m in sorted(mine.items(), key=lambda item: item[1]["lpips"] or 0):
+            cells = [number(m[name], form) for name, form in ({"bpp": ".3f"} | SEEN).items()]
+            lines.append([f"{limit:g}", name_of(codec), *cells])
+    note = (
+        "SSIMULACRA 2 (higher is better), LPIPS (AlexNet) and DISTS (lower is better), the lowest LPIPS first. AVIF is "
+        "best compared with by its row with `tune=iq`, as libavif does where nobody says anything."
+    )
+    return f"{note}\n\n" + table("bpp at most | codec | bpp | SSIMULACRA 2 | LPIPS | DISTS", lines)
+
+
+def on_fewer(rows: Sequence[Row], fitted: Sequence[Row]) -> str:
+    """What takes minutes for a picture, beside the others on the same pictures."""
+    images = {row.image for row in fitted}
+    others = {"rd", avif_of(rows, "avif tune=psnr")}
+    beside = [row for row in rows if row.image in images and row.codec in others]
+    return f"On {len(images)} of the pictures, what is fitted for minutes:\n\n" + measured(means([*fitted, *beside]))
+
+
+def at_one_quality(rows: Sequence[Row]) -> str:
+    """Against published means over pictures of one quality, as these are."""
+    average = means(rows)
+    lines = []
+    for other, codec in published.kodak().items():
+        for ours in dict.fromkeys(row.codec for row in rows):
+            found = [against_quoted(average, ours, other, column) for column in (1, 2)]
+            if any(rate is not None for rate in found):
+                lines.append([name_of(ours), f"{other}, quoted", *map(percent, found), codec["averaged"]])
+    qualities = ", ".join(f"{quality:g}" for quality in sorted({row.aim for row in rows}))
+    note = f"BD-rate of means over pictures, ours at one quality for all of them ({qualities}), below 0 for fewer bits:"
+    return f"{note}\n\n" + table("codec | against | PSNR | MS-SSIM | means of theirs", lines)
+
+
+def percent(rate: float | None) -> str:
+    """A difference in rate."""
+    return number(rate, "+.1f") + (" %" if rate is not None else "")
+
+
+def first(found: tuple[float, int] | None) -> float | None:
+    """The rate alone, where the number of pictures is known."""
+    return found[0] if found else None
 
 
 def quoted() -> str:
@@ -106,43 +202,13 @@ def at(points: Sequence[tuple[Any, ...]], rate: float, column: int) -> float | N
     return float(PchipInterpolator(np.log(rates), values)(np.log(rate)))
 
 
-def rate_against_quoted(average: Means, codec: str) -> float | None:
-    """BD-rate against GaussianImage as published; both are means at one rate."""
-    anchor = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"]]
-    return bd_rate(anchor, scaled(curve(average, codec), 1))
-
-
-def against(rows: Sequence[Row], codec: str, other: str) -> float | None:
-    """The mean over pictures of each one's BD-rate. None where one picture has none."""
-    if codec == other:
-        return None
-    return _mean_rate({row.image: points(rows, other, row.image) for row in rows}, rows, codec)
-
-
-def against_cool_chic(rows: Sequence[Row], codec: str) -> float | None:
-    """The same against the points of Cool-Chic's table."""
-    known = published.cool_chic()
-    return _mean_rate({row.image: known.get(Path(row.image).stem, []) for row in rows}, rows, codec)
-
-
-def points(rows: Sequence[Row], codec: str, image: str) -> list[tuple[float, float]]:
-    """Bits per pixel and PSNR of one picture."""
-    return [(r.bpp, r.psnr) for r in rows if (r.codec, r.image) == (codec, image) and r.psnr is not None]
-
-
-def _mean_rate(anchors: dict[str, list[tuple[float, float]]], rows: Sequence[Row], codec: str) -> float | None:
-    rates = [bd_rate(anchor, points(rows, codec, image)) for image, anchor in anchors.items()]
-    known = [rate for rate in rates if rate is not None]
-    return statistics.fmean(known) if known and len(known) == len(rates) else None
-
-
 def draw(axes: Any, average: Means) -> None:
     """PSNR against bits per pixel; every curve has its own marks and line."""
-    styles = cycle([("-", "o"), ("--", "s"), ("-.", "^"), (":", "D"), ("-", "v"), ("--", "x"), ("-.", "P")])
+    styles = cycle([("-", "o"), ("--", "s"), ("-.", "^"), (":", "D"), ("-", "v"), ("--", "x"), ("-.", "P"), (":", "<")])
     for codec in dict.fromkeys(codec for codec, _ in average):
         shown = sorted(scaled(curve(average, codec), 1))
         line, mark = next(styles)
-        axes.plot(*zip(*shown, strict=True), line, marker=mark, label=NAMES[codec].strip("`"))
+        axes.plot(*zip(*shown, strict=True), line, marker=mark, label=name_of(codec).replace("`", ""))
     shown = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"] if p["bpp"] < 0.75]
     axes.plot(*zip(*shown, strict=True), ":", marker="*", label=f"{ANCHOR}, quoted")
     axes.set(xlabel="bits per pixel", ylabel="PSNR, dB")

@@ -7,7 +7,7 @@ import statistics
 from pathlib import Path
 
 from benchmarks.perceptual import means as perceptual
-from benchmarks.rd.report import means
+from benchmarks.rd.report import against_quoted, means
 from benchmarks.report import rate
 from benchmarks.report.section import load, number, table
 
@@ -31,7 +31,7 @@ def codecs(results: Path) -> str:
         ((c, m) for (c, limit), m in average.items() if limit == 0.25), key=lambda cm: -(cm[1]["psnr"] or 0)
     )
     forms = {"bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f", "decode_ms": ".2f"}
-    lines = [[rate.NAMES[c], *(number(m[name], form) for name, form in forms.items())] for c, m in chosen]
+    lines = [[rate.name_of(c), *(number(m[name], form) for name, form in forms.items())] for c, m in chosen]
     return table("codec | bpp | PSNR | MS-SSIM | decode ms", lines)
 
 
@@ -71,7 +71,7 @@ def profiles(results: Path) -> str:
     lines = []
     for profile, low, high in (("rd", 0.15, 0.4), ("paper", 0.147, 0.43)):
         psnrs = [number(average[profile, limit]["psnr"], ".2f") + " dB" for limit in (low, high)]
-        lines.append([f"`{profile}`", *psnrs, number(rate.rate_against_quoted(average, profile), "+.1f") + " %"])
+        lines.append([f"`{profile}`", *psnrs, number(against_quoted(average, profile, rate.ANCHOR), "+.1f") + " %"])
     titles = (
         "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted) for the same PSNR"
     )

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import chosen_from
-from benchmarks.rd.codecs import versions
+from benchmarks.rd.rivals import versions
 from benchmarks.speed import kernels, sizes
 from sgmethod.native import native
 from tests.harness.data import PHOTOGRAPHS

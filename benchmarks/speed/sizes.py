@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.pictures import Pixels, sized
-from benchmarks.rd.codecs import Avif, Jpeg, JpegXl, Rival, WebP, versions
+from benchmarks.rd.rivals import Avif, Jpeg, JpegXl, Rival, WebP, versions
 from tests.harness.data import ROOT
 
 RIVALS: dict[str, Callable[[], Rival]] = {"jpeg": Jpeg, "webp": WebP, "avif": Avif, "jpegxl": JpegXl}

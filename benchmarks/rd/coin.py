@@ -1,0 +1,53 @@
+"""COIN (Dupont et al., 2021): a network of sines fitted to one picture, whose numbers are the file.
+
+The depth is the authors' for a rate, and the width what the rate allows. Adam has their rate, 2e-4. Their 50,000
+steps take all pixels on a GPU; here a step takes 16,384 of them, so that minutes on a CPU are as many steps. As with
+them, the best network seen is kept, its numbers count with 16 bits each, and width and depth are not counted.
+"""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+
+import numpy as np
+import torch
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
+
+from benchmarks.convergence.learned import Siren, drawn, trained, width_within
+from benchmarks.rd.codecs import Pixels, Run
+from sgmethod.metrics import psnr
+
+RATE = 2e-4
+DEEP_FROM = 0.3  # bits per pixel: from here on 9 hidden layers, below 4; the authors count the first layer too
+
+
+class Coin:
+    """Fitted for so many seconds."""
+
+    name = "coin"
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def run(self, pixels: Pixels, aim: float) -> Run:
+        """As Codec.run."""
+        began = time.perf_counter()
+        hidden = 9 if aim >= DEEP_FROM else 4
+        width = width_within(int(aim * pixels.shape[0] * pixels.shape[1] / 8), hidden)
+        network = Siren(width, hidden)
+        best, data, spent_s = -np.inf, b"", 0.0
+        for run_s, picture in trained(network, list(network.parameters()), RATE, pixels, self.seconds, began):
+            spent_s = run_s
+            if (db := psnr(picture, pixels)) > best:
+                numbers = parameters_to_vector(network.parameters()).detach().half().numpy()
+                best, data = db, numbers.tobytes()
+        return Run(data, spent_s, partial(decoded, width=width, hidden=hidden, shape=pixels.shape))
+
+
+def decoded(data: bytes, width: int, hidden: int, shape: tuple[int, ...]) -> Pixels:
+    """The picture [H, W, 3] of numbers in half precision."""
+    network = Siren(width, hidden)
+    numbers = torch.from_numpy(np.frombuffer(data, np.float16).astype(np.float32))
+    vector_to_parameters(numbers, network.parameters())
+    return drawn(network, shape)

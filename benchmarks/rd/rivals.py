@@ -1,0 +1,226 @@
+"""Other codecs, each with one quality to choose, at settings that serve it best.
+
+What was compared, by BD-rate of PSNR on six pictures of Kodak, three for HEIC: AVIF with tune=psnr needs 2.8 to 4.8 %
+fewer bits with 4:4:4 than with 4:2:0, on every picture, so that is its row for PSNR. HEIC with tune=psnr needs 2.3 to
+5.9 % fewer than with x265's own tuning, and 4:2:0 fewer than 4:4:4. For JPEG, mozjpeg with flat tables is 0.6 dB
+and more ahead of libjpeg-turbo at 0.25 bpp and above on two pictures. jpegli is behind both at up to 0.4 bpp, cannot
+come below 0.39 bpp on one of them, and has no row.
+WebP and JPEG XL have no tuning for PSNR that their packages offer.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import io
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, features
+
+from benchmarks.rd.codecs import Pixels, Run
+from sgmethod.native import native
+
+
+class Rival:
+    """Its qualities, from the smallest file to the largest, are searched by halving."""
+
+    name: str
+    qualities: Sequence[float]
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        """A file."""
+        raise NotImplementedError
+
+    def decode(self, data: bytes) -> Pixels:
+        """Its pixels."""
+        raise NotImplementedError
+
+    def run(self, pixels: Pixels, aim: float) -> Run:
+        """As Codec.run; the time is that of the last encode, not of the search."""
+        max_bytes = aim * pixels.shape[0] * pixels.shape[1] / 8
+        low, high = 0, len(self.qualities)  # what `low` gives is taken, what `high` gives is too large
+        while high - low > 1:
+            middle = (low + high) // 2
+            fits = len(self.encode(pixels, self.qualities[middle])) <= max_bytes
+            low, high = (middle, high) if fits else (low, middle)
+        began = time.perf_counter()
+        data = self.encode(pixels, self.qualities[low])
+        return Run(data, time.perf_counter() - began, self.decode)
+
+
+class Jpeg(Rival):
+    """libjpeg-turbo, 4:2:0, optimised Huffman tables."""
+
+    name, qualities = "jpeg", range(1, 101)
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        return bytes(imagecodecs().jpeg8_encode(pixels, level=int(quality), subsampling="420", optimize=True))
+
+    def decode(self, data: bytes) -> Pixels:
+        return np.asarray(imagecodecs().jpeg8_decode(data))
+
+
+class MozJpeg(Jpeg):
+    """mozjpeg 4.0.3: progressive, 4:2:0, trellis quantisation, and flat tables, which are best for PSNR."""
+
+    name = "mozjpeg"
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        package("jpeglib").version.set("mozjpeg403")
+        picture = package("jpeglib").from_spatial(pixels)
+        picture.samp_factor = "4:2:0"
+        with tempfile.TemporaryDirectory() as folder:  # it writes to files alone
+            path = Path(folder) / "picture.jpg"
+            picture.write_spatial(str(path), qt=int(quality), base_quant_tbl_idx=1)
+            return path.read_bytes()
+
+
+class Jpeg2000(Rival):
+    """OpenJPEG, irreversible wavelet, quality = PSNR aimed at."""
+
+    name, qualities = "jpeg2000", [q / 20 for q in range(15 * 20, 60 * 20)]
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        return bytes(imagecodecs().jpeg2k_encode(pixels, level=quality, codecformat="j2k", reversible=False))
+
+    def decode(self, data: bytes) -> Pixels:
+        return np.asarray(imagecodecs().jpeg2k_decode(data))
+
+
+class WebP(Rival):
+    """libwebp; the slowest method if not told."""
+
+    name, qualities = "webp", [q / 10 for q in range(1001)]
+
+    def __init__(self, method: int = 6) -> None:
+        self.method = method
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        return bytes(imagecodecs().webp_encode(pixels, level=quality, method=self.method, lossless=False))
+
+    def decode(self, data: bytes) -> Pixels:
+        return np.asarray(imagecodecs().webp_decode(data, hasalpha=False))
+
+
+class Avif(Rival):
+    """libavif of imagecodecs, 4:2:0, tune=iq, which is its own, on every core; speed 4 if not told."""
+
+    name, qualities = "avif", range(100)
+
+    def __init__(self, speed: int = 4) -> None:
+        self.settings = {"speed": speed, "pixelformat": "420", "numthreads": native.thread_count()}
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        return bytes(imagecodecs().avif_encode(pixels, level=int(quality), **self.settings))
+
+    def decode(self, data: bytes) -> Pixels:
+        return np.asarray(imagecodecs().avif_decode(data))
+
+
+class TunedAvif(Avif):
+    """libavif of Pillow, which can be told how to tune; on every core, speed 4 if not told."""
+
+    subsampling, advanced = "4:2:0", {"tune": "iq"}
+
+    def __init__(self, speed: int = 4) -> None:
+        self.settings = {"speed": speed, "max_threads": native.thread_count()}
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        file = io.BytesIO()
+        more = {"subsampling": self.subsampling, "advanced": self.advanced}
+        Image.fromarray(pixels).save(file, "AVIF", quality=int(quality), **more, **self.settings)
+        return file.getvalue()
+
+
+class AvifForPsnr(TunedAvif):
+    """For the highest PSNR."""
+
+    name, subsampling, advanced = "avif tune=psnr", "4:4:4", {"tune": "psnr"}
+
+
+class AvifForEyes(TunedAvif):
+    """As libavif is where nobody says anything."""
+
+    name = "avif tune=iq"
+
+
+class AvifWithGrain(TunedAvif):
+    """The same, with grain that is taken out of the picture and drawn again by the decoder."""
+
+    name, advanced = "avif grain", {"tune": "iq", "denoise-noise-level": "25"}
+
+
+class Heic(Rival):
+    """libheif with x265, 4:2:0, tune=psnr, preset slow."""
+
+    name, qualities = "heic", range(101)
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        file = io.BytesIO()
+        picture = package("pillow_heif").from_pillow(Image.fromarray(pixels))
+        picture.save(file, quality=int(quality), chroma=420, enc_params={"tune": "psnr"})
+        return file.getvalue()
+
+    def decode(self, data: bytes) -> Pixels:
+        return np.asarray(package("pillow_heif").open_heif(data))
+
+
+class JpegXl(Rival):
+    """libjxl, on every core; effort 7 if not told; quality = minus the distance."""
+
+    name, qualities = "jpegxl", [-q / 20 for q in range(25 * 20, 1, -1)]
+
+    def __init__(self, effort: int = 7) -> None:
+        self.settings = {"effort": effort, "lossless": False, "numthreads": native.thread_count()}
+
+    def encode(self, pixels: Pixels, quality: float) -> bytes:
+        return bytes(imagecodecs().jpegxl_encode(pixels, distance=-quality, **self.settings))
+
+    def decode(self, data: bytes) -> Pixels:
+        return np.asarray(imagecodecs().jpegxl_decode(data))
+
+
+RIVALS: tuple[Callable[[], Rival], ...] = (
+    Jpeg,
+    MozJpeg,
+    Jpeg2000,
+    WebP,
+    JpegXl,
+    Heic,
+    AvifForPsnr,
+    AvifForEyes,
+    AvifWithGrain,
+)
+PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
+
+
+def package(name: str) -> Any:
+    """One that only other codecs need. Raises SystemExit where it is missing."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise SystemExit(f"other codecs need the package {name}: pip install '.[benchmark]'") from error
+
+
+def imagecodecs() -> Any:
+    """The package."""
+    return package("imagecodecs")
+
+
+def versions() -> list[str]:
+    """Of the libraries, none where a package is missing."""
+    if not all(importlib.util.find_spec(name) for name in PACKAGES):
+        return []
+    wanted = ("libjpeg_turbo-", "openjpeg-", "libwebp-", "libavif-", "libjxl-")
+    heif = package("pillow_heif").libheif_info()
+    return [
+        *(name for name in imagecodecs().version().split(", ") if name.startswith(wanted)),
+        "mozjpeg-4.0.3",
+        f"libavif-{features.version('avif')} of Pillow",
+        f"libheif-{heif['libheif']} ({heif['HEIF']})",
+    ]
