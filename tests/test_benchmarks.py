@@ -217,12 +217,16 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
     (results / "kodak-quality.json").write_text(json.dumps({**content, "rows": two}))
     low = [(0.15, 22.0), (0.25, 23.5), (0.4, 25.0)]
     high = [(0.15, 33.8), (0.25, 36.0), (0.4, 38.0)]
-    content["rows"] = [
-        row_of("rd", image, bpp, bpp, db)
+    seen = {"ssimulacra2": 50.0, "lpips": 0.25, "dists": 0.125}
+    content["rows"] = [row_of("avif tune=iq", "kodim13.png", 0.15, 0.14, 21.0) | seen]
+    content["rows"] += [
+        row_of("rd", image, bpp, bpp, db) | seen
         for image, points in (("kodim13.png", low), ("kodim23.png", high))
         for bpp, db in points
     ]
     (results / "kodak-rd.json").write_text(json.dumps(content))
+    fitted = {"rows": [row_of("coin", "kodim13.png", 0.15, 0.149, 20.0)], "settings": {}}
+    (results / "kodak-fitted.json").write_text(json.dumps(content | fitted))
     ran = report(tmp_path)
     assert ran.returncode == 0, ran.stderr
     made = (tmp_path / "docs" / "results.md").read_text()
@@ -230,3 +234,6 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
     assert "`rd`, one quality | GaussianImage" not in made  # whose means are of one rate
     (line,) = re.findall(r"^\| `rd` \|[^|]*\|[^|]* % \| ([^|]*) \|[^|]*\|$", made, re.MULTILINE)
     assert line.endswith(" % (1)")  # kodim23 has no point so low
+    assert "| 0.15 | `rd` | 0.150 | 50.0 | 0.250 | 0.125 |" in made
+    assert "| COIN | 0.15 | 1 | 1 | 0.1490 | 20.00 |" in made
+    assert "| `rd` | 0.15 | 1 | 1 | 0.1500 | 22.00 |" in made  # on that picture alone, beside it

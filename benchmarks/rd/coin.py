@@ -1,8 +1,10 @@
 """COIN (Dupont et al., 2021): a network of sines fitted to one picture, whose numbers are the file.
 
-The depth is the authors' for a rate, and the width what the rate allows. Adam has their rate, 2e-4. Their 50,000
-steps take all pixels on a GPU; here a step takes 16,384 of them, so that minutes on a CPU are as many steps. As with
-them, the best network seen is kept, its numbers count with 16 bits each, and width and depth are not counted.
+The depth is the authors' for a rate, and the width what the rate allows. Adam has their rate, 2e-4. As with them, the
+best network seen is kept, its numbers count with 16 bits each, and width and depth are not counted.
+
+They take 50,000 steps with all pixels, on a GPU. Ten minutes of two cores are about 10,000 steps with 16,384 pixels
+each: such rows show what minutes of a CPU give, and not what COIN can reach.
 """
 
 from __future__ import annotations

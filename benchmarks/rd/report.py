@@ -54,7 +54,7 @@ Point = tuple[float, float]  # bits per pixel, quality
 Curve = Sequence[tuple[float | None, ...]]  # bits per pixel, PSNR, MS-SSIM
 Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or quality, then by figure
 ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
-ANCHORS = ("avif tune=psnr", "avif", "baseline")  # measured here; the second is of older runs
+ANCHORS = ("avif tune=psnr", "baseline")  # how the names of those begin that others are compared with
 LOW_DB = 32
 FORMATS = {"images": "g", "bytes": ".0f", "bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f"}
 SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
@@ -181,10 +181,11 @@ def rates_table(rows: Sequence[Row]) -> str:
     """BD-rates for the same PSNR against what was measured, picture by picture, and what was published."""
     average, kodak = means(rows), is_kodak(rows)
     lines = []
-    for codec in dict.fromkeys(row.codec for row in rows):
-        for anchor in ANCHORS:
+    codecs = dict.fromkeys(row.codec for row in rows)
+    for codec in codecs:
+        for anchor in (name for name in codecs if name.startswith(ANCHORS)):
             if anchor != codec and (found := against(rows, codec, anchor)):
-                lines.append([codec, anchor, f"mean over {found[1]} pictures", f"{found[0]:+.1f} %"])
+                lines.append([codec, f"{anchor}, measured", f"mean over {found[1]} pictures", f"{found[0]:+.1f} %"])
         for below, what in ((None, "Cool-Chic 5.0, quoted"), (LOW_DB, f"Cool-Chic 5.0, quoted, below {LOW_DB} dB")):
             if found := against_cool_chic(rows, codec, below):
                 lines.append([codec, what, f"mean over {found[1]} pictures", f"{found[0]:+.1f} %"])
