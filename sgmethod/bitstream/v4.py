@@ -1,6 +1,5 @@
-"""Version 4 of the file (profile rd), a draft: version 3 with shapes that no fineness of the steps clips, drawn in a
-pyramid, and perhaps with texture and alpha. Until it is fixed, a file of version 4 is read by the release that wrote it
-alone.
+"""Version 4 of the file (profile rd): version 3 with shapes that no fineness of the steps clips, drawn in a pyramid, and
+perhaps with texture and alpha.
 """
 
 from __future__ import annotations

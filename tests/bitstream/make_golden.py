@@ -4,8 +4,7 @@ Writes tests/data/v1/*.sg with the pictures that they decode to, and tests/data/
 hashes.json. No encoder writes version 3 any more: tests/data/v3/ stays as it is.
 
 They pin the versions of the format and the decoder's pixels, so they are made anew only when the format gets another
-version or a stream cannot show something that it should. An encoder that has changed is no reason. Version 4 is a
-draft; while it is one, a change of its rules is a reason.
+version or a stream cannot show something that it should. An encoder that has changed is no reason.
 """
 
 from __future__ import annotations

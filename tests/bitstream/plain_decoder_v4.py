@@ -20,7 +20,7 @@ Plane = list[list[float]]  # rows of one colour's samples, in a part of a level
 
 def numbers_in_the_text() -> dict[str, float]:
     """The table at the head of the section on version 4."""
-    section = FORMAT.read_text("utf-8").split("\n# Version 4 (draft)\n")[1].split("\n## ")[0]
+    section = FORMAT.read_text("utf-8").split("\n# Version 4\n")[1].split("\n## ")[0]
     found = re.findall(r"^\| ([a-zA-Z ]+) \| (?:(\d+)\^)?(-?[\d.]+) \|", section, re.M)
     return {name: float(base) ** float(value) if base else float(value) for name, base, value in found}
 

@@ -73,7 +73,7 @@ def test_the_numbers_are_the_codes() -> None:
 
 
 def test_the_version_and_the_views_in_the_text() -> None:
-    assert f"# Version {StreamV4.VERSION} (draft)\n" in TEXT
+    assert f"# Version {StreamV4.VERSION}\n" in TEXT
     assert [int(n) for n in re.findall(r"\d+", table("Every version")[1]["value"])] == sorted(container.STREAMS)
     assert f"OX = floor(X * sx) mod {FAR} " in TEXT
     assert FAR % 2**plain_decoder_v4.TOP_LEVEL == 0

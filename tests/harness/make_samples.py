@@ -1,7 +1,6 @@
 """Makes the page's samples again from their originals, NAME.webp: python -m tests.harness.make_samples
 
-For each an .sg file, and an AVIF of at most as many bytes. Needed when version 4 of the file changes, while it is a
-draft.
+For each an .sg file, and an AVIF of at most as many bytes. Not needed unless another version is to be shown.
 """
 
 from __future__ import annotations
