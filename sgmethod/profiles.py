@@ -101,6 +101,9 @@ class Times:
     whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
 
 
+# For a first look: few growths, and smaller pictures for longer.
+QUICK = Times(growth_at=(0.03, 0.1, 0.2, 0.32, 0.46, 0.6), trim_at=(0.72, 0.8, 0.88, 0.94, 0.98), halved_until=0.85)
+
 # Of a round: more Gaussians than can stay are added to a file that is as large as it may be, and those that gain least
 # for their bits go.
 ROUND = Times(
@@ -213,7 +216,7 @@ BASELINE = replace(
 RD = RdSettings()
 # What profile rd does for an effort. Each above the default does all that the one below does, and then goes on.
 EFFORTS: dict[int, dict[str, Any]] = {
-    1: {"rounds": (0,), "steps": 100, "refine_sweeps": 1, "size_tries": 1, "ladder_pixels": 0},
+    1: {"rounds": (0,), "steps": 100, "times": QUICK, "refine_sweeps": 1, "size_tries": 1, "ladder_pixels": 0},
     2: {"rounds": (0,), "steps": 130, "size_tries": 2, "ladder_pixels": 0},
     3: {"rounds": (0,), "steps": 180, "ladder_pixels": 0},
     4: {"rounds": (0,), "ladder_pixels": 0},

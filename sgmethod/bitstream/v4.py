@@ -1,5 +1,5 @@
-"""Version 4 of the file (profile rd): version 3 with shapes that no fineness of the steps clips, drawn in a pyramid, and
-perhaps with texture and alpha.
+"""Version 4 of the file (profile rd): version 3 with shapes that no fineness of the steps clips, drawn in a pyramid,
+and perhaps with texture and alpha.
 """
 
 from __future__ import annotations
