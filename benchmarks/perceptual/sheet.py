@@ -1,9 +1,11 @@
 """What figures do not tell: parts of textured pictures at twice their size, side by side, as one picture.
 
     python -m benchmarks.perceptual.sheet --images KODAK --other CHECKOUT [--bpp 0.25] [--out FILE]
+    python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif,jpeg --parts kodim08:230:150,...
 
 For each part: the picture, a file of another checkout (one of version 3, with its own .venv), this one's tuned for the
-eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is libavif's own) and JPEG XL, none with more bytes than ours.
+eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is libavif's own) and JPEG XL, none with more bytes than ours; or
+what --of names. The second command makes docs/crop.webp.
 """
 
 from __future__ import annotations
@@ -11,75 +13,85 @@ from __future__ import annotations
 import argparse
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from benchmarks.pictures import Pixels
-from benchmarks.rd.rivals import Avif, JpegXl
+from benchmarks.rd.rivals import Avif, Jpeg, JpegXl
 from sgmethod import decode, encode
 from sgmethod.io.image import read_image_8_bit
 from tests.harness.data import ROOT
 
 # Of Kodak, by where they begin, x and y: roofs, hair, bark and foliage, cloth, wood, rigging, stone, grass, feathers.
 PARTS = (
-    ("kodim01", 60, 250),
-    ("kodim04", 190, 330),
-    ("kodim05", 430, 120),
-    ("kodim08", 150, 150),
-    ("kodim13", 60, 380),
-    ("kodim14", 330, 250),
-    ("kodim15", 230, 110),
-    ("kodim18", 130, 330),
-    ("kodim19", 180, 560),
-    ("kodim22", 500, 350),
+    "kodim01:60:250,kodim04:190:330,kodim05:430:120,kodim08:150:150,kodim13:60:380,"
+    "kodim14:330:250,kodim15:230:110,kodim18:130:330,kodim19:180:560,kodim22:500:350"
 )
+OF = "source,before,visual,avif,jpegxl"
+LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
+RIVALS = {rival.name: rival for rival in (Avif, JpegXl, Jpeg)}
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
 MARGIN = 22  # pixels of the sheet, for words
 
 
-def parts(path: Path, bpp: float, other: Path) -> list[tuple[str, Pixels, int | None]]:
-    """What made it, its pixels, and its bytes where there is a file."""
+def made_by(wanted: list[str], path: Path, bpp: float, other: Path | None) -> Iterator[tuple[str, Pixels]]:
+    """For each that is wanted, its label and its pixels."""
     source = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
     ours = encode(source, bpp=bpp, tune="visual").data
+    for name in wanted:
+        if name == "source":
+            yield f"{path.stem}, source", source
+            continue
+        if name == "visual":
+            data, pixels = ours, decode(ours)
+        elif name == "before":
+            assert other is not None
+            data = by_checkout(other, path, bpp)
+            pixels = decode(data)
+        else:
+            run = RIVALS[name]().run(source, 8 * len(ours) / (source.shape[0] * source.shape[1]))
+            data, pixels = run.data, run.decode(run.data)
+        yield f"{LABELS.get(name, name)}, {len(data):,} bytes", pixels
+
+
+def by_checkout(other: Path, path: Path, bpp: float) -> bytes:
+    """The file that another checkout makes."""
     with tempfile.TemporaryDirectory() as folder:
-        before = Path(folder) / "before.sg"
+        made = Path(folder) / "made.sg"
         python = str(other.resolve() / ".venv" / "bin" / "python")
-        command = [python, "-m", "sgmethod", "encode", str(path.resolve()), str(before), "--bpp", str(bpp), "--quiet"]
+        command = [python, "-m", "sgmethod", "encode", str(path.resolve()), str(made), "--bpp", str(bpp), "--quiet"]
         subprocess.run(command, check=True, cwd=other)
-        old = before.read_bytes()
-    made = [("source", source, None), ("before", decode(old), len(old)), ("visual", decode(ours), len(ours))]
-    for rival in (Avif(), JpegXl()):
-        run = rival.run(source, 8 * len(ours) / (source.shape[0] * source.shape[1]))
-        made.append((rival.name, run.decode(run.data), len(run.data)))
-    return made
+        return made.read_bytes()
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, required=True, help="folder of the Kodak pictures")
-    parser.add_argument("--other", type=Path, required=True, help="the other checkout")
+    parser.add_argument("--other", type=Path, help="the other checkout")
+    parser.add_argument("--parts", default=PARTS, help="NAME:X:Y of each, separated by commas")
+    parser.add_argument("--of", default=OF, help=f"of source, before, visual, {', '.join(RIVALS)}")
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "seen.webp")
     options = parser.parse_args()
-    font = ImageFont.load_default(13)
-    sheet: Image.Image | None = None
-    for row, (name, x, y) in enumerate(PARTS):
-        made = parts(options.images / f"{name}.png", options.bpp, options.other)
-        if sheet is None:
-            size = (len(made) * ZOOM * WIDTH, len(PARTS) * (ZOOM * HEIGHT + MARGIN))
-            sheet = Image.new("RGB", size, "white")
-        draw = ImageDraw.Draw(sheet)
-        for column, (what, pixels, size_in_bytes) in enumerate(made):
+    wanted = options.of.split(",")
+    if "before" in wanted and options.other is None:
+        parser.error("--of before needs --other")
+    chosen = [part.split(":") for part in options.parts.split(",")]
+    sheet = Image.new("RGB", (len(wanted) * ZOOM * WIDTH, len(chosen) * (ZOOM * HEIGHT + MARGIN)), "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
+    for row, (name, *corner) in enumerate(chosen):
+        x, y = map(int, corner)
+        path = options.images / f"{name}.png"
+        for column, (label, pixels) in enumerate(made_by(wanted, path, options.bpp, options.other)):
             at = column * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)
-            label = f"{name}, {what}" if size_in_bytes is None else f"{what}, {size_in_bytes:,} bytes"
             draw.text((at[0] + 4, at[1] + 3), label, "black", font)
             part = Image.fromarray(np.ascontiguousarray(pixels[y : y + HEIGHT, x : x + WIDTH]))
             large = part.resize((ZOOM * WIDTH, ZOOM * HEIGHT), Image.Resampling.LANCZOS)
             sheet.paste(large, (at[0], at[1] + MARGIN))
-    assert sheet is not None
     sheet.save(options.out, quality=80, method=6)
 
 
