@@ -11,6 +11,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     scene       the set of Gaussians
     profiles    every number of the method
     native/     compiled kernels: drawing, gradients, entropy coding
+    threads     what numpy and OpenCV compute, on as many threads as the kernels have
     io/         image files -> arrays; arrays -> image files; whole files
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        any size, any part

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from sgmethod.threads import in_parallel
+
 Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.floating[Any]]
 Float64Array = npt.NDArray[np.float64]
 
@@ -87,12 +89,13 @@ def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> float:
     planes would take more memory than an encode, and several times the time."""
     height, width = (side - WINDOW_SIZE + 1 for side in x.shape)
     rows = max(BAND // width, 1)
-    total = 0.0
-    for start in range(0, height, rows):
+
+    def of_band(start: int) -> float:
         band = slice(start, min(start + rows, height) + WINDOW_SIZE - 1)
         in_band = (np.divide(plane[band], peak, dtype=np.float64) for plane in (x, y))
-        total += _ssim_sum(*in_band, whole=whole)
-    return float(total / (width * height))
+        return _ssim_sum(*in_band, whole=whole)
+
+    return math.fsum(in_parallel(of_band, range(0, height, rows))) / float(width * height)
 
 
 def _ssim_sum(x: Float64Array, y: Float64Array, *, whole: bool) -> float:

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from sgmethod.fitting.bands import Rows, bands
 from sgmethod.scene import FloatArray
+from sgmethod.threads import in_parallel
 
 BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first is that of a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
@@ -104,10 +105,10 @@ class _Level:
     def __init__(self, planes: list[FloatArray], shrink: int, blurs: list[float], coarser: FloatArray | None) -> None:
         """planes [3] of the residual; blurs in pixels of the whole size; coarser: the most at coarser levels."""
         self.shrink, self.blurs = shrink, blurs
-        self.gain = _gain(planes, blurs[0] / shrink, blurs[0])
+        # The widest takes longest, and so begins.
+        *wider, self.gain = in_parallel(lambda b: _gain(planes, b / shrink, b), blurs[::-1])
         self.chosen = np.zeros(self.gain.shape, np.uint8)  # the index of the blur that gains so much
-        for index, b in enumerate(blurs[1:], 1):
-            more = _gain(planes, b / shrink, b)
+        for index, more in enumerate(reversed(wider), 1):
             # Indices rise, so that the larger one is that of the larger gain.
             np.maximum(self.chosen, (more > self.gain).view(np.uint8) * np.uint8(index), out=self.chosen)
             np.maximum(self.gain, more, out=self.gain)
