@@ -114,7 +114,7 @@ class Training:
         """batch: pixels of a step."""
         self.network, self.batch = network, batch
         self.height, self.width = pixels.shape[:2]
-        self._colours = torch.from_numpy(pixels.reshape(-1, 3))
+        self._colours = torch.tensor(pixels.reshape(-1, 3))
         self._optimiser = torch.optim.Adam(network.numbers, lr=network.rate)
         self._random = torch.Generator().manual_seed(0)
 

@@ -176,7 +176,7 @@ def test_ablations_are_measured(tmp_path: Path, small: Path) -> None:
     options = ["--images", str(small), "--seeds", "2", "--fit-steps", "30", "--tune-steps", "10"]
     printed = run("ablation", out, *options, "--tables", "regularisation,quantisation").stdout
     rows = json.loads(out.read_text())["rows"]
-    assert len(rows) == 2 * (4 + 3 * 7)
+    assert len(rows) == 2 * (5 + 3 * 7)
     of = {(row["setting"], row["asked"], row["seed"]): row for row in rows}
     assert of["0", 70_000, 0]["gaussians"] == 137  # 70,000 of 768x512 pixels, for 32x24
     assert of["0", 70_000, 0]["psnr"] != of["0", 70_000, 1]["psnr"] != of["0.08", 70_000, 1]["psnr"]
@@ -211,7 +211,7 @@ def test_an_ablation_says_what_seeds_leave_open_and_where_the_paper_differs(tmp_
     assert "| 0.04 | 40.10 | 0.141 | -1.00 | - | 1.0 |" in text
     assert "| 0.06 | 40.20 | 0.141 | +0.10 (within the spread) | - | 1.0 |" in text
     assert (
-        "our order differs: the paper has 0.04 ahead of 0, here it is 1.00 dB behind. "
+        "our order differs: the paper has 0.04 ahead of 0, here 0 is ahead by 1.00 dB. "
         "Too near to tell, by seeds or rounding: 0.08 against 0.04." in text
     )
 
@@ -239,4 +239,4 @@ def test_representations_are_compared_over_the_pictures_that_all_have(tmp_path: 
     text = shown_by_report(tmp_path, "representation", rows, {"steps": 10})
     assert "| 70,000 | `rd` | 1 | 40.00 | 0.9000 | - | 1.0 | - | - | - |" in text
     assert "| 70,000 | `paper` | 1 | 39.00 | 0.9000 | - | 1.0 | - | 300 | - |" in text
-    assert "our order differs: the paper has the paper ahead of GSImage, here it is 0.50 dB behind." in text
+    assert "our order differs: the paper has the paper ahead of GSImage, here GSImage is ahead by 0.50 dB." in text

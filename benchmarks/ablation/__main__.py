@@ -7,9 +7,9 @@ parts: files of profile rd. regularisation, ratio: float fits of profile paper a
 70,000 Gaussians are on 768x512 pixels. quantisation, positions: files of profile paper from whole pictures, with 1,000,
 3,000 and 7,000 Gaussians. The paper's own table of parts is in benchmarks.representation.
 
-On two cores a picture of 768x512 with one seed takes about 40 s for parts, 65 s for regularisation, 2.5 minutes for
-ratio, 3 for quantisation and 2 for positions. What is there already is not measured again, so that tables, pictures
-and seeds can be added to a run.
+On two quiet cores a picture of 768x512 with one seed takes about 40 s for parts, 80 s for regularisation, 2 minutes for
+ratio, 7.5 for quantisation and 3 for positions: 4.5 hours in all. What is there already is not measured again, so that
+tables, pictures and seeds can be added to a run.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def order(ours: Mapping[str, float], theirs: Mapping[str, float], spreads: Mappi
         if abs(difference) < max(NOTHING_DB, *((spreads or {}).get(name, 0.0) for name in (ahead, behind))):
             near.append(f"{ahead} against {behind}")
         elif difference >= 0:
-            told.append(f"the paper has {ahead} ahead of {behind}, here it is {difference:.2f} dB behind")
+            told.append(f"the paper has {ahead} ahead of {behind}, here {behind} is ahead by {difference:.2f} dB")
     if not told and not near:
         return "our rows come in the paper's order."
     found = [f"our order differs: {'; '.join(told)}"] if told else []

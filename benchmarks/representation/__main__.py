@@ -10,8 +10,8 @@ took, which must be measured before. --weights: a folder as benchmarks.perceptua
 
 Seconds are those of the fit with its start, frames those of drawing at full size, both on this machine's cores. MiB is
 the peak of the fit's process, of which Python and torch alone take about 250. A picture of 0.4 megapixels takes about
-20 minutes on two cores: 4 for 5,000 Gaussians, 9 for 70,000. What is there already is not measured again, so that
-methods, numbers and pictures can be added to a run.
+25 minutes on two quiet cores, of which 70,000 Gaussians take 10: 2.5 hours in all. What is there already is not measured
+again, so that methods, numbers and pictures can be added to a run.
 """
 
 from __future__ import annotations
