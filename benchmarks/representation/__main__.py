@@ -10,7 +10,7 @@ took, which must be measured before. --weights: a folder as benchmarks.perceptua
 
 Seconds are those of the fit with its start, frames those of drawing at full size, both on this machine's cores. MiB is
 the peak of the fit's process, of which Python and torch alone take about 250. A picture of 0.4 megapixels takes about
-25 minutes on two quiet cores, of which 70,000 Gaussians take 10: 2.5 hours in all. What is there already is not measured
+25 minutes on two quiet cores, of which 70,000 Gaussians take 10: 2.5 hours in all. What is there is not measured
 again, so that methods, numbers and pictures can be added to a run.
 """
 
