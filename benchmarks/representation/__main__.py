@@ -17,6 +17,7 @@ again, so that methods, numbers and pictures can be added to a run.
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,9 @@ def main() -> None:
     unknown = {*options.methods.split(",")} - {*METHODS}
     if unknown:
         parser.error(f"{', '.join(sorted(unknown))}: no such method; there are {', '.join(METHODS)}")
+    # Of the fits' processes: torch's threads that spin for each other make a step take ten times as long where anything
+    # else runs.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     methods = [method for method in METHODS if method in options.methods.split(",")]
     seen = Networks(options.weights) if options.weights else None
     settings = {"steps": options.steps, "lpips": seen is not None}
