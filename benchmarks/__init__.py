@@ -8,8 +8,8 @@ python -m benchmarks.needs           what a scene did not need, and the time tha
 python -m benchmarks.stability       extreme Gaussians, fits and files, each under a rule
 python -m benchmarks.stiff           profile rd on pictures that are hard for it, and rules that it keeps there
 python -m benchmarks.speed           time and memory by size and by number of Gaussians, and of the kernels
-python -m benchmarks.representation  float quality at a fixed number of Gaussians
-python -m benchmarks.ablation        profile rd with one part left out at a time
+python -m benchmarks.representation  float quality at a fixed number of Gaussians, beside networks
+python -m benchmarks.ablation        profile rd with one part left out at a time, and the paper's ablations
 python -m benchmarks.turns           encodes and decodes of two checkouts in turns
 python -m benchmarks.report          docs/results.md, its plots and the README's tables from the JSON
 python -m benchmarks.load            decoding under load while the service encodes

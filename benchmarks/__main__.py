@@ -61,10 +61,8 @@ PARTS = (
         f"{IMAGES} --megapixels 0.1,0.4 --gaussians 1000,5000 --repeats 1 --steps 100 --rounds 10",
         IMAGES,
     ),
-    Part(
-        "representation", "representation", f"{IMAGES} --most 1 --gaussians 500 --steps 300", f"{IMAGES} --steps 3000"
-    ),
-    Part("ablation", "ablation", f"{IMAGES} {FEW} --steps 100", f"{IMAGES} --most 6"),
+    Part("representation", "representation", f"{IMAGES} --most 1 --gaussians 500 --steps 300", IMAGES),
+    Part("ablation", "ablation", f"{IMAGES} {FEW} --seeds 1 --steps 100 --fit-steps 200 --tune-steps 100", IMAGES),
     Part("load", "service/load", f"{IMAGES} --seconds 5", IMAGES),
     Part("attacks", "service/attacks", "--seconds 5 --only none,decode,idle", ""),
     Part("chaos", "service/chaos-sqlite", "", "--jobs 200 --seed 7"),
@@ -76,7 +74,7 @@ PARTS = (
 def run(part: Part, options: argparse.Namespace) -> float:
     """Seconds that the command took. Its failure does not keep others from running."""
     words = (part.full if options.full else part.small).format(images=options.images).split()
-    if options.weights and part.module in ("rd", "convergence"):
+    if options.weights and part.module in ("rd", "convergence", "representation"):
         words += ["--weights", str(options.weights)]
     if part.module == "convergence":
         words += [] if has_rivals() else ["--methods", "rd,paper,baseline,plain Adam,siren,hash grid"]

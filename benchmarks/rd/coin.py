@@ -10,13 +10,15 @@ each: such rows show what minutes of a CPU give, and not what COIN can reach.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import torch
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from benchmarks.convergence.learned import Siren, drawn, trained, width_within
+from benchmarks import networks
+from benchmarks.convergence.learned import BYTES_OF_NUMBER, trained
 from benchmarks.rd.codecs import Pixels, Run
 from sgmethod.metrics import psnr
 
@@ -36,20 +38,20 @@ class Coin:
         """As Codec.run."""
         began = time.perf_counter()
         hidden = 9 if aim >= DEEP_FROM else 4
-        width = width_within(int(aim * pixels.shape[0] * pixels.shape[1] / 8), hidden)
-        network = Siren(width, hidden)
+        size = int(aim * pixels.shape[0] * pixels.shape[1] / 8)
+        network = replace(networks.siren(pixels, size // BYTES_OF_NUMBER, hidden), rate=RATE)
         best, data, spent_s = -np.inf, b"", 0.0
-        for run_s, picture in trained(network, list(network.parameters()), RATE, pixels, self.seconds, began):
+        for run_s, picture in trained(network, pixels, self.seconds, began):
             spent_s = run_s
             if (db := psnr(picture, pixels)) > best:
-                numbers = parameters_to_vector(network.parameters()).detach().half().numpy()
+                numbers = parameters_to_vector(network.numbers).detach().half().numpy()
                 best, data = db, numbers.tobytes()
-        return Run(data, spent_s, partial(decoded, width=width, hidden=hidden, shape=pixels.shape))
+        return Run(data, spent_s, partial(decoded, hidden=hidden, shape=pixels.shape))
 
 
-def decoded(data: bytes, width: int, hidden: int, shape: tuple[int, ...]) -> Pixels:
+def decoded(data: bytes, hidden: int, shape: tuple[int, ...]) -> Pixels:
     """The picture [H, W, 3] of numbers in half precision."""
-    network = Siren(width, hidden)
     numbers = torch.from_numpy(np.frombuffer(data, np.float16).astype(np.float32))
-    vector_to_parameters(numbers, network.parameters())
-    return drawn(network, shape)
+    network = networks.siren(None, len(numbers), hidden)
+    vector_to_parameters(numbers, network.numbers)
+    return networks.drawn(network, shape)

@@ -78,19 +78,27 @@ def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
     The mean over the qualities that both reach of the difference in log rate, each curve interpolated by piecewise
     cubic Hermite polynomials. None where they share no quality, or a curve has one point or falls.
     """
+    gap = _mean_gap(*([(quality, math.log10(rate)) for rate, quality in sorted(points)] for points in (anchor, test)))
+    return None if gap is None else 100 * (10**gap - 1)
+
+
+def bd_quality(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
+    """The same the other way: how much better test is, over the log rates that both reach. Of PSNR, it is BD-PSNR."""
+    return _mean_gap(*([(math.log10(rate), quality) for rate, quality in sorted(points)] for points in (anchor, test)))
+
+
+def _mean_gap(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
+    """The mean of test less anchor over the x that both reach."""
     curves = []
     for points in (anchor, test):
-        if len(points) < 2:
+        if len(points) < 2 or (np.diff([x for x, _ in points]) <= 0).any():
             return None
-        rates, qualities = np.array(sorted(points)).T
-        if (np.diff(qualities) <= 0).any():
-            return None
-        curves.append(PchipInterpolator(qualities, np.log10(rates)))
+        curves.append(PchipInterpolator(*np.array(points).T))
     low, high = (f(c.x[end] for c in curves) for f, end in ((max, 0), (min, -1)))
     if low >= high:
         return None
     ours, theirs = (c.integrate(low, high) / (high - low) for c in reversed(curves))
-    return float(100 * (10 ** (ours - theirs) - 1))
+    return float(ours - theirs)
 
 
 def means(rows: Sequence[Row]) -> Means:

@@ -12,6 +12,7 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.ablation import report as ablation
 from benchmarks.perceptual import report as perceptual
 from benchmarks.report import convergence, fits, needs, rate, readme, service, speed, stability
 from benchmarks.report.plots import save
@@ -28,7 +29,7 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
     (stability.section, ("version4/stiff", "stability")),
     (speed.section, ("speed",)),
     (fits.representation, ("representation",)),
-    (fits.ablation, ("ablation",)),
+    (ablation.section, ("ablation",)),
     (service.under_load, ("service/load",)),
     (service.attacked, ("service/attacks",)),
     (service.killed, ("service/chaos-sqlite", "service/chaos-postgresql")),

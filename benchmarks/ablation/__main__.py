@@ -1,0 +1,83 @@
+"""What parts and numbers are worth: of profile rd one part at a time, of profile paper every table of its ablations.
+
+    python -m benchmarks.ablation --images FOLDER [--tables parts,regularisation,ratio,quantisation,positions]
+                                  [--most 6] [--seeds 3] [--bpp 0.25] [--steps N] [--fit-steps 2000] [--tune-steps 1000]
+
+parts: files of profile rd. regularisation, ratio: float fits of profile paper at half the size, as dense as 50,000 to
+70,000 Gaussians are on 768x512 pixels. quantisation, positions: files of profile paper from whole pictures, with 1,000,
+3,000 and 7,000 Gaussians. The paper's own table of parts is in benchmarks.representation.
+
+On two quiet cores a picture of 768x512 with one seed takes about 40 s for parts, 80 s for regularisation, 2 minutes for
+ratio, 7.5 for quantisation and 3 for positions: 4.5 hours in all. What is there already is not measured again, so that
+tables, pictures and seeds can be added to a run.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.ablation import paper, parts
+from benchmarks.ablation.report import section
+from benchmarks.machine import RESULTS, Record
+from benchmarks.pictures import chosen_from
+from sgmethod.profiles import RD
+
+TABLES = ("parts", *paper.TABLES)
+
+
+def measure_parts(record: Record, picture: Path, seed: int, bpp: float, steps: int) -> None:
+    """Rows of the table of parts."""
+    for part in parts.PARTS:
+        key: dict[str, Any] = {"table": "parts", "without": part.name, "image": picture.name, "seed": seed}
+        if not record.has(**key):
+            record.add({**key, **parts.measure(part, picture, seed, bpp, replace(RD, steps=steps))})
+
+
+def measure_paper(record: Record, tables: list[str], picture: Path, seed: int, steps: tuple[int, int]) -> None:
+    """Rows of the paper's tables, by number of Gaussians, as files of one number share their fit."""
+    for asked in sorted({number for name in tables for number in paper.TABLES[name].numbers}):
+        for name in tables:
+            table = paper.TABLES[name]
+            for setting in table.settings if asked in table.numbers else ():
+                key = {"table": name, "setting": setting, "asked": asked, "image": picture.name, "seed": seed}
+                if not record.has(**key):
+                    record.add({**key, **paper.measure(table, setting, asked, picture, seed, steps)})
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.ablation", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
+    parser.add_argument("--tables", default=",".join(TABLES), help="those that are measured")
+    parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--bpp", type=float, default=0.25, help="of the files of profile rd")
+    parser.add_argument("--steps", type=int, default=RD.steps, help="of profile rd")
+    parser.add_argument("--fit-steps", type=int, default=2000, help="of a float fit of profile paper")
+    parser.add_argument("--tune-steps", type=int, default=1000, help="of tuning it for a file")
+    parser.add_argument("--out", type=Path, default=RESULTS / "ablation.json")
+    options = parser.parse_args()
+    wanted = options.tables.split(",")
+    if unknown := {*wanted} - {*TABLES}:
+        parser.error(f"{', '.join(sorted(unknown))}: no such table; there are {', '.join(TABLES)}")
+    torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
+    steps = {name: getattr(options, name) for name in ("steps", "fit_steps", "tune_steps")}
+    record = Record(options.out, "benchmarks.ablation", {"bpp": options.bpp, **steps})
+    for picture in chosen_from(options.images, options.most):
+        for seed in range(options.seeds):
+            if "parts" in wanted:
+                measure_parts(record, picture, seed, options.bpp, options.steps)
+            of_paper = [name for name in paper.TABLES if name in wanted]
+            measure_paper(record, of_paper, picture, seed, (options.fit_steps, options.tune_steps))
+    print(f"\n{section({**record.content, 'rows': record.rows}).text()}")
+
+
+if __name__ == "__main__":
+    main()
