@@ -1,7 +1,7 @@
 """Rate and quality over a folder of pictures: real files, decoded again and measured.
 
     python -m benchmarks.rd --images FOLDER [--most N] [--profiles rd,paper,baseline] [--bpp 0.15,0.25] [--effort N]
-                            [--steps N] [--rivals] [--coin] [--coin-seconds 600] [--weights FOLDER]
+                            [--steps N] [--rivals [NAME ...]] [--coin] [--coin-seconds 600] [--weights FOLDER]
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same commit, machine and settings is not done again, so that
@@ -83,13 +83,14 @@ def codecs_of(options: argparse.Namespace) -> list[Codec]:
     codecs: list[Codec] = []
     for name in ours:
         codecs += [Sg(name, steps=options.steps)] if name in FITTED else [Sg(name, t, options.effort) for t in TUNES]
-    codecs += [rival() for rival in RIVALS] if options.rivals else []
+    codecs += [rival() for name, rival in RIVALS.items() if name in options.rivals]
     return [*codecs, Coin(options.coin_seconds)] if options.coin else codecs
 
 
 def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """The options. Exits with one clear line for what makes no sense."""
     options = parser.parse_args()
+    options.rivals = [] if options.rivals is None else options.rivals or list(RIVALS)
     unknown = {*filter(None, options.profiles.split(","))} - {*PROFILE_NAMES}
     if unknown:
         parser.error(f"{', '.join(sorted(unknown))}: no such profile; there are {', '.join(PROFILE_NAMES)}")
@@ -122,7 +123,7 @@ def main() -> None:
     parser.add_argument("--quality", type=numbers, help="in place of --bpp: qualities of profile rd")
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
     parser.add_argument("--steps", type=int, help="of the fits of profiles paper and baseline")
-    parser.add_argument("--rivals", action="store_true", help="JPEG to AVIF")
+    parser.add_argument("--rivals", nargs="*", choices=RIVALS, help="all of them where none is named")
     parser.add_argument("--coin", action="store_true", help="COIN, fitted here")
     parser.add_argument("--coin-seconds", type=float, default=600, help="for each picture and rate")
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")

@@ -185,17 +185,10 @@ class JpegXl(Rival):
         return np.asarray(imagecodecs().jpegxl_decode(data))
 
 
-RIVALS: tuple[Callable[[], Rival], ...] = (
-    Jpeg,
-    MozJpeg,
-    Jpeg2000,
-    WebP,
-    JpegXl,
-    Heic,
-    AvifForPsnr,
-    AvifForEyes,
-    AvifWithGrain,
-)
+RIVALS: dict[str, Callable[[], Rival]] = {
+    rival.name: rival
+    for rival in (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes, AvifWithGrain)
+}
 PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
 
 
