@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import shlex
 import subprocess
 import sys
 import time
@@ -121,7 +122,7 @@ def command(module: str) -> str:
     for option in ("--out", "--json"):
         if option in words:
             del words[words.index(option) : words.index(option) + 2]
-    return " ".join(["python -m", module, *words])
+    return shlex.join(["python", "-m", module, *words])
 
 
 def write_json(path: Path, content: object) -> None:

@@ -119,9 +119,6 @@ def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, 
     picture, fitted = _fitted(path, of_fit, n, seed)
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
     tuner = Tuner(fitted, picture, settings, None if settings.lambda_b else budget, seed)
-    if settings.adaptive_bitwidth and settings.lambda_b:
-        # Nothing else lifts soft bitwidths above the least, where they begin to learn.
-        tuner.soft_bits += settings.mean_bitwidth - tuner.soft_bits.mean()
     Schedule("tune", settings.tune_steps, settings.final_rate).run(Recorder(Clock(), None), tuner.step)
     stream = tuner.stream("paper" if settings.structure_guided else "baseline")
     seconds = time.perf_counter() - began

@@ -4,10 +4,11 @@
                                      [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg] [--few] [--weights FOLDER]
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
-and baseline: the trace of one encode, whose last point is the file; rd again under each time limit. plain Adam: as many
-Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget, in half precision. Other codecs:
-each speed or effort at the best quality within the budget, AVIF with tune=psnr. --seconds: for all but rd. --few: two
-settings of each other codec. --weights: a folder as benchmarks.perceptual takes it, for LPIPS.
+and baseline: the trace of one encode, whose last point is the file; rd again under each time limit, and with each
+effort. plain Adam: as many Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget, in
+half precision. Other codecs: each speed or effort at the best quality within the budget, AVIF with tune=psnr.
+--seconds: for all but rd. --few: two settings of each other codec, three efforts of rd. --weights: a folder as
+benchmarks.perceptual takes it, for LPIPS.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ from benchmarks.rd.rivals import AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, Web
 from sgmethod import Budget, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.metrics.perceptual import Networks
+from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS
 
 OURS = ("rd", "paper", "baseline")
+FEW_EFFORTS = (1, 3, 7)
 Start = Callable[[Pixels, float, int], Shown]
 NETWORKS: dict[str, Start] = {"siren": siren, "hash grid": hash_grid}
 RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]]] = {
@@ -43,9 +46,11 @@ Row = dict[str, Any]
 Measure = Callable[[Pixels, Pixels], float | None]
 
 
-def ours(pixels: Pixels, profile: str, bpp: float, limit_s: float | None, lpips: Measure) -> Row:
+def ours(
+    pixels: Pixels, profile: str, bpp: float, limit_s: float | None, lpips: Measure, effort: int = DEFAULT_EFFORT
+) -> Row:
     """One encode with its trace: seconds and dB."""
-    encoded = encode(pixels, Budget("bpp", bpp), profile, tune="psnr", time_limit_s=limit_s)
+    encoded = encode(pixels, Budget("bpp", bpp), profile, tune="psnr", effort=effort, time_limit_s=limit_s)
     stats = encoded.stats
     return {
         "bytes": stats.bytes,
@@ -112,6 +117,8 @@ class Run:
             once(profile, "", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
         for limit in (float(seconds) for seconds in o.limits.split(",")):
             once("rd", f"{limit:g} s", partial(ours, pixels, "rd", o.bpp, limit, self.lpips))
+        for effort in FEW_EFFORTS if o.few else EFFORTS:
+            once("rd", f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, self.lpips, effort))
         if gaussians := self._gaussians(picture, megapixels):
             once("plain Adam", "", partial(learned, plain_adam, pixels, o.seconds, gaussians, None, self.lpips))
         for method, network in NETWORKS.items():

@@ -15,7 +15,7 @@ from benchmarks.report.section import Content, Section, number, table
 WITHIN_DB = (1.0, 0.5, 0.1)
 Curve = list[tuple[float, float]]  # seconds, dB
 UNITS = {"avif": "speed", "webp": "method", "jpegxl": "effort"}
-LIMITED = "rd, time limits"
+COMPLETE = {"rd, time limits": " s", "rd, efforts": "effort"}  # and what their settings have
 
 
 def section(content: Content) -> Section:
@@ -52,12 +52,15 @@ def result(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def curves(rows: Sequence[dict[str, Any]]) -> list[tuple[str, Curve]]:
-    """Of each method and picture; the complete encodes of rd under time limits make one curve of each picture."""
+    """Of each method and picture. The complete encodes of rd under time limits make one curve of each picture, and its
+    efforts another."""
     found = [(r["method"], [(t, db) for t, db in r["curve"]]) for r in rows if r["curve"] and not r["setting"]]
     for picture in dict.fromkeys(row["picture"] for row in rows):
         ends = [r for r in rows if r["method"] == "rd" and r["picture"] == picture]
-        if len(ends) > 1:
-            found.append((LIMITED, sorted((row["seconds"], row["psnr"]) for row in ends)))
+        for name, setting in COMPLETE.items():
+            mine = [row for row in ends if not row["setting"] or setting in row["setting"]]
+            if len(mine) > 1:
+                found.append((name, sorted((row["seconds"], row["psnr"]) for row in mine)))
     return found
 
 
@@ -123,11 +126,15 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
     marks = cycle("os^Dvx")
     found = curves(rows)
     lowest = math.inf
-    for method in dict.fromkeys(name for name, _ in found):
+    names = dict.fromkeys(name for name, _ in found)
+    for method in names:
+        if method == "rd" and not names.keys().isdisjoint(COMPLETE):
+            continue  # on its way a fit has more bytes than its file, so that complete files alone compare
+        whole = method in COMPLETE
         mine = [curve for name, curve in found if name == method]
-        times, levels = mean_curve(mine)
+        times, levels = complete(rows, COMPLETE[method]) if whole else mean_curve(mine)
+        axes.plot(times, levels, linestyle=next(styles), marker="." if whole else "", label=method)
         lowest = min(lowest, levels[-1])
-        axes.plot(times, levels, linestyle=next(styles), label=method)
     for method in dict.fromkeys(row["method"] for row in rows if row["curve"] is None):
         own = [row for row in rows if row["method"] == method]
         settings = dict.fromkeys(row["setting"] for row in own)
@@ -136,6 +143,16 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
         axes.plot(*zip(*means, strict=True), linestyle="none", marker=next(marks), fillstyle="none", label=method)
         lowest = min(lowest, means[0][1])
     axes.set(xscale="log", xlabel="seconds", ylabel="PSNR, dB", ylim=(math.floor(lowest) - 2, None))
+
+
+def complete(rows: Sequence[dict[str, Any]], setting: str) -> tuple[list[float], list[float]]:
+    """Means over the pictures of rd's files, for each setting that has these words."""
+    mine = [row for row in rows if row["method"] == "rd" and (not row["setting"] or setting in row["setting"])]
+    groups = [[row for row in mine if row["setting"] == name] for name in dict.fromkeys(row["setting"] for row in mine)]
+    means = sorted(
+        tuple(statistics.fmean(row[what] for row in group) for what in ("seconds", "psnr")) for group in groups
+    )
+    return [seconds for seconds, _ in means], [db for _, db in means]
 
 
 def mean_curve(curves: Sequence[Curve]) -> tuple[list[float], list[float]]:

@@ -37,7 +37,9 @@ class Section:
 def origin(content: Content) -> str:
     """By which command, where and when; and what else must be known."""
     remark = f" {content['remark']}" if content.get("remark") else ""
-    return f"`{content['command']}`: {in_words(content)}.{remark}"
+    libraries = ", ".join(content.get("settings", {}).get("codecs", ()))
+    versions = f" With {libraries}." if libraries else ""
+    return f"`{content['command']}`: {in_words(content)}.{versions}{remark}"
 
 
 def load(results: Path, name: str) -> Content | None:

@@ -15,7 +15,7 @@ from sgmethod.profiles import Tune
 
 # Kept back of a time limit, for writing and measuring the file.
 RESERVE_S = 0.15
-RESERVE_S_PER_MEGAPIXEL = 0.5
+RESERVE_S_PER_MEGAPIXEL = 0.25
 # Of the time so far, what an encode that is to stop takes to its end.
 WINDING_DOWN = 0.25
 

@@ -92,10 +92,12 @@ class Tuner:
 
     def _sensitivity_bits(self) -> Tensor:
         """Bitwidths that spread the error evenly: an isolated Gaussian's picture changes by about
-        |c| sqrt(l1 l3) / l per pixel of l, and each further bit halves the step."""
+        |c| sqrt(l1 l3) / l per pixel of l, and each further bit halves the step. Their mean is the profile's: one
+        that starts below the least has no gradient, and would stay there."""
         l1, _, l3 = self.p.factors.T
         power = self.p.colors.square().sum(1) * l1 * l3 * (l1**-2 + 2 * l3**-2)
-        return 0.5 * torch.log2(power + 1e-9)[:, None]
+        bits = 0.5 * torch.log2(power + 1e-9)[:, None]
+        return bits + (self.settings.mean_bitwidth - bits.mean())
 
     def bits(self) -> Tensor:
         """Soft bitwidths [N, 1] as they apply, within the allowed range."""
