@@ -90,13 +90,13 @@ def test_results_say_where_they_come_from(path: Path) -> None:
 def test_curves_of_every_method(tmp_path: Path) -> None:
     methods = ["rd", "plain Adam", "siren", "hash grid"]
     out = tmp_path / "convergence.json"
-    sizes = ["--images", str(PHOTOGRAPHS), "--most", "1", "--megapixels", "0.002", "--bpp", "4"]
+    sizes = ["--images", str(PHOTOGRAPHS), "--most", "1", "--megapixels", "0.002", "--bpp", "4", "--few"]
     times = ["--seconds", "0.4", "--limits", "0.3", "--methods", ",".join(methods), "--out", str(out)]
     command = [sys.executable, "-m", "benchmarks.convergence", *sizes, *times]
     subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300)
     rows = json.loads(out.read_text())["rows"]
-    assert [row["method"] for row in rows] == ["rd", "rd", *methods[1:]]
-    assert [row["setting"] for row in rows] == ["", "0.3 s", "", "", ""]
+    assert [row["method"] for row in rows] == [*["rd"] * 5, *methods[1:]]
+    assert [row["setting"] for row in rows] == ["", "0.3 s", "effort 1", "effort 3", "effort 7", "", "", ""]
     for row in rows:
         times_s = [seconds for seconds, _ in row["curve"]]
         assert times_s == sorted(times_s)
