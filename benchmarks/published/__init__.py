@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ def kodak() -> dict[str, dict[str, Any]]:
     return content
 
 
+@cache
 def cool_chic() -> dict[str, list[tuple[float, float]]]:
     """By picture ("kodim01"): points of bits per pixel and PSNR (dB)."""
     points: dict[str, list[tuple[float, float]]] = {}
