@@ -21,6 +21,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 
+from benchmarks.arguments import some_of
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import Pixels
 from benchmarks.stiff.drawings import chart, screenshot, text
@@ -154,18 +155,15 @@ def left_out(encoded: Encoded) -> list[str]:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenes", default=",".join(SCENES))
+    parser.add_argument("--scenes", type=some_of(SCENES, "scene"), default=",".join(SCENES))
     parser.add_argument("--quality", type=float, default=50)
     parser.add_argument("--side", type=int, default=256, help="pixels, 256 or more")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--out", type=Path, default=RESULTS / "needs.json")
     options = parser.parse_args()
-    names = options.scenes.split(",")
-    if unknown := {*names} - {*SCENES}:
-        parser.error(f"{', '.join(sorted(unknown))}: no such scene; there are {', '.join(SCENES)}")
     record = Record(options.out, "benchmarks.needs", {"quality": options.quality, "side": options.side})
     encode(flat(16), bytes=100)  # what the first encode of a process loads is no scene's
-    for name in names:
+    for name in options.scenes:
         if not record.has(scene=name):
             row = measure(SCENES[name](options.side), options.quality, options.repeats)
             record.add({"scene": name, **row})

@@ -23,6 +23,7 @@ import torch
 
 from benchmarks.ablation import paper, parts
 from benchmarks.ablation.report import section
+from benchmarks.arguments import some_of
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import chosen_from
 from sgmethod.profiles import RD
@@ -55,7 +56,9 @@ def main() -> None:
         prog="python -m benchmarks.ablation", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
-    parser.add_argument("--tables", default=",".join(TABLES), help="those that are measured")
+    parser.add_argument(
+        "--tables", type=some_of(TABLES, "table"), default=",".join(TABLES), help="those that are measured"
+    )
     parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--bpp", type=float, default=0.25, help="of the files of profile rd")
@@ -64,17 +67,14 @@ def main() -> None:
     parser.add_argument("--tune-steps", type=int, default=1000, help="of tuning it for a file")
     parser.add_argument("--out", type=Path, default=RESULTS / "ablation.json")
     options = parser.parse_args()
-    wanted = options.tables.split(",")
-    if unknown := {*wanted} - {*TABLES}:
-        parser.error(f"{', '.join(sorted(unknown))}: no such table; there are {', '.join(TABLES)}")
     torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
     steps = {name: getattr(options, name) for name in ("steps", "fit_steps", "tune_steps")}
     record = Record(options.out, "benchmarks.ablation", {"bpp": options.bpp, **steps})
     for picture in chosen_from(options.images, options.most):
         for seed in range(options.seeds):
-            if "parts" in wanted:
+            if "parts" in options.tables:
                 measure_parts(record, picture, seed, options.bpp, options.steps)
-            of_paper = [name for name in paper.TABLES if name in wanted]
+            of_paper = [name for name in paper.TABLES if name in options.tables]
             measure_paper(record, of_paper, picture, seed, (options.fit_steps, options.tune_steps))
     print(f"\n{section({**record.content, 'rows': record.rows}).text()}")
 

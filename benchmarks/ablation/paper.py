@@ -18,21 +18,18 @@ from typing import Any
 import numpy as np
 
 from benchmarks.pictures import Pixels
-from benchmarks.representation.fits import FLOAT, by_paper
+from benchmarks.representation.fits import FLOAT, by_paper, fit_of_paper
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
-from sgmethod.fitting.picture import Picture, target_of
+from sgmethod.fitting.picture import Picture
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.schedule import Schedule
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.native import native
-from sgmethod.paper.fit import fit
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
 from sgmethod.profiles import BASELINE, PAPER, PaperSettings
 from sgmethod.scene import Gaussians
-from sgmethod.start.placement import place
 
 PIXELS = 768 * 512
 # Without a price of a bit, bytes for the profile's mean bitwidth set the bitwidths, as they do in an encode.
@@ -134,10 +131,7 @@ def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, 
 
 @lru_cache(maxsize=1)
 def _fitted(path: Path, settings: PaperSettings, n: int, seed: int) -> tuple[Picture, Gaussians]:
-    pixels = read_image_8_bit(path.read_bytes())
-    picture = Picture(target_of(pixels), settings.lambda_g, native.CUTOFF_V1)
-    start = place(pixels.astype(np.float32) / np.float32(255), n, settings, np.random.default_rng(seed))
-    return picture, fit(picture, start, settings, Recorder(Clock(), None))[0]
+    return fit_of_paper(read_image_8_bit(path.read_bytes()), n, settings, seed)
 
 
 def _as_dense(number: int, pixels: Pixels) -> int:

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import numbers, some_of
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import Pixels, chosen_from, sized
@@ -109,13 +110,13 @@ class Run:
 
         def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
             key = {"method": method, "setting": setting, "picture": picture, "megapixels": megapixels}
-            if method in o.methods.split(",") and not self.record.has(**key):
+            if method in o.methods and not self.record.has(**key):
                 self.record.add({**key, **measure()})
 
         for profile in OURS:
             limit = None if profile == "rd" else o.seconds
             once(profile, "", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
-        for limit in (float(seconds) for seconds in o.limits.split(",")):
+        for limit in o.limits:
             once("rd", f"{limit:g} s", partial(ours, pixels, "rd", o.bpp, limit, self.lpips))
         for effort in FEW_EFFORTS if o.few else EFFORTS:
             once("rd", f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, self.lpips, effort))
@@ -139,21 +140,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, required=True)
     parser.add_argument("--most", type=int, default=5, help="pictures, evenly spread over the folder")
-    parser.add_argument("--megapixels", default="0.4,2,12")
+    parser.add_argument("--megapixels", type=numbers, default="0.4,2,12")
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--seconds", type=float, default=60)
-    parser.add_argument("--limits", default="0.25,0.5,1,2,4")
-    parser.add_argument("--methods", default=",".join(METHODS), help="those that are measured")
+    parser.add_argument("--limits", type=numbers, default="0.25,0.5,1,2,4")
+    parser.add_argument(
+        "--methods", type=some_of(METHODS, "method"), default=",".join(METHODS), help="those that are measured"
+    )
     parser.add_argument("--few", action="store_true")
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--out", type=Path, default=RESULTS / "convergence.json")
     options = parser.parse_args()
-    unknown = {*options.methods.split(",")} - {*METHODS}
-    if unknown:
-        parser.error(f"{', '.join(sorted(unknown))}: no such method; there are {', '.join(METHODS)}")
     run = Run(options)
     paths = chosen_from(options.images, options.most)
-    for megapixels in (float(size) for size in options.megapixels.split(",")):
+    for megapixels in options.megapixels:
         for k, path in enumerate(paths):
             run.all_of(path.stem, megapixels, sized(paths, k, megapixels))
 

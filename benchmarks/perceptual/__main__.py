@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.arguments import numbers
 from benchmarks.machine import RESULTS, Record, in_words
 from benchmarks.perceptual.means import KINDS, TITLES, lines
 from benchmarks.pictures import Pixels, pictures_in
@@ -46,7 +47,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.perceptual", description="What people see, in figures.")
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--weights", type=Path, required=True, help="folder of the networks' weights")
-    parser.add_argument("--bpp", default="0.1,0.25", help="rates, each an upper limit for every file")
+    parser.add_argument("--bpp", type=numbers, default="0.1,0.25", help="rates, each an upper limit for every file")
     parser.add_argument(
         "--kinds", nargs="+", choices=KINDS, default=KINDS, help="some of them: networks take their time"
     )
@@ -61,7 +62,7 @@ def main() -> None:
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
         if min(pixels.shape[:2]) < MIN_SIDE:
             parser.error(f"{path} has a side below {MIN_SIDE} pixels, for which MS-SSIM is not defined")
-        for bpp in map(float, options.bpp.split(",")):
+        for bpp in options.bpp:
             if record.has(image=path.name, max_bpp=bpp):
                 continue
             rows = []

@@ -21,6 +21,7 @@ from typing import Any
 HERE = Path(__file__).parent
 
 
+@cache
 def kodak() -> dict[str, dict[str, Any]]:
     """By codec: source, what it says of itself, how it averages, and points with bpp, psnr (dB), ms_ssim."""
     content: dict[str, dict[str, Any]] = json.loads((HERE / "kodak.json").read_text())
@@ -37,6 +38,7 @@ def cool_chic() -> dict[str, list[tuple[float, float]]]:
     return points
 
 
+@cache
 def paper() -> dict[str, Any]:
     """The paper's tables by name, as rows."""
     content: dict[str, Any] = json.loads((HERE / "paper.json").read_text())

@@ -26,9 +26,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.arguments import numbers, some_of
 from benchmarks.machine import RESULTS, Record, in_words
-from benchmarks.pictures import chosen_from
-from benchmarks.rd.codecs import FITTED, Codec, Pixels, Sg
+from benchmarks.pictures import Pixels, chosen_from
+from benchmarks.rd.codecs import FITTED, Codec, Sg
 from benchmarks.rd.coin import Coin
 from benchmarks.rd.report import Row, report
 from benchmarks.rd.rivals import RIVALS, versions
@@ -79,9 +80,8 @@ def codecs_of(options: argparse.Namespace) -> list[Codec]:
     """Those that are asked for."""
     if options.quality:
         return [Sg("rd", tune, options.effort, one_quality=True) for tune in TUNES]
-    ours = [name for name in options.profiles.split(",") if name]
     codecs: list[Codec] = []
-    for name in ours:
+    for name in options.profiles:
         codecs += [Sg(name, steps=options.steps)] if name in FITTED else [Sg(name, t, options.effort) for t in TUNES]
     codecs += [rival() for name, rival in RIVALS.items() if name in options.rivals]
     return [*codecs, Coin(options.coin_seconds)] if options.coin else codecs
@@ -91,9 +91,6 @@ def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """The options. Exits with one clear line for what makes no sense."""
     options = parser.parse_args()
     options.rivals = [] if options.rivals is None else options.rivals or list(RIVALS)
-    unknown = {*filter(None, options.profiles.split(","))} - {*PROFILE_NAMES}
-    if unknown:
-        parser.error(f"{', '.join(sorted(unknown))}: no such profile; there are {', '.join(PROFILE_NAMES)}")
     if options.quality and (options.rivals or options.coin):
         parser.error("--quality is for profile rd alone, without --rivals and --coin")
     if min(options.bpp) <= 0 or options.most < 1:
@@ -108,17 +105,17 @@ def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
     return options
 
 
-def numbers(text: str) -> list[float]:
-    """Of a list with commas."""
-    return [float(word) for word in text.split(",")]
-
-
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--most", type=int, default=10**6, help="pictures, evenly spread over the folder")
-    parser.add_argument("--profiles", default="rd", help=f"of {', '.join(PROFILE_NAMES)}; may be empty")
+    parser.add_argument(
+        "--profiles",
+        type=some_of(PROFILE_NAMES, "profile", none=True),
+        default="rd",
+        help=f"of {', '.join(PROFILE_NAMES)}; may be empty",
+    )
     parser.add_argument("--bpp", type=numbers, default=[0.15, 0.25, 0.4], help="each an upper limit for every file")
     parser.add_argument("--quality", type=numbers, help="in place of --bpp: qualities of profile rd")
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")

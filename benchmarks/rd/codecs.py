@@ -9,13 +9,10 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 from unittest.mock import patch
 
-import numpy as np
-from numpy.typing import NDArray
-
+from benchmarks.pictures import Pixels
 from sgmethod import Budget, decode, encode, info
 from sgmethod.profiles import BASELINE, DEFAULT_EFFORT, PAPER, PROFILES, Tune
 
-Pixels = NDArray[np.uint8]
 FITTED = {"paper": PAPER, "baseline": BASELINE}
 
 

@@ -19,7 +19,8 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from benchmarks import networks
 from benchmarks.convergence.learned import BYTES_OF_NUMBER, trained
-from benchmarks.rd.codecs import Pixels, Run
+from benchmarks.pictures import Pixels
+from benchmarks.rd.codecs import Run
 from sgmethod.metrics import psnr
 
 RATE = 2e-4

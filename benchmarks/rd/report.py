@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks import published
-from benchmarks.report.section import number, table
+from benchmarks.report.section import mean, number, table
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def means(rows: Sequence[Row]) -> Means:
     result = {}
     for key, group in groups.items():
         columns = {f: [getattr(row, f) for row in group] for f in figures}
-        result[key] = {f: None if None in values else statistics.fmean(values) for f, values in columns.items()}
+        result[key] = {f: mean(values) for f, values in columns.items()}
         result[key]["images"] = len(group)
     return result
 

@@ -22,7 +22,8 @@ from typing import Any
 import numpy as np
 from PIL import Image, features
 
-from benchmarks.rd.codecs import Pixels, Run
+from benchmarks.pictures import Pixels
+from benchmarks.rd.codecs import Run
 from sgmethod.native import native
 
 

@@ -33,7 +33,7 @@ def section(content: Content) -> Section:
         f"How fast does the error fall, at {content['settings']['bpp']:g} bpp on the same cores and clock? "
         f"{result(first)} Pictures of one folder and one rate say nothing on others, plain Adam makes no file, and "
         "networks are fitted by torch without kernels of their own. On its way a fit may have more bytes than its "
-        "file: a curve that falls at its end gives them up."
+        "file, which it gives up at its end: the plot has complete files of rd alone."
     )
     return Section(
         "convergence", "Error against run time", said, tables, [content], draw=lambda axes: draw(axes, first)
@@ -56,12 +56,16 @@ def curves(rows: Sequence[dict[str, Any]]) -> list[tuple[str, Curve]]:
     efforts another."""
     found = [(r["method"], [(t, db) for t, db in r["curve"]]) for r in rows if r["curve"] and not r["setting"]]
     for picture in dict.fromkeys(row["picture"] for row in rows):
-        ends = [r for r in rows if r["method"] == "rd" and r["picture"] == picture]
-        for name, setting in COMPLETE.items():
-            mine = [row for row in ends if not row["setting"] or setting in row["setting"]]
+        for name in COMPLETE:
+            mine = [row for row in files_of(rows, name) if row["picture"] == picture]
             if len(mine) > 1:
                 found.append((name, sorted((row["seconds"], row["psnr"]) for row in mine)))
     return found
+
+
+def files_of(rows: Sequence[dict[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Complete encodes of rd that make one of COMPLETE; that with nothing set is in each."""
+    return [row for row in rows if row["method"] == "rd" and (not row["setting"] or COMPLETE[name] in row["setting"])]
 
 
 def until(curve: Curve, db: float) -> float:
@@ -132,7 +136,7 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
             continue  # on its way a fit has more bytes than its file, so that complete files alone compare
         whole = method in COMPLETE
         mine = [curve for name, curve in found if name == method]
-        times, levels = complete(rows, COMPLETE[method]) if whole else mean_curve(mine)
+        times, levels = complete(files_of(rows, method)) if whole else mean_curve(mine)
         axes.plot(times, levels, linestyle=next(styles), marker="." if whole else "", label=method)
         lowest = min(lowest, levels[-1])
     for method in dict.fromkeys(row["method"] for row in rows if row["curve"] is None):
@@ -145,10 +149,9 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
     axes.set(xscale="log", xlabel="seconds", ylabel="PSNR, dB", ylim=(math.floor(lowest) - 2, None))
 
 
-def complete(rows: Sequence[dict[str, Any]], setting: str) -> tuple[list[float], list[float]]:
-    """Means over the pictures of rd's files, for each setting that has these words."""
-    mine = [row for row in rows if row["method"] == "rd" and (not row["setting"] or setting in row["setting"])]
-    groups = [[row for row in mine if row["setting"] == name] for name in dict.fromkeys(row["setting"] for row in mine)]
+def complete(rows: Sequence[dict[str, Any]]) -> tuple[list[float], list[float]]:
+    """Means over the pictures of files, for each setting."""
+    groups = [[row for row in rows if row["setting"] == name] for name in dict.fromkeys(row["setting"] for row in rows)]
     means = sorted(
         tuple(statistics.fmean(row[what] for row in group) for what in ("seconds", "psnr")) for group in groups
     )

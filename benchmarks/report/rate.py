@@ -11,8 +11,11 @@ from scipy.interpolate import PchipInterpolator
 
 from benchmarks import published
 from benchmarks.rd.report import (
+    COSTS,
+    FORMATS,
     LOW_DB,
     SEEN,
+    TITLES,
     Means,
     Row,
     against,
@@ -31,7 +34,6 @@ NAMES = {
     "rd visual one quality": "`rd`, tuned for the eye, one quality",
     "paper": "`paper`",
     "baseline": "`baseline`",
-    "avif": "AVIF, 4:2:0, speed 4",
     "avif tune=psnr": "AVIF, 4:4:4, speed 4, `tune=psnr`",
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
     "avif grain": "AVIF, the same with grain",
@@ -45,7 +47,7 @@ NAMES = {
 }
 RATES = (0.15, 0.25, 0.4)
 ANCHOR = "GaussianImage"
-AVIF_FOR_EYES = "avif tune=iq"
+AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
 
 
 def rows_of(*contents: Content) -> list[Row]:
@@ -58,11 +60,6 @@ def name_of(codec: str) -> str:
     return NAMES.get(codec, codec)
 
 
-def avif_of(rows: Sequence[Row], best: str) -> str:
-    """AVIF's row that is compared with, where it was measured; older runs have one alone."""
-    return best if any(row.codec == best for row in rows) else "avif"
-
-
 def section(
     main: Content | None, paper: Content | None, one_quality: Content | None = None, fitted: Content | None = None
 ) -> Section:
@@ -72,7 +69,7 @@ def section(
     average = means(rows)
     rates = {
         "GaussianImage as published": against_quoted(average, "rd", ANCHOR),
-        "AVIF": first(against(rows, "rd", avif_of(rows, "avif tune=psnr"))),
+        "AVIF": first(against(rows, "rd", AVIF)),
         "Cool-Chic 5.0 as published": first(against_cool_chic(rows, "rd")),
     }
     told = [
@@ -95,9 +92,8 @@ def section(
 
 def measured(average: Means) -> str:
     """Means over the pictures for each codec and rate."""
-    titles = "codec | bpp at most | pictures | bytes | bpp | PSNR | MS-SSIM | Gaussians | encode s | decode ms"
-    forms = {"images": "g", "bytes": ".0f", "bpp": ".4f", "psnr": ".2f", "ms_ssim": ".4f", "gaussians": ".0f"}
-    forms |= {"encode_s": ".2f", "decode_ms": ".2f"}
+    forms = FORMATS | {"bpp": ".4f"} | COSTS
+    titles = " | ".join(["codec", "bpp at most", *(TITLES.get(name, name) for name in forms)])
     cells = [
         [name_of(codec), f"{limit:g}", *(number(m[name], form) for name, form in forms.items())]
         for (codec, limit), m in sorted(average.items(), key=lambda item: (item[0][1], -(item[1]["psnr"] or 0)))
@@ -107,15 +103,14 @@ def measured(average: Means) -> str:
 
 def differences(rows: Sequence[Row], average: Means) -> str:
     """BD-rates, each against what averages in the same way."""
-    avif = avif_of(rows, "avif tune=psnr")
     titles = "codec | against GaussianImage, quoted, of means | against Cool-Chic 5.0, quoted, mean of pictures | "
-    titles += f"the same below {LOW_DB} dB | against {name_of(avif).partition(',')[0]}, mean of pictures"
+    titles += f"the same below {LOW_DB} dB | against AVIF, mean of pictures"
     lines = []
     for codec in dict.fromkeys(codec for codec, _ in average):
         found = (
             against_quoted(average, codec, ANCHOR),
             first(against_cool_chic(rows, codec)),
-            None if codec == avif else first(against(rows, codec, avif)),
+            None if codec == AVIF else first(against(rows, codec, AVIF)),
         )
         low = against_cool_chic(rows, codec, LOW_DB)
         cells = [*map(percent, found)]
@@ -147,7 +142,7 @@ def seen(average: Means) -> str:
 def on_fewer(rows: Sequence[Row], fitted: Sequence[Row]) -> str:
     """What takes minutes for a picture, beside the others on the same pictures."""
     images = {row.image for row in fitted}
-    others = {"rd", avif_of(rows, "avif tune=psnr")}
+    others = {"rd", AVIF}
     beside = [row for row in rows if row.image in images and row.codec in others]
     note = f"On {len(images)} of the pictures, what is fitted for minutes, beside `rd` and AVIF on the same ones."
     if any(row.codec == "coin" for row in fitted):

@@ -21,6 +21,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+from benchmarks.arguments import integers, some_of
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.report.fits import representation
@@ -58,24 +59,23 @@ def main() -> None:
     )
     parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
     parser.add_argument("--most", type=int, default=6, help="pictures, evenly spread over the folder")
-    parser.add_argument("--gaussians", default="5000,10000,30000,70000", help="numbers, separated by commas")
+    parser.add_argument("--gaussians", type=integers, default="5000,10000,30000,70000", help="numbers, with commas")
     parser.add_argument("--steps", type=int, default=3000, help="of every fit of Gaussians")
-    parser.add_argument("--methods", default=",".join(METHODS), help="those that are measured")
+    parser.add_argument(
+        "--methods", type=some_of(METHODS, "method"), default=",".join(METHODS), help="those that are measured"
+    )
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--out", type=Path, default=RESULTS / "representation.json")
     options = parser.parse_args()
-    unknown = {*options.methods.split(",")} - {*METHODS}
-    if unknown:
-        parser.error(f"{', '.join(sorted(unknown))}: no such method; there are {', '.join(METHODS)}")
     # Of the fits' processes: torch's threads that spin for each other make a step take ten times as long where anything
     # else runs.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-    methods = [method for method in METHODS if method in options.methods.split(",")]
+    methods = [method for method in METHODS if method in options.methods]
     seen = Networks(options.weights) if options.weights else None
     settings = {"steps": options.steps, "lpips": seen is not None}
     record = Record(options.out, "benchmarks.representation", settings)
     for path in chosen_from(options.images, options.most):
-        for asked in (int(n) for n in options.gaussians.split(",")):
+        for asked in options.gaussians:
             for method in methods:
                 key = {"method": method, "asked": asked, "image": path.name}
                 if not record.has(**key):

@@ -30,6 +30,7 @@ from sgmethod.paper.fit import fit
 from sgmethod.profiles import BASELINE, PAPER, RD, PaperSettings, RdSettings, Times
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.rate_control import GAUSSIANS_GUESS, RateControl
+from sgmethod.scene import Gaussians
 from sgmethod.start.placement import place
 
 NUMBERS_OF_GAUSSIAN = 8  # 2 of the centre, 3 of the factor, 3 of the colour
@@ -127,11 +128,16 @@ def by_rd(pixels: Pixels, gaussians: int, settings: RdSettings) -> Fitted:
 
 def by_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> Fitted:
     """Profile paper's fit, or the same with a part left out."""
+    picture, found = fit_of_paper(pixels, gaussians, settings, seed)
+    return _gaussians(picture, Parameters.of(found), (0, 0, 0))
+
+
+def fit_of_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> tuple[Picture, Gaussians]:
+    """The picture as the fit sees it, and its Gaussians."""
     image = pixels.astype(np.float32) / np.float32(255)
     picture = Picture(target_of(pixels), settings.lambda_g, native.CUTOFF_V1)
     start = place(image, gaussians, settings, np.random.default_rng(seed))
-    found, _ = fit(picture, start, settings, Recorder(Clock(), None))
-    return _gaussians(picture, Parameters.of(found), (0, 0, 0))
+    return picture, fit(picture, start, settings, Recorder(Clock(), None))[0]
 
 
 def by_network(make: Callable[[Pixels, int], Network], pixels: Pixels, numbers: int, seconds: float) -> Fitted:

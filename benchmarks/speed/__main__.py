@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from benchmarks.arguments import integers, numbers, some_of
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.rd.rivals import versions
@@ -53,27 +54,24 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
-    parser.add_argument("--only", default=",".join(PARTS))
-    parser.add_argument("--megapixels", default="0.1,0.4,1.6,6,24")
-    parser.add_argument("--gaussians", default="1000,3000,10000,30000,70000")
+    parser.add_argument("--only", type=some_of(PARTS, "part"), default=",".join(PARTS))
+    parser.add_argument("--megapixels", type=numbers, default="0.1,0.4,1.6,6,24")
+    parser.add_argument("--gaussians", type=integers, default="1000,3000,10000,30000,70000")
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--steps", type=int, default=300, help="of the fit before kernels are timed")
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
     options = parser.parse_args()
-    if unknown := {*options.only.split(",")} - {*PARTS}:
-        parser.error(f"{', '.join(sorted(unknown))}: no such part; there are {', '.join(PARTS)}")
     settings = {"bpp": options.bpp, "repeats": options.repeats, "steps": options.steps, "codecs": versions()}
     record = Record(options.out, "benchmarks.speed", settings)
     paths = chosen_from(options.images, 64)
     if "sizes" in options.only:
-        for megapixels in (float(size) for size in options.megapixels.split(",")):
+        for megapixels in options.megapixels:
             if not record.has(what="size", megapixels=megapixels):
                 record.add(sizes.row(paths, megapixels, options.bpp, options.repeats))
     if "gaussians" in options.only:
-        numbers = [int(n) for n in options.gaussians.split(",")]
-        measure_gaussians(record, paths[0], numbers, options.steps, options.rounds)
+        measure_gaussians(record, paths[0], options.gaussians, options.steps, options.rounds)
     if "kernels" in options.only:
         measure_kernels(record, paths[0], options.steps, options.rounds)
 

@@ -13,15 +13,22 @@ import argparse
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.arguments import some_of
 from benchmarks.machine import RESULTS, Record
 from benchmarks.stability import files, fits, kernels
 from benchmarks.stability.case import Cases
+
+SETS: dict[str, Callable[[argparse.Namespace], Cases]] = {
+    "kernels": lambda _: kernels.cases(),
+    "fits": lambda options: fits.cases(fits.Size(options.side, options.seeds, options.generations)),
+    "files": lambda options: files.cases(options.mutations, options.sanitize),
+}
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sets", default="kernels,fits,files")
+    parser.add_argument("--sets", type=some_of(SETS, "set"), default=",".join(SETS))
     parser.add_argument("--side", type=int, default=fits.Size.side, help="pixels along the picture that is fitted")
     parser.add_argument("--seeds", type=int, default=fits.Size.seeds)
     parser.add_argument("--generations", type=int, default=fits.Size.generations)
@@ -29,16 +36,9 @@ def main() -> None:
     parser.add_argument("--sanitize", action="store_true")
     parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
     options = parser.parse_args()
-    sets: dict[str, Callable[[], Cases]] = {
-        "kernels": kernels.cases,
-        "fits": lambda: fits.cases(fits.Size(options.side, options.seeds, options.generations)),
-        "files": lambda: files.cases(options.mutations, options.sanitize),
-    }
-    if unknown := {*options.sets.split(",")} - {*sets}:
-        parser.error(f"{', '.join(sorted(unknown))}: no such set; there are {', '.join(sets)}")
     record = Record(options.out, "benchmarks.stability", {"side": options.side})
-    for name in options.sets.split(","):
-        for case in sets[name]():
+    for name in options.sets:
+        for case in SETS[name](options):
             if not record.has(set=name, case=case.name, rule=case.rule):
                 record.add({"set": name, **case.row()})
 

@@ -41,7 +41,7 @@ SHARES = (0.3, 0.1, 0.03)  # of the error that a budget lets expect, at most by 
 NEARLY_DB = 0.5  # a PSNR is missed by so little that better colours may mend it
 AIMS = 4  # at a PSNR
 GUESSED_BYTES = 0.2  # of a budget, for alpha, while it is not known
-GUESSED_EFFORT = 2  # of colours, while their error is not known; 1 makes too much of it to tell
+GUESSED_EFFORT = 2  # of colours, while their error is not known: 1 is too far from what follows
 # Errors go with about these powers of the bytes' inverse, those of colours and of alpha.
 ERROR_PER_BYTES, ALPHA_ERROR_PER_BYTES = 1.0, 1.5
 MOST_TRIES = 5
