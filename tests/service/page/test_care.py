@@ -11,7 +11,7 @@ from tests.harness.browser import Chromium
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import complaints, give, hold_back, open_page, says, settled, text64
+from tests.service.page.steps import COFFEE_SAYS, complaints, give, hold_back, open_page, says, settled, text64
 
 
 def see_through() -> bytes:
@@ -123,6 +123,18 @@ def test_widths_that_the_picture_cannot_have(page: Chromium, web: Service) -> No
         page.click("#save-picture")
         says(page, "the width must lie between 7 and 8660 pixels", "#taken")
         page.run("document.getElementById('taken').textContent = ''")
+
+
+def test_a_width_typed_before_the_original_is_there(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    hold_back(page, ".webp")
+    page.click("#sample-coffee")
+    says(page, COFFEE_SAYS, "#figures")
+    assert not page.is_seen("#left-label")
+    page.run("document.getElementById('width').value = 321")
+    page.run("goOn()")
+    wait_until(lambda: page.is_seen("#left-label"))
+    assert page.run("return document.getElementById('width').value") == "321"
 
 
 def test_blinking_by_keyboard(page: Chromium, web: Service) -> None:
