@@ -57,9 +57,9 @@ def says(page: Browser, words: str, where: str = "#status") -> None:
 
 
 def open_page(page: Browser, service: Service) -> None:
-    """Until its first sample is there."""
+    """Until its first sample is there, its original too."""
     page.open(f"{service.url}/")
-    wait_until(lambda: page.is_seen("#right-label"))
+    wait_until(lambda: page.is_seen("#right-label") and page.is_seen("#left-label"))
 
 
 def shown(page: Browser) -> np.ndarray[Any, Any]:
