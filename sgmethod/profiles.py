@@ -196,11 +196,11 @@ class RdSettings(OptimiserSettings):
     tiny_quanta: tuple[float, ...] = tuple(2 ** (step / 6) for step in range(-3, 10))
     tiny_prices: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     # Texture, of visual tuning alone.
-    texture_gain: tuple[float, float] = (0.7, 0.6)  # by octave, of a spread of texture_middle that is left
+    texture_gain: tuple[float, float] = (0.8, 0.4)  # by octave, of a spread of texture_middle that is left
     texture_middle: float = 3.0  # levels of 8 bits
     texture_power: float = 0.5  # of other spreads, with which strengths go: much grain where much is left looks broken
     texture_most: float = 0.9  # of what is left
-    texture_floor: float = 0.6  # levels of 8 bits; less is grain that 8 bits hardly hold
+    texture_floor: float = 0.3  # levels of 8 bits; rounding two pictures leaves that much between them
     texture_quantile: float = 0.4  # of the blocks of a cell, by what is left in them
     texture_share: float = 0.05  # of a budget of bytes, at most
     least_gain: float = 0.1  # of what a finer quantum should gain; one that gains less is finer than the picture needs

@@ -15,16 +15,19 @@ from sgmethod.profiles import RdSettings
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 BLOCK = 8  # pixels along a side of the blocks whose energies are compared within a cell
-FLAT = 2  # levels of 8 bits: from the darkest to the brightest of nine neighbours
 MOST_FLAT = 1 / 8  # of the pixels of a block that may be noise
+REACH = 9  # pixels along a side of the square around a pixel in which its ink and its paper are looked for
+CONTRAST = 64  # levels of 8 bits between the two, at least
+LIKE = 1 / 6  # of the contrast: as far from ink or paper as JPEG may leave what was drawn as one of them
+MOST_DRAWN = 1 / 2  # of the pixels of a block that may be noise
 
 
 def estimate(source: Pixels, decoded: Pixels, settings: RdSettings) -> Codes | None:
     """Codes of strengths [octaves, rows, columns] for a picture [H, W, 3] and what its Gaussians draw; None for none.
 
     In each cell, what is left of each octave is measured in blocks. Noise is in all of them alike, while edges leave
-    much in some and nothing in others. So a low quantile of the blocks tells how much noise there is. A block of the
-    picture with flat parts is of a drawing or of lettering, and has none.
+    much in some and nothing in others. So a low quantile of the blocks tells how much noise there is. Blocks of
+    drawings or lettering have none.
     """
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
@@ -57,11 +60,25 @@ def _padded(plane: Plane, columns: int) -> Plane:
 
 
 def _noisy(luma: Plane) -> Plane:
-    """1 for each block that may be noise, 0 for others."""
-    window = np.ones((3, 3), np.uint8)
-    flat = cv2.dilate(luma, window) - cv2.erode(luma, window) <= FLAT
-    share = cv2.resize(_plane(flat), None, fx=1 / BLOCK, fy=1 / BLOCK, interpolation=cv2.INTER_AREA)
-    return _plane(share <= MOST_FLAT)
+    """1 for each block that may be noise, and 0 for others: in a drawing neighbours are alike, and where JPEG has been
+    at it, most pixels still are ink or paper."""
+    darkest, brightest = _extremes(luma, 3)
+    flat = brightest == darkest
+    darkest, brightest = _extremes(luma, REACH)
+    contrast = brightest - darkest
+    drawn = (contrast >= CONTRAST) & (np.minimum(luma - darkest, brightest - luma) <= LIKE * contrast)
+    return _plane((_share(flat) <= MOST_FLAT) & (_share(drawn) <= MOST_DRAWN))
+
+
+def _extremes(luma: Plane, side: int) -> tuple[Plane, Plane]:
+    """The least and the greatest in the square around each pixel."""
+    window = np.ones((side, side), np.uint8)
+    return _plane(cv2.erode(luma, window)), _plane(cv2.dilate(luma, window))
+
+
+def _share(where: NDArray[np.bool_]) -> Plane:
+    """Of the pixels of each block."""
+    return _plane(cv2.resize(_plane(where), None, fx=1 / BLOCK, fy=1 / BLOCK, interpolation=cv2.INTER_AREA))
 
 
 def _spread(detail: Plane, noisy: Plane, settings: RdSettings) -> Plane:
