@@ -19,8 +19,8 @@ def section(kodak: Content | None, photographs: Content | None) -> Section:
         "for PSNR and for the eye (`visual`, the default), and by AVIF (libavif, speed 4, 4:2:0, `tune=iq`) at the "
         "best quality that takes no more bytes. A picture that AVIF cannot make so small is left out of the means. "
         "Photographs are those that desktop packages carry, 768 pixels wide; constants of the codec were chosen on "
-        "others of them; the strength of texture was chosen among three with these figures in view. Nobody was asked: "
-        "these are metrics. [A sheet of parts at twice their size](seen.webp) "
+        "others of them; of those of texture, some that were tried on the way were measured on these too. Nobody was "
+        "asked: these are metrics. [A sheet of parts at twice their size](seen.webp) "
         "shows the source, version 3, this version, AVIF and JPEG XL."
     )
     tables = []
