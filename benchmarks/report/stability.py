@@ -16,7 +16,7 @@ SETS = {
 
 def section(stiff: Content | None, content: Content | None) -> Section:
     """From the stiff set and stability.json, as far as there are."""
-    rows = content["rows"] if content else []
+    rows = joined(content["rows"]) if content else []
     broken = [row for row in rows if row["verdict"] == "broken"]
     rules = stiff["rules"] if stiff else []
     failing = sum(rule["broken"] > 0 for rule in rules)
@@ -69,7 +69,7 @@ def kernels_table(rows: list[dict[str, Any]]) -> str:
 def cases_table(rows: list[dict[str, Any]]) -> str:
     """Each case; parts of one long case in one line."""
     lines = []
-    for row in joined(rows):
+    for row in rows:
         limit = "-" if row["limit"] is None else f"{row['limit']:g}"
         worst = "no number" if row["worst"] is None else number(row["worst"], ".3g")
         lines.append([row["case"], row["rule"], limit, worst, row["verdict"], row["note"].replace("|", "/")])
