@@ -41,8 +41,8 @@ function changed(item) {
 /** Bring everything up to date with the picture that is shown. */
 function refresh(item) {
   const { original, decoded, file, soFar } = item;
-  const isDecoded = Boolean(decoded) && item.drawn?.decoded !== decoded; // just now
-  const isNew = item.drawn?.decoded !== decoded || item.drawn?.original !== original;
+  const isNewlyDecoded = item.drawn?.decoded !== decoded;
+  const isNew = isNewlyDecoded || item.drawn?.original !== original;
   const isSmooth = Boolean(file?.texture) && !tools.textured;
   enter(item);
   viewer.left = (onLeft === "Original" ? original : item.rivals?.[onLeft]?.image) ?? null;
@@ -56,8 +56,8 @@ function refresh(item) {
     viewer.show(...item.size);
   }
   tools.refresh(file);
-  if (isDecoded) offerWidths(item.size); // and not when its original comes: a width may have been typed since
   if (isNew && decoded) {
+    if (isNewlyDecoded) offerWidths(item.size); // not when its original comes: a width may have been typed since
     fillLines(item);
     if (original && !item.isMeasured) measure(item, () => changed(item));
     item.isMeasured = Boolean(original);
