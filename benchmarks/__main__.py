@@ -16,6 +16,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.arguments import some_of
 from benchmarks.machine import RESULTS
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
@@ -102,12 +103,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
-    parser.add_argument("--only", default=",".join(dict.fromkeys(part.module for part in PARTS)), help="commands")
+    modules = list(dict.fromkeys(part.module for part in PARTS))
+    parser.add_argument("--only", type=some_of(modules, "command"), default=",".join(modules), help="commands")
     parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS and its like")
     options = parser.parse_args()
     if options.full and options.images == PHOTOGRAPHS:
         parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
-    wanted = [part for part in PARTS if part.module in options.only.split(",") and (options.full or part.small)]
+    wanted = [part for part in PARTS if part.module in options.only and (options.full or part.small)]
     taken = [(part.result, run(part, options)) for part in wanted]
     print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken))
 

@@ -22,6 +22,7 @@ from typing import Any
 
 from PIL import Image
 
+from benchmarks.arguments import some_of
 from benchmarks.attacks.attackers import ATTACKS
 from benchmarks.load.latencies import generated
 from benchmarks.load.service import made_picture, png, resident_bytes
@@ -134,11 +135,16 @@ def main() -> int:
     """Exit status: 0 if other clients were served in time and memory stayed small, whatever the attack."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=60.0, help="of each attack (default: 60)")
-    parser.add_argument("--only", default=",".join(ATTACKS), help="attacks, apart by commas (default: all)")
+    parser.add_argument(
+        "--only",
+        type=some_of(ATTACKS, "attack"),
+        default=",".join(ATTACKS),
+        help="attacks, apart by commas (default: all)",
+    )
     parser.add_argument("--out", type=Path, default=RESULTS / "service" / "attacks.json")
     options = parser.parse_args()
     record = Record(options.out, "benchmarks.attacks", {"seconds": options.seconds, "at_most": AT_MOST})
-    for name in options.only.split(","):
+    for name in options.only:
         if not record.has(attack=name):
             record.add(measure(name, options.seconds))
     return 0 if all(row["met"] for row in record.rows) else 1

@@ -32,6 +32,7 @@ from sgmethod.metrics.perceptual import Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS
 
 OURS = ("rd", "paper", "baseline")
+OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one is rd with nothing set
 FEW_EFFORTS = (1, 3, 7)
 Start = Callable[[Pixels, float, int], Shown]
 NETWORKS: dict[str, Start] = {"siren": siren, "hash grid": hash_grid}
@@ -118,7 +119,7 @@ class Run:
             once(profile, "", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
         for limit in o.limits:
             once("rd", f"{limit:g} s", partial(ours, pixels, "rd", o.bpp, limit, self.lpips))
-        for effort in FEW_EFFORTS if o.few else EFFORTS:
+        for effort in FEW_EFFORTS if o.few else OTHER_EFFORTS:
             once("rd", f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, self.lpips, effort))
         if gaussians := self._gaussians(picture, megapixels):
             once("plain Adam", "", partial(learned, plain_adam, pixels, o.seconds, gaussians, None, self.lpips))

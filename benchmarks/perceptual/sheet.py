@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from benchmarks.arguments import some_of
 from benchmarks.pictures import Pixels
 from benchmarks.rd.rivals import Avif, Jpeg, JpegXl
 from sgmethod import decode, encode
@@ -33,6 +34,7 @@ PARTS = (
 OF = "source,before,visual,avif,jpegxl"
 LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
 RIVALS = {rival.name: rival for rival in (Avif, JpegXl, Jpeg)}
+COLUMNS = ("source", "before", "visual", *RIVALS)
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
 MARGIN = 22  # pixels of the sheet, for words
 
@@ -73,20 +75,19 @@ def main() -> None:
     parser.add_argument("--images", type=Path, required=True, help="folder of the Kodak pictures")
     parser.add_argument("--other", type=Path, help="the other checkout")
     parser.add_argument("--parts", default=PARTS, help="NAME:X:Y of each, separated by commas")
-    parser.add_argument("--of", default=OF, help=f"of source, before, visual, {', '.join(RIVALS)}")
+    parser.add_argument("--of", type=some_of(COLUMNS, "column"), default=OF, help=f"of {', '.join(COLUMNS)}")
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "seen.webp")
     options = parser.parse_args()
-    wanted = options.of.split(",")
-    if "before" in wanted and options.other is None:
+    if "before" in options.of and options.other is None:
         parser.error("--of before needs --other")
     chosen = [part.split(":") for part in options.parts.split(",")]
-    sheet = Image.new("RGB", (len(wanted) * ZOOM * WIDTH, len(chosen) * (ZOOM * HEIGHT + MARGIN)), "white")
+    sheet = Image.new("RGB", (len(options.of) * ZOOM * WIDTH, len(chosen) * (ZOOM * HEIGHT + MARGIN)), "white")
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
     for row, (name, *corner) in enumerate(chosen):
         x, y = map(int, corner)
         path = options.images / f"{name}.png"
-        for column, (label, pixels) in enumerate(made_by(wanted, path, options.bpp, options.other)):
+        for column, (label, pixels) in enumerate(made_by(options.of, path, options.bpp, options.other)):
             at = column * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)
             draw.text((at[0] + 4, at[1] + 3), label, "black", font)
             part = Image.fromarray(np.ascontiguousarray(pixels[y : y + HEIGHT, x : x + WIDTH]))

@@ -67,7 +67,7 @@ def kernels_table(rows: list[dict[str, Any]]) -> str:
 
 
 def cases_table(rows: list[dict[str, Any]]) -> str:
-    """Each case; parts of one long case in one line."""
+    """Each case in one line."""
     lines = []
     for row in rows:
         limit = "-" if row["limit"] is None else f"{row['limit']:g}"
