@@ -25,7 +25,7 @@ from sgmethod.profiles import RD
 from sgmethod.rd.finish import EXACT_DB, Finish
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.rate_control import RateControl
-from sgmethod.rd.texture import estimate
+from sgmethod.rd.texture import estimate, grain
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
@@ -240,6 +240,72 @@ def test_it_ends_where_the_noise_ends() -> None:
     assert codes is not None
     assert codes[:, :2].max() == 0
     assert codes[0, 2:].min() >= 6
+
+
+# --- grain, which the fit does not see
+
+
+def hidden_of(picture: NDArray[np.float64], left: float = 1.0) -> NDArray[np.float64]:
+    """Levels of 8 bits [H, W, 3] that are hidden of a picture [H, W], or in colour, of which the fit leaves a part."""
+    pixels = np.clip(np.round(picture), 0, 255).astype(np.uint8)
+    pixels = np.repeat(pixels[:, :, None], 3, 2) if pixels.ndim == 2 else pixels
+    missing = left * (pixels - cv2.GaussianBlur(pixels, (0, 0), 6).astype(np.float32)).transpose(2, 0, 1) / 255
+    found = grain(pixels, lambda first, end: missing[:, first:end], RD)
+    assert found.shape == missing.shape
+    return np.asarray(found.transpose(1, 2, 0) / (native.TARGET_WHITE / 255))
+
+
+def detail_of(picture: NDArray[np.float64]) -> NDArray[np.float64]:
+    half = cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return np.asarray(picture - cv2.resize(half, picture.shape[::-1], interpolation=cv2.INTER_LINEAR))
+
+
+def test_grain_is_hidden_where_the_fit_leaves_it() -> None:
+    picture = 128 + noise(12)
+    hidden = hidden_of(picture)[:, :, 0]
+    assert np.corrcoef(hidden.ravel(), detail_of(picture).ravel())[0, 1] > 0.97
+    assert 0.9 < hidden.std() / detail_of(picture).std() < 1.05
+    assert not hidden_of(picture, left=0.5).any()
+
+
+def test_what_stands_out_of_the_grain_stays() -> None:
+    """A dark stem in the grass."""
+    picture = 128 + noise(8)
+    picture[:, 150:153] = 20
+    stem, grass = (np.s_[8:-8, 150:153], np.s_[8:-8, 60:120])
+    parts = [hidden_of(picture)[where][..., 0].std() / detail_of(picture)[where].std() for where in (stem, grass)]
+    assert parts[0] < 0.35 and parts[1] > 0.9
+
+
+@pytest.mark.parametrize("picture", [*DRAWINGS.values(), 128 + noise(2)], ids=[*DRAWINGS, "faint grain"])
+def test_what_has_no_grain_to_hide(picture: NDArray[np.float64]) -> None:
+    assert not hidden_of(picture).any()
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 200), (130, 1), (65, 67), (64, 64)])
+def test_grain_of_pictures_of_any_size(size: tuple[int, int]) -> None:
+    assert np.abs(hidden_of(128 + noise(20, size))).max() < 128
+
+
+def test_colour_loses_grain_like_grey() -> None:
+    picture = np.stack([128 + noise(12), 90 + 0.5 * noise(12), np.full((HEIGHT, WIDTH), 40.0)], 2)
+    red, green, blue = hidden_of(picture).transpose(2, 0, 1)
+    assert red.std() > 5
+    assert green == pytest.approx(0.5 * red, abs=1.0)
+    assert not blue.any()
+
+
+def test_few_dots_are_left_on_a_lawn() -> None:
+    """Tuned for PSNR, the brightest grains become dots; for the eye they do not."""
+    slope = np.linspace(50, 150, 192) + np.zeros((192, 1))  # or it would be nothing but noise
+    lawn = slope + 20 * np.random.default_rng(5).standard_t(4, slope.shape)
+    pixels = np.repeat(np.clip(lawn, 0, 255).astype(np.uint8)[:, :, None], 3, 2)
+
+    def dots(tune: str) -> int:
+        drawn = decode(sgmethod.encode(pixels, bpp=0.2, tune=tune).data, texture=False)
+        return int((np.abs(detail_of(drawn[:, :, 0].astype(float))) > 15).sum())
+
+    assert dots("visual") < 0.1 * dots("psnr")
 
 
 def photo() -> Pixels:

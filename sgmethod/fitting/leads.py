@@ -30,7 +30,7 @@ class Lead(Protocol):
 
 
 class CoarseError:
-    """Moved by its coarse error as that was lately, for the eye (eye.py).
+    """Moved by its coarse error as that was lately, for the eye (eye.py), and by the grain that is hidden.
 
     Growth would take what moved the target for error, add wide Gaussians for it and leave fine errors alone.
     """
@@ -42,6 +42,7 @@ class CoarseError:
 
     def __init__(self, target: Target) -> None:
         self.unmoved, self.target = target, target
+        self.grain: Target | None = None  # [3, H, W]
         _, height, width = target.shape
         self.size = (-(-height // SHRINK), -(-width // SHRINK))
         self.by: FloatArray | None = None  # [3, *size]
@@ -61,6 +62,8 @@ class CoarseError:
             moved = cv2.resize(by * native.TARGET_WHITE, (width, height), interpolation=cv2.INTER_LINEAR)
             np.rint(moved, out=moved)
             np.add(plane, moved.astype(np.int16), out=to)
+        if self.grain is not None:
+            self.target -= self.grain
 
 
 class Overshoot:

@@ -116,8 +116,12 @@ class Picture:
     def follow(self, p: Parameters) -> None:
         """Move the target, where something leads it."""
         if self.lead is not None:
-            self.lead.follow(self._missing(p, self._unmoved()))
+            self.lead.follow(self.left(p))
             self.target = self.lead.target
+
+    def left(self, p: Parameters) -> Rows:
+        """All of the unmoved target, less the picture, as residual() gives it."""
+        return self._missing(p, self._unmoved())
 
     def _unmoved(self) -> Target:
         return self.target if self.lead is None else self.lead.unmoved

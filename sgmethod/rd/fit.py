@@ -23,7 +23,7 @@ from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock
 from sgmethod.native import native
 from sgmethod.profiles import PAPER, Times
-from sgmethod.rd import growth, quantiser
+from sgmethod.rd import growth, quantiser, texture
 from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
 from sgmethod.rd.rate_control import RateControl
@@ -52,6 +52,7 @@ class RdFit:
         [H, W], what shows of the pixels, where they are not opaque."""
         self.control, self.clock, self.preview = control, clock, preview
         self.settings = settings = control.settings
+        self.pixels = pixels
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
         background = background_of(pixels)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
@@ -61,10 +62,11 @@ class RdFit:
         self.seen = None if seen is None else eye.Seen(seen)
         target = target_of(pixels, background)
         lead: leads.Lead | None = None
+        self.coarse_error: leads.CoarseError | None = None
         if settings.overshoot > 0:
             lead = leads.Overshoot(target, pixels, settings.overshoot)
         elif settings.tune == "visual":
-            lead = leads.CoarseError(target)
+            self.coarse_error = lead = leads.CoarseError(target)
         self.picture = Picture(target, 0.0, native.CUTOFF_V3, pyramid=True, visibility=seen, shown=shown, lead=lead)
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
@@ -145,12 +147,16 @@ class RdFit:
         native.keep_in_range(GRID_REACH, self.width, self.height, *(t.numpy() for t in self.p.tensors()))
 
     def _reconsider(self, at: float) -> None:
-        """Drop Gaussians, steer the quantum and, while growing, add Gaussians."""
+        """Drop Gaussians, steer the quantum and, while growing, add Gaussians; later hide grain, for the eye."""
         s, most = self.settings, self.control.most_gaussians(at)
         self._drop(s.bits_of_dropped if at >= s.times.growth_at[-1] else s.bits_of_nothing, most)
         self._steer(at)
         if at in s.times.growth_at:
             self._grow(most, at)
+        if at >= s.times.excess_until and self.coarse_error is not None and self.coarse_error.grain is None:
+            # The fit leaves about what it will leave in the end.
+            self.coarse_error.grain = texture.grain(self.pixels, self.picture.left(self.p), s)
+            self.picture.follow(self.p)
 
     def _drop(self, bits: float, most: int) -> None:
         """Remove Gaussians whose energy is not worth so many bits, and the least of those beyond so many."""

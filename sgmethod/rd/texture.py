@@ -1,4 +1,8 @@
-"""How strong texture should be: by what of the picture the Gaussians leave, where that looks like noise."""
+"""Grain: what Gaussians should not try to draw, and how strong the texture should be that shows it instead.
+
+Of grass or water only the brightest grains are worth a Gaussian, and single needles and dots on a wash look broken. So
+grain is taken out of the fit's target where the fit leaves most of it anyway, and what is left comes back as texture.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.bitstream.texture import Codes, cells
+from sgmethod.fitting.bands import Rows, bands
 from sgmethod.native import native
 from sgmethod.profiles import RdSettings
 
@@ -20,6 +25,8 @@ REACH = 9  # pixels along a side of the square around a pixel in which its ink a
 CONTRAST = 64  # levels of 8 bits between the two, at least
 LIKE = 1 / 6  # of the contrast: as far from ink or paper as JPEG may leave what was drawn as one of them
 MOST_DRAWN = 1 / 2  # of the pixels of a block that may be noise
+TINY = 1e-3  # squared levels
+MARGIN = 4  # rows, beyond what reduction and enlargement reach
 
 
 def estimate(source: Pixels, decoded: Pixels, settings: RdSettings) -> Codes | None:
@@ -37,12 +44,63 @@ def estimate(source: Pixels, decoded: Pixels, settings: RdSettings) -> Codes | N
         left = _padded(_plane(_luma(source[band]) - _luma(decoded[band])), columns)
         noisy = _noisy(_padded(_luma(source[band]), columns))
         for octave in range(native.TEXTURE_OCTAVES):
-            coarse = cv2.resize(left, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-            detail = left - cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR)
-            found[octave, row] = _strength(_spread(detail, noisy, settings), settings.texture_gain[octave], settings)
-            left = _plane(coarse)
+            coarse = _halved(left)
+            spread = _spread(_detail(left, coarse), noisy, settings)
+            found[octave, row] = _strength(spread, settings.texture_gain[octave], settings)
+            left = coarse
     codes = _codes(found)
     return codes if codes.any() else None
+
+
+def grain(source: Pixels, left: Rows, settings: RdSettings) -> NDArray[np.int16]:
+    """The grain of a picture [H, W, 3] that the fit had better not see; [3, H, W], TARGET_WHITE is white.
+
+    left: what the fit leaves of the picture now, by rows. The grain is of the finest octave. In each cell, a low
+    quantile of its energies in blocks tells how strong it is. Each block loses as much as if that were noise (a Wiener
+    filter): what is as strong as its surroundings goes, what stands out of them stays.
+    """
+    height, width = source.shape[:2]
+    share = _hidden(source, left, settings)
+    size = tuple(BLOCK * side for side in share.shape[::-1])
+    share = _plane(cv2.resize(share * (native.TARGET_WHITE / 255), size, interpolation=cv2.INTER_LINEAR))
+    hidden = np.empty((3, height, width), np.int16)
+    for first, end in bands(height, width):
+        top, bottom = max(first - MARGIN, 0), min(end + MARGIN, height)
+        part = source[top:bottom]
+        even = cv2.copyMakeBorder(part, 0, len(part) % 2, 0, width % 2, cv2.BORDER_REPLICATE)
+        detail = _detail(_plane(even))[first - top : end - top, :width]
+        for channel, to in zip(detail.transpose(2, 0, 1), hidden[:, first:end], strict=True):
+            to[...] = np.rint(channel * share[first:end, :width])
+    return hidden
+
+
+def _hidden(source: Pixels, left: Rows, settings: RdSettings) -> Plane:
+    """How much of the detail of each block is hidden, 0 to 1."""
+    height, width = source.shape[:2]
+    rows, columns = cells(width, height)
+    side = native.TEXTURE_CELL // BLOCK
+    energy, noisy = np.empty((2, rows * side, columns * side), np.float32)
+    strength = np.empty((rows, columns), np.float32)
+    for row in range(rows):
+        first, here = row * native.TEXTURE_CELL, slice(row * side, (row + 1) * side)
+        end = min(first + native.TEXTURE_CELL, height)
+        luma = _padded(_luma(source[first:end]), columns)
+        energy[here], noisy[here] = _energy(_detail(luma)), _noisy(luma)
+        missing = 255 * _luma(np.ascontiguousarray(left(first, end).transpose(1, 2, 0)))
+        part = np.minimum(_energy(_detail(_padded(missing, columns))) / (energy[here] + TINY), 1)
+        found = np.quantile(_by_cell(noisy[here] * energy[here]), settings.texture_quantile, axis=1)
+        found *= _rise(np.sqrt(found), settings.grain_levels)
+        found *= _rise(np.median(_by_cell(part), axis=1), settings.grain_left)
+        strength[row] = found
+    strength = _plane(cv2.resize(strength, energy.shape[::-1], interpolation=cv2.INTER_LINEAR))
+    share = noisy * np.minimum(settings.grain_hidden**2 * strength / (energy + TINY), 1)
+    return _plane(cv2.GaussianBlur(share, (0, 0), 0.7))
+
+
+def _rise(values: NDArray[Any], between: tuple[float, float]) -> NDArray[Any]:
+    """From 0 to 1 between the two."""
+    first, last = between
+    return np.clip((values - first) / (last - first), 0, 1)
 
 
 def _plane(values: NDArray[Any]) -> Plane:
@@ -81,12 +139,32 @@ def _share(where: NDArray[np.bool_]) -> Plane:
     return _plane(cv2.resize(_plane(where), None, fx=1 / BLOCK, fy=1 / BLOCK, interpolation=cv2.INTER_AREA))
 
 
+def _halved(plane: Plane) -> Plane:
+    return _plane(cv2.resize(plane, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
+
+
+def _detail(plane: Plane, coarse: Plane | None = None) -> Plane:
+    """Of a plane with even sides, what half the size does not show; coarse: it at half the size."""
+    coarse = _halved(plane) if coarse is None else coarse
+    return _plane(plane - cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR))
+
+
+def _energy(detail: Plane, side: int = BLOCK) -> Plane:
+    """The mean of its squares in each block."""
+    return _plane(cv2.resize(detail * detail, None, fx=1 / side, fy=1 / side, interpolation=cv2.INTER_AREA))
+
+
+def _by_cell(blocks: Plane) -> Plane:
+    """[columns, blocks] of one row of cells: a cell is as many blocks wide as high."""
+    rows = len(blocks)
+    return _plane(blocks.reshape(rows, -1, rows).transpose(1, 0, 2).reshape(-1, rows * rows))
+
+
 def _spread(detail: Plane, noisy: Plane, settings: RdSettings) -> Plane:
     """A low quantile of the spread in the blocks of each cell, beyond what nobody sees, in levels of 8 bits."""
-    energy = noisy * cv2.resize(detail * detail, noisy.shape[::-1], interpolation=cv2.INTER_AREA)
-    rows = energy.shape[0]  # of one row of cells, and so of each cell
-    blocks = energy.reshape(rows, -1, rows).transpose(1, 0, 2).reshape(-1, rows * rows)
-    energies = np.quantile(blocks, settings.texture_quantile, axis=1) - settings.texture_floor**2
+    side = detail.shape[0] // noisy.shape[0]  # of a block, at this octave
+    energy = noisy * _energy(detail, side)
+    energies = np.quantile(_by_cell(energy), settings.texture_quantile, axis=1) - settings.texture_floor**2
     return _plane(np.sqrt(np.maximum(energies, 0)))
 
 
