@@ -57,11 +57,11 @@ class CoarseError:
                 to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
         np.clip(coarse, -self.FURTHEST, self.FURTHEST, out=coarse)
         self.by = coarse if self.by is None else self.by + np.float32(self.RATE) * (coarse - self.by)
-        self.target = np.empty_like(self.unmoved)
-        for plane, by, to in zip(self.unmoved, self.by, self.target, strict=True):
-            moved = cv2.resize(by * native.TARGET_WHITE, (width, height), interpolation=cv2.INTER_LINEAR)
-            np.rint(moved, out=moved)
-            np.add(plane, moved.astype(np.int16), out=to)
+        if self.target is self.unmoved:
+            self.target = np.empty_like(self.unmoved)
+        moved = np.rint(self.by * native.TARGET_WHITE).astype(np.int16)
+        for plane, by, to in zip(self.unmoved, moved, self.target, strict=True):
+            np.add(plane, cv2.resize(by, (width, height), interpolation=cv2.INTER_LINEAR), out=to)
         if self.grain is not None:
             self.target -= self.grain
 
