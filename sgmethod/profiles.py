@@ -196,10 +196,10 @@ class RdSettings(OptimiserSettings):
     tiny_quanta: tuple[float, ...] = tuple(2 ** (step / 6) for step in range(-3, 10))
     tiny_prices: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     # Grain that is hidden from the fit, and texture; of visual tuning alone.
-    grain_hidden: float = 1.2  # times as strong as the grain of a cell, detail is hidden as a whole
+    grain_hidden: float = 1.0  # of the strength of a cell's grain: detail that is no stronger is hidden as a whole
     grain_left: tuple[float, float] = (0.6, 0.85)  # of a cell's detail, by the fit: none is hidden below, all above
     grain_levels: tuple[float, float] = (4.0, 7.0)  # of 8 bits: the same by its strength; faint grain makes no needles
-    texture_gain: tuple[float, float] = (0.83, 0.4)  # by octave, of a spread of texture_middle that is left
+    texture_gain: tuple[float, float] = (0.8, 0.4)  # by octave, of a spread of texture_middle that is left
     texture_middle: float = 3.0  # levels of 8 bits
     texture_power: float = 0.5  # of other spreads, with which strengths go: much grain where much is left looks broken
     texture_most: float = 0.9  # of what is left
