@@ -7,10 +7,11 @@
 5. refine     the integers of each Gaussian, on the picture that the others leave   (native/refine/refine.cpp)
 6. write      the bytes of a version 4 file                                         (bitstream/)
 
-Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what 4 has to meet. For the eye, grain that 2
-leaves is hidden from it, and becomes texture (texture.py). More effort repeats 2 to 5 in rounds: more Gaussians than can
-stay are added and fitted, those that gain least go, and the best file is kept. Small pictures of lines, letters or noise
-are fitted at fixed qualities too (ladder.py). Alpha is a picture of its own, and goes the same way first (alpha.py).
+Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what 4 has to meet. For the eye, grain that
+2 leaves is hidden from it, and becomes texture (texture.py). More effort repeats 2 to 5 in rounds: more Gaussians than
+can stay are added and fitted, those that gain least go, and the best file is kept. Small pictures of lines, letters or
+noise are fitted at fixed qualities too (ladder.py). Alpha is a picture of its own, and goes the same way first
+(alpha.py).
 """
 
 from __future__ import annotations
