@@ -1,11 +1,12 @@
 """What figures do not tell: parts of textured pictures at twice their size, side by side, as one picture.
 
     python -m benchmarks.perceptual.sheet --images KODAK --other CHECKOUT [--bpp 0.25] [--out FILE]
-    python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif,jpeg --parts kodim08:230:150,...
+    python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif,jpeg \\
+        --parts kodim08:230:150,kodim15:390:150,kodim13:120:300 --out docs/crop.webp
 
 For each part: the picture, a file of another checkout (one of version 3, with its own .venv), this one's tuned for the
 eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is libavif's own) and JPEG XL, none with more bytes than ours; or
-what --of names. The second command makes docs/crop.webp.
+what --of names.
 """
 
 from __future__ import annotations
