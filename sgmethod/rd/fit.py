@@ -62,11 +62,10 @@ class RdFit:
         self.seen = None if seen is None else eye.Seen(seen)
         target = target_of(pixels, background)
         lead: leads.Lead | None = None
-        self.coarse_error: leads.CoarseError | None = None
         if settings.overshoot > 0:
             lead = leads.Overshoot(target, pixels, settings.overshoot)
         elif settings.tune == "visual":
-            self.coarse_error = lead = leads.CoarseError(target)
+            lead = leads.CoarseError(target)
         self.picture = Picture(target, 0.0, native.CUTOFF_V3, pyramid=True, visibility=seen, shown=shown, lead=lead)
         self.pyramid = Pyramid(self.picture, settings)
         self.size = 0  # of the file in bytes, about
@@ -153,9 +152,10 @@ class RdFit:
         self._steer(at)
         if at in s.times.growth_at:
             self._grow(most, at)
-        if at >= s.times.excess_until and self.coarse_error is not None and self.coarse_error.grain is None:
+        lead = self.picture.lead
+        if at >= s.times.excess_until and isinstance(lead, leads.CoarseError) and lead.grain is None:
             # The fit leaves about what it will leave in the end.
-            self.coarse_error.grain = texture.grain(self.pixels, self.picture.left(self.p), s)
+            lead.grain = texture.grain(self.pixels, self.picture.left(self.p), s)
             self.picture.follow(self.p)
 
     def _drop(self, bits: float, most: int) -> None:

@@ -26,7 +26,7 @@ CONTRAST = 64  # levels of 8 bits between the two, at least
 LIKE = 1 / 6  # of the contrast: as far from ink or paper as JPEG may leave what was drawn as one of them
 MOST_DRAWN = 1 / 2  # of the pixels of a block that may be noise
 TINY = 1e-3  # squared levels
-MARGIN = 4  # rows, beyond what reduction and enlargement reach
+MARGIN = 4  # rows, beyond what reduction and enlargement reach; even, so that pairs of rows stay pairs
 
 
 def estimate(source: Pixels, decoded: Pixels, settings: RdSettings) -> Codes | None:
