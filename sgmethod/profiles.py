@@ -142,6 +142,9 @@ class RdSettings(OptimiserSettings):
     dense_steps: float = 2.25  # times the steps where many Gaussians a pixel are expected: they come to rest later
     sparse: float = 0.01  # Gaussians a pixel up to which `steps` are enough
     dense: float = 0.035  # and from which there are `dense_steps` times as many
+    large_steps: float = 0.85  # times the steps for a large picture, whose last steps gain least for their time
+    large_halved_until: float = 0.8  # for a large picture, if later than its times say
+    large: tuple[float, float] = (1e6, 8e6)  # pixels; between them both go over to those of a large one
     color_solve_steps: int = 4  # conjugate-gradient steps for the colours of the start and of new Gaussians
 
     times: Times = Times()
@@ -235,6 +238,15 @@ DEFAULT_EFFORT = 5
 PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
 PROFILE_NAMES = tuple(PROFILES)
 DEFAULT_PROFILE = "rd"
+
+
+def with_size(settings: RdSettings, pixels: int) -> RdSettings:
+    """The settings for a picture of so many pixels."""
+    s, (small, large) = settings, settings.large
+    share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
+    later = max(s.large_halved_until - s.times.halved_until, 0.0)
+    times = replace(s.times, halved_until=s.times.halved_until + share * later)
+    return replace(s, steps=round(s.steps * (1 - share * (1 - s.large_steps))), times=times)
 
 
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:

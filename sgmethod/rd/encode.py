@@ -22,7 +22,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.native import native
-from sgmethod.profiles import RdSettings
+from sgmethod.profiles import RdSettings, with_size
 from sgmethod.rd import alpha
 from sgmethod.rd.finish import Finish
 from sgmethod.rd.ladder import Ladder, is_stiff
@@ -32,6 +32,8 @@ from sgmethod.rd.runs import Runs, most_steps, place
 
 def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
     """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
+    height, width = request.pixels.shape[:2]
+    settings = with_size(settings, width * height)
     with torch.no_grad():
         if request.alpha is None:
             stream, steps = encode_layer(request, settings)
