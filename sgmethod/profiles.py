@@ -154,9 +154,9 @@ class RdSettings(OptimiserSettings):
     round_times: Times = ROUND
     round_steps: float = 0.4  # of the first run's
 
-    # Further runs, at qualities of their own, for pictures that are stiff and small
+    # Further runs, for sizes of their own, for pictures that are stiff and small
     ladder_pixels: int = 1 << 18  # of a picture, at most
-    ladder: tuple[float, ...] = (0, 12, 24, 36, 48, 60, 72, 84, 96, 108)
+    ladder: tuple[int, ...] = tuple(64 << doubled for doubled in range(13))  # bytes
 
     # Growth
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow

@@ -33,7 +33,7 @@ PROFILES_TESTED = ("rd", "paper", "baseline")
 @pytest.fixture(autouse=True)
 def short_profiles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Encodes of a fraction of a second: what is tested here does not hang on quality."""
-    monkeypatch.setitem(PROFILES, "rd", replace(RD, steps=400, ladder=(24.0, 72.0)))
+    monkeypatch.setitem(PROFILES, "rd", replace(RD, steps=400, ladder=(128, 1024)))
     for name, settings in (("paper", PAPER), ("baseline", BASELINE)):
         monkeypatch.setitem(PROFILES, name, replace(settings, fit_steps=120, tune_steps=80))
 

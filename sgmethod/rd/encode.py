@@ -10,7 +10,7 @@
 Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what 4 has to meet. For the eye, grain that
 2 leaves is hidden from it, and becomes texture (texture.py). More effort repeats 2 to 5 in rounds: more Gaussians than
 can stay are added and fitted, those that gain least go, and the best file is kept. Small pictures of lines, letters or
-noise are fitted at fixed qualities too (ladder.py). Alpha is a picture of its own, and goes the same way first
+noise are fitted for other sizes too (ladder.py). Alpha is a picture of its own, and goes the same way first
 (alpha.py).
 """
 
@@ -25,7 +25,7 @@ from sgmethod.native import native
 from sgmethod.profiles import RdSettings, with_size
 from sgmethod.rd import alpha
 from sgmethod.rd.finish import Finish
-from sgmethod.rd.ladder import Ladder, is_stiff
+from sgmethod.rd.ladder import Ladder, is_small, is_stiff
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.rd.runs import Runs, most_steps, place
 
@@ -45,8 +45,9 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
 def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]:
     """The stream of one picture without alpha, and the steps it took. What of it alpha shows weighs its errors."""
     control = RateControl.of(request, settings)
-    ladder = Ladder(request, control) if is_stiff(request, settings) else None
-    in_all = most_steps(control) + (ladder.most_steps if ladder else 0)
+    ladder = Ladder(request, control) if is_small(request, settings) else None
+    stiff = ladder is not None and is_stiff(request)
+    in_all = most_steps(control) + (ladder.most_steps if ladder and stiff else 0)
     runs = Runs(place(request, control, request.recorder.preview), request, in_all)
     runs.first()
     found = []
@@ -60,8 +61,8 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     del runs  # what only steps need
     native.release_memory()
     best = finish.best([*found, finish.stream()])
-    if ladder and best.payload:
-        best = ladder.best(best, in_all)
+    if ladder and best.payload and (stiff or not finish.has_enough(best)):
+        best = ladder.best(best, most_steps(control) + ladder.most_steps)
         steps += ladder.steps
     return best, steps
 

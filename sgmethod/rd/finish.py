@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, pack
 from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.v4 import StreamV4
@@ -28,6 +29,8 @@ from sgmethod.rd.texture import estimate
 
 NO_LIMIT = 1 << 40
 EXACT_DB = 99.0  # of a picture without any error
+UNUSED, BYTES_OF_ONE = 0.03, 8  # of a size, and of one Gaussian: files end below their size by so much without harm
+ROUNDED_DB = 58.9  # of one that differs from its source as much as rounding to 8 bits does
 
 
 class Finish:
@@ -56,6 +59,13 @@ class Finish:
     def best(self, streams: Sequence[StreamV4]) -> StreamV4:
         """The one that meets the budget best, of several that stream() found in the course of one encode."""
         return max(streams, key=self._merit) if len(streams) > 1 else streams[0]
+
+    def has_enough(self, stream: StreamV4) -> bool:
+        """Whether it has what the budget asks for, bytes or a PSNR, or is as good as 8 bits allow."""
+        most = self.control.max_bytes
+        if most is not None and len(container.serialise(stream)) >= min((1 - UNUSED) * most, most - BYTES_OF_ONE):
+            return True
+        return not self.control.has_goal or self.psnr(stream) >= min(self.control.psnr or ROUNDED_DB, ROUNDED_DB)
 
     def _merit(self, stream: StreamV4) -> tuple[float, float]:
         """By which streams of one budget are compared, whatever its kind; the second where the first is equal."""

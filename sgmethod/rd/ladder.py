@@ -1,15 +1,15 @@
-"""The ladder: files of a stiff picture at fixed qualities, among which every budget finds the same.
+"""The ladder: files of a stiff picture at fixed sizes, among which every budget finds the same.
 
 A picture of thin lines, single pixels or noise has a few good files and many bad ones: where its fit ends hangs on the
 quantum, on the number of Gaussians and on luck. A budget alone would let a larger one end with a worse file. So such a
-picture, if it is small, is also fitted at qualities that no budget moves. What those fits have found, all budgets may
-take.
+picture, if it is small, is also fitted for sizes that no budget moves. What those fits have found, all budgets may
+take. A budget of a size or a PSNR also goes on from the best of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 
 import cv2
 
@@ -17,32 +17,39 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.profiles import RdSettings
-from sgmethod.rd.finish import EXACT_DB, NO_LIMIT, Finish
+from sgmethod.rd import quantiser
+from sgmethod.rd.finish import EXACT_DB, Finish
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.pyramid import SMALLEST_SIDE
-from sgmethod.rd.rate_control import RateControl, quality_quantum
-from sgmethod.rd.runs import Runs, place
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.runs import Runs, place, steps_of_round
 from sgmethod.trace import shown_to_nobody
 
-DENSE, FEW = 16, 1000  # pixels, or fewer, for each Gaussian, where there are not few of them: then a fit takes long
+DENSE, FEW = 8, 1000  # pixels, or fewer, for each Gaussian, where there are not few of them: then a fit takes long
+ABOVE = 1.1  # times the budget: the next larger size is more than that, and may be less than twice
+FURTHER, NEAR_DB = 3, 6  # rounds, at most, from a rung that is better than its bytes, or at most so far below a PSNR
 KEPT = 0.5  # of the variance; of 36 photographs one is below, if it is reduced to 96 pixels
 
 
 @dataclass(frozen=True)
 class Rung:
-    """The end of one fit, the coded picture that it gave, and its PSNR in dB."""
+    """The end of one fit, the coded picture that it gave, its bytes as a file, and its PSNR in dB."""
 
     fit: RdFit
     stream: StreamV4
+    size: int
     psnr: float
 
 
-def is_stiff(request: Request, settings: RdSettings) -> bool:
-    """Whether a picture is small and either narrow, or keeps little of its contrast at a quarter of its size, which no
-    photograph does."""
+def is_small(request: Request, settings: RdSettings) -> bool:
+    """Whether a picture may be fitted many times, and its budget says more than a number of Gaussians."""
     height, width = request.pixels.shape[:2]
-    if request.budget.kind == "gaussians" or height * width > settings.ladder_pixels:
-        return False
+    return request.budget.kind != "gaussians" and height * width <= settings.ladder_pixels
+
+
+def is_stiff(request: Request) -> bool:
+    """Whether a picture is narrow, or keeps little of its contrast at a quarter of its size. No photograph does."""
+    height, width = request.pixels.shape[:2]
     if min(height, width) < SMALLEST_SIDE:
         return True
     quarter = cv2.resize(request.pixels, (width // 4, height // 4), interpolation=cv2.INTER_AREA)
@@ -54,61 +61,99 @@ class Ladder:
 
     def __init__(self, request: Request, control: RateControl) -> None:
         self.request, self.control = request, control
-        coarser = replace(control, max_bytes=None, psnr=None)
-        self.controls = [replace(coarser, quantum=quality_quantum(quality)) for quality in control.settings.ladder]
-        self.most_steps, self.steps = sum(control.steps() for control in self.controls), 0
+        self.controls = [control.for_size(size) for size in self._sizes()]
+        of_rungs = sum(control.steps() + steps_of_round(control) for control in self.controls)
+        self.most_steps = of_rungs + control.steps() + FURTHER * steps_of_round(control)
+        self.steps = 0
 
     def best(self, own: StreamV4, in_all: int) -> StreamV4:
         """The coded picture that meets the budget best: the encode's own, or one from the ladder. in_all: steps of the
         encode."""
         rungs: list[Rung] = []
         for control in self.controls:
-            fit = place(self.request, control, shown_to_nobody)  # a picture that grew sharper is not to begin anew
-            runs = Runs(fit, self.request, in_all, in_all - self.most_steps + self.steps)
+            runs = self._runs(place(self.request, control, shown_to_nobody), in_all)  # whose preview would begin anew
             if not runs.has_time():
                 break
             runs.first()
-            self.steps += runs.steps
-            finish = Finish(fit, self.request)
-            stream = finish.stream()
-            rungs.append(Rung(fit, stream, finish.psnr(stream)))
+            runs.until_round(1)
+            rungs.append(self._rung(runs))
             if self._is_last(rungs):
                 break
         if not rungs:
             return own
-        for rung in rungs:
-            rung.fit.control = self.control
-        found = self._within_budget(rungs)
-        # Of a quality, the choice is to be the same whatever the quality.
-        is_whole = not self.control.has_goal and (len(rungs) == len(self.controls) or _is_dense(rungs[-1]))
-        return Finish(rungs[-1].fit, self.request).best(found if is_whole else [own, *found])
+        judge = Finish(self._asked(rungs[-1]).fit, self.request)
+        if not self.control.has_goal and (len(rungs) == len(self.controls) or self._is_last(rungs)):
+            return judge.best([rung.stream for rung in rungs])  # the choice is to be the same whatever the quality
+        found = [own, *self._within_budget(rungs)]
+        below = self._worth_more(rungs, judge.best(found), judge)
+        if below is not None:
+            runs = self._runs(self._asked(below).fit, in_all)
+            for number in range(1, FURTHER + 1):
+                runs.until_round(number)
+                found.append(self._rung(runs).stream)
+                if judge.has_enough(found[-1]):
+                    break
+        return judge.best(found)
 
-    def _within_budget(self, rungs: Sequence[Rung]) -> list[StreamV4]:
+    def _sizes(self) -> list[int]:
+        """Bytes of the rungs, up to the first that is larger than the budget, or that no file can use."""
+        most = self.control.most_bytes() if self.control.max_bytes is None else ABOVE * self.control.max_bytes
+        sizes = self.control.settings.ladder
+        return [size for size, before in zip(sizes, (0, *sizes), strict=False) if before < most]
+
+    def _runs(self, fit: RdFit, in_all: int) -> Runs:
+        return Runs(fit, self.request, in_all, in_all - self.most_steps + self.steps)
+
+    def _rung(self, runs: Runs) -> Rung:
+        self.steps, runs.steps = self.steps + runs.steps, 0
+        finish = Finish(runs.fit, self.request)
+        stream = finish.stream()
+        return Rung(runs.fit, stream, len(container.serialise(stream)), finish.psnr(stream))
+
+    def _asked(self, rung: Rung) -> Rung:
+        """With the budget of the encode in place of its own."""
+        rung.fit.control = self.control
+        return rung
+
+    def _within_budget(self, rungs: list[Rung]) -> list[StreamV4]:
         """What the rungs have found, and what becomes of the Gaussians of the best, and of the next finer, within the
         budget."""
-        if not self.control.has_goal:
-            return [rung.stream for rung in rungs]
-        most = NO_LIMIT if self.control.max_bytes is None else self.control.max_bytes
-        fitting = [rung for rung in rungs if len(container.serialise(rung.stream)) <= most]
+        most = self.control.max_bytes
+        fitting = self._fitting(rungs)
         streams = [rung.stream for rung in fitting]
-        finish = Finish(rungs[0].fit, self.request)
-        at = streams.index(finish.best(streams)) if fitting else 0
-        following = 1 if self.control.max_bytes is None else 2
-        return [*streams, *(Finish(rung.fit, self.request).stream() for rung in rungs[at : at + following])]
+        if not self.control.has_goal:
+            return streams
+        at = streams.index(Finish(self._asked(rungs[0]).fit, self.request).best(streams)) if fitting else 0
+        following = rungs[at : at + (1 if most is None else 2)]
+        return streams + [Finish(self._asked(rung).fit, self.request).stream() for rung in following]
 
-    def _is_last(self, rungs: Sequence[Rung]) -> bool:
-        """Whether the last rung has so many Gaussians that the next would take long, or the one before it is as good or
-        as large as the budget says."""
-        if _is_dense(rungs[-1]):
+    def _worth_more(self, rungs: list[Rung], best: StreamV4, judge: Finish) -> Rung | None:
+        """The rung from which further rounds may come to more than the best that was found: the best, where
+        bytes are left, or one a little below the PSNR asked for."""
+        if self.control.max_bytes is not None:
+            left = [] if judge.has_enough(best) else self._fitting(rungs)
+        else:
+            aim = self.control.psnr or math.inf
+            left = [rung for rung in rungs if aim - NEAR_DB <= rung.psnr < aim]
+        return max(left, key=lambda rung: rung.psnr, default=None)
+
+    def _fitting(self, rungs: list[Rung]) -> list[Rung]:
+        """Those within the budget's bytes."""
+        most = self.control.max_bytes
+        return [rung for rung in rungs if most is None or rung.size <= most]
+
+    def _is_last(self, rungs: list[Rung]) -> bool:
+        """Whether the last rung has so many Gaussians that the next would take long, or the budget asks for no more, or
+        the next would cost more than all that is left of the error."""
+        last = rungs[-1]
+        n = len(last.fit.p.means)
+        if last.psnr >= min(self.control.psnr or EXACT_DB, EXACT_DB):
             return True
-        if not self.control.has_goal or len(rungs) < 2:
+        if n > FEW and DENSE * n > last.fit.height * last.fit.width:
+            return True
+        if self.control.has_goal:
             return False
-        before = rungs[-2]
-        if before.psnr >= min(self.control.psnr or EXACT_DB, EXACT_DB):
-            return True
-        return self.control.max_bytes is not None and len(before.stream.payload) > self.control.max_bytes
-
-
-def _is_dense(rung: Rung) -> bool:
-    n = len(rung.fit.p.means)
-    return n > FEW and DENSE * n > rung.fit.height * rung.fit.width
+        price = 8 * quantiser.error_per_bit(self.control.quantum)
+        values = self.request.pixels.size
+        cost = min(values * 10 ** (-rung.psnr / 10) + price * rung.size for rung in rungs)
+        return price * last.size > cost

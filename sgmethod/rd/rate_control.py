@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from sgmethod.bitstream.v3 import HEADER_BYTES
 from sgmethod.errors import BudgetError
@@ -74,9 +74,17 @@ class RateControl:
         asked = budget.max_bytes(width, height) or 0
         if asked < SMALLEST_FILE:
             raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {asked}")
-        max_bytes = min(asked, SMALLEST_FILE + MOST_BYTES * pixels)
-        bpp = max(8 * max_bytes / pixels, 1e-3)
-        return cls(settings, pixels, 0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes)
+        return cls(settings, pixels, 0.0).for_size(asked)
+
+    def for_size(self, max_bytes: int) -> RateControl:
+        """The same for a budget of so many bytes, or as many as a file can use."""
+        max_bytes = min(max_bytes, self.most_bytes())
+        bpp = max(8 * max_bytes / self.pixels, 1e-3)
+        return replace(self, quantum=0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes, psnr=None)
+
+    def most_bytes(self) -> int:
+        """That a file of the picture can use."""
+        return SMALLEST_FILE + MOST_BYTES * self.pixels
 
     @property
     def has_goal(self) -> bool:

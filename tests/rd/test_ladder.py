@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from sgmethod import Budget, Encoded, decode, encode
+from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.budget import BudgetKind
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
+from sgmethod.profiles import RD
+from sgmethod.rd.finish import Finish
+from sgmethod.rd.rate_control import RateControl
 from tests.harness.data import PHOTOGRAPHS
 
 Pixels = NDArray[np.uint8]
@@ -101,3 +108,34 @@ def test_the_trace_goes_on_to_the_end() -> None:
     trace = encoded("squares", "quality", 45).trace
     assert all(before.step <= after.step for before, after in pairwise(trace))
     assert trace[-1].step == trace[-1].steps
+
+
+def test_what_does_not_have_enough_goes_on_to_the_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
+    y, x = np.mgrid[:48, :48]
+    disc = np.where(((y - 24) ** 2 + (x - 24) ** 2 < 200)[..., None], (255, 255, 0), 0).astype(np.uint8)
+    usual = encode(disc, bytes=250, tune="psnr").stats
+    monkeypatch.setattr(Finish, "has_enough", lambda *_: False)
+    further = encode(disc, bytes=250, tune="psnr").stats
+    assert further.steps > 2 * usual.steps
+    assert further.psnr >= usual.psnr
+    assert further.bytes <= 250
+
+
+@pytest.mark.parametrize(
+    ("asked", "size", "db", "enough"),
+    [
+        ({"max_bytes": 1000}, 971, 40, True),
+        ({"max_bytes": 1000}, 960, 40, False),
+        ({"max_bytes": 1000}, 960, 60, True),  # as good as 8 bits allow
+        ({"max_bytes": 60}, 53, 20, True),  # no room for another Gaussian
+        ({"psnr": 40.0}, 500, 40, True),
+        ({"psnr": 40.0}, 500, 39.9, False),
+        ({"psnr": 70.0}, 500, 60, True),
+        ({}, 500, 20, True),
+    ],
+)
+def test_enough_is_what_the_budget_asks_for(asked: dict[str, Any], size: int, db: float, enough: bool) -> None:
+    control = RateControl(RD, 4096, 0.1, **asked)
+    finish = cast(Finish, SimpleNamespace(control=control, psnr=lambda _: db))
+    stream = StreamV4(64, 64, 0.1, (0, 0, 0), False, True, bytes(size - HEADER_BYTES))
+    assert Finish.has_enough(finish, stream) is enough

@@ -36,7 +36,7 @@ STEPS = 240
 @pytest.fixture(autouse=True)
 def short_profile(monkeypatch: pytest.MonkeyPatch) -> None:
     """Encodes of a fraction of a second."""
-    monkeypatch.setattr(codec, "PROFILES", {**codec.PROFILES, "rd": replace(RD, steps=STEPS, ladder=(24.0, 72.0))})
+    monkeypatch.setattr(codec, "PROFILES", {**codec.PROFILES, "rd": replace(RD, steps=STEPS, ladder=(128, 1024))})
 
 
 @cache
