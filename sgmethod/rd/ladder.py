@@ -18,7 +18,7 @@ from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.profiles import RdSettings
 from sgmethod.rd import quantiser
-from sgmethod.rd.finish import EXACT_DB, Finish
+from sgmethod.rd.finish import EXACT_DB, ROUNDED_DB, Finish
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.pyramid import SMALLEST_SIDE
 from sgmethod.rd.rate_control import RateControl
@@ -27,7 +27,8 @@ from sgmethod.trace import shown_to_nobody
 
 DENSE, FEW = 8, 1000  # pixels, or fewer, for each Gaussian, where there are not few of them: then a fit takes long
 ABOVE = 1.1  # times the budget: the next larger size is more than that, and may be less than twice
-FURTHER, NEAR_DB = 3, 6  # rounds, at most, from a rung that is better than its bytes, or at most so far below a PSNR
+FURTHER, NEAR_DB = 3, 6  # rounds, at most, from a rung that is good for its bytes, or at most so far below a PSNR
+DB_OF_TWICE, LITTLE_DB = 3.0, 0.1  # that twice the bytes give at least; a gain that is not worth the time
 KEPT = 0.5  # of the variance; of 36 photographs one is below, if it is reduced to 96 pixels
 
 
@@ -128,14 +129,19 @@ class Ladder:
         return streams + [Finish(self._asked(rung).fit, self.request).stream() for rung in following]
 
     def _worth_more(self, rungs: list[Rung], best: StreamV4, judge: Finish) -> Rung | None:
-        """The rung from which further rounds may come to more than the best that was found: the best, where
-        bytes are left, or one a little below the PSNR asked for."""
-        if self.control.max_bytes is not None:
-            left = [] if judge.has_enough(best) else self._fitting(rungs)
-        else:
+        """The rung from which further rounds may come to more than the best that was found: one that is good for its
+        bytes, where the budget has more of them, or one a little below the PSNR asked for."""
+        most, db = self.control.max_bytes, judge.psnr(best)
+        if most is None:
             aim = self.control.psnr or math.inf
-            left = [rung for rung in rungs if aim - NEAR_DB <= rung.psnr < aim]
-        return max(left, key=lambda rung: rung.psnr, default=None)
+            return max(
+                (one for one in rungs if aim - NEAR_DB <= one.psnr < aim), key=lambda one: one.psnr, default=None
+            )
+        if db >= ROUNDED_DB:
+            return None
+        promises = [(one.psnr + DB_OF_TWICE * math.log2(most / one.size), one) for one in self._fitting(rungs)]
+        promised, promising = max(promises, key=lambda pair: pair[0], default=(-math.inf, None))
+        return promising if promised > db + LITTLE_DB else None
 
     def _fitting(self, rungs: list[Rung]) -> list[Rung]:
         """Those within the budget's bytes."""
