@@ -38,6 +38,12 @@ def squares() -> Pixels:
     return np.repeat((255 * ((x // 2 + y // 2) % 2)).astype(np.uint8)[..., None], 3, axis=2)
 
 
+def board() -> Pixels:
+    """Squares of one pixel: nothing of them is left at half the size."""
+    y, x = np.mgrid[0:40, 0:40]
+    return np.repeat((255 * ((x + y) % 2)).astype(np.uint8)[..., None], 3, axis=2)
+
+
 def noise() -> Pixels:
     return np.random.default_rng(3).integers(0, 256, (24, 32, 3), np.uint8)
 
@@ -61,6 +67,13 @@ def test_more_quality_is_never_worse_nor_smaller(name: str) -> None:
     for less, more in pairwise(files):
         assert len(less.data) <= len(more.data)
         assert error(name, less) <= error(name, more)
+
+
+def test_a_checkerboard_of_single_pixels_gains_from_each_byte() -> None:
+    found = [encode(board(), Budget("bytes", size), tune="psnr").stats.psnr for size in (300, 600, 1200, 2400)]
+    for fewer, more in pairwise(found):
+        assert more > fewer + 3
+    assert found[-1] > 40
 
 
 @pytest.mark.parametrize("name", STIFF)

@@ -20,7 +20,7 @@ from sgmethod.io.image import read_image
 from sgmethod.io.levels import to_8_bit
 from sgmethod.native import native
 from sgmethod.native.reference import render
-from sgmethod.profiles import RD
+from sgmethod.profiles import EFFORTS, RD, with_size
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
@@ -366,3 +366,14 @@ def test_the_size_grows_with_the_gaussians() -> None:
     with torch.no_grad():
         fit._grow(10**6, RD.times.growth_at[1])
     assert fit.size / len(fit.p.means) == pytest.approx(before, rel=0.05)
+
+
+def test_large_pictures_are_spared_steps() -> None:
+    small, *others, large = (with_size(RD, pixels) for pixels in (400_000, 2_000_000, 4_000_000, 8_000_000))
+    assert small == RD
+    assert large == with_size(RD, 50_000_000)
+    found = [(one.steps, -one.times.halved_until) for one in (small, *others, large)]
+    assert sorted(found, reverse=True) == found
+    assert len(set(found)) == 4
+    quick = replace(RD, **EFFORTS[1])
+    assert with_size(quick, 8_000_000).times == quick.times  # which see small pictures for longer as it is
