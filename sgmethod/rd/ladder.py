@@ -90,6 +90,8 @@ class Ladder:
         if below is not None:
             runs = self._runs(self._asked(below).fit, in_all)
             for number in range(1, FURTHER + 1):
+                if not runs.has_time():
+                    break
                 runs.until_round(number)
                 found.append(self._rung(runs).stream)
                 if judge.has_enough(found[-1]):
