@@ -28,7 +28,7 @@ from sgmethod.trace import shown_to_nobody
 DENSE, FEW = 8, 1000  # pixels, or fewer, for each Gaussian, where there are not few of them: then a fit takes long
 ABOVE = 1.1  # times the budget: the next larger size is more than that, and may be less than twice
 FURTHER, NEAR_DB = 3, 6  # rounds, at most, from a rung that is good for its bytes, or at most so far below a PSNR
-DB_OF_TWICE, LITTLE_DB = 3.0, 0.1  # that twice the bytes give at least; a gain that is not worth the time
+DB_OF_TWICE, LITTLE_DB = 6.0, 0.1  # that twice the bytes may give, a bit more for each number; too little for its time
 KEPT = 0.5  # of the variance; of 36 photographs one is below, if it is reduced to 96 pixels
 
 
