@@ -29,6 +29,7 @@ DENSE, FEW = 8, 1000  # pixels, or fewer, for each Gaussian, where there are not
 ABOVE = 1.1  # times the budget: the next larger size is more than that, and may be less than twice
 FURTHER, NEAR_DB = 3, 6  # rounds, at most, from a rung that is good for its bytes, or at most so far below a PSNR
 DB_OF_TWICE, LITTLE_DB = 6.0, 0.1  # that twice the bytes may give, a bit more for each number; too little for its time
+LEAST_PART = 8  # of a budget's bytes, that a rung has to have for a promise
 KEPT = 0.5  # of the variance; of 36 photographs one is below, if it is reduced to 96 pixels
 
 
@@ -141,7 +142,8 @@ class Ladder:
             )
         if db >= ROUNDED_DB:
             return None
-        promises = [(one.psnr + DB_OF_TWICE * math.log2(most / one.size), one) for one in self._fitting(rungs)]
+        near = [one for one in self._fitting(rungs) if LEAST_PART * one.size >= most]
+        promises = [(one.psnr + DB_OF_TWICE * math.log2(most / one.size), one) for one in near]
         promised, promising = max(promises, key=lambda pair: pair[0], default=(-math.inf, None))
         return promising if promised > db + LITTLE_DB else None
 
