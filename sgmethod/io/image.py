@@ -35,6 +35,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import ImageFile
 
+from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.header import (
     ImageHeader,
@@ -111,7 +112,10 @@ def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool) -> tuple[Sa
 
 def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Samples:
     """Turned as the picture is to be seen, and over white unless alpha is kept, which is noted."""
+    width, height = opened.reader.size
     samples = samples_of(opened.reader, data, opened.colour)
+    if samples.levels.shape[:2] != (height, width):  # libheif crops as it decodes
+        raise ImageError("its pixels are not of the size that its header says")
     if not keep_alpha:
         samples = without_alpha(samples, opened.notes)
     alpha = samples.alpha
