@@ -45,10 +45,11 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
 def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]:
     """The stream of one picture without alpha, and the steps it took. What of it alpha shows weighs its errors."""
     control = RateControl.of(request, settings)
-    ladder = Ladder(request, control) if is_small(request, settings) else None
-    stiff = ladder is not None and is_stiff(request)
-    in_all = most_steps(control) + (ladder.most_steps if ladder and stiff else 0)
-    runs = Runs(place(request, control, request.recorder.preview), request, in_all)
+    ladder = Ladder(request, control)
+    small = is_small(request, settings)
+    stiff = small and is_stiff(request)
+    in_all, with_ladder = most_steps(control), most_steps(control) + ladder.most_steps
+    runs = Runs(place(request, control, request.recorder.preview), request, with_ladder if stiff else in_all)
     runs.first()
     found = []
     for rounds in settings.rounds[:-1]:
@@ -61,8 +62,8 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     del runs  # what only steps need
     native.release_memory()
     best = finish.best([*found, finish.stream()])
-    if ladder and best.payload and (stiff or not finish.has_enough(best)):
-        best = ladder.best(best, most_steps(control) + ladder.most_steps)
+    if small and best.payload and (stiff or not finish.has_enough(best)):
+        best = ladder.best(best, with_ladder)
         steps += ladder.steps
     return best, steps
 

@@ -75,7 +75,7 @@ class Finish:
         if self.control.max_bytes is not None or self.control.max_gaussians is not None:
             return self._quality(stream), -size
         price = quantiser.error_per_bit(self.control.quantum)
-        return -self._error(stream) - 8 * price * size, -size
+        return -self.error(stream) - 8 * price * size, -size
 
     def _texture(self) -> Codes | None:
         """That goes with the Gaussians as they would be rounded now; the quantum found later differs little."""
@@ -107,9 +107,9 @@ class Finish:
 
     def _quality(self, stream: StreamV4) -> float:
         """By which streams of about one size are compared: PSNR, or less of the error that the eye sees."""
-        return self.psnr(stream) if self.picture.visibility is None else -self._error(stream)
+        return self.psnr(stream) if self.picture.visibility is None else -self.error(stream)
 
-    def _error(self, stream: StreamV4) -> float:
+    def error(self, stream: StreamV4) -> float:
         """Squared, summed over the picture, white being 1; as the eye sees it, where the file is tuned for it."""
         if self.picture.visibility is None:
             return self.source.size * float(10 ** (-self.psnr(stream) / 10))

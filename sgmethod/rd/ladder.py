@@ -26,21 +26,25 @@ from sgmethod.rd.runs import Runs, place, steps_of_round
 from sgmethod.trace import shown_to_nobody
 
 DENSE, FEW = 8, 1000  # pixels, or fewer, for each Gaussian, where there are not few of them: then a fit takes long
-ABOVE = 1.1  # times the budget: the next larger size is more than that, and may be less than twice
-FURTHER, NEAR_DB = 3, 6  # rounds, at most, from a rung that is good for its bytes, or at most so far below a PSNR
-DB_OF_TWICE, LITTLE_DB = 6.0, 0.1  # that twice the bytes may give, a bit more for each number; too little for its time
-LEAST_PART = 8  # of a budget's bytes, that a rung has to have for a promise
+ABOVE = 1.1  # the rungs end with the first that has more than so many times the budget's bytes
+FURTHER = 3  # rounds, at most, with which a budget goes on from a rung
+NEAR_DB = 6.0  # a budget of PSNR goes on from a rung that is at most so far below it
+LEAST_PART = 1 / 8  # a budget of bytes goes on from a rung that has at least so much of them
+DB_OF_TWICE = 6.0  # what such a rung promises for twice its bytes: a bit more for each number
+LITTLE_DB = 0.1  # a promise that is not worth the time
 KEPT = 0.5  # of the variance; of 36 photographs one is below, if it is reduced to 96 pixels
 
 
 @dataclass(frozen=True)
 class Rung:
-    """The end of one fit, the coded picture that it gave, its bytes as a file, and its PSNR in dB."""
+    """The end of one fit, the coded picture that it gave, its bytes as a file, its PSNR in dB, and its squared error as
+    Finish.error() has it."""
 
     fit: RdFit
     stream: StreamV4
     size: int
     psnr: float
+    error: float
 
 
 def is_small(request: Request, settings: RdSettings) -> bool:
@@ -71,10 +75,11 @@ class Ladder:
     def best(self, own: StreamV4, in_all: int) -> StreamV4:
         """The coded picture that meets the budget best: the encode's own, or one from the ladder. in_all: steps of the
         encode."""
-        rungs: list[Rung] = []
+        rungs, is_whole = [], True
         for control in self.controls:
             runs = self._runs(place(self.request, control, shown_to_nobody), in_all)  # whose preview would begin anew
             if not runs.has_time():
+                is_whole = False
                 break
             runs.first()
             runs.until_round(1)
@@ -83,13 +88,15 @@ class Ladder:
                 break
         if not rungs:
             return own
-        judge = Finish(self._asked(rungs[-1]).fit, self.request)
-        if not self.control.has_goal and (len(rungs) == len(self.controls) or self._is_last(rungs)):
+        for rung in rungs:
+            rung.fit.control = self.control
+        judge = Finish(rungs[-1].fit, self.request)
+        if not self.control.has_goal and is_whole:
             return judge.best([rung.stream for rung in rungs])  # the choice is to be the same whatever the quality
-        found = [own, *self._within_budget(rungs)]
+        found = [own, *self._within_budget(rungs, judge)]
         below = self._worth_more(rungs, judge.best(found), judge)
         if below is not None:
-            runs = self._runs(self._asked(below).fit, in_all)
+            runs = self._runs(below.fit, in_all)
             for number in range(1, FURTHER + 1):
                 if not runs.has_time():
                     break
@@ -112,14 +119,9 @@ class Ladder:
         self.steps, runs.steps = self.steps + runs.steps, 0
         finish = Finish(runs.fit, self.request)
         stream = finish.stream()
-        return Rung(runs.fit, stream, len(container.serialise(stream)), finish.psnr(stream))
+        return Rung(runs.fit, stream, len(container.serialise(stream)), finish.psnr(stream), finish.error(stream))
 
-    def _asked(self, rung: Rung) -> Rung:
-        """With the budget of the encode in place of its own."""
-        rung.fit.control = self.control
-        return rung
-
-    def _within_budget(self, rungs: list[Rung]) -> list[StreamV4]:
+    def _within_budget(self, rungs: list[Rung], judge: Finish) -> list[StreamV4]:
         """What the rungs have found, and what becomes of the Gaussians of the best, and of the next finer, within the
         budget."""
         most = self.control.max_bytes
@@ -127,9 +129,9 @@ class Ladder:
         streams = [rung.stream for rung in fitting]
         if not self.control.has_goal:
             return streams
-        at = streams.index(Finish(self._asked(rungs[0]).fit, self.request).best(streams)) if fitting else 0
+        at = streams.index(judge.best(streams)) if fitting else 0
         following = rungs[at : at + (1 if most is None else 2)]
-        return streams + [Finish(self._asked(rung).fit, self.request).stream() for rung in following]
+        return streams + [Finish(rung.fit, self.request).stream() for rung in following]
 
     def _worth_more(self, rungs: list[Rung], best: StreamV4, judge: Finish) -> Rung | None:
         """The rung from which further rounds may come to more than the best that was found: one that is good for its
@@ -137,13 +139,12 @@ class Ladder:
         most, db = self.control.max_bytes, judge.psnr(best)
         if most is None:
             aim = self.control.psnr or math.inf
-            return max(
-                (one for one in rungs if aim - NEAR_DB <= one.psnr < aim), key=lambda one: one.psnr, default=None
-            )
+            near = [rung for rung in rungs if aim - NEAR_DB <= rung.psnr < aim]
+            return max(near, key=lambda rung: rung.psnr, default=None)
         if db >= ROUNDED_DB:
             return None
-        near = [one for one in self._fitting(rungs) if LEAST_PART * one.size >= most]
-        promises = [(one.psnr + DB_OF_TWICE * math.log2(most / one.size), one) for one in near]
+        near = [rung for rung in self._fitting(rungs) if rung.size >= LEAST_PART * most]
+        promises = [(rung.psnr + DB_OF_TWICE * math.log2(most / rung.size), rung) for rung in near]
         promised, promising = max(promises, key=lambda pair: pair[0], default=(-math.inf, None))
         return promising if promised > db + LITTLE_DB else None
 
@@ -164,6 +165,4 @@ class Ladder:
         if self.control.has_goal:
             return False
         price = 8 * quantiser.error_per_bit(self.control.quantum)
-        values = self.request.pixels.size
-        cost = min(values * 10 ** (-rung.psnr / 10) + price * rung.size for rung in rungs)
-        return price * last.size > cost
+        return price * last.size > min(rung.error + price * rung.size for rung in rungs)
