@@ -193,11 +193,15 @@ class RdSettings(OptimiserSettings):
     far_from_size: float = 1.1  # of the bytes allowed; a fit that ends beyond was cut short, and also tries to drop
     psnr_tries: int = 7
     psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
-    dearest_bit: float = 256.0  # times the price of refining, where a file is far above the PSNR asked for
-    # A tiny file for a PSNR is the smallest of those with so many times the quantum, and the price of a bit.
+    # A file for a PSNR that it does not meet closely, or a tiny one, is the best of those with so many times the
+    # quantum, and the price of a bit.
+    searched_quanta: tuple[float, ...] = tuple(2 ** (step / 6) for step in range(-3, 10))
+    searched_prices: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+    searched_nearer: tuple[float, ...] = (1 / 12, 1 / 24, 1 / 48, 1 / 96)  # octaves of the quantum, for small pictures
+    searched_fits: int = 8  # of a tiny file; of others the best alone
     tiny_bytes: int = 400
-    tiny_quanta: tuple[float, ...] = tuple(2 ** (step / 6) for step in range(-3, 10))
-    tiny_prices: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+    searched_bytes: int = 12_000  # of a stiff picture's file; in a larger one each Gaussian is worth little
+    fillings: int = 16  # times, at most, that bytes which are left are filled
     # Grain that is hidden from the fit, and texture; of visual tuning alone.
     grain_hidden: float = 1.0  # of the strength of a cell's grain: detail that is no stronger is hidden as a whole
     grain_left: tuple[float, float] = (0.6, 0.85)  # of a cell's detail, by the fit: none is hidden below, all above

@@ -175,6 +175,11 @@ CASES: dict[str, tuple[list[dict[str, Any]], list[tuple[str, float]]]] = {
     "clipped": ([row("quality", 10, 900, 30.0, clipped=3)], [("clipped", 3)]),
     "trace": ([row("quality", 10, 900, 30.0, traced=[890, 30.3, "joint"])], [("trace", 0.3)]),
     "trace, but little": ([row("quality", 10, 900, 30.0, traced=[890, 30.05, "joint"])], []),
+    "trace, but it has what was asked for": ([row("psnr", 30, 900, 30.05, traced=[890, 31.0, "joint"])], []),
+    "trace, and it misses what was asked for": (
+        [row("psnr", 30, 900, 29.9, traced=[890, 31.0, "joint"])],
+        [("trace", 1.1)],
+    ),
     "trace, but exact": ([row("quality", 10, 900, 59.0, traced=[890, 70.0, "joint"])], []),
 }
 

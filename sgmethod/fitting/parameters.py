@@ -32,6 +32,10 @@ class Parameters:
         """As many Gaussians whose values are not set."""
         return Parameters.empty(len(self.means))
 
+    def copy(self) -> Parameters:
+        """The same values in memory of their own."""
+        return Parameters(*(values.clone() for values in self.tensors()))
+
     def with_more(self, new: Parameters) -> Parameters:
         """These and after them new ones."""
         return Parameters(*(torch.cat(pair) for pair in zip(self.tensors(), new.tensors(), strict=True)))

@@ -24,7 +24,7 @@ from sgmethod.fitting.request import Request
 from sgmethod.native import native
 from sgmethod.profiles import RdSettings, with_size
 from sgmethod.rd import alpha
-from sgmethod.rd.finish import Finish
+from sgmethod.rd.finish import Finish, Found
 from sgmethod.rd.ladder import Ladder, is_small, is_stiff
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.rd.runs import Runs, most_steps, place
@@ -51,21 +51,27 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     in_all, with_ladder = most_steps(control), most_steps(control) + ladder.most_steps
     runs = Runs(place(request, control, request.recorder.preview), request, with_ladder if stiff else in_all)
     runs.first()
-    found = []
+    found: list[Found] = []
     for rounds in settings.rounds[:-1]:
         runs.until_round(rounds)
         if not runs.has_time():
             break
-        found.append(Finish(runs.fit, request).stream())
+        finish = Finish(runs.fit, request)
+        found.append(Found(finish.stream(), finish))
     runs.until_round(settings.rounds[-1])
     finish, steps = Finish(runs.fit, request), runs.steps
     del runs  # what only steps need
     native.release_memory()
-    best = finish.best([*found, finish.stream()])
-    if small and best.payload and (stiff or not finish.has_enough(best)):
-        best = ladder.best(best, with_ladder)
+    found.append(Found(finish.stream(), finish))
+    best = finish.best(found)
+    # The search begins from what each lower effort would have found too: more effort is never worse.
+    parts = [found[:many] for many in range(1, len(found) + 1)]
+    climbs = small and bool(best.stream.payload) and (stiff or not finish.has_enough(best.stream))
+    if climbs:
+        parts = [ladder.found(best, with_ladder)]
         steps += ladder.steps
-    return best, steps
+    searched = [Found(finish.searched(part, climbs), finish) for part in parts]
+    return finish.best(searched).stream, steps
 
 
 def write(stream: StreamV4) -> bytes:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, pack
@@ -22,7 +23,7 @@ from sgmethod.fitting import eye
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
 from sgmethod.metrics import psnr
-from sgmethod.rd import quantiser
+from sgmethod.rd import growth, quantiser
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.quantiser import Coder
 from sgmethod.rd.texture import estimate
@@ -30,14 +31,27 @@ from sgmethod.rd.texture import estimate
 NO_LIMIT = 1 << 40
 EXACT_DB = 99.0  # of a picture without any error
 UNUSED, BYTES_OF_ONE = 0.03, 8  # of a size, and of one Gaussian: files end below their size by so much without harm
+FILLED_DB = 0.3  # that further Gaussians gain at least, or the quantum has to be finer
+QUANTA = 6  # of the grid are as far apart as two prices
 ROUNDED_DB = 58.9  # of one that differs from its source as much as rounding to 8 bits does
+
+# The better of a stream, and of what a coder and a price of a bit make of the same Gaussians.
+Better = Callable[[StreamV4, Coder, float], StreamV4]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A coded picture, and the search that found it."""
+
+    stream: StreamV4
+    finish: Finish
 
 
 class Finish:
     """The search for the quantum of one encode, once its Gaussians are fitted."""
 
     def __init__(self, fit: RdFit, request: Request) -> None:
-        self.p, self.coder, self.picture = fit.p, fit.coder, fit.picture
+        self.p, self.coder, self.picture = fit.p.copy(), fit.coder, fit.picture
         self.control, self.settings = fit.control, fit.settings
         self.source, self.alpha = request.pixels, request.alpha
         self.clock, self.request = request.recorder.clock, request
@@ -56,9 +70,32 @@ class Finish:
         enough = min(self.psnr(best), self.control.psnr or math.inf)
         return replace(background if self.psnr(background) >= enough else best, texture=texture)
 
-    def best(self, streams: Sequence[StreamV4]) -> StreamV4:
-        """The one that meets the budget best, of several that stream() found in the course of one encode."""
-        return max(streams, key=self._merit) if len(streams) > 1 else streams[0]
+    def best(self, found: Sequence[Found]) -> Found:
+        """The one that meets the budget best, of several that were found in the course of one encode."""
+        return max(found, key=lambda one: self._merit(one.stream)) if len(found) > 1 else found[0]
+
+    def searched(self, found: Sequence[Found], is_stiff: bool) -> StreamV4:
+        """What a further search finds near the best: the smallest that reaches the PSNR, or what is best within the
+        size, and uses it. found: by one encode; is_stiff: whether by way of the ladder.
+
+        It is for a stiff picture; and for a PSNR where the file is far above it, or tiny: then a byte is worth tenths
+        of a decibel, and where refining ends is chance.
+        """
+        s, best = self.settings, self.best(found).stream
+        is_tiny = len(best.payload) <= s.tiny_bytes
+        of_merit = sorted(found, key=lambda one: self._merit(one.stream), reverse=True)
+        few = of_merit[: s.searched_fits if is_tiny else 1]
+        is_worth_it = is_stiff and len(best.payload) <= s.searched_bytes
+        if self.control.psnr is not None:
+            db, aim = self.psnr(best), min(self.psnr(best), self.control.psnr)
+            for one in few if is_worth_it or is_tiny or db > aim + s.psnr_slack_db else ():
+                best = one.finish._smallest(best, aim, one.stream.quantum, is_tiny)
+        elif self.control.max_bytes is not None and is_stiff:
+            limit = self.control.max_bytes - HEADER_BYTES - (0 if best.texture is None else len(pack(best.texture)))
+            for one in few if is_worth_it else ():
+                best = one.finish._best_within(best, limit, one.stream.quantum, is_tiny)
+            best = self._filled(best, limit)
+        return best
 
     def has_enough(self, stream: StreamV4) -> bool:
         """Whether it has what the budget asks for, bytes or a PSNR, or is as good as 8 bits allow."""
@@ -92,9 +129,12 @@ class Finish:
         return max(self.request.left_s(), 0.0)
 
     def _quantise_and_refine(self, coder: Coder, max_payload: int = NO_LIMIT, dearer: float = 1.0) -> StreamV4:
+        return self._refined(self.p, coder, max_payload, dearer)
+
+    def _refined(self, p: Parameters, coder: Coder, max_payload: int, dearer: float) -> StreamV4:
         price = dearer * self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
         limits = price, self.settings.refine_sweeps, self._left_s(), max_payload
-        return coder.refined(self.p, self.picture.target, *limits, self.picture.visibility)
+        return coder.refined(p, self.picture.target, *limits, self.picture.visibility)
 
     def psnr(self, stream: StreamV4) -> float:
         """Of a coded picture, in dB, as far as alpha shows it; without texture, which is there to be seen and not to be
@@ -173,10 +213,7 @@ class Finish:
         if not reached:
             return streams[max(tried, key=lambda q: tried[q])]
         at = min(reached, key=lambda q: len(streams[q].payload))
-        if tried[at] - aim <= slack or took > self._left_s():
-            return streams[at]
-        fewer = self._fewer(streams[at], aim, took)
-        return self._tiny(fewer, aim) if len(fewer.payload) <= self.settings.tiny_bytes else fewer
+        return streams[at]
 
     def _reachable(self, aim: float, tried: dict[float, float]) -> float:
         """The PSNR to aim at: a little less than the best so far where a finer quantum hardly helps any more."""
@@ -187,49 +224,69 @@ class Finish:
             return aim
         return max(tried.values()) - self.settings.missed_db
 
-    def _fewer(self, stream: StreamV4, psnr_db: float, took: float) -> StreamV4:
-        """The smallest found at the stream's quantum that still reaches the PSNR. took: seconds of a try.
+    def _smallest(self, best: StreamV4, psnr_db: float, quantum: float, is_tiny: bool) -> StreamV4:
+        """The smallest of many with these Gaussians that reach the PSNR, if it is smaller than the best so far."""
 
-        In a picture of some tens of Gaussians each of them is worth tenths of a decibel, whatever the quantum. So the
-        coarsest quantum that reaches the PSNR may end well above it. A dearer bit coarsens the integers of all; then
-        a limit on the bytes takes single Gaussians away. Both are found by bisection.
-        """
-        s, coder, best = self.settings, self.coder.with_quantum(stream.quantum), stream
+        def smaller(best: StreamV4, coder: Coder, dearer: float) -> StreamV4:
+            found = self._quantise_and_refine(coder, len(best.payload) - 1, dearer)
+            return found if self.psnr(found) >= psnr_db else best
 
-        def reaches(dearer: float, max_payload: int = NO_LIMIT) -> bool:
-            nonlocal best
-            smaller = self._quantise_and_refine(coder, max_payload, dearer)
-            reached = self.psnr(smaller) >= psnr_db
-            if reached and len(smaller.payload) < len(best.payload):
-                best = smaller
-            return reached
+        return self._near(best, quantum, is_tiny, smaller)
 
-        dearer, too_dear = 1.0, s.dearest_bit
-        for _ in range(s.psnr_tries):
-            if took > self._left_s():
-                return best
-            middle = math.sqrt(dearer * too_dear)
-            dearer, too_dear = (middle, too_dear) if reaches(middle) else (dearer, middle)
-        too_small = -1
-        for _ in range(s.psnr_tries):
-            if len(best.payload) - too_small <= 2 or took > self._left_s():
-                break
-            bytes_between = (too_small + len(best.payload)) // 2
-            if not reaches(dearer, bytes_between):
-                too_small = bytes_between
-        return best
+    def _best_within(self, best: StreamV4, limit: int, quantum: float, is_tiny: bool) -> StreamV4:
+        """The best of many with these Gaussians and payloads of at most `limit` bytes, if it is better than the best so
+        far."""
 
-    def _tiny(self, stream: StreamV4, psnr_db: float) -> StreamV4:
-        """The smallest of many that reach the PSNR: where a byte is worth tenths of a decibel, chance decides."""
-        best = stream
-        for quantum, dearer in itertools.product(self.settings.tiny_quanta, self.settings.tiny_prices):
+        def better(best: StreamV4, coder: Coder, dearer: float) -> StreamV4:
+            found = replace(self._quantise_and_refine(coder, limit, dearer), texture=best.texture)
+            return max(best, found, key=self._quality)
+
+        return self._near(best, quantum, is_tiny, better)
+
+    def _near(self, best: StreamV4, quantum: float, is_tiny: bool, better: Better) -> StreamV4:
+        """The best of a grid of quanta, from the one given on, and prices of a bit; then, for a small picture, of ever
+        nearer ones. Of a file that is not tiny the grid's prices are tried with the best quantum alone."""
+        s, at = self.settings, (quantum, 1.0)
+
+        def tries() -> Iterator[tuple[float, float]]:
+            for finer in s.searched_quanta:
+                for dearer in s.searched_prices if is_tiny else (1.0,):
+                    yield quantum * finer, dearer
+            for dearer in () if is_tiny else s.searched_prices:
+                yield at[0], dearer
+            for octaves in s.searched_nearer if self.control.pixels <= s.ladder_pixels else ():
+                for finer, cheaper in itertools.product((-octaves, 0.0, octaves), repeat=2):
+                    yield at[0] * 2**finer, at[1] * 2 ** (QUANTA * cheaper)
+
+        for tried in tries():
             if not best.payload or self._left_s() == 0:
                 break
-            coder = self.coder.with_quantum(stream.quantum * quantum)
-            smaller = self._quantise_and_refine(coder, len(best.payload) - 1, dearer)
-            if self.psnr(smaller) >= psnr_db:
-                best = smaller
+            before, best = best, better(best, self.coder.with_quantum(tried[0]), tried[1])
+            at = at if best is before else tried
         return best
+
+    def _filled(self, stream: StreamV4, limit: int) -> StreamV4:
+        """The stream with more Gaussians where it leaves the largest errors, for the bytes that it leaves. A fit can
+        end without a use for them: the fine quantum that they allow is no help to Gaussians that are too few."""
+        s, picture, quantum = self.settings, self.picture, stream.quantum
+        for _ in range(s.fillings):
+            if self.has_enough(stream) or self._left_s() == 0:
+                break
+            p = Parameters.of(stream.gaussians())
+            n = len(p.means)
+            room = min(math.ceil((limit - len(stream.payload)) * n / len(stream.payload)), self.control.pixels - n)
+            least_gain = s.bits_of_new * s.refine_weight * quantiser.error_per_bit(quantum)
+            size = picture.height, picture.width
+            means, factors = map(torch.from_numpy, growth.candidates(picture.residual(p), size, room, least_gain))
+            if len(means):
+                colors = picture.solve_colors(means, factors, s.color_solve_steps, others=p)
+                p = p.with_more(Parameters(means, factors, colors))
+            more = replace(self._refined(p, self.coder.with_quantum(quantum), limit, 1.0), texture=stream.texture)
+            gained = self.psnr(more) - self.psnr(stream)
+            stream = max(stream, more, key=self._quality)
+            if gained < FILLED_DB:
+                quantum /= math.sqrt(2)
+        return stream
 
     def _next_quantum(self, tried: dict[float, float]) -> float:
         """Where the line through the two tries nearest to the target meets it, or a little above."""

@@ -14,21 +14,21 @@ from dataclasses import dataclass
 import cv2
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.request import Request
 from sgmethod.profiles import RdSettings
 from sgmethod.rd import quantiser
-from sgmethod.rd.finish import EXACT_DB, ROUNDED_DB, Finish
+from sgmethod.rd.finish import EXACT_DB, ROUNDED_DB, Finish, Found
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.pyramid import SMALLEST_SIDE
-from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl
 from sgmethod.rd.runs import Runs, place, steps_of_round
 from sgmethod.trace import shown_to_nobody
 
 DENSE, FEW = 8, 1000  # pixels, or fewer, for each Gaussian, where there are not few of them: then a fit takes long
 ABOVE = 1.1  # the rungs end with the first that has more than so many times the budget's bytes
 FURTHER = 3  # rounds, at most, with which a budget goes on from a rung
-NEAR_DB = 6.0  # a budget of PSNR goes on from a rung that is at most so far below it
+LAST = 4  # rungs from which a tiny file goes on
+NEAR_DB = 12.0  # a budget of PSNR goes on from a rung that is at most so far below it
 LEAST_PART = 1 / 8  # a budget of bytes goes on from a rung that has at least so much of them
 DB_OF_TWICE = 6.0  # what such a rung promises for twice its bytes: a bit more for each number
 LITTLE_DB = 0.1  # a promise that is not worth the time
@@ -41,7 +41,7 @@ class Rung:
     Finish.error() has it."""
 
     fit: RdFit
-    stream: StreamV4
+    found: Found
     size: int
     psnr: float
     error: float
@@ -69,12 +69,12 @@ class Ladder:
         self.request, self.control = request, control
         self.controls = [control.for_size(size) for size in self._sizes()]
         of_rungs = sum(control.steps() + steps_of_round(control) for control in self.controls)
-        self.most_steps = of_rungs + control.steps() + FURTHER * steps_of_round(control)
+        self.most_steps = of_rungs + control.steps() + LAST * FURTHER * steps_of_round(control)
         self.steps = 0
 
-    def best(self, own: StreamV4, in_all: int) -> StreamV4:
-        """The coded picture that meets the budget best: the encode's own, or one from the ladder. in_all: steps of the
-        encode."""
+    def found(self, own: Found, in_all: int) -> list[Found]:
+        """The encode's own coded picture, and those from the ladder; for a quality the best of the ladder alone.
+        in_all: steps of the encode."""
         rungs, is_whole = [], True
         for control in self.controls:
             runs = self._runs(place(self.request, control, shown_to_nobody), in_all)  # whose preview would begin anew
@@ -87,24 +87,38 @@ class Ladder:
             if self._is_last(rungs):
                 break
         if not rungs:
-            return own
+            return [own]
         for rung in rungs:
             rung.fit.control = self.control
         judge = Finish(rungs[-1].fit, self.request)
         if not self.control.has_goal and is_whole:
-            return judge.best([rung.stream for rung in rungs])  # the choice is to be the same whatever the quality
+            return [judge.best([rung.found for rung in rungs])]  # the choice is to be the same whatever the quality
         found = [own, *self._within_budget(rungs, judge)]
-        below = self._worth_more(rungs, judge.best(found), judge)
-        if below is not None:
-            runs = self._runs(below.fit, in_all)
-            for number in range(1, FURTHER + 1):
-                if not runs.has_time():
-                    break
-                runs.until_round(number)
-                found.append(self._rung(runs).stream)
-                if judge.has_enough(found[-1]):
-                    break
-        return judge.best(found)
+        for rung in self._worth_more(rungs, judge.best(found), judge):
+            found += self._further(rung, judge, in_all)
+        return found
+
+    def _further(self, rung: Rung, judge: Finish, in_all: int) -> list[Found]:
+        """What the fit of a rung comes to if it goes on, within the budget's bytes, or within those that the rung
+        promises for the PSNR asked for."""
+        found: list[Found] = []
+        runs = self._runs(rung.fit, in_all)
+        for number in range(1, FURTHER + 1):
+            if not runs.has_time():
+                break
+            if self.control.psnr is not None:
+                size = min(max(self._promised(rung), rung.size / 2), 2 * rung.size)
+                rung.fit.control = self.control.for_size(max(round(size), SMALLEST_FILE))
+            runs.until_round(number)
+            rung = self._rung(runs)
+            found.append(rung.found)
+            rung.fit.control = self.control
+            if judge.has_enough(rung.found.stream):
+                break
+        if self.control.psnr is not None and found:
+            finish = Finish(rung.fit, self.request)
+            found.append(Found(finish.stream(), finish))
+        return found
 
     def _sizes(self) -> list[int]:
         """Bytes of the rungs, up to the first that is larger than the budget, or that no file can use."""
@@ -119,34 +133,44 @@ class Ladder:
         self.steps, runs.steps = self.steps + runs.steps, 0
         finish = Finish(runs.fit, self.request)
         stream = finish.stream()
-        return Rung(runs.fit, stream, len(container.serialise(stream)), finish.psnr(stream), finish.error(stream))
+        size = len(container.serialise(stream))
+        return Rung(runs.fit, Found(stream, finish), size, finish.psnr(stream), finish.error(stream))
 
-    def _within_budget(self, rungs: list[Rung], judge: Finish) -> list[StreamV4]:
+    def _within_budget(self, rungs: list[Rung], judge: Finish) -> list[Found]:
         """What the rungs have found, and what becomes of the Gaussians of the best, and of the next finer, within the
         budget."""
         most = self.control.max_bytes
-        fitting = self._fitting(rungs)
-        streams = [rung.stream for rung in fitting]
+        found = [rung.found for rung in self._fitting(rungs)]
         if not self.control.has_goal:
-            return streams
-        at = streams.index(judge.best(streams)) if fitting else 0
-        following = rungs[at : at + (1 if most is None else 2)]
-        return streams + [Finish(rung.fit, self.request).stream() for rung in following]
+            return found
+        at = found.index(judge.best(found)) if found else 0
+        for rung in rungs[at : at + (1 if most is None else 2)]:
+            finish = Finish(rung.fit, self.request)
+            found.append(Found(finish.stream(), finish))
+        return found
 
-    def _worth_more(self, rungs: list[Rung], best: StreamV4, judge: Finish) -> Rung | None:
-        """The rung from which further rounds may come to more than the best that was found: one that is good for its
-        bytes, where the budget has more of them, or one a little below the PSNR asked for."""
-        most, db = self.control.max_bytes, judge.psnr(best)
+    def _worth_more(self, rungs: list[Rung], best: Found, judge: Finish) -> list[Rung]:
+        """The rungs from which further rounds may come to more than the best that was found: one that is good for its
+        bytes, where the budget has more of them; one below the PSNR asked for; of a tiny file several, which take
+        little time and of which each may be lucky."""
+        most, db = self.control.max_bytes, judge.psnr(best.stream)
         if most is None:
+            if len(best.stream.payload) <= self.control.settings.tiny_bytes:
+                return rungs[-LAST:]
             aim = self.control.psnr or math.inf
             near = [rung for rung in rungs if aim - NEAR_DB <= rung.psnr < aim]
-            return max(near, key=lambda rung: rung.psnr, default=None)
+            return sorted(near, key=self._promised)[:1]
         if db >= ROUNDED_DB:
-            return None
+            return []
         near = [rung for rung in self._fitting(rungs) if rung.size >= LEAST_PART * most]
-        promises = [(rung.psnr + DB_OF_TWICE * math.log2(most / rung.size), rung) for rung in near]
-        promised, promising = max(promises, key=lambda pair: pair[0], default=(-math.inf, None))
-        return promising if promised > db + LITTLE_DB else None
+        promising = sorted(near, key=self._promised)[-1:]
+        return [rung for rung in promising if self._promised(rung) > db + LITTLE_DB]
+
+    def _promised(self, rung: Rung) -> float:
+        """The bytes for the PSNR asked for, or the dB for the bytes, if a rung's fit goes on."""
+        if self.control.max_bytes is not None:
+            return rung.psnr + DB_OF_TWICE * math.log2(self.control.max_bytes / rung.size)
+        return rung.size * 2 ** (((self.control.psnr or EXACT_DB) - rung.psnr) / DB_OF_TWICE)
 
     def _fitting(self, rungs: list[Rung]) -> list[Rung]:
         """Those within the budget's bytes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
 from types import SimpleNamespace
@@ -12,14 +13,19 @@ import pytest
 from numpy.typing import NDArray
 
 from sgmethod import Budget, Encoded, decode, encode
+from sgmethod.bitstream import container
 from sgmethod.bitstream.v3 import HEADER_BYTES
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.budget import BudgetKind
+from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.fitting.request import Request
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.profiles import RD
-from sgmethod.rd.finish import Finish
+from sgmethod.rd.finish import Finish, Found
 from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.runs import place
+from sgmethod.trace import shown_to_nobody
 from tests.harness.data import PHOTOGRAPHS
 
 Pixels = NDArray[np.uint8]
@@ -152,3 +158,28 @@ def test_enough_is_what_the_budget_asks_for(asked: dict[str, Any], size: int, db
     finish = cast(Finish, SimpleNamespace(control=control, psnr=lambda _: db))
     stream = StreamV4(64, 64, 0.1, (0, 0, 0), False, True, bytes(size - HEADER_BYTES))
     assert Finish.has_enough(finish, stream) is enough
+
+
+def test_bytes_that_a_fit_leaves_are_filled() -> None:
+    """A fit that has only just begun leaves nearly all of them."""
+    request = Request(squares(), Budget("bytes", 2000), "rd", "psnr", 5, 0, Recorder(Clock(), None))
+    finish = Finish(place(request, RateControl.of(request, RD), shown_to_nobody), request)
+    begun = finish.stream()
+    assert not finish.has_enough(begun)
+    filled = finish.searched([Found(begun, finish)], is_stiff=True)
+    assert finish.has_enough(filled)
+    assert len(container.serialise(filled)) <= 2000
+    assert finish.psnr(filled) > finish.psnr(begun) + 1
+
+
+def not_searched(finish: Finish, found: Sequence[Found], _: bool) -> StreamV4:
+    return finish.best(found).stream
+
+
+@pytest.mark.parametrize(("name", "db"), [("lines", 25), ("squares", 25), ("squares", 35)])
+def test_a_search_finds_a_smaller_file_for_a_psnr(name: str, db: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = encoded(name, "psnr", db)
+    monkeypatch.setattr(Finish, "searched", not_searched)
+    usual = encode(STIFF[name](), Budget("psnr", db), tune="psnr")
+    assert len(searched.data) < 0.98 * len(usual.data)
+    assert db <= error(name, searched) < db + 1
