@@ -32,6 +32,7 @@ NO_LIMIT = 1 << 40
 EXACT_DB = 99.0  # of a picture without any error
 UNUSED, BYTES_OF_ONE = 0.03, 8  # of a size, and of one Gaussian: files end below their size by so much without harm
 FILLED_DB = 0.3  # that further Gaussians gain at least, or the quantum has to be finer
+LEAST_KEPT = 0.9  # of a file's bytes, where single Gaussians are taken away to come down to a PSNR
 QUANTA = 6  # of the grid are as far apart as two prices
 ROUNDED_DB = 58.9  # of one that differs from its source as much as rounding to 8 bits does
 
@@ -225,13 +226,23 @@ class Finish:
         return max(tried.values()) - self.settings.missed_db
 
     def _smallest(self, best: StreamV4, psnr_db: float, quantum: float, is_tiny: bool) -> StreamV4:
-        """The smallest of many with these Gaussians that reach the PSNR, if it is smaller than the best so far."""
+        """The smallest of many with these Gaussians that reach the PSNR, if it is smaller than the best so far. At the
+        end a limit on the bytes, by bisection, takes single Gaussians away."""
 
-        def smaller(best: StreamV4, coder: Coder, dearer: float) -> StreamV4:
-            found = self._quantise_and_refine(coder, len(best.payload) - 1, dearer)
+        def within(limit: int, best: StreamV4, coder: Coder, dearer: float) -> StreamV4:
+            found = self._quantise_and_refine(coder, limit, dearer)
             return found if self.psnr(found) >= psnr_db else best
 
-        return self._near(best, quantum, is_tiny, smaller)
+        def smaller(best: StreamV4, coder: Coder, dearer: float) -> StreamV4:
+            return within(len(best.payload) - 1, best, coder, dearer)
+
+        best = self._near(best, quantum, is_tiny, smaller)
+        too_small, enough = int(LEAST_KEPT * len(best.payload)), psnr_db + self.settings.psnr_slack_db
+        while len(best.payload) - too_small > 1 and self.psnr(best) > enough and self._left_s() > 0:
+            limit = (too_small + len(best.payload)) // 2
+            found = within(limit, best, self.coder.with_quantum(best.quantum), 1.0)
+            best, too_small = (best, limit) if found is best else (found, too_small)
+        return best
 
     def _best_within(self, best: StreamV4, limit: int, quantum: float, is_tiny: bool) -> StreamV4:
         """The best of many with these Gaussians and payloads of at most `limit` bytes, if it is better than the best so

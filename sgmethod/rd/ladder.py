@@ -130,7 +130,7 @@ class Ladder:
         return Runs(fit, self.request, in_all, in_all - self.most_steps + self.steps)
 
     def _rung(self, runs: Runs) -> Rung:
-        self.steps, runs.steps = self.steps + runs.steps, 0
+        self.steps, runs.before, runs.steps = self.steps + runs.steps, runs.before + runs.steps, 0
         finish = Finish(runs.fit, self.request)
         stream = finish.stream()
         size = len(container.serialise(stream))

@@ -43,7 +43,7 @@ class Runs:
         left_s = self.request.left_s(self.fit.settings.fit_share)
         if math.isfinite(left_s):
             self.fit.hurry(left_s)
-        self._run(self.length, 0)
+        self._run(self.length)
         self.took_s *= self.of_round / self.length
 
     def has_time(self) -> bool:
@@ -54,13 +54,13 @@ class Runs:
         """Rounds until there were so many, as far as there is time."""
         while self.rounds < number and self.has_time():
             self.fit.begin_round()
-            self._run(self.of_round, self.length + self.rounds * self.of_round)
+            self._run(self.of_round)
             self.rounds += 1
 
-    def _run(self, length: int, before: int) -> None:
+    def _run(self, length: int) -> None:
         clock, final_rate = self.request.recorder.clock, self.fit.settings.final_rate
         began = clock.seconds()
-        part = Schedule("joint", length, final_rate, self._until, 1.0, self.before + before, self.in_all)
+        part = Schedule("joint", length, final_rate, self._until, 1.0, self.before + self.steps, self.in_all)
         self.steps += part.run(self.request.recorder, self.fit.step, self.fit.decoded_mse)
         self.took_s = clock.seconds() - began
         self.fit.settle()

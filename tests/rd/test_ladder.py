@@ -123,8 +123,9 @@ def test_a_photograph_needs_no_ladder() -> None:
     assert found.steps < 2 * encode(pixels, Budget("bpp", 0.3), tune="psnr", effort=4).stats.steps
 
 
-def test_the_trace_goes_on_to_the_end() -> None:
-    trace = encoded("squares", "quality", 45).trace
+@pytest.mark.parametrize(("name", "kind", "value"), [("squares", "quality", 45), ("lines", "psnr", 35)])
+def test_the_trace_goes_on_to_the_end(name: str, kind: BudgetKind, value: float) -> None:
+    trace = encoded(name, kind, value).trace
     assert all(before.step <= after.step for before, after in pairwise(trace))
     assert trace[-1].step == trace[-1].steps
 
