@@ -193,8 +193,8 @@ class RdSettings(OptimiserSettings):
     far_from_size: float = 1.1  # of the bytes allowed; a fit that ends beyond was cut short, and also tries to drop
     psnr_tries: int = 7
     psnr_slack_db: float = 0.05  # so far above the PSNR asked for is near enough
-    # A file for a PSNR that it does not meet closely, or a tiny one, is the best of those with so many times the
-    # quantum, and the price of a bit.
+    # A stiff picture's file, and one for a PSNR that is tiny or far above it, is the best of those with so many times
+    # the quantum, and the price of a bit.
     searched_quanta: tuple[float, ...] = tuple(2 ** (step / 6) for step in range(-3, 10))
     searched_prices: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
     searched_nearer: tuple[float, ...] = (1 / 12, 1 / 24, 1 / 48, 1 / 96)  # octaves of the quantum, for small pictures

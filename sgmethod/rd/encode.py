@@ -56,13 +56,12 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
         runs.until_round(rounds)
         if not runs.has_time():
             break
-        finish = Finish(runs.fit, request)
-        found.append(Found(finish.stream(), finish))
+        found.append(Finish(runs.fit, request).found())
     runs.until_round(settings.rounds[-1])
     finish, steps = Finish(runs.fit, request), runs.steps
     del runs  # what only steps need
     native.release_memory()
-    found.append(Found(finish.stream(), finish))
+    found.append(finish.found())
     best = finish.best(found)
     # The search begins from what each lower effort would have found too: more effort is never worse.
     parts = [found[:many] for many in range(1, len(found) + 1)]

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, pack
@@ -71,6 +70,10 @@ class Finish:
         enough = min(self.psnr(best), self.control.psnr or math.inf)
         return replace(background if self.psnr(background) >= enough else best, texture=texture)
 
+    def found(self) -> Found:
+        """The same, with the search that found it."""
+        return Found(self.stream(), self)
+
     def best(self, found: Sequence[Found]) -> Found:
         """The one that meets the budget best, of several that were found in the course of one encode."""
         return max(found, key=lambda one: self._merit(one.stream)) if len(found) > 1 else found[0]
@@ -82,21 +85,27 @@ class Finish:
         It is for a stiff picture; and for a PSNR where the file is far above it, or tiny: then a byte is worth tenths
         of a decibel, and where refining ends is chance.
         """
-        s, best = self.settings, self.best(found).stream
+        s, best, most = self.settings, self.best(found).stream, self.control.max_bytes
         is_tiny = len(best.payload) <= s.tiny_bytes
-        of_merit = sorted(found, key=lambda one: self._merit(one.stream), reverse=True)
-        few = of_merit[: s.searched_fits if is_tiny else 1]
         is_worth_it = is_stiff and len(best.payload) <= s.searched_bytes
         if self.control.psnr is not None:
-            db, aim = self.psnr(best), min(self.psnr(best), self.control.psnr)
-            for one in few if is_worth_it or is_tiny or db > aim + s.psnr_slack_db else ():
-                best = one.finish._smallest(best, aim, one.stream.quantum, is_tiny)
-        elif self.control.max_bytes is not None and is_stiff:
-            limit = self.control.max_bytes - HEADER_BYTES - (0 if best.texture is None else len(pack(best.texture)))
-            for one in few if is_worth_it else ():
-                best = one.finish._best_within(best, limit, one.stream.quantum, is_tiny)
+            db, aim = self.psnr(best), self.control.psnr
+            if is_worth_it or is_tiny or db > aim + s.psnr_slack_db:
+                for one in self._few(found, is_tiny):
+                    best = one.finish._smallest(best, min(db, aim), one.stream.quantum, is_tiny)
+        elif most is not None and is_stiff:
+            limit = most - HEADER_BYTES - (0 if best.texture is None else len(pack(best.texture)))
+            if is_worth_it:
+                for one in self._few(found, is_tiny):
+                    best = one.finish._best_within(best, limit, one.stream.quantum, is_tiny)
             best = self._filled(best, limit)
         return best
+
+    def _few(self, found: Sequence[Found], is_tiny: bool) -> Sequence[Found]:
+        """Those whose Gaussians are searched with: of a tiny file the best few, of others the best."""
+        if not is_tiny:
+            return [self.best(found)]
+        return sorted(found, key=lambda one: self._merit(one.stream), reverse=True)[: self.settings.searched_fits]
 
     def has_enough(self, stream: StreamV4) -> bool:
         """Whether it has what the budget asks for, bytes or a PSNR, or is as good as 8 bits allow."""
@@ -287,11 +296,7 @@ class Finish:
             n = len(p.means)
             room = min(math.ceil((limit - len(stream.payload)) * n / len(stream.payload)), self.control.pixels - n)
             least_gain = s.bits_of_new * s.refine_weight * quantiser.error_per_bit(quantum)
-            size = picture.height, picture.width
-            means, factors = map(torch.from_numpy, growth.candidates(picture.residual(p), size, room, least_gain))
-            if len(means):
-                colors = picture.solve_colors(means, factors, s.color_solve_steps, others=p)
-                p = p.with_more(Parameters(means, factors, colors))
+            p = p.with_more(growth.new_gaussians(picture, p, room, least_gain, s.color_solve_steps))
             more = replace(self._refined(p, self.coder.with_quantum(quantum), limit, 1.0), texture=stream.texture)
             gained = self.psnr(more) - self.psnr(stream)
             stream = max(stream, more, key=self._quality)

@@ -195,17 +195,14 @@ class RdFit:
         room = min(self.control.new_gaussians(n), most - n)
         picture = self.pyramid.at(at, self.settings.times, n + room)
         least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
-        found = growth.candidates(picture.residual(self.p), (picture.height, picture.width), room, least_gain)
-        means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
-        if len(means) < min(room, FEW * n):
+        new = growth.new_gaussians(picture, self.p, room, least_gain, self.settings.color_solve_steps)
+        if len(new.means) < min(room, FEW * n):
             self.price_of_none = self._price()
-        if len(means) == 0:
+        if len(new.means) == 0:
             return
-        # Neighbours overlap: their colours are solved together, or they would overshoot.
-        colors = picture.solve_colors(means, factors, self.settings.color_solve_steps, others=self.p)
-        self.p = self.p.with_more(Parameters(means, factors, colors))
+        self.p = self.p.with_more(new)
         self.size = self.size * len(self.p.means) // max(n, 1)
-        self.adam.extend(len(means))
+        self.adam.extend(len(new.means))
         self._sort()
         if self.picture.values > MANY_VALUES:
             native.release_memory()

@@ -21,9 +21,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from sgmethod.fitting.bands import Rows, bands
+from sgmethod.fitting.parameters import Parameters
+from sgmethod.fitting.picture import Picture
 from sgmethod.scene import FloatArray
 from sgmethod.threads import in_parallel
 
@@ -41,6 +44,16 @@ class Places:
     x: FloatArray
     y: FloatArray
     blur: FloatArray
+
+
+def new_gaussians(picture: Picture, p: Parameters, most: int, least_gain: float, solve_steps: int) -> Parameters:
+    """At most `most` round Gaussians that gain more than least_gain on what others leave of a picture, in pixels of the
+    whole one. Neighbours overlap, so their colours are solved together, in solve_steps, or they would overshoot."""
+    found = candidates(picture.residual(p), (picture.height, picture.width), most, least_gain)
+    means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
+    if len(means) == 0:
+        return Parameters.empty(0)
+    return Parameters(means, factors, picture.solve_colors(means, factors, solve_steps, others=p))
 
 
 def candidates(residual: Rows, size: tuple[int, int], most: int, least_gain: float) -> tuple[FloatArray, FloatArray]:

@@ -116,8 +116,7 @@ class Ladder:
             if judge.has_enough(rung.found.stream):
                 break
         if self.control.psnr is not None and found:
-            finish = Finish(rung.fit, self.request)
-            found.append(Found(finish.stream(), finish))
+            found.append(Finish(rung.fit, self.request).found())
         return found
 
     def _sizes(self) -> list[int]:
@@ -132,9 +131,9 @@ class Ladder:
     def _rung(self, runs: Runs) -> Rung:
         self.steps, runs.before, runs.steps = self.steps + runs.steps, runs.before + runs.steps, 0
         finish = Finish(runs.fit, self.request)
-        stream = finish.stream()
-        size = len(container.serialise(stream))
-        return Rung(runs.fit, Found(stream, finish), size, finish.psnr(stream), finish.error(stream))
+        found = finish.found()
+        size = len(container.serialise(found.stream))
+        return Rung(runs.fit, found, size, finish.psnr(found.stream), finish.error(found.stream))
 
     def _within_budget(self, rungs: list[Rung], judge: Finish) -> list[Found]:
         """What the rungs have found, and what becomes of the Gaussians of the best, and of the next finer, within the
@@ -145,8 +144,7 @@ class Ladder:
             return found
         at = found.index(judge.best(found)) if found else 0
         for rung in rungs[at : at + (1 if most is None else 2)]:
-            finish = Finish(rung.fit, self.request)
-            found.append(Found(finish.stream(), finish))
+            found.append(Finish(rung.fit, self.request).found())
         return found
 
     def _worth_more(self, rungs: list[Rung], best: Found, judge: Finish) -> list[Rung]:
