@@ -187,6 +187,13 @@ class RdSettings(OptimiserSettings):
     fit_share: float = 0.9  # of a time limit; the rest is for the end
     refine_weight: float = 0.35  # price of a bit in refining, in multiples of its theoretical price
     refine_sweeps: int = 2  # over all Gaussians
+    # Then, once for each round after the first, half of the Gaussians move to what rounding the others has left, and
+    # all are refined again.
+    relaxed_steps: int = 20
+    relaxed_rate: float = 0.15
+    relaxed_weight: float = 0.6  # price of a bit in these steps, in multiples of its theoretical price
+    relaxed_gain: float = 0.005  # of a file's size that this is expected to spare, where a PSNR is asked for
+    size_per_db: float = 0.3  # of it, by a PSNR above what is asked for
     least_used: float = 0.985  # of the bytes allowed; if refining leaves less in use, a finer quantum is tried
     size_tries: int = 4
     quantum_per_size: float = 1.4  # the quantum goes with about this power of the size's inverse
@@ -236,7 +243,7 @@ EFFORTS: dict[int, dict[str, Any]] = {
     6: {"rounds": (1, 2)},
     7: {"rounds": (1, 2, 5)},
     8: {"rounds": (1, 2, 5, 12)},
-    9: {"rounds": (1, 2, 5, 12, 40)},
+    9: {"rounds": (1, 2, 5, 12, 24)},
 }
 DEFAULT_EFFORT = 5
 PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}

@@ -1,8 +1,9 @@
 """Rate and quality over a folder of pictures: real files, decoded again and measured.
 
     python -m benchmarks.rd --images FOLDER [--most N] [--profiles rd,paper,baseline] [--bpp 0.15,0.25] [--effort N]
-                            [--steps N] [--rivals [NAME ...]] [--coin] [--coin-seconds 600] [--weights FOLDER]
-    python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--weights FOLDER]
+                            [--tune psnr] [--steps N] [--rivals [NAME ...]] [--coin] [--coin-seconds 600]
+                            [--weights FOLDER]
+    python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same commit, machine and settings is not done again, so that
 an interrupted run goes on where it stopped. Each file is the best of at most so many bits per pixel, or the smallest
@@ -79,10 +80,13 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
 def codecs_of(options: argparse.Namespace) -> list[Codec]:
     """Those that are asked for."""
     if options.quality:
-        return [Sg("rd", tune, options.effort, one_quality=True) for tune in TUNES]
+        return [Sg("rd", tune, options.effort, one_quality=True) for tune in options.tune]
     codecs: list[Codec] = []
     for name in options.profiles:
-        codecs += [Sg(name, steps=options.steps)] if name in FITTED else [Sg(name, t, options.effort) for t in TUNES]
+        if name in FITTED:
+            codecs.append(Sg(name, steps=options.steps))
+        else:
+            codecs += [Sg(name, tune, options.effort) for tune in options.tune]
     codecs += [rival() for name, rival in RIVALS.items() if name in options.rivals]
     return [*codecs, Coin(options.coin_seconds)] if options.coin else codecs
 
@@ -119,6 +123,7 @@ def main() -> None:
     parser.add_argument("--bpp", type=numbers, default=[0.15, 0.25, 0.4], help="each an upper limit for every file")
     parser.add_argument("--quality", type=numbers, help="in place of --bpp: qualities of profile rd")
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
+    parser.add_argument("--tune", nargs="+", choices=TUNES, default=TUNES, help="of profile rd; all if none is named")
     parser.add_argument("--steps", type=int, help="of the fits of profiles paper and baseline")
     parser.add_argument("--rivals", nargs="*", choices=RIVALS, help="all of them where none is named")
     parser.add_argument("--coin", action="store_true", help="COIN, fitted here")

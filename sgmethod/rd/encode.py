@@ -49,6 +49,10 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     small = is_small(request, settings)
     stiff = small and is_stiff(request)
     in_all, with_ladder = most_steps(control), most_steps(control) + ladder.most_steps
+
+    def relaxings(rounds: int) -> int:
+        return 0 if stiff else max(rounds - 1, 0)  # the ladder makes files of its own
+
     runs = Runs(place(request, control, request.recorder.preview), request, with_ladder if stiff else in_all)
     runs.first()
     found: list[Found] = []
@@ -56,9 +60,9 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
         runs.until_round(rounds)
         if not runs.has_time():
             break
-        found.append(Finish(runs.fit, request).found())
+        found.append(Finish(runs.fit, request, relaxings(rounds)).found())
     runs.until_round(settings.rounds[-1])
-    finish, steps = Finish(runs.fit, request), runs.steps
+    finish, steps = Finish(runs.fit, request, relaxings(settings.rounds[-1])), runs.steps
     del runs  # what only steps need
     native.release_memory()
     found.append(finish.found())

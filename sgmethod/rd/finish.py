@@ -23,7 +23,7 @@ from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
 from sgmethod.metrics import psnr
 from sgmethod.rd import growth, quantiser
-from sgmethod.rd.fit import RdFit
+from sgmethod.rd.fit import RdFit, relaxed
 from sgmethod.rd.quantiser import Coder
 from sgmethod.rd.texture import estimate
 
@@ -32,6 +32,8 @@ EXACT_DB = 99.0  # of a picture without any error
 UNUSED, BYTES_OF_ONE = 0.03, 8  # of a size, and of one Gaussian: files end below their size by so much without harm
 FILLED_DB = 0.3  # that further Gaussians gain at least, or the quantum has to be finer
 LEAST_KEPT = 0.9  # of a file's bytes, where single Gaussians are taken away to come down to a PSNR
+RELAXED_S = 2.0  # seconds, at most, to relax and refine, for each of refining alone
+MOST_SPARED = 0.05  # of a file that is above the PSNR asked for, by relaxing it once
 QUANTA = 6  # of the grid are as far apart as two prices
 ROUNDED_DB = 58.9  # of one that differs from its source as much as rounding to 8 bits does
 
@@ -50,7 +52,9 @@ class Found:
 class Finish:
     """The search for the quantum of one encode, once its Gaussians are fitted."""
 
-    def __init__(self, fit: RdFit, request: Request) -> None:
+    def __init__(self, fit: RdFit, request: Request, relaxings: int = 0) -> None:
+        """relaxings: by which its file may become better, at most."""
+        self.relaxings, self.refined_s = relaxings, 0.0  # seconds that refining took, the last time
         self.p, self.coder, self.picture = fit.p.copy(), fit.coder, fit.picture
         self.control, self.settings = fit.control, fit.settings
         self.source, self.alpha = request.pixels, request.alpha
@@ -58,13 +62,15 @@ class Finish:
 
     def stream(self) -> StreamV4:
         """The coded picture that meets the budget best."""
-        texture = self._texture()
+        texture, limit = self._texture(), NO_LIMIT
         if self.control.psnr is not None:
             best = self._at_psnr(self.control.psnr)
         elif self.control.max_bytes is not None:
-            best = self._within(self.control.max_bytes - HEADER_BYTES - (0 if texture is None else len(pack(texture))))
+            limit = self.control.max_bytes - HEADER_BYTES - (0 if texture is None else len(pack(texture)))
+            best = self._within(limit)
         else:
             best = self._quantise_and_refine(self.coder.with_quantum(self.control.quantum))
+        best = self._relaxed(best, limit)
         # What rounding to 8 bits takes away was perhaps all there was: a flat picture is its background.
         background = self.coder.stream(Parameters.empty(0))
         enough = min(self.psnr(best), self.control.psnr or math.inf)
@@ -144,7 +150,37 @@ class Finish:
     def _refined(self, p: Parameters, coder: Coder, max_payload: int, dearer: float) -> StreamV4:
         price = dearer * self.settings.refine_weight * quantiser.error_per_bit(coder.quantum)
         limits = price, self.settings.refine_sweeps, self._left_s(), max_payload
-        return coder.refined(p, self.picture.target, *limits, self.picture.visibility)
+        began = self.clock.seconds()
+        refined = coder.refined(p, self.picture.target, *limits, self.picture.visibility)
+        self.refined_s = self.clock.seconds() - began
+        return refined
+
+    def _relaxed(self, stream: StreamV4, limit: int) -> StreamV4:
+        """The stream, or a better one with a payload of at most `limit` bytes.
+
+        Refining finds no change of one Gaussian that helps. So half of them, drawn by lot, move to what rounding the
+        others has left, and all are refined again; then another half.
+        """
+        if not self.relaxings:
+            return stream
+        coder, merit = self.coder.with_quantum(stream.quantum), self._merit(stream)
+        lot = np.random.default_rng(self.request.seed)
+        for _ in range(self.relaxings):
+            if not stream.payload or self._left_s() <= RELAXED_S * self.refined_s:
+                break
+            p = Parameters.of(stream.gaussians())
+            p = relaxed(self.picture, p, lot.random(len(p.means)) < 0.5, stream.quantum, self.settings)
+            found = self._refined(p, coder, min(limit, self._spared(stream)), 1.0)
+            stream, merit = max((stream, merit), (found, self._merit(found)), key=lambda one: one[1])
+        return stream
+
+    def _spared(self, stream: StreamV4) -> int:
+        """Bytes with which the stream, once it is relaxed, has about the PSNR that was asked for, if any was."""
+        s = self.settings
+        above = -1.0 if self.control.psnr is None else self.psnr(stream) - self.control.psnr
+        if above < 0:
+            return NO_LIMIT
+        return int(len(stream.payload) * (1 - s.relaxed_gain - min(s.size_per_db * above, MOST_SPARED)))
 
     def psnr(self, stream: StreamV4) -> float:
         """Of a coded picture, in dB, as far as alpha shows it; without texture, which is there to be seen and not to be

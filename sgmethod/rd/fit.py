@@ -22,7 +22,7 @@ from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock
 from sgmethod.native import native
-from sgmethod.profiles import PAPER, Times
+from sgmethod.profiles import PAPER, RdSettings, Times
 from sgmethod.rd import growth, quantiser, texture
 from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
@@ -117,7 +117,7 @@ class RdFit:
         mse, grad = picture.gradients(self.p)
         quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.picture.values)
         self.adam.step(self.p, grad, rate)
-        self._stay_in_range()
+        _stay_in_range(self.p, self.width, self.height)
         return mse if picture is self.picture else math.inf, (len(self.p.means), 8 * self.size)
 
     def begin_round(self) -> None:
@@ -139,11 +139,6 @@ class RdFit:
     def _price(self) -> float:
         """Squared error, summed over the picture, that a bit has to be worth."""
         return self.settings.rate_weight * quantiser.error_per_bit(self.coder.quantum)
-
-    def _stay_in_range(self) -> None:
-        """Keep Gaussians where the file can put them: centres within two cells of the picture, each about as wide as
-        they are."""
-        native.keep_in_range(GRID_REACH, self.width, self.height, *(t.numpy() for t in self.p.tensors()))
 
     def _reconsider(self, at: float) -> None:
         """Drop Gaussians, steer the quantum and, while growing, add Gaussians; later hide grain, for the eye."""
@@ -219,6 +214,29 @@ class RdFit:
 
     def _psnr(self, p: Parameters) -> float:
         return -10 * math.log10(max(self.picture.error(p), 1e-12))
+
+
+def relaxed(
+    picture: Picture, p: Parameters, held: NDArray[np.bool_], quantum: float, settings: RdSettings
+) -> Parameters:
+    """Gaussians [N] of a whole picture after some steps on what those of them that are held [N] leave of it."""
+    before, frozen = p, torch.from_numpy(held)
+    p, adam = p.copy(), FrameAdam(len(p.means), settings, picture.values)
+    price = settings.relaxed_weight * quantiser.error_per_bit(quantum) / picture.values
+    for _ in range(settings.relaxed_steps):
+        _, grad = picture.gradients(p)
+        quantiser.add_rate_gradient(p, grad, quantum, price)
+        adam.step(p, grad, settings.relaxed_rate)
+        _stay_in_range(p, picture.width, picture.height)
+        for moved, held_at in zip(p.tensors(), before.tensors(), strict=True):
+            moved[frozen] = held_at[frozen]
+    return p
+
+
+def _stay_in_range(p: Parameters, width: int, height: int) -> None:
+    """Keep Gaussians where the file can put them: centres within two cells of the picture, each about as wide as they
+    are."""
+    native.keep_in_range(GRID_REACH, width, height, *(t.numpy() for t in p.tensors()))
 
 
 def _all_due(times: Times) -> list[float]:
