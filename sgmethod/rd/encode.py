@@ -9,7 +9,8 @@
 
 Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what 4 has to meet. For the eye, grain that
 2 leaves is hidden from it, and becomes texture (texture.py). More effort repeats 2 to 5 in rounds: more Gaussians than
-can stay are added and fitted, those that gain least go, and the best file is kept. Small pictures of lines, letters or
+can stay are added and fitted, those that gain least go, and the best file is kept. It also repeats 5: half of the
+Gaussians move to what rounding the others has left, and all are refined again. Small pictures of lines, letters or
 noise are fitted for other sizes too (ladder.py), and a better file is searched for near the best. Alpha is a picture of
 its own, and goes the same way first (alpha.py).
 """
