@@ -232,6 +232,8 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
         for bpp, db in points
     ]
     (results / "kodak-rd.json").write_text(json.dumps(content))
+    effort = {"rows": [row_of("rd effort 9", "kodim13.png", 0.15, 0.15, 22.5)]}
+    (results / "kodak-effort.json").write_text(json.dumps(content | effort))
     fitted = {"rows": [row_of("coin", "kodim13.png", 0.15, 0.149, 20.0)], "settings": {}}
     (results / "kodak-fitted.json").write_text(json.dumps(content | fitted))
     ran = report(tmp_path)
@@ -242,6 +244,7 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
     (line,) = re.findall(r"^\| `rd` \|[^|]*\|[^|]* % \| ([^|]*) \|[^|]*\|$", made, re.MULTILINE)
     assert line.endswith(" % (1)")  # kodim23 has no point so low
     assert "| 0.15 | `rd` | 0.150 | 50.0 | 0.250 | 0.125 |" in made
+    assert "| `rd`, effort 9 | 0.15 | 1 | 1 | 0.1500 | 22.50 |" in made
     assert "| COIN | 0.15 | 1 | 1 | 0.1490 | 20.00 |" in made
     assert "| `rd` | 0.15 | 1 | 1 | 0.1500 | 22.00 |" in made  # on that picture alone, beside it
 

@@ -22,7 +22,7 @@ from tests.harness.data import ROOT
 
 # Each section, and the JSON that it is made from.
 MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
-    (rate.section, ("kodak-rd", "kodak-paper", "kodak-quality", "kodak-fitted")),
+    (rate.section, ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-fitted")),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.section, ("convergence",)),
     (needs.section, ("needs",)),

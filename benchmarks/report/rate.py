@@ -29,6 +29,7 @@ from benchmarks.report.section import Content, Section, number, table
 
 NAMES = {
     "rd": "`rd`",
+    "rd effort 9": "`rd`, effort 9",
     "rd visual": "`rd`, tuned for the eye",
     "rd one quality": "`rd`, one quality",
     "rd visual one quality": "`rd`, tuned for the eye, one quality",
@@ -61,11 +62,16 @@ def name_of(codec: str) -> str:
 
 
 def section(
-    main: Content | None, paper: Content | None, one_quality: Content | None = None, fitted: Content | None = None
+    main: Content | None,
+    effort: Content | None,
+    paper: Content | None,
+    one_quality: Content | None = None,
+    fitted: Content | None = None,
 ) -> Section:
-    """From kodak-rd.json, kodak-paper.json, kodak-quality.json and kodak-fitted.json, as far as there are."""
-    contents = [content for content in (main, paper, one_quality, fitted) if content]
-    rows = rows_of(*(content for content in (main, paper) if content))
+    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-quality.json and kodak-fitted.json, as far as
+    there are."""
+    contents = [content for content in (main, effort, paper, one_quality, fitted) if content]
+    rows = rows_of(*(content for content in (main, effort, paper) if content))
     average = means(rows)
     rates = {
         "GaussianImage as published": against_quoted(average, "rd", ANCHOR),

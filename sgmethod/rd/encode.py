@@ -67,13 +67,14 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     del runs  # what only steps need
     native.release_memory()
     found.append(finish.found())
-    best = finish.best(found)
-    # The search begins from what each lower effort would have found too: more effort is never worse.
-    parts = [found[:many] for many in range(1, len(found) + 1)]
-    climbs = small and bool(best.stream.payload) and (stiff or not finish.has_enough(best.stream))
+    own, further = [found[0]], found[1:]
+    climbs = small and bool(own[0].stream.payload) and (stiff or not finish.has_enough(own[0].stream))
     if climbs:
-        parts = [ladder.found(best, with_ladder)]
+        own = ladder.found(own[0], with_ladder)
         steps += ladder.steps
+        further = further if control.has_goal else []  # for a quality the ladder's choice alone
+    # The search begins from what each lower effort would have found too: more effort is never worse.
+    parts = [own + further[:many] for many in range(len(further) + 1)]
     searched = [Found(finish.searched(part, climbs), finish) for part in parts]
     return finish.best(searched).stream, steps
 

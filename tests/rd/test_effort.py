@@ -91,6 +91,18 @@ def test_more_effort_is_never_worse(budget: Budget) -> None:
         assert max(one.stats.gaussians for one in found) <= budget.value
 
 
+@pytest.mark.parametrize("size", [150, 600])
+def test_more_effort_is_never_worse_on_the_ladder(size: int) -> None:
+    """Which lower efforts climb from what they have found alone."""
+    pixels = read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())
+    grey = np.repeat(np.ascontiguousarray(pixels[:72, :28, 1:2]), 3, axis=2)
+    found = [encode(grey, Budget("bytes", size), tune="psnr", effort=effort) for effort in (5, 6, 7)]
+    for less, more in pairwise(found):
+        assert_no_worse(more, less, Budget("bytes", size))
+    assert max(len(one.data) for one in found) <= size
+    assert found[0].stats.steps > 1000  # of the ladder
+
+
 def test_most_effort_gains() -> None:
     most, usual = (encoded("gaussians", 40, effort).stats for effort in (9, 5))
     assert most.psnr > usual.psnr + 0.1
