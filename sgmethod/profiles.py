@@ -243,7 +243,7 @@ EFFORTS: dict[int, dict[str, Any]] = {
     6: {"rounds": (1, 2)},
     7: {"rounds": (1, 2, 5)},
     8: {"rounds": (1, 2, 5, 12)},
-    9: {"rounds": (1, 2, 5, 12, 24)},
+    9: {"rounds": (1, 2, 5, 12, 20)},
 }
 DEFAULT_EFFORT = 5
 PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
