@@ -35,6 +35,7 @@ NAMES = {
     "rd visual one quality": "`rd`, tuned for the eye, one quality",
     "paper": "`paper`",
     "baseline": "`baseline`",
+    "baseline 20000 steps": "`baseline`, 20,000 steps",
     "avif tune=psnr": "AVIF, 4:4:4, speed 4, `tune=psnr`",
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
     "avif grain": "AVIF, the same with grain",
