@@ -29,13 +29,9 @@ from benchmarks.report.section import Content, Section, number, table
 
 NAMES = {
     "rd": "`rd`",
-    "rd effort 9": "`rd`, effort 9",
     "rd visual": "`rd`, tuned for the eye",
-    "rd one quality": "`rd`, one quality",
-    "rd visual one quality": "`rd`, tuned for the eye, one quality",
     "paper": "`paper`",
     "baseline": "`baseline`",
-    "baseline 20000 steps": "`baseline`, 20,000 steps",
     "avif tune=psnr": "AVIF, 4:4:4, speed 4, `tune=psnr`",
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
     "avif grain": "AVIF, the same with grain",
@@ -58,8 +54,9 @@ def rows_of(*contents: Content) -> list[Row]:
 
 
 def name_of(codec: str) -> str:
-    """As a reader sees it. Names with an effort or a number of steps say what they are."""
-    return NAMES.get(codec, codec)
+    """As a reader sees it. What stands behind a known name, an effort or a number of steps, says what it is."""
+    known = max((name for name in NAMES if f"{codec} ".startswith(f"{name} ")), key=len, default="")
+    return ", ".join(part for part in (NAMES.get(known, ""), codec.removeprefix(known).strip()) if part)
 
 
 def section(

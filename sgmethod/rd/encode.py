@@ -67,14 +67,15 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     del runs  # what only steps need
     native.release_memory()
     found.append(finish.found())
-    own, further = [found[0]], found[1:]
-    climbs = small and bool(own[0].stream.payload) and (stiff or not finish.has_enough(own[0].stream))
+    # The default goes by what it found first, and so does every further effort: more is never worse.
+    first, *further = found
+    climbs = small and bool(first.stream.payload) and (stiff or not finish.has_enough(first.stream))
+    first_found = [first]
     if climbs:
-        own = ladder.found(own[0], with_ladder)
+        first_found = ladder.found(first, with_ladder)
         steps += ladder.steps
         further = further if control.has_goal else []  # for a quality the ladder's choice alone
-    # The search begins from what each lower effort would have found too: more effort is never worse.
-    parts = [own + further[:many] for many in range(len(further) + 1)]
+    parts = [first_found + further[:many] for many in range(len(further) + 1)]
     searched = [Found(finish.searched(part, climbs), finish) for part in parts]
     return finish.best(searched).stream, steps
 

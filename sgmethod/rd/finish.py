@@ -53,7 +53,7 @@ class Finish:
     """The search for the quantum of one encode, once its Gaussians are fitted."""
 
     def __init__(self, fit: RdFit, request: Request, relaxings: int = 0) -> None:
-        """relaxings: by which its file may become better, at most."""
+        """relaxings: times, at most, that its file is relaxed."""
         self.relaxings, self.refined_s = relaxings, 0.0  # seconds that refining took, the last time
         self.p, self.coder, self.picture = fit.p.copy(), fit.coder, fit.picture
         self.control, self.settings = fit.control, fit.settings
@@ -62,11 +62,11 @@ class Finish:
 
     def stream(self) -> StreamV4:
         """The coded picture that meets the budget best."""
-        texture, limit = self._texture(), NO_LIMIT
+        texture = self._texture()
+        limit = self._limit(texture)
         if self.control.psnr is not None:
             best = self._at_psnr(self.control.psnr)
         elif self.control.max_bytes is not None:
-            limit = self.control.max_bytes - HEADER_BYTES - (0 if texture is None else len(pack(texture)))
             best = self._within(limit)
         else:
             best = self._quantise_and_refine(self.coder.with_quantum(self.control.quantum))
@@ -91,26 +91,27 @@ class Finish:
         It is for a stiff picture; and for a PSNR where the file is far above it, or tiny: then a byte is worth tenths
         of a decibel, and where refining ends is chance.
         """
-        s, best, most = self.settings, self.best(found).stream, self.control.max_bytes
+        s, chosen = self.settings, self.best(found)
+        best = chosen.stream
         is_tiny = len(best.payload) <= s.tiny_bytes
         is_worth_it = is_stiff and len(best.payload) <= s.searched_bytes
         if self.control.psnr is not None:
             db, aim = self.psnr(best), self.control.psnr
             if is_worth_it or is_tiny or db > aim + s.psnr_slack_db:
-                for one in self._few(found, is_tiny):
+                for one in self._few(found, chosen, is_tiny):
                     best = one.finish._smallest(best, min(db, aim), one.stream.quantum, is_tiny)
-        elif most is not None and is_stiff:
-            limit = most - HEADER_BYTES - (0 if best.texture is None else len(pack(best.texture)))
+        elif self.control.max_bytes is not None and is_stiff:
+            limit = self._limit(best.texture)
             if is_worth_it:
-                for one in self._few(found, is_tiny):
+                for one in self._few(found, chosen, is_tiny):
                     best = one.finish._best_within(best, limit, one.stream.quantum, is_tiny)
             best = self._filled(best, limit)
         return best
 
-    def _few(self, found: Sequence[Found], is_tiny: bool) -> Sequence[Found]:
+    def _few(self, found: Sequence[Found], best: Found, is_tiny: bool) -> Sequence[Found]:
         """Those whose Gaussians are searched with: of a tiny file the best few, of others the best."""
         if not is_tiny:
-            return [self.best(found)]
+            return [best]
         return sorted(found, key=lambda one: self._merit(one.stream), reverse=True)[: self.settings.searched_fits]
 
     def has_enough(self, stream: StreamV4) -> bool:
@@ -140,6 +141,12 @@ class Finish:
         codes = estimate(self.source, drawn, self.settings)
         most = self.settings.texture_share * (self.control.max_bytes or math.inf)
         return codes if codes is not None and len(pack(codes)) <= most else None
+
+    def _limit(self, texture: Codes | None) -> int:
+        """Bytes that the budget leaves for the payload, beside a texture."""
+        if self.control.max_bytes is None:
+            return NO_LIMIT
+        return self.control.max_bytes - HEADER_BYTES - (0 if texture is None else len(pack(texture)))
 
     def _left_s(self) -> float:
         return max(self.request.left_s(), 0.0)

@@ -114,10 +114,7 @@ class RdFit:
         if lead is not None and self.steps % lead.EVERY == 0 and (has_grown or lead.WHILE_GROWING):
             picture.follow(self.p)
         self.steps += 1
-        mse, grad = picture.gradients(self.p)
-        quantiser.add_rate_gradient(self.p, grad, self.coder.quantum, self._price() / self.picture.values)
-        self.adam.step(self.p, grad, rate)
-        _stay_in_range(self.p, self.width, self.height)
+        mse = _take_step(picture, self.picture, self.p, self.adam, rate, self.coder.quantum, self._price())
         return mse if picture is self.picture else math.inf, (len(self.p.means), 8 * self.size)
 
     def begin_round(self) -> None:
@@ -222,21 +219,24 @@ def relaxed(
     """Gaussians [N] of a whole picture after some steps on what those of them that are held [N] leave of it."""
     before, frozen = p, torch.from_numpy(held)
     p, adam = p.copy(), FrameAdam(len(p.means), settings, picture.values)
-    price = settings.relaxed_weight * quantiser.error_per_bit(quantum) / picture.values
+    price = settings.relaxed_weight * quantiser.error_per_bit(quantum)
     for _ in range(settings.relaxed_steps):
-        _, grad = picture.gradients(p)
-        quantiser.add_rate_gradient(p, grad, quantum, price)
-        adam.step(p, grad, settings.relaxed_rate)
-        _stay_in_range(p, picture.width, picture.height)
+        _take_step(picture, picture, p, adam, settings.relaxed_rate, quantum, price)
         for moved, held_at in zip(p.tensors(), before.tensors(), strict=True):
             moved[frozen] = held_at[frozen]
     return p
 
 
-def _stay_in_range(p: Parameters, width: int, height: int) -> None:
-    """Keep Gaussians where the file can put them: centres within two cells of the picture, each about as wide as they
-    are."""
-    native.keep_in_range(GRID_REACH, width, height, *(t.numpy() for t in p.tensors()))
+def _take_step(
+    picture: Picture, whole: Picture, p: Parameters, adam: FrameAdam, rate: float, quantum: float, price: float
+) -> float:
+    """Move p, in place, by one step on a picture that is the whole one or smaller; returns its error before that. They
+    stay where the file can put them: centres within two cells of the picture, each about as wide as they are."""
+    mse, grad = picture.gradients(p)
+    quantiser.add_rate_gradient(p, grad, quantum, price / whole.values)
+    adam.step(p, grad, rate)
+    native.keep_in_range(GRID_REACH, whole.width, whole.height, *(t.numpy() for t in p.tensors()))
+    return mse
 
 
 def _all_due(times: Times) -> list[float]:
