@@ -22,7 +22,10 @@ from tests.harness.data import ROOT
 
 # Each section, and the JSON that it is made from.
 MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
-    (rate.section, ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-fitted")),
+    (
+        rate.section,
+        ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-effort-quality", "kodak-fitted"),
+    ),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.section, ("convergence",)),
     (needs.section, ("needs",)),

@@ -14,6 +14,7 @@ from benchmarks.rd.report import (
     COSTS,
     FORMATS,
     LOW_DB,
+    ONE_QUALITY,
     SEEN,
     TITLES,
     Means,
@@ -64,11 +65,13 @@ def section(
     effort: Content | None,
     paper: Content | None,
     one_quality: Content | None = None,
+    effort_one_quality: Content | None = None,
     fitted: Content | None = None,
 ) -> Section:
-    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-quality.json and kodak-fitted.json, as far as
-    there are."""
-    contents = [content for content in (main, effort, paper, one_quality, fitted) if content]
+    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-quality.json, kodak-effort-quality.json and
+    kodak-fitted.json, as far as there are."""
+    at_qualities = [content for content in (one_quality, effort_one_quality) if content]
+    contents = [content for content in (main, effort, paper, *at_qualities, fitted) if content]
     rows = rows_of(*(content for content in (main, effort, paper) if content))
     average = means(rows)
     rates = {
@@ -89,7 +92,7 @@ def section(
     tables = [measured(average), differences(rows, average)]
     tables += [seen(average)] if any(row.lpips is not None for row in rows) else []
     tables += [on_fewer(rows, rows_of(fitted))] if fitted else []
-    tables += [at_one_quality(rows_of(one_quality))] if one_quality else []
+    tables += [at_one_quality(rows_of(*at_qualities))] if at_qualities else []
     tables += [quoted()]
     return Section("rate", "Rate against quality", said, tables, contents, draw=lambda axes: draw(axes, average))
 
@@ -159,15 +162,20 @@ def on_fewer(rows: Sequence[Row], fitted: Sequence[Row]) -> str:
 def at_one_quality(rows: Sequence[Row]) -> str:
     """Against published means over pictures of one quality, as these are."""
     average = means(rows)
+    ours = list(dict.fromkeys(row.codec for row in rows))
+    names = [name_of(codec.removesuffix(f" {ONE_QUALITY}")) for codec in ours]
+    titles = ["against, quoted", *(f"{name}: {kind}" for name in names for kind in ("PSNR", "MS-SSIM"))]
     lines = []
-    for other, codec in published.kodak().items():
-        for ours in dict.fromkeys(row.codec for row in rows):
-            found = [against_quoted(average, ours, other, column) for column in (1, 2)]
-            if any(rate is not None for rate in found):
-                lines.append([name_of(ours), f"{other}, quoted", *map(percent, found), codec["averaged"]])
+    for other in published.kodak():
+        found = [against_quoted(average, codec, other, column) for codec in ours for column in (1, 2)]
+        if any(rate is not None for rate in found):
+            lines.append([other, *map(percent, found)])
     qualities = ", ".join(f"{quality:g}" for quality in sorted({row.aim for row in rows}))
-    note = f"BD-rate of means over pictures, ours at one quality for all of them ({qualities}), below 0 for fewer bits:"
-    return f"{note}\n\n" + table("codec | against | PSNR | MS-SSIM | means of theirs", lines)
+    note = (
+        f"BD-rate of means over pictures, at one quality for all of them (ours: {qualities}; theirs: as published), "
+        "below 0 for fewer bits:"
+    )
+    return f"{note}\n\n" + table(" | ".join(titles), lines)
 
 
 def percent(rate: float | None) -> str:
