@@ -3,7 +3,7 @@
     python -m benchmarks [--full --images KODAK] [--only rd,needs] [--weights FOLDER]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
-where it was stopped, as long as commit and machine are the same; python -m benchmarks.report then makes the documents.
+where it was stopped, as long as code and machine are the same; python -m benchmarks.report then makes the documents.
 Each command's own text has its options.
 """
 

@@ -22,6 +22,7 @@ from tests.harness.data import ROOT
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
+CODE = ("sgmethod", "service", "benchmarks", ":!benchmarks/results", ":!benchmarks/report")  # that measures
 
 
 def origin() -> dict[str, object]:
@@ -49,28 +50,38 @@ def in_words(where: dict[str, object]) -> str:
 
 
 def commit() -> str:
-    """The commit checked out; if tracked files differ from it, with a name for the difference."""
+    """The commit checked out; if code that measures differs from it, with a name for the difference."""
     head = _git("rev-parse", "--short=12", "HEAD").strip()
     if not head:
         return "unknown"
-    difference = _git("diff", "HEAD", "--", "sgmethod", "service", "benchmarks", ":!benchmarks/results")
+    difference = _git("diff", "HEAD", "--", *CODE)
     if not difference:
         return head
     return f"{head}+{hashlib.sha256(difference.encode()).hexdigest()[:8]}"
 
 
+def same_code(one: str, other: str) -> bool:
+    """Whether two that commit() named measure with the same code: what else was committed between them is no reason
+    to measure again."""
+    return one == other or (_is_commit(one) and _is_commit(other) and not _git("diff", one, other, "--", *CODE))
+
+
+def _is_commit(name: str) -> bool:
+    return bool(_git("rev-parse", "--verify", "--quiet", f"{name}^{{commit}}"))
+
+
 def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:
-    """The rows of an earlier run of the same commit on the same machine, of the same settings if there are any, from
-    the JSON it wrote."""
+    """The rows of an earlier run of the same code on the same machine, of the same settings if there are any, from the
+    JSON it wrote."""
     if not path.exists():
         return []
     content = json.loads(path.read_text())
-    same = all(content.get(name) == where[name] for name in ("commit", "machine", "settings") if name in where)
-    return list(content["rows"]) if same else []
+    same = all(content.get(name) == where[name] for name in ("machine", "settings") if name in where)
+    return list(content["rows"]) if same and same_code(content["commit"], where["commit"]) else []
 
 
 class Record:
-    """The JSON of one run, written after every row. What is there already of the same commit, machine and settings is
+    """The JSON of one run, written after every row. What is there already of the same code, machine and settings is
     kept, so that an interrupted run goes on where it stopped.
 
     remark: what a reader must know of this run, put in by hand; settings: what changes the meaning of the rows.

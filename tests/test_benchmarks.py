@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
+from benchmarks import machine
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
@@ -85,6 +86,33 @@ def test_results_say_where_they_come_from(path: Path) -> None:
     assert re.fullmatch(r"[0-9a-f]{12}(\+[0-9a-f]{8})?", content["commit"])
     assert {"processor", "cores", "instruction_set", "system", "python", "packages"} <= set(content["machine"])
     assert content["rows"]
+
+
+def test_rows_are_kept_as_long_as_the_code_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine, "ROOT", tmp_path)
+
+    def git(*arguments: str) -> None:
+        who = "-c", "user.name=a", "-c", "user.email=a@b"
+        subprocess.run(["git", *who, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+    def committed(name: str) -> str:
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(path.read_text() + "x" if path.exists() else "x")
+        git("add", ".")
+        git("commit", "-m", name)
+        return machine.commit()
+
+    git("init")
+    code, text, result = committed("sgmethod/a.py"), committed("README.md"), committed("benchmarks/results/a.json")
+    assert machine.same_code(code, text)
+    assert machine.same_code(code, result)
+    (tmp_path / "sgmethod" / "a.py").write_text("changed")
+    changed = machine.commit()
+    assert changed.startswith(f"{result}+")
+    for other in (changed, committed("sgmethod/a.py"), "0123456789ab", "unknown"):
+        assert not machine.same_code(result, other), other
+        assert machine.same_code(other, other)
 
 
 def test_curves_of_every_method(tmp_path: Path) -> None:

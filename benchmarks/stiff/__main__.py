@@ -6,7 +6,7 @@
 
 Each picture is encoded under budgets of three kinds, one encode at a time, and the rows of each picture and seed are
 held against the rules of rules.py. The JSON has every row and violation; a summary in Markdown lies beside it. What
-the JSON already holds for the same commit and machine is not done again, so that an interrupted run goes on where it
+the JSON already holds for the same code and machine is not done again, so that an interrupted run goes on where it
 stopped. --judge encodes nothing: it judges the rows of the JSON anew. --draw writes the pictures as PNG.
 """
 
