@@ -14,7 +14,6 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from benchmarks import machine
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
 RESULTS = ROOT / "benchmarks" / "results"
@@ -88,31 +87,37 @@ def test_results_say_where_they_come_from(path: Path) -> None:
     assert content["rows"]
 
 
-def test_rows_are_kept_as_long_as_the_code_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "ROOT", tmp_path)
-
+def test_rows_are_kept_as_long_as_the_code_is_the_same(tmp_path: Path) -> None:
     def git(*arguments: str) -> None:
         who = "-c", "user.name=a", "-c", "user.email=a@b"
         subprocess.run(["git", *who, *arguments], cwd=tmp_path, check=True, capture_output=True)
 
-    def committed(name: str) -> str:
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(path.read_text() + "x" if path.exists() else "x")
+    def printed(expression: str) -> str:
+        script = f"import pathlib; from benchmarks import machine; machine.ROOT = pathlib.Path({str(tmp_path)!r})"
+        command = [sys.executable, "-c", f"{script}; print({expression})"]
+        return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+    def written(name: str) -> str:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        with (tmp_path / name).open("a") as file:
+            file.write("more")
         git("add", ".")
+        return printed("machine.commit()")
+
+    def committed(name: str) -> str:
+        written(name)
         git("commit", "-m", name)
-        return machine.commit()
+        return printed("machine.commit()")
+
+    def same(*others: str) -> str:
+        return printed(f"[machine.same_code({result!r}, other) for other in {others!r}]")
 
     git("init")
-    code, text, result = committed("sgmethod/a.py"), committed("README.md"), committed("benchmarks/results/a.json")
-    assert machine.same_code(code, text)
-    assert machine.same_code(code, result)
-    (tmp_path / "sgmethod" / "a.py").write_text("changed")
-    changed = machine.commit()
+    code, text, result = (committed(name) for name in ("sgmethod/a.py", "README.md", "benchmarks/results/a.json"))
+    assert same(result, code, text) == "[True, True, True]"
+    changed = written("sgmethod/a.py")
     assert changed.startswith(f"{result}+")
-    for other in (changed, committed("sgmethod/a.py"), "0123456789ab", "unknown"):
-        assert not machine.same_code(result, other), other
-        assert machine.same_code(other, other)
+    assert same(changed, committed("sgmethod/a.py"), "0123456789ab", "unknown") == "[False, False, False, False]"
 
 
 def test_curves_of_every_method(tmp_path: Path) -> None:
