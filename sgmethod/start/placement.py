@@ -33,21 +33,25 @@ def dynamic_ratio(n: int, pixels: int, settings: PaperSettings) -> tuple[float, 
     return a, b, c
 
 
-def allocate(complexity: FloatArray, n: int, ratio: tuple[float, float, float]) -> NDArray[np.int64]:
+def allocate(
+    complexity: FloatArray, area: NDArray[np.int64], n: int, ratio: tuple[float, float, float]
+) -> NDArray[np.int64]:
     """Gaussians for each region, summing to n.
 
-    Regions in descending order of complexity make three categories of equal number; a category's share is
-    divided evenly among its regions; what is left goes one by one to the most complex regions.
+    Regions in descending order of complexity make three categories of a third of the picture each; a region on a border
+    is in both. A category's share is spread evenly over its area, so that the ratio 1:1:1 is a uniform start. What
+    rounding down leaves goes one by one to the most complex regions.
     """
     order = np.argsort(-complexity, kind="stable")
-    counts = np.zeros(len(order), np.int64)
-    for category, share in zip(reversed(np.array_split(order[::-1], 3)), ratio, strict=True):
-        if len(category):
-            counts[category] = int(n * share) // len(category)
+    ends = np.cumsum(area[order]) / area.sum()
+    shares = np.interp(ends, np.linspace(0, 1, 4), [0, *np.cumsum(ratio)])  # of each region and all more complex ones
+    counts = np.floor(n * np.diff(shares, prepend=0) + 1e-9).astype(np.int64)  # or a whole number may round down
     rounds, left = divmod(n - int(counts.sum()), len(order))
     counts += rounds
-    counts[order[:left]] += 1
-    return counts
+    counts[:left] += 1
+    found = np.empty(len(order), np.int64)
+    found[order] = counts
+    return found
 
 
 def place(image: FloatArray, n: int, settings: PaperSettings, rng: np.random.Generator) -> Gaussians:
@@ -57,7 +61,7 @@ def place(image: FloatArray, n: int, settings: PaperSettings, rng: np.random.Gen
     regions = min(max(n // settings.gaussians_per_region, 9), image.shape[0] * image.shape[1])
     found = structure.analyse(image, regions, settings.compactness, settings.tensor_smoothing_px)
     ratio = dynamic_ratio(n, image.shape[0] * image.shape[1], settings)
-    means, scales = _scatter(found, allocate(found.complexity, n, ratio), settings.placement_power, rng)
+    means, scales = _scatter(found, allocate(found.complexity, found.area, n, ratio), settings.placement_power, rng)
     rows, columns = _pixels_below(means, image.shape[:2])
     factors = _along_edges(scales, found.tensor[rows, columns], settings.orientation_gain)
     return Gaussians(means, factors, image[rows, columns])

@@ -129,21 +129,29 @@ def test_allocation_sums_to_n_and_favours_complexity(regions: int, ratio: tuple[
     complexity = np.random.default_rng(regions).random(regions).astype(np.float32)
     descending = np.argsort(-complexity)
     for n in (1, 2, 3, 4, 7, 10, 99, 100, 101, 1000, 12345):
-        counts = allocate(complexity, n, ratio)
+        counts = allocate(complexity, np.full(regions, 7), n, ratio)
         assert counts.sum() == n
         assert (counts >= 0).all()
         assert (np.diff(counts[descending]) <= 0).all(), (n, counts[descending])
 
 
 def test_allocation_follows_the_ratio() -> None:
-    complexity = np.arange(9, dtype=np.float32)[::-1]
-    assert allocate(complexity, 900, RATIOS[0]).tolist() == [201] * 3 + [66] * 3 + [33] * 3
-    assert allocate(complexity, 900, RATIOS[1]).tolist() == [100] * 9
-    assert allocate(complexity, 4, RATIOS[0]).tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0]
+    complexity, area = np.arange(9, dtype=np.float32)[::-1], np.full(9, 50)
+    assert allocate(complexity, area, 900, RATIOS[0]).tolist() == [201] * 3 + [66] * 3 + [33] * 3
+    assert allocate(complexity, area, 900, RATIOS[1]).tolist() == [100] * 9
+    assert allocate(complexity, area, 4, RATIOS[0]).tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0]
+
+
+def test_categories_are_thirds_of_the_picture_and_regions_share_by_area() -> None:
+    complexity, area = np.array([1, 4, 3, 2], np.float32), np.array([30, 10, 20, 30])
+    assert allocate(complexity, area, 90, RATIOS[0]).tolist() == [10, 20, 40, 20]
+    assert allocate(complexity, area, 90, RATIOS[1]).tolist() == area.tolist()
+    area = np.array([45, 9, 9, 27])
+    assert allocate(complexity, area, 90, RATIOS[0]).tolist() == [10 + 10, 18, 18, 24 + 10]  # two are on a border
 
 
 def test_equal_complexity_is_shared_in_a_stable_order() -> None:
-    assert allocate(np.zeros(4, np.float32), 2, RATIOS[1]).tolist() == [1, 1, 0, 0]
+    assert allocate(np.zeros(4, np.float32), np.full(4, 9), 2, RATIOS[1]).tolist() == [1, 1, 0, 0]
 
 
 # --- placement
