@@ -32,7 +32,7 @@ COLUMNS = {
     "ms_ssim": ("MS-SSIM", ".4f"),
     "lpips": ("LPIPS", ".4f"),
     "seconds": ("seconds", ".1f"),
-    "frames_per_s": ("frames a second", ".3g"),
+    "frames_per_s": ("frames a second", ",.4g"),
     "mib": ("MiB", ".0f"),
     "thousand_numbers": ("thousand parameters", ".1f"),
 }
