@@ -45,6 +45,7 @@ class PaperSettings(OptimiserSettings):
     ratio_start: int = 10_000  # n_0, section IV-A
     threshold_factor: float = 0.6455  # k of N_t = k (H W)^alpha; not in the paper: N_t = 70,000 at 768x512
     threshold_exponent: float = 0.9  # alpha; not in the paper: N_t x 4 from 0.6 to 2.8 megapixels
+    shared_by_area: bool = True  # False: regions of a category have equally many Gaussians, whatever their area
     gaussians_per_region: int = 10  # SLIC regions follow the number of Gaussians
     compactness: float = 10.0  # of SLIC
     tensor_smoothing_px: float = 2.0  # window of the structure tensor that orients the start

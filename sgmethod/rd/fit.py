@@ -31,6 +31,7 @@ from sgmethod.start.placement import place
 from sgmethod.trace import Preview, shown_to_nobody
 
 FEWEST_AT_START = 4
+START = replace(PAPER, shared_by_area=False)
 MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
 FEW = 0.001  # new Gaussians, as a part of those that there are
 GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
@@ -81,7 +82,7 @@ class RdFit:
         n = min(max(share, FEWEST_AT_START), self.control.most_gaussians(1.0))
         picture = self.pyramid.smallest(n)
         image = picture.rows(0, picture.height).transpose(1, 2, 0) + np.array(self.coder.background, np.float32) / 255
-        placed = Parameters.of(place(np.ascontiguousarray(image), n, PAPER, rng))
+        placed = Parameters.of(place(np.ascontiguousarray(image), n, START, rng))
         means, factors = placed.means * picture.spacing, placed.factors * picture.spacing
         return Parameters(means, factors, picture.solve_colors(means, factors, self.settings.color_solve_steps))
 

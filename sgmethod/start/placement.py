@@ -54,6 +54,20 @@ def allocate(
     return found
 
 
+def allocate_by_number(complexity: FloatArray, n: int, ratio: tuple[float, float, float]) -> NDArray[np.int64]:
+    """The same with three categories of equally many regions, and a share spread evenly over regions: as profile rd
+    starts, whose few Gaussians gain nothing by area."""
+    order = np.argsort(-complexity, kind="stable")
+    counts = np.zeros(len(order), np.int64)
+    for category, share in zip(reversed(np.array_split(order[::-1], 3)), ratio, strict=True):
+        if len(category):
+            counts[category] = int(n * share) // len(category)
+    rounds, left = divmod(n - int(counts.sum()), len(order))
+    counts += rounds
+    counts[order[:left]] += 1
+    return counts
+
+
 def place(image: FloatArray, n: int, settings: PaperSettings, rng: np.random.Generator) -> Gaussians:
     """n Gaussians to start from on an image [H, W, 3] in [0, 1]; colours are those of the image below."""
     if not settings.structure_guided:
@@ -61,7 +75,11 @@ def place(image: FloatArray, n: int, settings: PaperSettings, rng: np.random.Gen
     regions = min(max(n // settings.gaussians_per_region, 9), image.shape[0] * image.shape[1])
     found = structure.analyse(image, regions, settings.compactness, settings.tensor_smoothing_px)
     ratio = dynamic_ratio(n, image.shape[0] * image.shape[1], settings)
-    means, scales = _scatter(found, allocate(found.complexity, found.area, n, ratio), settings.placement_power, rng)
+    if settings.shared_by_area:
+        counts = allocate(found.complexity, found.area, n, ratio)
+    else:
+        counts = allocate_by_number(found.complexity, n, ratio)
+    means, scales = _scatter(found, counts, settings.placement_power, rng)
     rows, columns = _pixels_below(means, image.shape[:2])
     factors = _along_edges(scales, found.tensor[rows, columns], settings.orientation_gain)
     return Gaussians(means, factors, image[rows, columns])

@@ -13,7 +13,7 @@ from PIL import Image
 from sgmethod.profiles import BASELINE, PAPER
 from sgmethod.scene import Gaussians
 from sgmethod.start import structure
-from sgmethod.start.placement import allocate, dynamic_ratio, place
+from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place
 from sgmethod.start.structure import Structure
 from tests.harness.data import PHOTOGRAPHS
 
@@ -152,6 +152,11 @@ def test_categories_are_thirds_of_the_picture_and_regions_share_by_area() -> Non
 
 def test_equal_complexity_is_shared_in_a_stable_order() -> None:
     assert allocate(np.zeros(4, np.float32), np.full(4, 9), 2, RATIOS[1]).tolist() == [1, 1, 0, 0]
+
+
+def test_regions_may_share_by_number() -> None:
+    complexity = np.arange(9, dtype=np.float32)[::-1]
+    assert allocate_by_number(complexity, 900, RATIOS[0]).tolist() == [201] * 3 + [66] * 3 + [33] * 3
 
 
 # --- placement
