@@ -46,12 +46,7 @@ def allocate(
     ends = np.cumsum(area[order]) / area.sum()
     shares = np.interp(ends, np.linspace(0, 1, 4), [0, *np.cumsum(ratio)])  # of each region and all more complex ones
     counts = np.floor(n * np.diff(shares, prepend=0) + 1e-9).astype(np.int64)  # or a whole number may round down
-    rounds, left = divmod(n - int(counts.sum()), len(order))
-    counts += rounds
-    counts[:left] += 1
-    found = np.empty(len(order), np.int64)
-    found[order] = counts
-    return found
+    return _with_rest(counts, n, order)
 
 
 def allocate_by_number(complexity: FloatArray, n: int, ratio: tuple[float, float, float]) -> NDArray[np.int64]:
@@ -59,13 +54,21 @@ def allocate_by_number(complexity: FloatArray, n: int, ratio: tuple[float, float
     starts, whose few Gaussians gain nothing by area."""
     order = np.argsort(-complexity, kind="stable")
     counts = np.zeros(len(order), np.int64)
-    for category, share in zip(reversed(np.array_split(order[::-1], 3)), ratio, strict=True):
+    ranks = np.arange(len(order))
+    for category, share in zip(reversed(np.array_split(ranks[::-1], 3)), ratio, strict=True):
         if len(category):
             counts[category] = int(n * share) // len(category)
+    return _with_rest(counts, n, order)
+
+
+def _with_rest(counts: NDArray[np.int64], n: int, order: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Counts by region that sum to n, from counts by rank: what they leave goes one by one to the first. order: the
+    region of each rank."""
     rounds, left = divmod(n - int(counts.sum()), len(order))
-    counts += rounds
-    counts[order[:left]] += 1
-    return counts
+    found = np.empty_like(order)
+    found[order] = counts + rounds
+    found[order[:left]] += 1
+    return found
 
 
 def place(image: FloatArray, n: int, settings: PaperSettings, rng: np.random.Generator) -> Gaussians:

@@ -129,10 +129,10 @@ def test_allocation_sums_to_n_and_favours_complexity(regions: int, ratio: tuple[
     complexity = np.random.default_rng(regions).random(regions).astype(np.float32)
     descending = np.argsort(-complexity)
     for n in (1, 2, 3, 4, 7, 10, 99, 100, 101, 1000, 12345):
-        counts = allocate(complexity, np.full(regions, 7), n, ratio)
-        assert counts.sum() == n
-        assert (counts >= 0).all()
-        assert (np.diff(counts[descending]) <= 0).all(), (n, counts[descending])
+        for counts in (allocate(complexity, np.full(regions, 7), n, ratio), allocate_by_number(complexity, n, ratio)):
+            assert counts.sum() == n
+            assert (counts >= 0).all()
+            assert (np.diff(counts[descending]) <= 0).all(), (n, counts[descending])
 
 
 def test_allocation_follows_the_ratio() -> None:
@@ -157,6 +157,9 @@ def test_equal_complexity_is_shared_in_a_stable_order() -> None:
 def test_regions_may_share_by_number() -> None:
     complexity = np.arange(9, dtype=np.float32)[::-1]
     assert allocate_by_number(complexity, 900, RATIOS[0]).tolist() == [201] * 3 + [66] * 3 + [33] * 3
+    assert allocate_by_number(complexity, 900, RATIOS[1]).tolist() == [100] * 9
+    assert allocate_by_number(complexity, 4, RATIOS[0]).tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0]
+    assert allocate_by_number(np.zeros(4, np.float32), 2, RATIOS[1]).tolist() == [1, 1, 0, 0]
 
 
 # --- placement
