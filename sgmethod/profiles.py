@@ -104,8 +104,10 @@ class Times:
     whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
 
 
-# For a first look: few growths, and smaller pictures for longer.
-QUICK = Times(growth_at=(0.03, 0.1, 0.2, 0.32, 0.46, 0.6), trim_at=(0.72, 0.8, 0.88, 0.94, 0.98), halved_until=0.85)
+# For a first look: few growths, none too many, and smaller pictures for longer.
+QUICK = Times(
+    growth_at=(0.03, 0.1, 0.2, 0.32, 0.46, 0.6), trim_at=(0.72, 0.8, 0.88, 0.94, 0.98), excess=0.0, halved_until=0.85
+)
 
 # Of a round: more Gaussians than can stay are added to a file that is as large as it may be, and those that gain least
 # for their bits go.
@@ -163,6 +165,9 @@ class RdSettings(OptimiserSettings):
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow
     growth: float = 1.0  # new Gaussians at one time are at most this part of those that there are
     most: float = 5.0  # under a budget of bytes there are never more Gaussians than so many times the expected number
+    # A new Gaussian's place is hidden by wider ones that gain more, of so many coarser sizes of the picture.
+    hidden_by: int = 8
+    hidden_by_visual: int = 2  # coarse errors then move the target, and are left for long
     bits_of_new: float = 20.0  # a new Gaussian takes away at least the error that so many bits are worth
 
     # A Gaussian is dropped when its own energy is worth fewer bits than this.
@@ -236,8 +241,17 @@ BASELINE = replace(
 RD = RdSettings()
 # What profile rd does for an effort. Each above the default does all that the one below does, and then goes on.
 EFFORTS: dict[int, dict[str, Any]] = {
-    1: {"rounds": (0,), "steps": 100, "times": QUICK, "refine_sweeps": 1, "size_tries": 1, "ladder_pixels": 0},
-    2: {"rounds": (0,), "steps": 130, "size_tries": 2, "ladder_pixels": 0},
+    1: {
+        "rounds": (0,),
+        "steps": 75,
+        "times": QUICK,
+        "hidden_by": 1,
+        "hidden_by_visual": 1,
+        "refine_sweeps": 0,
+        "size_tries": 0,
+        "ladder_pixels": 0,
+    },
+    2: {"rounds": (0,), "steps": 130, "hidden_by": 2, "size_tries": 2, "ladder_pixels": 0},
     3: {"rounds": (0,), "steps": 180, "ladder_pixels": 0},
     4: {"rounds": (0,), "ladder_pixels": 0},
     5: {},

@@ -188,7 +188,9 @@ class RdFit:
         room = min(self.control.new_gaussians(n), most - n)
         picture = self.pyramid.at(at, self.settings.times, n + room)
         least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
-        new = growth.new_gaussians(picture, self.p, room, least_gain, self.settings.color_solve_steps)
+        s = self.settings
+        hidden_by = s.hidden_by_visual if s.tune == "visual" else s.hidden_by
+        new = growth.new_gaussians(picture, self.p, room, least_gain, s.color_solve_steps, hidden_by)
         if len(new.means) < min(room, FEW * n):
             self.price_of_none = self._price()
         if len(new.means) == 0:

@@ -11,6 +11,9 @@ A place qualifies where its gain is the largest of all scales within the Gaussia
 are worth. Wide blurs are done on smaller pictures, and looked for on them. So each size of the picture has two things
 to know of the others: the most that is gained at a coarser one, enlarged, and the most in four samples of a finer one.
 
+Where the fit is far from its end, wide gains are everywhere, and hide nearly all others: a growth then finds ten places
+for hundreds of Gaussians. So a setting says by how many coarser sizes a place can be hidden.
+
 The whole size of a large picture is done in bands of rows, which keeps memory small.
 """
 
@@ -33,6 +36,7 @@ from sgmethod.threads import in_parallel
 BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first is that of a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
+ALL_COARSER = len(BLURS_PX)  # sizes of the picture, at most
 REACH = 4  # of a blur, in multiples of it; what cv2 takes
 
 
@@ -46,20 +50,24 @@ class Places:
     blur: FloatArray
 
 
-def new_gaussians(picture: Picture, p: Parameters, most: int, least_gain: float, solve_steps: int) -> Parameters:
+def new_gaussians(
+    picture: Picture, p: Parameters, most: int, least_gain: float, solve_steps: int, hidden_by: int = ALL_COARSER
+) -> Parameters:
     """At most `most` round Gaussians that gain more than least_gain on what others leave of a picture, in pixels of the
     whole one. Neighbours overlap, so their colours are solved together, in solve_steps, or they would overshoot."""
-    found = candidates(picture.residual(p), (picture.height, picture.width), most, least_gain)
+    found = candidates(picture.residual(p), (picture.height, picture.width), most, least_gain, hidden_by)
     means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
     if len(means) == 0:
         return Parameters.empty(0)
     return Parameters(means, factors, picture.solve_colors(means, factors, solve_steps, others=p))
 
 
-def candidates(residual: Rows, size: tuple[int, int], most: int, least_gain: float) -> tuple[FloatArray, FloatArray]:
+def candidates(
+    residual: Rows, size: tuple[int, int], most: int, least_gain: float, hidden_by: int = ALL_COARSER
+) -> tuple[FloatArray, FloatArray]:
     """Means [N, 2] and factors [N, 3] of at most `most` round Gaussians for a residual of size (height, width), each
-    with a gain above least_gain, best first."""
-    found = _places(residual, size, least_gain)
+    with a gain above least_gain, best first. hidden_by: so many coarser sizes of the picture, at least 1."""
+    found = _places(residual, size, least_gain, hidden_by)
     gain, x, y, blur = (
         np.concatenate(values) for values in zip(*((p.gain, p.x, p.y, p.blur) for p in found), strict=True)
     )
@@ -70,7 +78,7 @@ def candidates(residual: Rows, size: tuple[int, int], most: int, least_gain: flo
     return means, np.stack([scale, 0 * scale, scale], 1)
 
 
-def _places(residual: Rows, size: tuple[int, int], least_gain: float) -> list[Places]:
+def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by: int) -> list[Places]:
     height, width = size
     # The gain of a wider one counts what lies outside, and hides every other place.
     blurs = [b for b in BLURS_PX if REACH * b <= max(size)] or [BLURS_PX[0]]
@@ -91,16 +99,17 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float) -> list[Pl
             for plane, to in zip(residual(first, end), half[:, first // 2 : -(-end // 2)], strict=True):
                 to[...] = _halved(plane)
         levels = _coarse_levels(list(half), by_shrink)
+    hiding = levels[-1].most(hidden_by - 1) if levels else None
     found = []
     for first, end in parts:
         top, bottom = max(first - margin, 0), min(end + margin, height)
-        coarser = levels[-1].enlarged(top, bottom, width) if levels else None
-        level = _Level(list(residual(top, bottom)), 1, narrow, coarser)
+        level = _Level(list(residual(top, bottom)), 1, narrow)
+        most = level.gain if hiding is None else np.maximum(level.gain, _enlarged(hiding, top, bottom, width))
         here = slice(first - top, end - top)
-        _most_of_four(level.most[here], out=seen[first // 2 : -(-end // 2)])
-        found.append(level.places(level.most, least_gain, here, top))
+        _most_of_four(most[here], out=seen[first // 2 : -(-end // 2)])
+        found.append(level.places(most, least_gain, here, top))
     for level in reversed(levels):  # from the finest
-        seen = np.maximum(seen, level.most)
+        seen = np.maximum(seen, level.most(hidden_by))
         found.append(level.places(seen, least_gain))
         seen = _most_of_four(seen)
     return found
@@ -115,9 +124,11 @@ def _drawn_once(residual: Rows, height: int) -> Rows:
 class _Level:
     """The gains at one size of the picture."""
 
-    def __init__(self, planes: list[FloatArray], shrink: int, blurs: list[float], coarser: FloatArray | None) -> None:
-        """planes [3] of the residual; blurs in pixels of the whole size; coarser: the most at coarser levels."""
-        self.shrink, self.blurs = shrink, blurs
+    def __init__(
+        self, planes: list[FloatArray], shrink: int, blurs: list[float], coarser: _Level | None = None
+    ) -> None:
+        """planes [3] of the residual; blurs in pixels of the whole size; coarser: the next level, if there is one."""
+        self.shrink, self.blurs, self.coarser = shrink, blurs, coarser
         # The widest takes longest, and so begins.
         *wider, self.gain = in_parallel(lambda b: _gain(planes, b / shrink, b), blurs[::-1])
         self.chosen = np.zeros(self.gain.shape, np.uint8)  # the index of the blur that gains so much
@@ -125,7 +136,13 @@ class _Level:
             # Indices rise, so that the larger one is that of the larger gain.
             np.maximum(self.chosen, (more > self.gain).view(np.uint8) * np.uint8(index), out=self.chosen)
             np.maximum(self.gain, more, out=self.gain)
-        self.most = self.gain if coarser is None else np.maximum(self.gain, coarser)  # here and at coarser levels
+
+    def most(self, coarser: int) -> FloatArray:
+        """The most here and at so many coarser levels."""
+        if self.coarser is None or coarser == 0:
+            return self.gain
+        height, width = self.gain.shape
+        return np.maximum(self.gain, _enlarged(self.coarser.most(coarser - 1), 0, height, width))
 
     def places(self, everywhere: FloatArray, least: float, rows: slice = slice(None), first_row: int = 0) -> Places:
         """Where a gain of this level, in these of its rows, is above the least and is the most within its blur's size.
@@ -158,13 +175,6 @@ class _Level:
 
         return x + beside(left, right), y + beside(above, below)
 
-    def enlarged(self, first: int, end: int, width: int) -> FloatArray:
-        """The most, here and at coarser levels, at twice the size; rows from `first` to before `end`."""
-        top = max(first // 2 - 1, 0)
-        part = self.most[top : end // 2 + 2]
-        large = cv2.resize(part, (part.shape[1] * 2, part.shape[0] * 2), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(large[first - 2 * top : end - 2 * top, :width], np.float32)
-
 
 def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> list[_Level]:
     """One for each shrink, from the coarsest. half: the residual's planes at half the size."""
@@ -173,10 +183,16 @@ def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> lis
         planes[shrink] = [_halved(plane) for plane in planes[shrink // 2]]
     levels: list[_Level] = []
     for shrink, here in reversed(blurs.items()):
-        height, width = planes[shrink][0].shape
-        coarser = levels[-1].enlarged(0, height, width) if levels else None
-        levels.append(_Level(planes[shrink], shrink, here, coarser))
+        levels.append(_Level(planes[shrink], shrink, here, levels[-1] if levels else None))
     return levels
+
+
+def _enlarged(plane: FloatArray, first: int, end: int, width: int) -> FloatArray:
+    """A plane at twice the size; rows from `first` to before `end`."""
+    top = max(first // 2 - 1, 0)
+    part = plane[top : end // 2 + 2]
+    large = cv2.resize(part, (part.shape[1] * 2, part.shape[0] * 2), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(large[first - 2 * top : end - 2 * top, :width], np.float32)
 
 
 def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:

@@ -22,7 +22,7 @@ from sgmethod.native import native
 from sgmethod.native.reference import render
 from sgmethod.profiles import EFFORTS, RD, with_size
 from sgmethod.rd.fit import RdFit
-from sgmethod.rd.growth import BLURS_PX, SCALE_OF_BLUR, candidates
+from sgmethod.rd.growth import ALL_COARSER, BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
 from tests.harness.data import PHOTOGRAPHS
 from tests.rd.clocks import SlowClock
@@ -262,10 +262,12 @@ def test_a_time_limit_shortens_the_schedule(budget: Budget, monkeypatch: pytest.
         assert 0.8 * 400 <= len(stopped.data) <= 400
 
 
-def found_in(residual: FloatArray, most: int, least_gain: float) -> tuple[FloatArray, FloatArray]:
+def found_in(
+    residual: FloatArray, most: int, least_gain: float, hidden_by: int = ALL_COARSER
+) -> tuple[FloatArray, FloatArray]:
     """What growth finds in a residual [H, W, 3]."""
     planes = np.ascontiguousarray(residual.transpose(2, 0, 1))
-    return candidates(lambda first, end: planes[:, first:end], residual.shape[:2], most, least_gain)
+    return candidates(lambda first, end: planes[:, first:end], residual.shape[:2], most, least_gain, hidden_by)
 
 
 def planted(
@@ -293,6 +295,22 @@ def test_growth_takes_the_best_first_and_no_more_than_asked() -> None:
     assert means[1] == pytest.approx((30.5, 30.5), abs=0.5)
     for most in (0, -3):
         assert len(found_in(residual, most, 0.0)[0]) == 0
+
+
+def test_a_wide_error_hides_narrow_ones_from_growth_only_where_it_is_to() -> None:
+    size = (250, 250)
+    narrow = [(x, y) for x in (60.5, 100.5, 140.5, 180.5) for y in (60.5, 100.5, 140.5, 180.5)]
+    residual = planted(50.0, (125.0, 125.0), (0.04, 0.04, 0.04), size)
+    for at in narrow:
+        residual += planted(2.0, at, (-0.4, 0.2, 0.2), size)
+
+    def dots(hidden_by: int) -> int:
+        means, factors = found_in(residual, 100, 0.1, hidden_by)
+        near = np.abs(means[:, None] - np.array(narrow)).max(axis=2) < 1.0
+        return int((near & (factors[:, :1] < 5.0)).any(axis=0).sum())
+
+    assert dots(ALL_COARSER) == 0
+    assert dots(1) == dots(2) == len(narrow)
 
 
 def test_growth_respects_the_least_gain() -> None:
