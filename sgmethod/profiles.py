@@ -166,7 +166,7 @@ class RdSettings(OptimiserSettings):
     growth: float = 1.0  # new Gaussians at one time are at most this part of those that there are
     most: float = 5.0  # under a budget of bytes there are never more Gaussians than so many times the expected number
     # A new Gaussian's place is hidden by wider ones that gain more, of so many coarser sizes of the picture.
-    hidden_by: int = 8
+    hidden_by: int = 8  # all that there are
     hidden_by_visual: int = 2  # coarse errors then move the target, and are left for long
     bits_of_new: float = 20.0  # a new Gaussian takes away at least the error that so many bits are worth
 

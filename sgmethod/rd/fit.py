@@ -182,13 +182,13 @@ class RdFit:
     def _grow(self, most: int, at: float) -> None:
         """Add Gaussians where they gain more than their bits are worth, so many in all at most. They are looked for on
         the level of the pyramid that will do for them."""
+        s = self.settings
         if self._price() >= self.price_of_none:
             return  # the error has not grown since, nor will what pays
         n = len(self.p.means)
         room = min(self.control.new_gaussians(n), most - n)
-        picture = self.pyramid.at(at, self.settings.times, n + room)
-        least_gain = self._price() * self.settings.bits_of_new / picture.spacing**2
-        s = self.settings
+        picture = self.pyramid.at(at, s.times, n + room)
+        least_gain = self._price() * s.bits_of_new / picture.spacing**2
         hidden_by = s.hidden_by_visual if s.tune == "visual" else s.hidden_by
         new = growth.new_gaussians(picture, self.p, room, least_gain, s.color_solve_steps, hidden_by)
         if len(new.means) < min(room, FEW * n):

@@ -129,6 +129,8 @@ class _Level:
     ) -> None:
         """planes [3] of the residual; blurs in pixels of the whole size; coarser: the next level, if there is one."""
         self.shrink, self.blurs, self.coarser = shrink, blurs, coarser
+        self.depth: int = 0 if coarser is None else coarser.depth + 1  # coarser levels in all
+        self._most: dict[int, FloatArray] = {}
         # The widest takes longest, and so begins.
         *wider, self.gain = in_parallel(lambda b: _gain(planes, b / shrink, b), blurs[::-1])
         self.chosen = np.zeros(self.gain.shape, np.uint8)  # the index of the blur that gains so much
@@ -139,10 +141,13 @@ class _Level:
 
     def most(self, coarser: int) -> FloatArray:
         """The most here and at so many coarser levels."""
+        coarser = min(coarser, self.depth)
         if self.coarser is None or coarser == 0:
             return self.gain
-        height, width = self.gain.shape
-        return np.maximum(self.gain, _enlarged(self.coarser.most(coarser - 1), 0, height, width))
+        if coarser not in self._most:
+            height, width = self.gain.shape
+            self._most[coarser] = np.maximum(self.gain, _enlarged(self.coarser.most(coarser - 1), 0, height, width))
+        return self._most[coarser]
 
     def places(self, everywhere: FloatArray, least: float, rows: slice = slice(None), first_row: int = 0) -> Places:
         """Where a gain of this level, in these of its rows, is above the least and is the most within its blur's size.
