@@ -12,21 +12,26 @@ Rate control (rate_control.py) steers the quantum through 2 and 3, and sets what
 can stay are added and fitted, those that gain least go, and the best file is kept. It also repeats 5: half of the
 Gaussians move to what rounding the others has left, and all are refined again. Small pictures of lines, letters or
 noise are fitted for other sizes too (ladder.py), and a better file is searched for near the best. Alpha is a picture of
-its own, and goes the same way first (alpha.py).
+its own, and goes the same way first (alpha.py). A picture of one colour needs none of this.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import background_of
 from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
 from sgmethod.native import native
 from sgmethod.profiles import RdSettings, with_size
 from sgmethod.rd import alpha
 from sgmethod.rd.finish import Finish, Found
 from sgmethod.rd.ladder import Ladder, is_small, is_stiff
+from sgmethod.rd.quantiser import Coder
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.rd.runs import Runs, most_steps, place
 
@@ -46,6 +51,8 @@ def encode(request: Request, settings: RdSettings) -> tuple[bytes, int]:
 def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]:
     """The stream of one picture without alpha, and the steps it took. What of it alpha shows weighs its errors."""
     control = RateControl.of(request, settings)
+    if is_one_colour(request.pixels):
+        return empty(request.pixels, control), 0
     ladder = Ladder(request, control)
     small = is_small(request, settings)
     stiff = small and is_stiff(request)
@@ -78,6 +85,19 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     parts = [first_found + further[:many] for many in range(len(further) + 1)]
     searched = [Found(finish.searched(part, climbs), finish) for part in parts]
     return finish.best(searched).stream, steps
+
+
+def is_one_colour(pixels: NDArray[np.uint8]) -> bool:
+    """Whether a picture [H, W, 3] needs no Gaussian."""
+    return bool((pixels == pixels[0, 0]).all())
+
+
+def empty(pixels: NDArray[np.uint8], control: RateControl) -> StreamV4:
+    """A picture of no Gaussians: its background."""
+    height, width = pixels.shape[:2]
+    background = background_of(pixels)
+    grey = len(set(background)) == 1
+    return Coder((width, height), control.quantum, background, grey).stream(Parameters.empty(0))
 
 
 def write(stream: StreamV4) -> bytes:

@@ -179,6 +179,15 @@ def test_a_flat_image_costs_tens_of_bytes(budget: Budget) -> None:
     assert encoded.stats.psnr > 45
 
 
+@pytest.mark.parametrize("budget", [Budget("bytes", 4000), Budget("quality", 80), Budget("psnr", 45)])
+def test_a_picture_of_one_colour_is_not_fitted(budget: Budget) -> None:
+    pixels = np.full((90, 120, 3), (51, 127, 204), np.uint8)
+    encoded = encode(pixels, budget)
+    assert encoded.stats.steps == 0
+    assert encoded.trace[-1].phase == "done"
+    assert (decode(encoded.data) == pixels).all()
+
+
 def test_a_grey_picture_has_no_chroma() -> None:
     grey = np.ascontiguousarray(np.repeat(crop()[:, :, 1:2], 3, 2))
     encoded = encode(grey, Budget("bytes", 500))
