@@ -275,6 +275,16 @@ def with_size(settings: RdSettings, pixels: int) -> RdSettings:
     return replace(s, steps=round(s.steps * (1 - share * (1 - s.large_steps))), times=times)
 
 
+def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
+    """The settings for a picture of so many pixels where there is time for so many steps: as they are if they need no
+    more, or those of the highest effort below that needs no more, or of the lowest."""
+    if settings.steps <= steps:
+        return settings
+    fewer = [with_size(replace(settings, **effort), pixels) for effort in EFFORTS.values() if "steps" in effort]
+    least, *others = [one for one in fewer if one.steps < settings.steps] or [settings]
+    return next((one for one in reversed(others) if one.steps <= steps), least)
+
+
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
     """What an encode is tuned for: what is asked for, or what goes with profile and budget.
 

@@ -14,8 +14,8 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.profiles import Tune
 
 # Kept back of a time limit, for writing and measuring the file.
-RESERVE_S = 0.15
-RESERVE_S_PER_MEGAPIXEL = 0.25
+RESERVE_S = 0.02
+RESERVE_S_PER_MEGAPIXEL = 0.2
 # Of the time so far, what an encode that is to stop takes to its end.
 WINDING_DOWN = 0.25
 

@@ -213,7 +213,7 @@ class Finish:
 
         The first try is the finest quantum at which all Gaussians fit. If refining leaves bytes unused, finer ones
         follow. A fit that was cut short can be far from its size: then the quantum as it is, with fewer Gaussians, is
-        tried too.
+        tried too, if there is time.
         """
         s, coder = self.settings, self._coder_within(limit)
         found = [self._quantise_and_refine(coder, limit)]
@@ -224,7 +224,7 @@ class Finish:
                 break
             coder = coder.with_quantum(coder.quantum * used**s.quantum_per_size)
             found.append(self._quantise_and_refine(coder, limit))
-        if len(self.coder.stream(self.p).payload) > s.far_from_size * limit:
+        if self._left_s() > 0 and len(self.coder.stream(self.p).payload) > s.far_from_size * limit:
             found.append(self._quantise_and_refine(self.coder, limit))
         return max(found, key=self._quality) if len(found) > 1 else found[0]
 

@@ -22,7 +22,7 @@ from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock
 from sgmethod.native import native
-from sgmethod.profiles import PAPER, RdSettings, Times
+from sgmethod.profiles import PAPER, RdSettings, Times, hurried
 from sgmethod.rd import growth, quantiser, texture
 from sgmethod.rd.pyramid import Pyramid
 from sgmethod.rd.quantiser import Coder
@@ -34,6 +34,7 @@ FEWEST_AT_START = 4
 START = replace(PAPER, shared_by_area=False)
 MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
 FEW = 0.001  # new Gaussians, as a part of those that there are
+STEP = 4.0  # gradients at the start: about the time of a step of the schedule, on average
 GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 
 
@@ -87,20 +88,29 @@ class RdFit:
         return Parameters(means, factors, picture.solve_colors(means, factors, self.settings.color_solve_steps))
 
     def hurry(self, seconds: float) -> None:
-        """Fit a smaller picture, most of the time, where so many seconds are too few for the whole one.
+        """Where so many seconds are too few, take the settings of a lower effort; where they are too few for that as
+        well, fit a smaller picture, most of the time.
 
-        Three gradients are timed at the start. Too few are less seconds than all steps would take at the fastest of
-        them. Later steps have more Gaussians, and take about three times as long.
+        Three gradients are timed at the start. Too few for the whole picture are less seconds than all steps would
+        take at the fastest of them; a step of the schedule takes some times as long, as there are more Gaussians later.
         """
         times = []
         for _ in range(3):  # the first one also touches new memory
             began = self.clock.seconds()
             self.picture.gradients(self.p)
             times.append(self.clock.seconds() - began)
+        dense = self.control.steps() / self.settings.steps
+        steps = seconds / (STEP * min(times)) / dense
+        self._go_by(hurried(self.settings, self.width * self.height, steps))
         self.pyramid.choose_finest(seconds, self.control.steps() * min(times))
         # What is narrower falls between the pixels.
         narrowest = self.settings.min_scale_px * self.pyramid.finest.spacing
         self.adam = FrameAdam(len(self.p.means), replace(self.settings, min_scale_px=narrowest), self.picture.values)
+
+    def _go_by(self, settings: RdSettings) -> None:
+        self.settings = settings
+        self.control = replace(self.control, settings=settings)
+        self.due = _all_due(settings.times)
 
     def step(self, rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         """One optimiser step, after whatever is due at this part of the schedule."""
@@ -120,9 +130,7 @@ class RdFit:
 
     def begin_round(self) -> None:
         """Make ready for a run of the schedule that is a round."""
-        self.settings = replace(self.settings, times=self.settings.round_times)
-        self.control = replace(self.control, settings=self.settings)
-        self.due = _all_due(self.settings.times)
+        self._go_by(replace(self.settings, times=self.settings.round_times))
         self.price_of_none = math.inf
 
     def decoded_mse(self) -> float:

@@ -34,7 +34,6 @@ class Runs:
 
     def __init__(self, fit: RdFit, request: Request, in_all: int, before: int = 0) -> None:
         self.fit, self.request = fit, request
-        self.length, self.of_round = fit.control.steps(), steps_of_round(fit.control)
         self.in_all, self.before = in_all, before
         self.steps, self.rounds, self.took_s = 0, 0, 0.0
 
@@ -43,8 +42,9 @@ class Runs:
         left_s = self.request.left_s(self.fit.settings.fit_share)
         if math.isfinite(left_s):
             self.fit.hurry(left_s)
-        self._run(self.length)
-        self.took_s *= self.of_round / self.length
+        length = self.fit.control.steps()
+        self._run(length)
+        self.took_s *= steps_of_round(self.fit.control) / length
 
     def has_time(self) -> bool:
         """Whether a further round, as long as the last, ends in time."""
@@ -54,7 +54,7 @@ class Runs:
         """Rounds until there were so many, as far as there is time."""
         while self.rounds < number and self.has_time():
             self.fit.begin_round()
-            self._run(self.of_round)
+            self._run(steps_of_round(self.fit.control))
             self.rounds += 1
 
     def _run(self, length: int) -> None:

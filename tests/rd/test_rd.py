@@ -20,7 +20,7 @@ from sgmethod.io.image import read_image
 from sgmethod.io.levels import to_8_bit
 from sgmethod.native import native
 from sgmethod.native.reference import render
-from sgmethod.profiles import EFFORTS, RD, with_size
+from sgmethod.profiles import EFFORTS, RD, hurried, with_size
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import ALL_COARSER, BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
@@ -356,18 +356,20 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
             fit.hurry(seconds)
         return fit
 
-    hurried, unhurried = fit_with(0.0), fit_with(math.inf)
-    assert (hurried.pyramid.finest.width, unhurried.pyramid.finest.width) == (20, 160)
-    assert hurried.pyramid.at(RD.times.halved_until, RD.times, 1000) is hurried.pyramid.finest
-    assert hurried.pyramid.at(RD.times.whole_from, RD.times, 1000) is hurried.picture is hurried.pyramid.levels[0]
+    short, unhurried = fit_with(0.0), fit_with(math.inf)
+    assert (short.settings, unhurried.settings) == (replace(RD, **EFFORTS[1]), RD)
+    assert short.control.settings == short.settings
+    assert (short.pyramid.finest.width, unhurried.pyramid.finest.width) == (20, 160)
+    assert short.pyramid.at(RD.times.halved_until, RD.times, 1000) is short.pyramid.finest
+    assert short.pyramid.at(RD.times.whole_from, RD.times, 1000) is short.picture is short.pyramid.levels[0]
     with torch.no_grad():
-        before = len(hurried.p.means)
-        hurried._grow(before + 10, RD.times.halved_until)
-    added = hurried.p.means  # found in the small picture, but in pixels of the whole
+        before = len(short.p.means)
+        short._grow(before + 10, RD.times.halved_until)
+    added = short.p.means  # found in the small picture, but in pixels of the whole
     assert len(added) == before + 10
     assert added[:, 0].max() > 80
     assert added[:, 1].max() > 64
-    assert hurried.p.factors[:, 0].min() > 8 * 0.3
+    assert short.p.factors[:, 0].min() > 8 * 0.3
 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:
@@ -393,6 +395,15 @@ def test_the_size_grows_with_the_gaussians() -> None:
     with torch.no_grad():
         fit._grow(10**6, RD.times.growth_at[1])
     assert fit.size / len(fit.p.means) == pytest.approx(before, rel=0.05)
+
+
+@pytest.mark.parametrize("pixels", [400_000, 8_000_000])
+def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> None:
+    one, two, three, five = (with_size(replace(RD, **EFFORTS[effort]), pixels) for effort in (1, 2, 3, 5))
+    assert [hurried(five, pixels, steps) for steps in (math.inf, five.steps, five.steps - 1)] == [five, five, three]
+    assert [hurried(five, pixels, steps) for steps in (three.steps - 1, two.steps - 1, 0)] == [two, one, one]
+    assert hurried(two, pixels, three.steps) == two
+    assert hurried(one, pixels, 0) == one
 
 
 def test_large_pictures_are_spared_steps() -> None:
