@@ -278,11 +278,10 @@ def with_size(settings: RdSettings, pixels: int) -> RdSettings:
 def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     """The settings for a picture of so many pixels where there is time for so many steps: as they are if they need no
     more, or those of the highest effort below that needs no more, or of the lowest."""
-    if settings.steps <= steps:
-        return settings
-    fewer = [with_size(replace(settings, **effort), pixels) for effort in EFFORTS.values() if "steps" in effort]
-    least, *others = [one for one in fewer if one.steps < settings.steps] or [settings]
-    return next((one for one in reversed(others) if one.steps <= steps), least)
+    lower = [replace(settings, **changes) for changes in reversed(EFFORTS.values()) if "steps" in changes]
+    fewer = [sized for sized in (with_size(one, pixels) for one in lower) if sized.steps < settings.steps]
+    choices = [settings, *fewer]
+    return next((one for one in choices if one.steps <= steps), choices[-1])
 
 
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:

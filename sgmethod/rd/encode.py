@@ -22,7 +22,6 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import background_of
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
@@ -52,7 +51,7 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     """The stream of one picture without alpha, and the steps it took. What of it alpha shows weighs its errors."""
     control = RateControl.of(request, settings)
     if is_one_colour(request.pixels):
-        return empty(request.pixels, control), 0
+        return Coder.of(request.pixels, control.quantum).stream(Parameters.empty(0)), 0
     ladder = Ladder(request, control)
     small = is_small(request, settings)
     stiff = small and is_stiff(request)
@@ -88,16 +87,8 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
 
 
 def is_one_colour(pixels: NDArray[np.uint8]) -> bool:
-    """Whether a picture [H, W, 3] needs no Gaussian."""
+    """Whether a picture [H, W, 3] is its background, and needs no Gaussian."""
     return bool((pixels == pixels[0, 0]).all())
-
-
-def empty(pixels: NDArray[np.uint8], control: RateControl) -> StreamV4:
-    """A picture of no Gaussians: its background."""
-    height, width = pixels.shape[:2]
-    background = background_of(pixels)
-    grey = len(set(background)) == 1
-    return Coder((width, height), control.quantum, background, grey).stream(Parameters.empty(0))
 
 
 def write(stream: StreamV4) -> bytes:

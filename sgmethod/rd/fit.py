@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import HEADER_BYTES, background_of
+from sgmethod.bitstream.v3 import HEADER_BYTES
 from sgmethod.fitting import eye, leads
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
@@ -34,7 +34,7 @@ FEWEST_AT_START = 4
 START = replace(PAPER, shared_by_area=False)
 MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
 FEW = 0.001  # new Gaussians, as a part of those that there are
-STEP = 4.0  # gradients at the start: about the time of a step of the schedule, on average
+GRADIENTS_PER_STEP = 4.0  # at the start: the time of a step of the schedule, on average
 GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 
 
@@ -56,13 +56,11 @@ class RdFit:
         self.settings = settings = control.settings
         self.pixels = pixels
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
-        background = background_of(pixels)
-        grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
-        self.coder = Coder((self.width, self.height), control.quantum, background, grey)
+        self.coder = Coder.of(pixels, control.quantum)
         shown = None if alpha is None else eye.shown_by(alpha)
         seen = eye.visibility_of(pixels, shown) if settings.tune == "visual" else shown
         self.seen = None if seen is None else eye.Seen(seen)
-        target = target_of(pixels, background)
+        target = target_of(pixels, self.coder.background)
         lead: leads.Lead | None = None
         if settings.overshoot > 0:
             lead = leads.Overshoot(target, pixels, settings.overshoot)
@@ -99,9 +97,8 @@ class RdFit:
             began = self.clock.seconds()
             self.picture.gradients(self.p)
             times.append(self.clock.seconds() - began)
-        dense = self.control.steps() / self.settings.steps
-        steps = seconds / (STEP * min(times)) / dense
-        self._go_by(hurried(self.settings, self.width * self.height, steps))
+        part = seconds / (GRADIENTS_PER_STEP * min(times) * self.control.steps())  # of the schedule, in that time
+        self._go_by(hurried(self.settings, self.control.pixels, part * self.settings.steps))
         self.pyramid.choose_finest(seconds, self.control.steps() * min(times))
         # What is narrower falls between the pixels.
         narrowest = self.settings.min_scale_px * self.pyramid.finest.spacing

@@ -13,9 +13,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
 from torch import Tensor
 
-from sgmethod.bitstream.v3 import quantum_code, quantum_of
+from sgmethod.bitstream.v3 import background_of, quantum_code, quantum_of
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.eye import Visibility
 from sgmethod.fitting.parameters import Parameters
@@ -51,6 +53,13 @@ class Coder:
         self.size, self.background, self.grey = size, background, grey
         self.quantum = quantum_of(quantum_code(quantum))
         self._parameters = native.RdParameters(*size, self.quantum, grey)
+
+    @classmethod
+    def of(cls, pixels: NDArray[np.uint8], quantum: float) -> Coder:
+        """For a picture [H, W, 3], with its background."""
+        background = background_of(pixels)
+        grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
+        return cls((pixels.shape[1], pixels.shape[0]), quantum, background, grey)
 
     def with_quantum(self, quantum: float) -> Coder:
         """The same with another quantum."""
