@@ -76,9 +76,11 @@ def bd_rate(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
     """Bjontegaard's difference in rate, in percent: what test needs more (or, below 0, less) than anchor.
 
     The mean over the qualities that both reach of the difference in log rate, each curve interpolated by piecewise
-    cubic Hermite polynomials. None where they share no quality, or a curve has one point or falls.
+    cubic Hermite polynomials. None where they share no quality, or a curve has one point or falls. A point without
+    error is on no curve.
     """
-    gap = _mean_gap(*([(quality, math.log10(rate)) for rate, quality in sorted(points)] for points in (anchor, test)))
+    curves = ([(x, math.log10(rate)) for rate, x in sorted(points) if math.isfinite(x)] for points in (anchor, test))
+    gap = _mean_gap(*curves)
     return None if gap is None else 100 * (10**gap - 1)
 
 
@@ -121,31 +123,52 @@ def curve(average: Means, codec: str) -> Curve:
 
 
 def scaled(points: Curve, column: int) -> list[Point]:
-    """(bits per pixel, quality) of a column; MS-SSIM in decibels, as its last digits are what differs."""
+    """(bits per pixel, quality) of a column."""
     known = [
         (rate, value) for rate, value in ((p[0], p[column]) for p in points) if rate is not None and value is not None
     ]
-    return known if column == 1 else [(rate, -10 * math.log10(1 - value)) for rate, value in known if value < 1]
+    return [(rate, quality("psnr" if column == 1 else "ms_ssim", value)) for rate, value in known]
 
 
-def against(rows: Sequence[Row], codec: str, anchor: str) -> tuple[float, int] | None:
-    """The mean over pictures of each one's BD-rate for the same PSNR, and how many they are. None where one of the
+def quality(figure: str, value: float) -> float:
+    """A figure so that more of it is better. Errors, and what MS-SSIM lacks of 1, are in decibels, as PSNR is."""
+    error = {"ms_ssim": 1 - value, "lpips": value, "dists": value}.get(figure)
+    if error is None:
+        return value
+    return -10 * math.log10(error) if error > 0 else math.inf
+
+
+def against_means(average: Means, codec: str, anchor: str, figure: str) -> float | None:
+    """BD-rate for the same figure, of means over pictures. None where the two share none of it."""
+    curves = []
+    for wanted in (anchor, codec):
+        known = [(m["bpp"], m[figure]) for (name, _), m in average.items() if name == wanted]
+        curves.append([(r, quality(figure, value)) for r, value in known if r is not None and value is not None])
+    return bd_rate(*curves)
+
+
+def against(rows: Sequence[Row], codec: str, anchor: str, figure: str = "psnr") -> tuple[float, int] | None:
+    """The mean over pictures of each one's BD-rate for the same figure, and how many they are. None where one of the
     pictures that both have has no such rate."""
     images = dict.fromkeys(row.image for row in rows if row.codec == anchor)
-    return mean_rate({image: points(rows, anchor, image) for image in images}, rows, codec)
+    return mean_rate({image: points(rows, anchor, image, figure) for image in images}, rows, codec, figure)
 
 
-def mean_rate(anchors: dict[str, Sequence[Point]], rows: Sequence[Row], codec: str) -> tuple[float, int] | None:
+def mean_rate(
+    anchors: dict[str, Sequence[Point]], rows: Sequence[Row], codec: str, figure: str = "psnr"
+) -> tuple[float, int] | None:
     """The same, against points by picture."""
     images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
-    rates = [bd_rate(anchors[image], points(rows, codec, image)) for image in images]
+    rates = [bd_rate(anchors[image], points(rows, codec, image, figure)) for image in images]
     known = [rate for rate in rates if rate is not None]
     return (statistics.fmean(known), len(known)) if known and len(known) == len(rates) else None
 
 
-def points(rows: Sequence[Row], codec: str, image: str) -> list[Point]:
-    """Bits per pixel and PSNR of one picture."""
-    return [(r.bpp, r.psnr) for r in rows if (r.codec, r.image) == (codec, image) and r.psnr is not None]
+def points(rows: Sequence[Row], codec: str, image: str, figure: str = "psnr") -> list[Point]:
+    """Bits per pixel and quality of one picture; the smallest file that a codec makes is one point, however many
+    limits it stands for."""
+    known = [(r.bpp, getattr(r, figure)) for r in rows if (r.codec, r.image) == (codec, image)]
+    return list(dict.fromkeys((rate, quality(figure, value)) for rate, value in known if value is not None))
 
 
 def against_cool_chic(rows: Sequence[Row], codec: str, below: float | None = None) -> tuple[float, int] | None:

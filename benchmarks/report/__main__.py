@@ -72,8 +72,8 @@ def main() -> None:
             raise SystemExit(f"{' and '.join(stale)}: not what the JSON says; run python -m benchmarks.report")
         return
     for section in made:
-        if section.draw is not None:
-            save(section.draw, section.title, root / "docs" / "plots" / section.name)
+        if section.panels:
+            save(section.panels, section.title, root / "docs" / "plots" / section.name)
     for path, text in texts.items():
         write_atomically(path, text.encode())
 

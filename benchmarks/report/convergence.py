@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
 
-from benchmarks.report.section import Content, Section, number, table
+from benchmarks.report.plots import style
+from benchmarks.report.section import Content, Draw, Section, number, table
 
 WITHIN_DB = (1.0, 0.5, 0.1)
 Curve = list[tuple[float, float]]  # seconds, dB
@@ -35,9 +35,10 @@ def section(content: Content) -> Section:
         "networks are fitted by torch without kernels of their own. On its way a fit may have more bytes than its "
         "file, which it gives up at its end: the plot has complete files of rd alone."
     )
-    return Section(
-        "convergence", "Error against run time", said, tables, [content], draw=lambda axes: draw(axes, first)
-    )
+    panels: list[Draw] = [lambda axes: draw_psnr(axes, first)]
+    if all(row["lpips"] is not None for row in first):
+        panels.append(lambda axes: draw_lpips(axes, first))
+    return Section("convergence", "Error against run time", said, tables, [content], panels)
 
 
 def result(rows: Sequence[dict[str, Any]]) -> str:
@@ -124,38 +125,62 @@ def points_table(rows: Sequence[dict[str, Any]]) -> str:
     return table("codec | setting | pictures | bytes | PSNR | LPIPS | seconds", lines) if lines else ""
 
 
-def draw(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
+def methods(rows: Sequence[dict[str, Any]]) -> tuple[list[str], list[str]]:
+    """Those with a line, and those whose settings are marks. On its way a fit of rd has more bytes than its file, so
+    that its complete files stand for it where there are some."""
+    with_line = list(dict.fromkeys(name for name, _ in curves(rows)))
+    if not set(COMPLETE).isdisjoint(with_line):
+        with_line.remove("rd")
+    return with_line, list(dict.fromkeys(row["method"] for row in rows if row["curve"] is None))
+
+
+def draw_psnr(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
     """Means over the pictures, at the times at which every picture of a method has an error; other codecs as marks."""
-    styles = cycle(["-", "--", "-.", ":", (0, (6, 1, 1, 1)), (0, (1, 3)), (0, (8, 3))])
-    marks = cycle("os^Dvx")
+    with_line, others = methods(rows)
     found = curves(rows)
     lowest = math.inf
-    names = dict.fromkeys(name for name, _ in found)
-    for method in names:
-        if method == "rd" and not names.keys().isdisjoint(COMPLETE):
-            continue  # on its way a fit has more bytes than its file, so that complete files alone compare
-        whole = method in COMPLETE
-        mine = [curve for name, curve in found if name == method]
-        times, levels = complete(files_of(rows, method)) if whole else mean_curve(mine)
-        axes.plot(times, levels, linestyle=next(styles), marker="." if whole else "", label=method)
+    for k, method in enumerate(with_line):
+        if method in COMPLETE:
+            axes.plot(*zip(*ends(files_of(rows, method)), strict=True), **style(k), label=method)
+            continue
+        times, levels = mean_curve([curve for name, curve in found if name == method])
+        axes.plot(times, levels, **style(k) | {"marker": ""}, label=method)
         lowest = min(lowest, levels[-1])
-    for method in dict.fromkeys(row["method"] for row in rows if row["curve"] is None):
-        own = [row for row in rows if row["method"] == method]
-        settings = dict.fromkeys(row["setting"] for row in own)
-        ends = [[(r["seconds"], r["psnr"]) for r in own if r["setting"] == setting] for setting in settings]
-        means = sorted((statistics.fmean(t for t, _ in end), statistics.fmean(db for _, db in end)) for end in ends)
-        axes.plot(*zip(*means, strict=True), linestyle="none", marker=next(marks), fillstyle="none", label=method)
-        lowest = min(lowest, means[0][1])
+    for k, method in enumerate(others):
+        points = ends([row for row in rows if row["method"] == method])
+        axes.plot(*zip(*points, strict=True), **mark(k), label=method)
+        lowest = min(lowest, points[0][1])
     axes.set(xscale="log", xlabel="seconds", ylabel="PSNR, dB", ylim=(math.floor(lowest) - 2, None))
 
 
-def complete(rows: Sequence[dict[str, Any]]) -> tuple[list[float], list[float]]:
-    """Means over the pictures of files, for each setting."""
+def draw_lpips(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
+    """Of complete files, and of what the others had at their end, the best at the top as in the other panel."""
+    with_line, others = methods(rows)
+    for k, method in enumerate(with_line):
+        mine = files_of(rows, method) if method in COMPLETE else [r for r in rows if r["method"] == method]
+        points = ends(mine, "lpips")
+        axes.plot(*zip(*points, strict=True), **style(k), label=method)
+        if len(points) == 1:
+            axes.annotate(f"{method}  ", points[0], ha="right", va="center", fontsize=7)
+    for k, method in enumerate(others):
+        points = ends([row for row in rows if row["method"] == method], "lpips")
+        axes.plot(*zip(*points, strict=True), **mark(k), label=method)
+    axes.set(xscale="log", xlabel="seconds", ylabel="LPIPS, better upwards")
+    axes.invert_yaxis()
+
+
+def mark(k: int) -> dict[str, Any]:
+    """Of the k-th method whose settings are marks."""
+    return style(k) | {"linestyle": "none", "fillstyle": "none"}
+
+
+def ends(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[float, float]]:
+    """For each setting the seconds that an encode took and what came of it, means over the pictures."""
     groups = [[row for row in rows if row["setting"] == name] for name in dict.fromkeys(row["setting"] for row in rows)]
-    means = sorted(
-        tuple(statistics.fmean(row[what] for row in group) for what in ("seconds", "psnr")) for group in groups
+    return sorted(
+        (statistics.fmean(row["seconds"] for row in group), statistics.fmean(row[figure] for row in group))
+        for group in groups
     )
-    return [seconds for seconds, _ in means], [db for _, db in means]
 
 
 def mean_curve(curves: Sequence[Curve]) -> tuple[list[float], list[float]]:

@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from benchmarks.report.section import Draw
 
-SIZE_IN = (7.2, 4.4)
-GREYS = ("0", "0.35", "0.55")
+WIDTH_IN, HEIGHT_IN = 7.2, 3.8  # of a panel, with its part of title and legend
+COLOURS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#b0508c", "#8c6d1f")  # all dark enough to be read as grey
+DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)), (0, (1, 3)), (0, (8, 3)))
+MARKS = "os^Dvx"
 
 
-def save(draw: Draw, title: str, path: Path) -> None:
-    """Write path.svg and path.png."""
+def style(k: int) -> dict[str, Any]:
+    """Of the k-th line of a plot, the same in every panel: some forty can be told from each other."""
+    return {"color": f"C{k % len(COLOURS)}", "linestyle": DASHES[k % len(DASHES)], "marker": MARKS[k % len(MARKS)]}
+
+
+def save(panels: Sequence[Draw], title: str, path: Path) -> None:
+    """Write path.svg and path.png: the panels one below the other on one axis, what they name in one legend."""
     try:
         import matplotlib as mpl
         from cycler import cycler
         from matplotlib.figure import Figure
     except ImportError as error:
         raise SystemExit("plots need matplotlib: pip install '.[plot]'") from error
-    style = {"svg.hashsalt": path.name, "font.size": 9, "lines.markersize": 4, "lines.linewidth": 1.2}
-    style |= {"axes.prop_cycle": cycler(color=GREYS), "axes.grid": True, "grid.color": "0.9", "svg.fonttype": "none"}
-    with mpl.rc_context(style):
-        figure = Figure(figsize=SIZE_IN, layout="constrained")
-        axes = figure.add_subplot()
-        draw(axes)
-        axes.set_title(title)
-        if axes.get_legend_handles_labels()[0]:
-            figure.legend(loc="outside right upper", frameon=False, fontsize=8, handlelength=4)
+    settings = {"svg.hashsalt": path.name, "font.size": 9, "lines.markersize": 4, "lines.linewidth": 1.2}
+    settings |= {"axes.prop_cycle": cycler(color=COLOURS), "axes.grid": True, "grid.color": "0.9"}
+    with mpl.rc_context(settings | {"svg.fonttype": "none"}):
+        figure = Figure(figsize=(WIDTH_IN, 0.6 + HEIGHT_IN * len(panels)), layout="constrained")
+        all_axes = figure.subplots(len(panels), squeeze=False, sharex=True)[:, 0]
+        named: dict[str, Any] = {}
+        for draw, axes in zip(panels, all_axes, strict=True):
+            draw(axes)
+            for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+                named.setdefault(name, handle)
+            axes.label_outer()
+        all_axes[0].set_title(title)
+        if named:
+            options = {"loc": "outside right upper", "frameon": False, "fontsize": 8, "handlelength": 4}
+            figure.legend(named.values(), named.keys(), **options)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
         figure.savefig(path.with_suffix(".png"), dpi=110)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -21,12 +20,14 @@ from benchmarks.rd.report import (
     Row,
     against,
     against_cool_chic,
+    against_means,
     against_quoted,
     curve,
     means,
     scaled,
 )
-from benchmarks.report.section import Content, Section, number, table
+from benchmarks.report.plots import style
+from benchmarks.report.section import Content, Draw, Section, number, table
 
 NAMES = {
     "rd": "`rd`",
@@ -46,6 +47,8 @@ NAMES = {
 }
 RATES = (0.15, 0.25, 0.4)
 ANCHOR = "GaussianImage"
+BD_SEEN = ("ms_ssim", *SEEN)
+MAX_BPP, SORTED_AT_BPP = 0.5, 0.2  # of the plot, and of its legend
 AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
 
 
@@ -86,15 +89,18 @@ def section(
     ]
     said = (
         "How many bits does each codec need for the same PSNR, by the sizes of real files and the pixels decoded from "
-        f"them? Profile `rd` needs {', '.join(told)}. Kodak alone, and PSNR and MS-SSIM alone, are no "
-        "statement on other pictures, nor on what an eye sees."
+        f"them? Profile `rd` needs {', '.join(told)}. Kodak alone is no statement on other pictures, and no figure is "
+        "one on what an eye sees."
     )
     tables = [measured(average), differences(rows, average)]
-    tables += [seen(average)] if any(row.lpips is not None for row in rows) else []
+    panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
+    if any(row.lpips is not None for row in rows):
+        tables += [seen(average), rates_seen(rows, average)]
+        panels.append(lambda axes: draw_lpips(axes, average))
     tables += [on_fewer(rows, rows_of(fitted))] if fitted else []
     tables += [at_one_quality(rows_of(*at_qualities))] if at_qualities else []
     tables += [quoted()]
-    return Section("rate", "Rate against quality", said, tables, contents, draw=lambda axes: draw(axes, average))
+    return Section("rate", "Rate against quality", said, tables, contents, panels)
 
 
 def measured(average: Means) -> str:
@@ -144,6 +150,22 @@ def seen(average: Means) -> str:
         "best compared with by its row with `tune=iq`, as libavif does where nobody says anything."
     )
     return f"{note}\n\n" + table("bpp at most | codec | bpp | SSIMULACRA 2 | LPIPS | DISTS", lines)
+
+
+def rates_seen(rows: Sequence[Row], average: Means) -> str:
+    """BD-rates for the same of each figure that follows the eye, against AVIF as it is tuned for that."""
+    codecs = list(dict.fromkeys(row.codec for row in rows if row.lpips is not None and row.codec != AVIF_FOR_EYES))
+    lines = []
+    for codec in codecs:
+        of_pictures = [first(against(rows, codec, AVIF_FOR_EYES, figure)) for figure in BD_SEEN]
+        of_means = [against_means(average, codec, AVIF_FOR_EYES, figure) for figure in BD_SEEN]
+        lines.append([name_of(codec), *map(percent, [*of_pictures, *of_means])])
+    titles = [f"{TITLES[figure]}, {how}" for how in ("mean of pictures", "of means") for figure in BD_SEEN]
+    note = (
+        "BD-rate against AVIF with `tune=iq` for the same of each figure, below 0 for fewer bits, averaged either way; "
+        "no figure where a picture has none, as its curve falls somewhere."
+    )
+    return f"{note}\n\n" + table(" | ".join(["codec", *titles]), lines)
 
 
 def on_fewer(rows: Sequence[Row], fitted: Sequence[Row]) -> str:
@@ -214,13 +236,29 @@ def at(points: Sequence[tuple[Any, ...]], rate: float, column: int) -> float | N
     return float(PchipInterpolator(np.log(rates), values)(np.log(rate)))
 
 
-def draw(axes: Any, average: Means) -> None:
-    """PSNR against bits per pixel; every curve has its own marks and line."""
-    styles = cycle([("-", "o"), ("--", "s"), ("-.", "^"), (":", "D"), ("-", "v"), ("--", "x"), ("-.", "P"), (":", "<")])
-    for codec in dict.fromkeys(codec for codec, _ in average):
-        shown = sorted(scaled(curve(average, codec), 1))
-        line, mark = next(styles)
-        axes.plot(*zip(*shown, strict=True), line, marker=mark, label=name_of(codec).replace("`", ""))
-    shown = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"] if p["bpp"] < 0.75]
-    axes.plot(*zip(*shown, strict=True), ":", marker="*", label=f"{ANCHOR}, quoted")
+def lines(average: Means) -> dict[str, dict[str, Any]]:
+    """Every codec that has a curve, the best first, and how its line looks."""
+    codecs = dict.fromkeys(codec for codec, _ in average)
+    levels = {codec: at(curve(average, codec), SORTED_AT_BPP, 1) for codec in codecs}
+    found = sorted(codecs, key=lambda codec: -(levels[codec] or 0))
+    return {codec: style(k) | {"label": name_of(codec).replace("`", "")} for k, codec in enumerate(found)}
+
+
+def draw_psnr(axes: Any, average: Means) -> None:
+    """PSNR against bits per pixel."""
+    shown = lines(average)
+    for codec, how in shown.items():
+        axes.plot(*zip(*sorted(scaled(curve(average, codec), 1)), strict=True), **how)
+    quoted = [(p["bpp"], p["psnr"]) for p in published.kodak()[ANCHOR]["points"] if p["bpp"] < MAX_BPP]
+    axes.plot(*zip(*quoted, strict=True), **style(len(shown)), label=f"{ANCHOR}, quoted")
     axes.set(xlabel="bits per pixel", ylabel="PSNR, dB")
+
+
+def draw_lpips(axes: Any, average: Means) -> None:
+    """LPIPS against bits per pixel, of what has it, the best at the top as in the other panel."""
+    for codec, how in lines(average).items():
+        found = sorted((m["bpp"], m["lpips"]) for (name, _), m in average.items() if name == codec and m["lpips"])
+        if found:
+            axes.plot(*zip(*found, strict=True), **how)
+    axes.set(xlabel="bits per pixel", ylabel="LPIPS, better upwards")
+    axes.invert_yaxis()

@@ -7,7 +7,7 @@ import statistics
 from pathlib import Path
 
 from benchmarks.perceptual import means as perceptual
-from benchmarks.rd.report import against_quoted, means
+from benchmarks.rd.report import SEEN, TITLES, against_quoted, means
 from benchmarks.report import rate
 from benchmarks.report.section import load, number, table
 
@@ -30,9 +30,10 @@ def codecs(results: Path) -> str:
     chosen = sorted(
         ((c, m) for (c, limit), m in average.items() if limit == 0.25), key=lambda cm: -(cm[1]["psnr"] or 0)
     )
-    forms = {"bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f", "decode_ms": ".2f"}
+    seen = SEEN if any(m["lpips"] for _, m in chosen) else {}
+    forms = {"bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f", **seen, "encode_s": ".2f", "decode_ms": ".2f"}
     lines = [[rate.name_of(c), *(number(m[name], form) for name, form in forms.items())] for c, m in chosen]
-    return table("codec | bpp | PSNR | MS-SSIM | decode ms", lines)
+    return table(" | ".join(["codec", *(TITLES.get(name, name) for name in forms)]), lines)
 
 
 def versions(results: Path) -> str:

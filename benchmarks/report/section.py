@@ -19,18 +19,18 @@ MISSING = "-"
 @dataclass(frozen=True)
 class Section:
     """One question. said: what was asked, what came out, what it does not show; contents: the JSON of each table and
-    plot; draw: the plot, if there is one."""
+    plot; panels: of its plot, if there is one, from the top."""
 
     name: str
     title: str
     said: str
     tables: Sequence[str]
     contents: Sequence[Content]
-    draw: Draw | None = None
+    panels: Sequence[Draw] = ()
 
     def text(self) -> str:
         """Markdown."""
-        plot = [] if self.draw is None else [f"![{self.title}](plots/{self.name}.svg)"]
+        plot = [f"![{self.title}](plots/{self.name}.svg)"] if self.panels else []
         return "\n\n".join([f"## {self.title}", self.said, *plot, *self.tables, *map(origin, self.contents)])
 
 

@@ -144,7 +144,7 @@ def soaked(content: Content) -> Section:
     titles = "what | median of the first third | of the second | of the last | most | at the end"
     kept = table("claim | holds", [[claim, "yes" if holds else "no"] for claim, holds in claims.items()])
     tables = [table(titles, lines), kept]
-    return Section("soak", "The service for a long time", said, tables, [content], lambda axes: draw(axes, rows))
+    return Section("soak", "The service for a long time", said, tables, [content], [lambda axes: draw(axes, rows)])
 
 
 def image(content: Content) -> Section:
