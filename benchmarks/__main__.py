@@ -80,7 +80,7 @@ def run(part: Part, options: argparse.Namespace) -> float:
     if options.weights and part.module in ("rd", "convergence", "representation"):
         words += ["--weights", str(options.weights)]
     if part.module == "convergence":
-        words += [] if has_rivals() else ["--methods", "rd,paper,baseline,plain Adam,siren,hash grid"]
+        words += [] if has_rivals() else ["--methods", "rd,rd visual,paper,baseline,plain Adam,siren,hash grid"]
     elif has_rivals():
         words += part.rivals.split()
     out = (RESULTS if options.full else SMALL) / f"{part.result}.json"

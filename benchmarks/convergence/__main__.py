@@ -6,7 +6,8 @@
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
 and baseline: the trace of one encode, whose last point is the file; rd again under each time limit, and with each
 effort. plain Adam: as many Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget, in
-half precision. Other codecs: each speed or effort at the best quality within the budget, AVIF with tune=psnr.
+half precision. Other codecs: each speed or effort at the best quality within the budget. rd visual, avif visual: tuned
+for the eye (tune=iq), where rd and avif are tuned for PSNR.
 --seconds: for all but rd. --few: two settings of each other codec, three efforts of rd. --weights: a folder as
 benchmarks.perceptual takes it, for LPIPS.
 """
@@ -25,14 +26,15 @@ from benchmarks.arguments import numbers, some_of
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
 from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import Pixels, chosen_from, sized
-from benchmarks.rd.rivals import AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
+from benchmarks.rd.rivals import AvifForEyes, AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.metrics.perceptual import Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS
 
 OURS = ("rd", "paper", "baseline")
-OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one is rd with nothing set
+VISUAL = "rd visual"
+OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one has nothing set
 FEW_EFFORTS = (1, 3, 7)
 Start = Callable[[Pixels, float, int], Shown]
 NETWORKS: dict[str, Start] = {"siren": siren, "hash grid": hash_grid}
@@ -41,18 +43,25 @@ RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]
     "jpeg2000": (lambda _: Jpeg2000(), (0,), (0,)),
     "webp": (WebP, tuple(range(7)), (0, 4)),
     "avif": (AvifForPsnr, tuple(range(11)), (6, 10)),
+    "avif visual": (AvifForEyes, tuple(range(11)), (6, 10)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
-METHODS = (*OURS, "plain Adam", *NETWORKS, *RIVALS)
+METHODS = (*OURS, VISUAL, "plain Adam", *NETWORKS, *RIVALS)
 Row = dict[str, Any]
 Measure = Callable[[Pixels, Pixels], float | None]
 
 
 def ours(
-    pixels: Pixels, profile: str, bpp: float, limit_s: float | None, lpips: Measure, effort: int = DEFAULT_EFFORT
+    pixels: Pixels,
+    profile: str,
+    bpp: float,
+    limit_s: float | None,
+    lpips: Measure,
+    effort: int = DEFAULT_EFFORT,
+    tune: str = "psnr",
 ) -> Row:
     """One encode with its trace: seconds and dB."""
-    encoded = encode(pixels, Budget("bpp", bpp), profile, tune="psnr", effort=effort, time_limit_s=limit_s)
+    encoded = encode(pixels, Budget("bpp", bpp), profile, tune=tune, effort=effort, time_limit_s=limit_s)
     stats = encoded.stats
     return {
         "bytes": stats.bytes,
@@ -119,8 +128,11 @@ class Run:
             once(profile, "", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
         for limit in o.limits:
             once("rd", f"{limit:g} s", partial(ours, pixels, "rd", o.bpp, limit, self.lpips))
+        once(VISUAL, "", partial(ours, pixels, "rd", o.bpp, None, self.lpips, tune="visual"))
         for effort in FEW_EFFORTS if o.few else OTHER_EFFORTS:
-            once("rd", f"effort {effort}", partial(ours, pixels, "rd", o.bpp, None, self.lpips, effort))
+            for method, tune in (("rd", "psnr"), (VISUAL, "visual")):
+                measure = partial(ours, pixels, "rd", o.bpp, None, self.lpips, effort, tune)
+                once(method, f"effort {effort}", measure)
         if gaussians := self._gaussians(picture, megapixels):
             once("plain Adam", "", partial(learned, plain_adam, pixels, o.seconds, gaussians, None, self.lpips))
         for method, network in NETWORKS.items():

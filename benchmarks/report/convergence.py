@@ -14,8 +14,13 @@ from benchmarks.report.section import Content, Draw, Section, number, table
 
 WITHIN_DB = (1.0, 0.5, 0.1)
 Curve = list[tuple[float, float]]  # seconds, dB
-UNITS = {"avif": "speed", "webp": "method", "jpegxl": "effort"}
-COMPLETE = {"rd, time limits": " s", "rd, efforts": "effort"}  # and what their settings have
+UNITS = {"avif": "speed", "avif visual": "speed", "webp": "method", "jpegxl": "effort"}
+# Complete encodes that make a curve: their method, and what its settings have.
+COMPLETE = {
+    "rd, time limits": ("rd", " s"),
+    "rd, efforts": ("rd", "effort"),
+    "rd visual, efforts": ("rd visual", "effort"),
+}
 
 
 def section(content: Content) -> Section:
@@ -53,8 +58,8 @@ def result(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def curves(rows: Sequence[dict[str, Any]]) -> list[tuple[str, Curve]]:
-    """Of each method and picture. The complete encodes of rd under time limits make one curve of each picture, and its
-    efforts another."""
+    """Of each method and picture. The complete encodes of rd under time limits make one curve of each picture, its
+    efforts another, and those tuned for the eye a third."""
     found = [(r["method"], [(t, db) for t, db in r["curve"]]) for r in rows if r["curve"] and not r["setting"]]
     for picture in dict.fromkeys(row["picture"] for row in rows):
         for name in COMPLETE:
@@ -65,8 +70,9 @@ def curves(rows: Sequence[dict[str, Any]]) -> list[tuple[str, Curve]]:
 
 
 def files_of(rows: Sequence[dict[str, Any]], name: str) -> list[dict[str, Any]]:
-    """Complete encodes of rd that make one of COMPLETE; that with nothing set is in each."""
-    return [row for row in rows if row["method"] == "rd" and (not row["setting"] or COMPLETE[name] in row["setting"])]
+    """Complete encodes that make one of COMPLETE; that with nothing set is in each."""
+    method, word = COMPLETE[name]
+    return [row for row in rows if row["method"] == method and (not row["setting"] or word in row["setting"])]
 
 
 def until(curve: Curve, db: float) -> float:
@@ -128,9 +134,9 @@ def points_table(rows: Sequence[dict[str, Any]]) -> str:
 def methods(rows: Sequence[dict[str, Any]]) -> tuple[list[str], list[str]]:
     """Those with a line, and those whose settings are marks. On its way a fit of rd has more bytes than its file, so
     that its complete files stand for it where there are some."""
-    with_line = list(dict.fromkeys(name for name, _ in curves(rows)))
-    if not set(COMPLETE).isdisjoint(with_line):
-        with_line.remove("rd")
+    names = list(dict.fromkeys(name for name, _ in curves(rows)))
+    replaced = {COMPLETE[name][0] for name in names if name in COMPLETE}
+    with_line = [name for name in names if name not in replaced]
     return with_line, list(dict.fromkeys(row["method"] for row in rows if row["curve"] is None))
 
 
