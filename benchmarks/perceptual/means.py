@@ -6,10 +6,12 @@ import statistics
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from benchmarks.rd.report import TITLES as NAMES
+
 FIGURES = ("psnr", "ms_ssim", "ssimulacra2", "lpips", "dists")
 BETTER_IF_LOWER = ("lpips", "dists")
 KINDS = ("psnr", "visual", "visual, no texture", "avif")
-TITLES = " | ".join(["bpp at most", "pictures", "tuned for", "bytes", "texture", *FIGURES])
+TITLES = " | ".join(["bpp at most", "pictures", "tuned for", "bytes", "texture", *(NAMES[name] for name in FIGURES)])
 Row = dict[str, Any]
 
 

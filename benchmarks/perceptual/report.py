@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from benchmarks.perceptual.means import FIGURES, TITLES, lines, rates, worse
+from benchmarks.rd.report import TITLES as NAMES
 from benchmarks.report.section import Content, Section, table
-
-NAMES = {"psnr": "PSNR", "ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
 
 
 def section(kodak: Content | None, photographs: Content | None) -> Section:
