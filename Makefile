@@ -118,7 +118,7 @@ build/wasm/decoder.wasm: $(COMPILED) sgmethod/native/wasm/decoder.js
 	cp sgmethod/native/wasm/decoder.js build/wasm/
 
 bench: $(STAMP)
-	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES))
+	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS))
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 $(STAMP): pyproject.toml $(COMPILED)

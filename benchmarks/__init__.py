@@ -1,6 +1,6 @@
 """Measurements, one command each; every result says which command, machine, commit and date it comes from.
 
-python -m benchmarks                 a small set of all, or with --full everything that docs/results.md shows
+python -m benchmarks                 a small set of all, or with --full what docs/results.md shows
 python -m benchmarks.rd              rate and distortion over a folder of pictures, beside other codecs
 python -m benchmarks.convergence     error against run time, beside other methods and codecs
 python -m benchmarks.perceptual      LPIPS, DISTS and SSIMULACRA 2, with and without texture, beside AVIF

@@ -1,10 +1,11 @@
-"""A small set of all measurements, in ten minutes at most, or everything that docs/results.md shows.
+"""A small set of all measurements, in ten minutes at most, or what docs/results.md shows.
 
     python -m benchmarks [--full --images KODAK] [--only rd,needs] [--weights FOLDER]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; python -m benchmarks.report then makes the documents.
-Each command's own text has its options.
+Each command's own text has its options. Not among them: benchmarks.perceptual, turns and image, which need weights, a
+second checkout and root; the document has their commands.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Part:
 
 PARTS = (
     Part("rd", "kodak-rd", f"{IMAGES} --bpp 0.5", f"{IMAGES} --bpp 0.1,0.15,0.25,0.4", "--rivals"),
-    Part("rd", "kodak-effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.15,0.25,0.4"),
+    Part("rd", "kodak-effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.1,0.15,0.25,0.4"),
     Part("rd", "kodak-quality", "", f"{IMAGES} --quality 20,30,40,50,60,70"),
     Part("rd", "kodak-effort-quality", "", f"{IMAGES} --effort 9 --tune psnr --quality 20,30,40,50,60,70"),
     Part("rd", "kodak-paper", "", f"{IMAGES} --profiles paper,baseline --bpp 0.147,0.43"),

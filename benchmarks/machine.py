@@ -127,13 +127,14 @@ def _own_s() -> float:
 
 
 def command(module: str) -> str:
-    """What was typed, but where the JSON goes. A folder is named by its last part in capitals: where it lies on this
-    machine says nothing."""
+    """What was typed, but where the JSON goes, after the number of threads if one was set. A folder is named by its
+    last part in capitals: where it lies on this machine says nothing."""
     words = [Path(word).name.upper() if "/" in word else word for word in sys.argv[1:]]
     for option in ("--out", "--json"):
         if option in words:
             del words[words.index(option) : words.index(option) + 2]
-    return shlex.join(["python", "-m", module, *words])
+    threads = os.environ.get("SG_THREADS")
+    return (f"SG_THREADS={threads} " if threads else "") + shlex.join(["python", "-m", module, *words])
 
 
 def write_json(path: Path, content: object) -> None:

@@ -11,7 +11,7 @@ from benchmarks.rd.report import TITLES as NAMES
 FIGURES = ("psnr", "ms_ssim", "ssimulacra2", "lpips", "dists")
 BETTER_IF_LOWER = ("lpips", "dists")
 KINDS = ("psnr", "visual", "visual, no texture", "avif")
-TITLES = " | ".join(["bpp at most", "pictures", "tuned for", "bytes", "texture", *(NAMES[name] for name in FIGURES)])
+TITLES = " | ".join(["bpp at most", "pictures", "file", "bytes", "texture", *(NAMES[name] for name in FIGURES)])
 Row = dict[str, Any]
 
 

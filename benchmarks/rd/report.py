@@ -61,6 +61,7 @@ SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
 COSTS = {"gaussians": ".0f", "encode_s": ".2f", "decode_ms": ".2f"}
 TITLES = {
     "images": "pictures",
+    "above": "above it",
     "psnr": "PSNR",
     "ms_ssim": "MS-SSIM",
     "ssimulacra2": "SSIMULACRA 2",
@@ -104,7 +105,8 @@ def _mean_gap(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
 
 
 def means(rows: Sequence[Row]) -> Means:
-    """For each codec and rate the mean of every figure over the pictures; None where a picture has none."""
+    """For each codec and rate the mean of every figure over the pictures; None where a picture has none. images: how
+    many they are; above: how many take more than was allowed."""
     groups = defaultdict(list)
     for row in rows:
         groups[row.codec, row.aim].append(row)
@@ -114,6 +116,7 @@ def means(rows: Sequence[Row]) -> Means:
         columns = {f: [getattr(row, f) for row in group] for f in figures}
         result[key] = {f: mean(values) for f, values in columns.items()}
         result[key]["images"] = len(group)
+        result[key]["above"] = sum(row.max_bpp is not None and row.bpp > row.max_bpp for row in group)
     return result
 
 
@@ -187,8 +190,18 @@ def against_quoted(average: Means, codec: str, other: str, column: int = 1) -> f
     quoted = published.kodak()[other]
     if ("one rate" in quoted["averaged"]) is (ONE_QUALITY in codec):
         return None
-    anchor = [(p["bpp"], p["psnr"], p.get("ms_ssim")) for p in quoted["points"]]
-    return bd_rate(scaled(anchor, column), scaled(curve(average, codec), column))
+    return bd_rate(scaled(quoted_curve(other), column), scaled(curve(average, codec), column))
+
+
+def quoted_curve(other: str) -> Curve:
+    """The published points of a codec."""
+    return [(p["bpp"], p["psnr"], p.get("ms_ssim")) for p in published.kodak()[other]["points"]]
+
+
+def shared_db(average: Means, codec: str, other: str) -> tuple[float, float]:
+    """From which to which PSNR that difference is an average."""
+    reached = [[db for _, db in scaled(points, 1)] for points in (quoted_curve(other), curve(average, codec))]
+    return max(map(min, reached)), min(map(max, reached))
 
 
 def is_kodak(rows: Sequence[Row]) -> bool:

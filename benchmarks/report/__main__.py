@@ -2,8 +2,9 @@
 
     python -m benchmarks.report [--check] [--root FOLDER]
 
-Nobody types a figure. --check writes nothing, and exits with 1 where a document differs from the JSON; it needs no
-matplotlib, as plots are not compared. --root: a folder with benchmarks/results, docs and README.md; this checkout's.
+Nobody types a figure of a table. --check writes nothing, and exits with 1 where a document differs from the JSON; it
+needs no matplotlib, as plots are not compared. --root: a folder with benchmarks/results, docs and README.md; this
+checkout's.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
 )
 HEAD = """# Results
 
-Made from the JSON of [benchmarks/results](../benchmarks/results) by `python -m benchmarks.report`; nothing was typed.
-Each section says what was asked and what came out, then what it does not show. The line below its tables has the
-command, the machine, the commit and the date. "Quoted" marks figures that others published, with their source in
-[benchmarks/published](../benchmarks/published); nobody measured them here."""
+Made from the JSON of [benchmarks/results](../benchmarks/results) by `python -m benchmarks.report`. No figure of a table
+was typed, only remarks on a run. Each section says what was asked and what came out, then what it does not show. The
+line below its tables has the command, the machine, the commit and the date. "Quoted" marks figures that others
+published, with their source in [benchmarks/published](../benchmarks/published); nobody measured them here."""
 
 
 def sections(results: Path) -> list[Section]:

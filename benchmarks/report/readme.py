@@ -7,9 +7,9 @@ import statistics
 from pathlib import Path
 
 from benchmarks.perceptual import means as perceptual
-from benchmarks.rd.report import SEEN, TITLES, against_quoted, means
+from benchmarks.rd.report import SEEN, TITLES, against_quoted, means, shared_db
 from benchmarks.report import rate
-from benchmarks.report.section import load, number, table
+from benchmarks.report.section import Content, load, number, table
 
 MARKED = r"<!-- table {} -->\n.*?<!-- end -->"
 
@@ -38,20 +38,27 @@ def codecs(results: Path) -> str:
 
 def versions(results: Path) -> str:
     """Times beside those of version 3, libavif and libjpeg-turbo, all of which took turns."""
-    content = load(results, "version4/turns") or {"rows": []}
+    psnr, visual = (load(results, f"version4/{name}") or {"rows": []} for name in ("turns", "turns-visual"))
 
-    def mean(who: str, what: str) -> float:
+    def mean(content: Content, who: str, what: str) -> float:
         return statistics.fmean(row[who][what] for row in content["rows"])
 
-    decode, encode = (mean("this", what) / mean("other", what) for what in ("decode_ms", "encode_s"))
-    db = mean("this", "psnr") - mean("other", "psnr")
-    behind = f"{abs(db):.2f} dB {'behind' if db < 0 else 'ahead'}"
+    def times(content: Content) -> tuple[float, ...]:
+        encode, decode = (mean(content, "this", what) for what in ("encode_s", "decode_ms"))
+        rivals = (mean(content, "rivals", what) for what in ("avif_encode_s", "jpeg_decode_ms"))
+        others = (mean(content, "other", what) for what in ("encode_s", "decode_ms"))
+        pairs = zip((encode, decode) * 2, (*rivals, *others), strict=True)
+        return (encode, decode, *(ours / theirs for ours, theirs in pairs))
+
+    encode, decode, of_avif, of_jpeg, of_encode_before, of_decode_before = times(psnr)
+    db = mean(psnr, "this", "psnr") - mean(psnr, "other", "psnr")
+    eye = times(visual)
     return (
-        f"[In turns](benchmarks/results/version4) a file is encoded in {mean('this', 'encode_s'):.1f} s, which is "
-        f"{mean('this', 'encode_s') / mean('rivals', 'avif_encode_s'):.1f} of libavif's time at speed 4 and "
-        f"{encode:.2f} of that of\nversion 3 of this codec, {behind} of it; it is decoded in "
-        f"{mean('this', 'decode_ms'):.2f} ms, {mean('this', 'decode_ms') / mean('rivals', 'jpeg_decode_ms'):.1f} of "
-        f"libjpeg-turbo's and {decode:.2f} of version 3's."
+        f"[In turns](benchmarks/results/version4) with `--tune psnr` a file is encoded in {encode:.1f} s, which is "
+        f"{of_avif:.1f} of libavif's time (4:2:0, `tune=iq`, speed 4) and {of_encode_before:.2f} of that of\nversion 3 "
+        f"of this codec, {abs(db):.2f} dB {'behind' if db < 0 else 'ahead'} of it; it is decoded in {decode:.2f} ms, "
+        f"{of_jpeg:.1f} of libjpeg-turbo's and {of_decode_before:.2f} of version 3's. By default it is {eye[0]:.1f} s, "
+        f"{eye[2]:.1f} of\nlibavif's, and {eye[1]:.2f} ms, {eye[3]:.1f} of libjpeg-turbo's."
     )
 
 
@@ -62,9 +69,10 @@ def seen(results: Path) -> str:
     points = ours["ssimulacra2"] - avif["ssimulacra2"]
     return (
         f"Tuned for the eye, which is the default, files have {ours['lpips'] / avif['lpips']:.2f} of AVIF's distance "
-        f"by LPIPS\nand {ours['dists'] / avif['dists']:.2f} by DISTS at the same bytes, and {abs(points):.1f} points "
-        f"{'less' if points < 0 else 'more'} of SSIMULACRA 2\n([What people see](docs/results.md#what-people-see); "
-        "AVIF with `tune=iq`)."
+        f"by LPIPS\nand {ours['dists'] / avif['dists']:.2f} by DISTS, and {abs(points):.1f} points "
+        f"{'less' if points < 0 else 'more'} of SSIMULACRA 2, where both may take 0.25 bits per pixel\nand AVIF leaves "
+        f"{100 * (1 - avif['bytes'] / ours['bytes']):.0f} % of them ([What people see]"
+        "(docs/results.md#what-people-see); AVIF with `tune=iq`)."
     )
 
 
@@ -74,8 +82,9 @@ def profiles(results: Path) -> str:
     lines = []
     for profile, low, high in (("rd", 0.15, 0.4), ("paper", 0.147, 0.43)):
         psnrs = [number(average[profile, limit]["psnr"], ".2f") + " dB" for limit in (low, high)]
-        lines.append([f"`{profile}`", *psnrs, number(against_quoted(average, profile, rate.ANCHOR), "+.1f") + " %"])
-    titles = (
-        "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted) for the same PSNR"
-    )
+        fewer = number(against_quoted(average, profile, rate.ANCHOR), "+.1f") + " %"
+        from_db, to_db = shared_db(average, profile, rate.ANCHOR)
+        lines.append([rate.name_of(profile), *psnrs, fewer, f"{from_db:.1f} to {to_db:.1f}"])
+    titles = "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted) for the same "
+    titles += "PSNR | over so many dB"
     return table(titles, lines)

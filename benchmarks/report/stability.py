@@ -6,6 +6,7 @@ from collections import Counter
 from typing import Any
 
 from benchmarks.report.section import Content, Section, number, table
+from benchmarks.stiff.rules import RULES
 
 SETS = {
     "kernels": "(b) Kernels against float64, every instruction set and number of threads",
@@ -47,8 +48,12 @@ def stiff_table(content: Content) -> str:
         if worst is not None:
             where = f"{worst['by']:.4g} ({worst['picture']}, {worst['kind']} {worst['value']:g})"
         verdict = "kept" if rule["broken"] == 0 else f"broken {rule['broken']} times"
-        lines.append([rule["rule"], f"{rule['tolerance']:g} {rule['unit']}", rule["checked"], where, verdict])
-    return "(a) Pictures that are hard to code\n\n" + table("rule | allowed | checked | the worst | verdict", lines)
+        says = RULES[rule["rule"]].find.__doc__ or ""
+        lines.append(
+            [rule["rule"], says.rstrip("."), f"{rule['tolerance']:g} {rule['unit']}", rule["checked"], where, verdict]
+        )
+    made = table("rule | what it says | allowed | checked | the worst | verdict", lines)
+    return f"(a) Pictures that are hard to code\n\n{made}"
 
 
 def kernels_table(rows: list[dict[str, Any]]) -> str:
@@ -60,7 +65,13 @@ def kernels_table(rows: list[dict[str, Any]]) -> str:
         broken = [f"broken: {number(row['worst'], '.3g')}" for row in own.values() if row["verdict"] == "broken"]
         figures = [number(own[rule]["worst"], ".2g") if rule in own else "-" for rule in rules]
         free = any(row["limit"] is None for row in own.values())
-        lines.append([case, *figures, ", ".join(broken) or ("kept, gradients told" if free else "kept")])
+        lines.append(
+            [
+                case,
+                *figures,
+                ", ".join(broken) or ("kept; gradients beyond what a fit uses have no limit" if free else "kept"),
+            ]
+        )
     limits = {row["rule"]: row["limit"] for row in rows if row["limit"] is not None}
     named = [f"{rule}, at most {limits[rule]:g}" if rule in limits else rule for rule in rules]
     return table(" | ".join(["case", *named, "verdict"]), lines)
