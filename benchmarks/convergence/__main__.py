@@ -20,8 +20,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks.arguments import numbers, some_of
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
 from benchmarks.machine import RESULTS, Record
@@ -108,14 +106,12 @@ class Run:
             "lpips": bool(options.weights),
         }
         self.record = Record(options.out, "benchmarks.convergence", settings)
-        encode(
-            np.zeros((16, 16, 3), np.uint8), bytes=100
-        )  # what the first encode of a process loads is no part of any method
         self.lpips: Measure = Networks(options.weights).lpips if options.weights else lambda *_: None
 
     def all_of(self, picture: str, megapixels: float, pixels: Pixels) -> None:
         """Every method on one picture."""
         o = self.options
+        encode(pixels, bpp=o.bpp, effort=min(EFFORTS))  # what the first of a process and of a size takes counts nowhere
         size = int(o.bpp * pixels.shape[0] * pixels.shape[1] / 8)
 
         def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
