@@ -176,7 +176,7 @@ def draw_psnr(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
         times, levels = mean_curve([curve for name, curve in found if name == method])
         axes.plot(times, levels, **style(k) | {"marker": ""}, label=NAMES.get(method, method))
         lowest = min(lowest, levels[-1])
-    for k, method in enumerate(others):
+    for k, method in enumerate(others, len(with_line)):
         points = ends([row for row in rows if row["method"] == method])
         axes.plot(*zip(*points, strict=True), **mark(k), label=NAMES.get(method, method))
         lowest = min(lowest, points[0][1])
@@ -192,7 +192,7 @@ def draw_lpips(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
         axes.plot(*zip(*points, strict=True), **style(k), label=NAMES.get(method, method))
         if len(points) == 1:
             axes.annotate(f"{method}  ", points[0], ha="right", va="center", fontsize=7)
-    for k, method in enumerate(others):
+    for k, method in enumerate(others, len(with_line)):
         points = ends([row for row in rows if row["method"] == method], "lpips")
         axes.plot(*zip(*points, strict=True), **mark(k), label=NAMES.get(method, method))
     axes.set(xscale="log", xlabel="seconds", ylabel="LPIPS, better upwards")
@@ -200,7 +200,7 @@ def draw_lpips(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def mark(k: int) -> dict[str, Any]:
-    """Of the k-th method whose settings are marks."""
+    """Of the k-th thing shown, if its settings are marks."""
     return style(k) | {"linestyle": "none", "fillstyle": "none"}
 
 
