@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks import published
-from benchmarks.report.section import mean, number, table
+from benchmarks.report.section import MISSING, mean, number, table
 
 
 @dataclass(frozen=True)
@@ -198,10 +198,11 @@ def quoted_curve(other: str) -> Curve:
     return [(p["bpp"], p["psnr"], p.get("ms_ssim")) for p in published.kodak()[other]["points"]]
 
 
-def shared_db(average: Means, codec: str, other: str) -> tuple[float, float]:
-    """From which to which PSNR that difference is an average."""
+def shared_db(average: Means, codec: str, other: str) -> str:
+    """From which to which PSNR that difference is an average, in words; a dash where they share none."""
     reached = [[db for _, db in scaled(points, 1)] for points in (quoted_curve(other), curve(average, codec))]
-    return max(map(min, reached)), min(map(max, reached))
+    low, high = max(min(dbs, default=math.inf) for dbs in reached), min(max(dbs, default=-math.inf) for dbs in reached)
+    return f"{low:.1f} to {high:.1f}" if low < high else MISSING
 
 
 def is_kodak(rows: Sequence[Row]) -> bool:

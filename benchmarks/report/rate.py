@@ -141,8 +141,7 @@ def differences(rows: Sequence[Row], average: Means) -> str:
         low = against_cool_chic(rows, codec, LOW_DB)
         cells = [*map(percent, found)]
         cells.insert(2, percent(low[0]) + f" ({low[1]})" if low else percent(None))
-        from_db, to_db = shared_db(average, codec, ANCHOR)
-        cells.insert(1, f"{from_db:.1f} to {to_db:.1f}" if from_db < to_db else percent(None))
+        cells.insert(1, shared_db(average, codec, ANCHOR))
         lines.append([name_of(codec), *cells])
     note = (
         "BD-rate for the same PSNR, below 0 for fewer bits, of the qualities that both reach: figures over other dB "

@@ -87,8 +87,7 @@ def profiles(results: Path) -> str:
     for profile, low, high in (("rd", 0.15, 0.4), ("paper", 0.147, 0.43)):
         psnrs = [number(average[profile, limit]["psnr"], ".2f") + " dB" for limit in (low, high)]
         fewer = number(against_quoted(average, profile, rate.ANCHOR), "+.1f") + " %"
-        from_db, to_db = shared_db(average, profile, rate.ANCHOR)
-        lines.append([rate.name_of(profile), *psnrs, fewer, f"{from_db:.1f} to {to_db:.1f}"])
+        lines.append([rate.name_of(profile), *psnrs, fewer, shared_db(average, profile, rate.ANCHOR)])
     titles = "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted) for the same "
     titles += "PSNR | over so many dB"
     return table(titles, lines)
