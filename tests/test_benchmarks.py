@@ -264,6 +264,11 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
         for image, points in (("kodim13.png", low), ("kodim23.png", high))
         for bpp, db in points
     ]
+    for codec, points in (
+        ("avif tune=psnr", [(0.15, 0.15, 20.0), (0.25, 0.25, 22.0), (0.4, 0.4, 24.0)]),
+        ("webp", [(0.1, 0.3, 22.0), (0.15, 0.3, 22.0), (0.6, 0.6, 24.0)]),  # whose smallest file serves twice
+    ):
+        content["rows"] += [row_of(codec, "kodim13.png", *point) for point in points]
     (results / "kodak-rd.json").write_text(json.dumps(content))
     effort = {"rows": [row_of("rd effort 9", "kodim13.png", 0.15, 0.15, 22.5)]}
     (results / "kodak-effort.json").write_text(json.dumps(content | effort))
@@ -274,12 +279,15 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
     made = (tmp_path / "docs" / "results.md").read_text()
     assert re.search(r"^\| AV1 \(libaom\) \| [+-]0\.0 % \|", made, re.MULTILINE)
     assert not re.search(r"^\| GaussianImage \|.* % ", made, re.MULTILINE)  # its means are of one rate
-    (line,) = re.findall(r"^\| `rd` \|[^|]*\|[^|]* % \| ([^|]*) \|[^|]*\|$", made, re.MULTILINE)
+    rd = "`rd`, tuned for PSNR"
+    (line,) = re.findall(rf"^\| {rd} \|[^|]*\|[^|]*\|[^|]* % \| ([^|]*) \|[^|]*\|$", made, re.MULTILINE)
     assert line.endswith(" % (1)")  # kodim23 has no point so low
-    assert "| 0.15 | `rd` | 0.150 | 50.0 | 0.250 | 0.125 |" in made
-    assert "| `rd`, effort 9 | 0.15 | 1 | 1 | 0.1500 | 22.50 |" in made
-    assert "| COIN | 0.15 | 1 | 1 | 0.1490 | 20.00 |" in made
-    assert "| `rd` | 0.15 | 1 | 1 | 0.1500 | 22.00 |" in made  # on that picture alone, beside it
+    assert f"| 0.15 | {rd} | 0.150 | 50.0 | 0.250 | 0.125 |" in made
+    assert f"| {rd}, effort 9 | 0.15 | 1 | 0 | 1 | 0.1500 | 22.50 |" in made
+    assert "| COIN | 0.15 | 1 | 0 | 1 | 0.1490 | 20.00 |" in made
+    assert f"| {rd} | 0.15 | 1 | 0 | 1 | 0.1500 | 22.00 |" in made  # on that picture alone, beside it
+    assert "| WebP, method 6 | 0.15 | 1 | 1 | 1 | 0.3000 | 22.00 |" in made  # and above what was allowed
+    assert re.search(r"^\| WebP, method 6 \|.*\| \+[2-4]\d\.\d % \|$", made, re.MULTILINE)  # two files, not three
 
 
 def run(module: str, out: Path, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
