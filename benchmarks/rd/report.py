@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -127,10 +127,12 @@ def curve(average: Means, codec: str) -> Curve:
 
 def scaled(points: Curve, column: int) -> list[Point]:
     """(bits per pixel, quality) of a column."""
-    known = [
-        (rate, value) for rate, value in ((p[0], p[column]) for p in points) if rate is not None and value is not None
-    ]
-    return [(rate, quality("psnr" if column == 1 else "ms_ssim", value)) for rate, value in known]
+    return known([(p[0], p[column]) for p in points], "psnr" if column == 1 else "ms_ssim")
+
+
+def known(pairs: Iterable[tuple[float | None, float | None]], figure: str) -> list[Point]:
+    """(bits per pixel, quality), from bits per pixel and the figure where there are both."""
+    return [(rate, quality(figure, value)) for rate, value in pairs if rate is not None and value is not None]
 
 
 def quality(figure: str, value: float) -> float:
@@ -143,10 +145,10 @@ def quality(figure: str, value: float) -> float:
 
 def against_means(average: Means, codec: str, anchor: str, figure: str) -> float | None:
     """BD-rate for the same figure, of means over pictures. None where the two share none of it."""
-    curves = []
-    for wanted in (anchor, codec):
-        known = [(m["bpp"], m[figure]) for (name, _), m in average.items() if name == wanted]
-        curves.append([(r, quality(figure, value)) for r, value in known if r is not None and value is not None])
+    curves = (
+        known([(m["bpp"], m[figure]) for (name, _), m in average.items() if name == wanted], figure)
+        for wanted in (anchor, codec)
+    )
     return bd_rate(*curves)
 
 
@@ -163,26 +165,28 @@ def mean_rate(
     """The same, against points by picture."""
     images = [i for i in dict.fromkeys(row.image for row in rows if row.codec == codec) if i in anchors]
     rates = [bd_rate(anchors[image], points(rows, codec, image, figure)) for image in images]
-    known = [rate for rate in rates if rate is not None]
-    return (statistics.fmean(known), len(known)) if known and len(known) == len(rates) else None
+    told = [rate for rate in rates if rate is not None]
+    return (statistics.fmean(told), len(told)) if told and len(told) == len(rates) else None
 
 
 def points(rows: Sequence[Row], codec: str, image: str, figure: str = "psnr") -> list[Point]:
     """Bits per pixel and quality of one picture; the smallest file that a codec makes is one point, however many
     limits it stands for."""
-    known = [(r.bpp, getattr(r, figure)) for r in rows if (r.codec, r.image) == (codec, image)]
-    return list(dict.fromkeys((rate, quality(figure, value)) for rate, value in known if value is not None))
+    pairs = [(r.bpp, getattr(r, figure)) for r in rows if (r.codec, r.image) == (codec, image)]
+    return list(dict.fromkeys(known(pairs, figure)))
 
 
 def against_cool_chic(rows: Sequence[Row], codec: str, below: float | None = None) -> tuple[float, int] | None:
     """Against the points that Cool-Chic published for each picture. below: dB, where only our points below it count,
     and pictures that have two of them."""
-    known: dict[str, Sequence[Point]] = {row.image: published.cool_chic().get(Path(row.image).stem, []) for row in rows}
+    anchors: dict[str, Sequence[Point]] = {
+        row.image: published.cool_chic().get(Path(row.image).stem, []) for row in rows
+    }
     if below is None:
-        return mean_rate(known, rows, codec)
+        return mean_rate(anchors, rows, codec)
     low = [row for row in rows if row.psnr is not None and row.psnr < below]
-    known = {image: anchor for image, anchor in known.items() if len(points(low, codec, image)) > 1}
-    return mean_rate(known, low, codec)
+    anchors = {image: anchor for image, anchor in anchors.items() if len(points(low, codec, image)) > 1}
+    return mean_rate(anchors, low, codec)
 
 
 def against_quoted(average: Means, codec: str, other: str, column: int = 1) -> float | None:

@@ -85,6 +85,11 @@ def files_of(rows: Sequence[dict[str, Any]], name: str) -> list[dict[str, Any]]:
     return [row for row in rows if row["method"] == method and (not row["setting"] or word in row["setting"])]
 
 
+def name_of(method: str) -> str:
+    """As a reader sees it."""
+    return NAMES.get(method, method)
+
+
 def until(curve: Curve, db: float) -> float:
     """Seconds after which the error stays within so many dB of that at the end."""
     last = 0.0
@@ -112,7 +117,7 @@ def curves_table(rows: Sequence[dict[str, Any]]) -> str:
         times = [statistics.fmean(until(curve, db) for curve in mine) for db in WITHIN_DB]
         lines.append(
             [
-                NAMES.get(method, method),
+                name_of(method),
                 len(mine),
                 f"{statistics.fmean(sizes):,.0f}" if sizes else "no file",
                 f"{statistics.fmean(curve[-1][1] for curve in mine):.2f}",
@@ -148,9 +153,7 @@ def points_table(rows: Sequence[dict[str, Any]]) -> str:
         unit = f"{UNITS[method]} {setting}" if method in UNITS else "-"
         size, db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("bytes", "psnr", "seconds"))
         perceived = number(statistics.fmean(lpips) if lpips else None, ".3f")
-        lines.append(
-            [NAMES.get(method, method), unit, len(mine), f"{size:,.0f}", f"{db:.2f}", perceived, f"{seconds:.3f}"]
-        )
+        lines.append([name_of(method), unit, len(mine), f"{size:,.0f}", f"{db:.2f}", perceived, f"{seconds:.3f}"])
     note = "\n\nWhere bytes are above those of rd, a codec makes no file so small of some picture."
     return table("codec | setting | pictures | bytes | PSNR | LPIPS | seconds", lines) + note if lines else ""
 
@@ -171,14 +174,14 @@ def draw_psnr(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
     lowest = math.inf
     for k, method in enumerate(with_line):
         if method in COMPLETE:
-            axes.plot(*zip(*ends(files_of(rows, method)), strict=True), **style(k), label=NAMES.get(method, method))
+            axes.plot(*zip(*ends(files_of(rows, method)), strict=True), **style(k), label=name_of(method))
             continue
         times, levels = mean_curve([curve for name, curve in found if name == method])
-        axes.plot(times, levels, **style(k) | {"marker": ""}, label=NAMES.get(method, method))
+        axes.plot(times, levels, **style(k) | {"marker": ""}, label=name_of(method))
         lowest = min(lowest, levels[-1])
     for k, method in enumerate(others, len(with_line)):
         points = ends([row for row in rows if row["method"] == method])
-        axes.plot(*zip(*points, strict=True), **mark(k), label=NAMES.get(method, method))
+        axes.plot(*zip(*points, strict=True), **mark(k), label=name_of(method))
         lowest = min(lowest, points[0][1])
     axes.set(xscale="log", xlabel="seconds", ylabel="PSNR, dB", ylim=(math.floor(lowest) - 2, None))
 
@@ -189,12 +192,12 @@ def draw_lpips(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
     for k, method in enumerate(with_line):
         mine = files_of(rows, method) if method in COMPLETE else [r for r in rows if r["method"] == method]
         points = ends(mine, "lpips")
-        axes.plot(*zip(*points, strict=True), **style(k), label=NAMES.get(method, method))
+        axes.plot(*zip(*points, strict=True), **style(k), label=name_of(method))
         if len(points) == 1:
             axes.annotate(f"{method}  ", points[0], ha="right", va="center", fontsize=7)
     for k, method in enumerate(others, len(with_line)):
         points = ends([row for row in rows if row["method"] == method], "lpips")
-        axes.plot(*zip(*points, strict=True), **mark(k), label=NAMES.get(method, method))
+        axes.plot(*zip(*points, strict=True), **mark(k), label=name_of(method))
     axes.set(xscale="log", xlabel="seconds", ylabel="LPIPS, better upwards")
     axes.invert_yaxis()
 

@@ -51,6 +51,12 @@ ANCHOR = "GaussianImage"
 BD_SEEN = ("ms_ssim", *SEEN)
 MAX_BPP, SORTED_AT_BPP = 0.5, 0.2  # of the plot, and of its legend
 AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
+NOTE = (
+    '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. AVIF and '
+    "HEIC have whole numbers for qualities and leave 4 to 6 % of the bytes: BD-rates compare better than lines. "
+    "Seconds of other codecs are those of the last encode, without the search for the quality that fits; those of `rd` "
+    "have it in them. `rd` and JPEG XL are decoded by every thread; AVIF and JPEG 2000 gain nothing from a second."
+)
 
 
 def rows_of(*contents: Content) -> list[Row]:
@@ -111,14 +117,6 @@ def measured(average: Means) -> str:
         for (codec, limit), m in sorted(average.items(), key=lambda item: (item[0][1], -(item[1]["psnr"] or 0)))
     ]
     return table(titles, cells)
-
-
-NOTE = (
-    '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. AVIF and '
-    "HEIC have whole numbers for qualities and leave 4 to 6 % of the bytes: BD-rates compare better than lines. "
-    "Seconds of other codecs are those of the last encode, without the search for the quality that fits; those of `rd` "
-    "have it in them. `rd` and JPEG XL are decoded by every thread; AVIF and JPEG 2000 gain nothing from a second."
-)
 
 
 def fewer(rate: float) -> str:

@@ -43,22 +43,22 @@ def versions(results: Path) -> str:
     def mean(content: Content, who: str, what: str) -> float:
         return statistics.fmean(row[who][what] for row in content["rows"])
 
-    def times(content: Content) -> tuple[float, ...]:
-        encode, decode = (mean(content, "this", what) for what in ("encode_s", "decode_ms"))
-        rivals = (mean(content, "rivals", what) for what in ("avif_encode_s", "jpeg_decode_ms"))
-        others = (mean(content, "other", what) for what in ("encode_s", "decode_ms"))
-        pairs = zip((encode, decode) * 2, (*rivals, *others), strict=True)
-        return (encode, decode, *(ours / theirs for ours, theirs in pairs))
+    def beside(content: Content, what: str, rival: str) -> tuple[float, float]:
+        ours = mean(content, "this", what)
+        return ours, ours / mean(content, "rivals", rival)
 
-    encode, decode, of_avif, of_jpeg, of_encode_before, of_decode_before = times(psnr)
+    encode, of_avif = beside(psnr, "encode_s", "avif_encode_s")
+    decode, of_jpeg = beside(psnr, "decode_ms", "jpeg_decode_ms")
+    eye_encode, eye_of_avif = beside(visual, "encode_s", "avif_encode_s")
+    eye_decode, eye_of_jpeg = beside(visual, "decode_ms", "jpeg_decode_ms")
     db = mean(psnr, "this", "psnr") - mean(psnr, "other", "psnr")
-    eye = times(visual)
     return (
         f"[In turns](benchmarks/results/version4) with `--tune psnr` a file is encoded in {encode:.1f} s, which is "
-        f"{of_avif:.1f} of libavif's time (4:2:0, `tune=iq`, speed 4) and {of_encode_before:.2f} of that of\nversion 3 "
-        f"of this codec, {abs(db):.2f} dB {'behind' if db < 0 else 'ahead'} of it; it is decoded in {decode:.2f} ms, "
-        f"{of_jpeg:.1f} of libjpeg-turbo's and {of_decode_before:.2f} of version 3's. By default it is {eye[0]:.1f} s, "
-        f"{eye[2]:.1f} of\nlibavif's, and {eye[1]:.2f} ms, {eye[3]:.1f} of libjpeg-turbo's."
+        f"{of_avif:.1f} of libavif's time\n(4:2:0, `tune=iq`, speed 4) and "
+        f"{encode / mean(psnr, 'other', 'encode_s'):.2f} of that of version 3 of this codec, {abs(db):.2f} dB "
+        f"{'behind' if db < 0 else 'ahead'} of it;\nit is decoded in {decode:.2f} ms, {of_jpeg:.1f} of libjpeg-turbo's "
+        f"and {decode / mean(psnr, 'other', 'decode_ms'):.2f} of version 3's. By default it is {eye_encode:.1f} s,\n"
+        f"{eye_of_avif:.1f} of libavif's, and {eye_decode:.2f} ms, {eye_of_jpeg:.1f} of libjpeg-turbo's."
     )
 
 
