@@ -22,6 +22,7 @@ from sgmethod.start.placement import place
 
 Shown = Iterator[tuple[float, Pixels]]  # seconds, [H, W, 3]
 FIRST_S, GROWTH = 0.1, 1.25  # when the picture is looked at
+REST = 0.2  # of what the last look took, before the next: a network takes two minutes to draw 12 megapixels
 # The best of 0.02, 0.05, 0.1, 0.2, by the PSNR of 600 Gaussians after 400 steps on astronaut at 128x128.
 RATE_OF_ADAM = 0.2
 BYTES_OF_NUMBER = 2  # half precision, as COIN stores them
@@ -65,7 +66,8 @@ def hash_grid(pixels: Pixels, seconds: float, size: int) -> Shown:
 
 
 def watched(step: Callable[[], None], show: Callable[[], Pixels], seconds: float, began: float) -> Shown:
-    """Repeat a step for so many seconds, and show what has become at times that grow by a factor."""
+    """Repeat a step for so many seconds, and show what has become at times that grow by a factor, or further
+    apart where a look takes long."""
     due, stood = FIRST_S, 0.0
     while True:
         step()
@@ -73,10 +75,11 @@ def watched(step: Callable[[], None], show: Callable[[], Pixels], seconds: float
         if run >= min(due, seconds):
             paused = time.perf_counter()
             yield run, show()
-            stood += time.perf_counter() - paused
+            looked = time.perf_counter() - paused
+            stood += looked
             if run >= seconds:
                 return
-            due = run * GROWTH
+            due = run + max(run * (GROWTH - 1), looked * REST)
 
 
 def trained(network: Network, pixels: Pixels, seconds: float, began: float) -> Shown:

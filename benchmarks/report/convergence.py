@@ -30,9 +30,11 @@ COMPLETE = {
 }
 
 
-def section(content: Content) -> Section:
-    """From convergence.json."""
-    rows = content["rows"]
+def section(*measured: Content | None) -> Section:
+    """From convergence.json and convergence-large.json."""
+    contents = [content for content in measured if content]
+    rows = [row for content in contents for row in content["rows"]]
+    settings = contents[0]["settings"]
     tables = []
     for megapixels in sorted({row["megapixels"] for row in rows}):
         mine = [row for row in rows if row["megapixels"] == megapixels]
@@ -42,9 +44,9 @@ def section(content: Content) -> Section:
     smallest = min(row["megapixels"] for row in rows)
     first = [row for row in rows if row["megapixels"] == smallest]
     said = (
-        f"How fast does the error fall, at {content['settings']['bpp']:g} bpp on the same cores and clock? At "
+        f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At "
         f"{smallest:g} megapixels, which the plot shows: {result(first)} All but rd had "
-        f"{content['settings']['seconds']:g} s at most. Pictures of one folder and one rate say nothing on others, "
+        f"{settings['seconds']:g} s at most. Pictures of one folder and one rate say nothing on others, "
         "plain Adam makes no file, and networks are fitted by torch without kernels of their own. On its way a fit "
         "may have more bytes than its file, which it gives up at its end: the plot has complete files of rd alone. "
         "Each time is that of one encode, which may be a third longer in another hour. Other codecs' are without the "
@@ -53,7 +55,7 @@ def section(content: Content) -> Section:
     panels: list[Draw] = [lambda axes: draw_psnr(axes, first)]
     if all(row["lpips"] is not None for row in first):
         panels.append(lambda axes: draw_lpips(axes, first))
-    return Section("convergence", "Error against run time", said, tables, [content], panels)
+    return Section("convergence", "Error against run time", said, tables, contents, panels)
 
 
 def result(rows: Sequence[dict[str, Any]]) -> str:
