@@ -52,11 +52,11 @@ PARTS = (
     ),
     Part(
         "convergence",
-        "convergence",
+        "convergence/kodak",
         f"{IMAGES} {FEW} --megapixels 0.1 --seconds 6 --limits 0.25,0.5,1 --few",
         f"{IMAGES} --most 5 --megapixels 0.4",
     ),
-    Part("convergence", "convergence-large", "", f"{IMAGES} --most 5 --megapixels 2,12 --few"),
+    Part("convergence", "convergence/mosaics", "", f"{IMAGES} --most 5 --megapixels 2,12 --few"),
     Part("needs", "needs", "--repeats 1", ""),
     Part("stability", "stability", "--seeds 3 --generations 4 --mutations 2000", "--mutations 1000000 --sanitize"),
     Part("stiff", "version4/stiff", "--pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp", "", option="--json"),

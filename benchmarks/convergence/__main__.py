@@ -1,6 +1,6 @@
 """Error against run time: one curve for each method on one clock, and other codecs as points.
 
-    python -m benchmarks.convergence --images FOLDER [--most 5] [--megapixels 0.4,2,12] [--bpp 0.25] [--seconds 60]
+    python -m benchmarks.convergence --images FOLDER [--most 5] [--megapixels 0.4] [--bpp 0.25] [--seconds 60]
                                      [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg] [--few] [--weights FOLDER]
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
@@ -149,7 +149,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, required=True)
     parser.add_argument("--most", type=int, default=5, help="pictures, evenly spread over the folder")
-    parser.add_argument("--megapixels", type=numbers, default="0.4,2,12")
+    parser.add_argument("--megapixels", type=numbers, default="0.4", help="such as 0.4,2,12")
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--limits", type=numbers, default="0.25,0.5,1,2,4")
@@ -158,7 +158,7 @@ def main() -> None:
     )
     parser.add_argument("--few", action="store_true")
     parser.add_argument("--weights", type=Path)
-    parser.add_argument("--out", type=Path, default=RESULTS / "convergence.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "convergence" / "kodak.json")
     options = parser.parse_args()
     run = Run(options)
     paths = chosen_from(options.images, options.most)

@@ -28,7 +28,7 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
         ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-effort-quality", "kodak-fitted"),
     ),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
-    (convergence.section, ("convergence", "convergence-large")),
+    (convergence.section, ("convergence/kodak", "convergence/mosaics")),
     (needs.section, ("needs",)),
     (stability.section, ("version4/stiff", "stability")),
     (speed.section, ("speed",)),

@@ -31,7 +31,7 @@ COMPLETE = {
 
 
 def section(*measured: Content | None) -> Section:
-    """From convergence.json and convergence-large.json."""
+    """From kodak.json, with the plot, and mosaics.json."""
     contents = [content for content in measured if content]
     rows = [row for content in contents for row in content["rows"]]
     settings = contents[0]["settings"]
