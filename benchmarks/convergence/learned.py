@@ -22,7 +22,7 @@ from sgmethod.start.placement import place
 
 Shown = Iterator[tuple[float, Pixels]]  # seconds, [H, W, 3]
 FIRST_S, GROWTH = 0.1, 1.25  # when the picture is looked at
-REST = 0.2  # of what the last look took, before the next: a network takes two minutes to draw 12 megapixels
+REST = 0.2  # of what the last look took, before the next: to draw 12 megapixels takes a network far longer than steps
 # The best of 0.02, 0.05, 0.1, 0.2, by the PSNR of 600 Gaussians after 400 steps on astronaut at 128x128.
 RATE_OF_ADAM = 0.2
 BYTES_OF_NUMBER = 2  # half precision, as COIN stores them
