@@ -28,7 +28,8 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
         ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-effort-quality", "kodak-fitted"),
     ),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
-    (convergence.section, ("convergence/kodak", "convergence/mosaics")),
+    (convergence.whole, ("convergence/kodak",)),
+    (convergence.large, ("convergence/mosaics",)),
     (needs.section, ("needs",)),
     (stability.section, ("version4/stiff", "stability")),
     (speed.section, ("speed",)),
@@ -45,7 +46,13 @@ HEAD = """# Results
 Made from the JSON of [benchmarks/results](../benchmarks/results) by `python -m benchmarks.report`. No figure of a table
 was typed, only remarks on a run. Each section says what was asked and what came out, then what it does not show. The
 line below its tables has the command, the machine, the commit and the date. "Quoted" marks figures that others
-published, with their source in [benchmarks/published](../benchmarks/published); nobody measured them here."""
+published, with their source in [benchmarks/published](../benchmarks/published); nobody measured them here.
+
+To repeat a row, run the command below its table in a checkout, after `pip install '.[benchmark]'`: with `--out FILE`,
+or it writes over the JSON that is there, and with fewer pictures and settings, which every command's `--help` has. An
+example is `python -m benchmarks.rd --images KODAK --most 1 --bpp 0.25 --profiles rd --rivals --out rd.json`. KODAK is a
+folder with the 24 PNG files of [Kodak's set](https://r0k.us/graphics/kodak/), PHOTOGRAPHS and WEIGHTS are what
+`python -m benchmarks.perceptual.photographs FOLDER` and `python -m benchmarks.perceptual.weights FOLDER` fetch."""
 
 
 def sections(results: Path) -> list[Section]:

@@ -28,34 +28,54 @@ COMPLETE = {
     "rd, efforts": ("rd", "effort"),
     "rd, tuned for the eye, efforts": ("rd visual", "effort"),
 }
+# In every plot, so that a method looks the same in each.
+DRAWN = (
+    *("paper", "baseline", "plain Adam", "siren", "hash grid", *COMPLETE),
+    *("jpeg", "jpeg2000", "webp", "avif", "jpegxl", "avif visual"),
+)
 
 
-def section(*measured: Content | None) -> Section:
-    """From kodak.json, with the plot, and mosaics.json."""
-    contents = [content for content in measured if content]
-    rows = [row for content in contents for row in content["rows"]]
-    settings = contents[0]["settings"]
+def whole(content: Content | None) -> Section:
+    """From kodak.json: photographs as they are."""
+    assert content
+    note = (
+        "Pictures of one folder and one rate say nothing on others, plain Adam makes no file, and networks are fitted "
+        "by torch without kernels of their own. On its way a fit may have more bytes than its file, which it gives up "
+        "at its end: the plot has complete files of rd alone. Each time is that of one encode, which may be a third "
+        "longer in another hour. Other codecs' are without the search for the quality that fits."
+    )
+    return section("convergence", "Error against run time", content, note)
+
+
+def large(content: Content | None) -> Section:
+    """From mosaics.json."""
+    assert content
+    note = (
+        "Pictures larger than the folder's are mosaics of the same ones, so that those of 12 megapixels differ little. "
+        "Of other codecs and of rd there are fewer settings than at 0.4 megapixels."
+    )
+    return section("convergence_large", "Error against run time of larger pictures", content, note)
+
+
+def section(name: str, title: str, content: Content, note: str) -> Section:
+    """Tables of every size, and a plot of the largest."""
+    rows, settings = content["rows"], content["settings"]
     tables = []
     for megapixels in sorted({row["megapixels"] for row in rows}):
         mine = [row for row in rows if row["megapixels"] == megapixels]
         tables.append(f"### {megapixels:g} megapixels\n\n{curves_table(mine)}")
         if points := points_table(mine):
             tables.append(points)
-    smallest = min(row["megapixels"] for row in rows)
-    first = [row for row in rows if row["megapixels"] == smallest]
+    size = max(row["megapixels"] for row in rows)
+    shown = [row for row in rows if row["megapixels"] == size]
     said = (
-        f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At "
-        f"{smallest:g} megapixels, which the plot shows: {result(first)} All but rd had "
-        f"{settings['seconds']:g} s at most. Pictures of one folder and one rate say nothing on others, "
-        "plain Adam makes no file, and networks are fitted by torch without kernels of their own. On its way a fit "
-        "may have more bytes than its file, which it gives up at its end: the plot has complete files of rd alone. "
-        "Each time is that of one encode, which may be a third longer in another hour. Other codecs' are without the "
-        "search for the quality that fits. Pictures larger than the folder's are mosaics of the same ones."
+        f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At {size:g} "
+        f"megapixels, which the plot shows: {result(shown)} All but rd had {settings['seconds']:g} s at most. {note}"
     )
-    panels: list[Draw] = [lambda axes: draw_psnr(axes, first)]
-    if all(row["lpips"] is not None for row in first):
-        panels.append(lambda axes: draw_lpips(axes, first))
-    return Section("convergence", "Error against run time", said, tables, contents, panels)
+    panels: list[Draw] = [lambda axes: draw(axes, shown, "psnr")]
+    if all(row["lpips"] is not None for row in shown):
+        panels.append(lambda axes: draw(axes, shown, "lpips"))
+    return Section(name, title, said, tables, [content], panels)
 
 
 def result(rows: Sequence[dict[str, Any]]) -> str:
@@ -169,44 +189,33 @@ def methods(rows: Sequence[dict[str, Any]]) -> tuple[list[str], list[str]]:
     return with_line, list(dict.fromkeys(row["method"] for row in rows if row["curve"] is None))
 
 
-def draw_psnr(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
-    """Means over the pictures, at the times at which every picture of a method has an error; other codecs as marks."""
+def draw(axes: Any, rows: Sequence[dict[str, Any]], figure: str) -> None:
+    """PSNR while a method runs, or LPIPS of what it had at its end, the best at the top in either; complete files of rd
+    and of other codecs. Means over the pictures, curves from the time at which every picture has an error."""
     with_line, others = methods(rows)
     found = curves(rows)
-    lowest = math.inf
-    for k, method in enumerate(with_line):
-        if method in COMPLETE:
-            axes.plot(*zip(*ends(files_of(rows, method)), strict=True), **style(k), label=name_of(method))
-            continue
-        times, levels = mean_curve([curve for name, curve in found if name == method])
-        axes.plot(times, levels, **style(k) | {"marker": ""}, label=name_of(method))
-        lowest = min(lowest, levels[-1])
-    for k, method in enumerate(others, len(with_line)):
-        points = ends([row for row in rows if row["method"] == method])
-        axes.plot(*zip(*points, strict=True), **mark(k), label=name_of(method))
-        lowest = min(lowest, points[0][1])
-    axes.set(xscale="log", xlabel="seconds", ylabel="PSNR, dB", ylim=(math.floor(lowest) - 2, None))
-
-
-def draw_lpips(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
-    """Of complete files, and of what the others had at their end, the best at the top as in the other panel."""
-    with_line, others = methods(rows)
-    for k, method in enumerate(with_line):
-        mine = files_of(rows, method) if method in COMPLETE else [r for r in rows if r["method"] == method]
-        points = ends(mine, "lpips")
-        axes.plot(*zip(*points, strict=True), **style(k), label=name_of(method))
-        if len(points) == 1:
+    last = []
+    for method in with_line:
+        look = style(DRAWN.index(method)) | {"label": name_of(method)}
+        points = ends(files_of(rows, method) if method in COMPLETE else at_rest(rows, method), figure)
+        if method not in COMPLETE and figure == "psnr":
+            points = list(zip(*mean_curve([curve for name, curve in found if name == method]), strict=True))
+            look["marker"] = ""
+        elif len(points) == 1:
             axes.annotate(f"{method}  ", points[0], ha="right", va="center", fontsize=7)
-    for k, method in enumerate(others, len(with_line)):
-        points = ends([row for row in rows if row["method"] == method], "lpips")
-        axes.plot(*zip(*points, strict=True), **mark(k), label=name_of(method))
-    axes.set(xscale="log", xlabel="seconds", ylabel="LPIPS, better upwards")
-    axes.invert_yaxis()
-
-
-def mark(k: int) -> dict[str, Any]:
-    """Of the k-th thing shown, if its settings are marks."""
-    return style(k) | {"linestyle": "none", "fillstyle": "none"}
+        axes.plot(*zip(*points, strict=True), **look)
+        last.append(points[-1][1])
+    for method in others:
+        points = ends([row for row in rows if row["method"] == method], figure)
+        marks = style(DRAWN.index(method)) | {"linestyle": "none", "fillstyle": "none", "label": name_of(method)}
+        axes.plot(*zip(*points, strict=True), **marks)
+        last.append(points[0][1])
+    axes.set(xscale="log", xlabel="seconds")
+    if figure == "psnr":
+        axes.set(ylabel="PSNR, dB", ylim=(math.floor(min(last)) - 2, None))
+    else:
+        axes.set(ylabel="LPIPS, better upwards")
+        axes.invert_yaxis()
 
 
 def ends(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[float, float]]:
