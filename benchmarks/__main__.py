@@ -35,7 +35,6 @@ class Part:
     small: str
     full: str
     rivals: str = ""  # added where other codecs are there
-    option: str = "--out"
 
 
 PARTS = (
@@ -59,7 +58,7 @@ PARTS = (
     Part("convergence", "convergence/mosaics", "", f"{IMAGES} --most 5 --megapixels 2,12 --few"),
     Part("needs", "needs", "--repeats 1", ""),
     Part("stability", "stability", "--seeds 3 --generations 4 --mutations 2000", "--mutations 1000000 --sanitize"),
-    Part("stiff", "version4/stiff", "--pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp", "", option="--json"),
+    Part("stiff", "version4/stiff", "--pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp", ""),
     Part(
         "speed",
         "speed",
@@ -88,7 +87,7 @@ def run(part: Part, options: argparse.Namespace) -> float:
     out = (RESULTS if options.full else SMALL) / f"{part.result}.json"
     print(f"--- {part.module}: {' '.join(words)}", flush=True)
     began = time.monotonic()
-    command = [sys.executable, "-m", f"benchmarks.{part.module}", *words, part.option, str(out)]
+    command = [sys.executable, "-m", f"benchmarks.{part.module}", *words, "--out", str(out)]
     done = subprocess.run(command, cwd=ROOT, check=False)
     if done.returncode != 0:
         print(f"{part.module} failed with status {done.returncode}", file=sys.stderr)

@@ -130,9 +130,8 @@ def command(module: str) -> str:
     """What was typed, but where the JSON goes, after the number of threads if one was set. A folder is named by its
     last part in capitals: where it lies on this machine says nothing."""
     words = [Path(word).name.upper() if "/" in word else word for word in sys.argv[1:]]
-    for option in ("--out", "--json"):
-        if option in words:
-            del words[words.index(option) : words.index(option) + 2]
+    if "--out" in words:
+        del words[words.index("--out") : words.index("--out") + 2]
     threads = os.environ.get("SG_THREADS")
     return (f"SG_THREADS={threads} " if threads else "") + shlex.join(["python", "-m", module, *words])
 

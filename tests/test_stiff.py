@@ -192,7 +192,7 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("judged") / "rows.json"
     machine = {"processor": "abacus", "cores": 1, "instruction_set": "none"}
     path.write_text(json.dumps({"commit": "0", "date": "today", "machine": machine, "rows": rows}))
-    stiff("--judge", "--json", path)
+    stiff("--judge", "--out", path)
     return path
 
 
@@ -230,7 +230,7 @@ def test_the_report_counts(judged: Path) -> None:
 
 def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     path = tmp_path / "rows.json"
-    run = ("--pictures", "pixel-1x1,row-300x1", "--seeds", 1, "--json", path)
+    run = ("--pictures", "pixel-1x1,row-300x1", "--seeds", 1, "--out", path)
     first = stiff(*run, "--only", "bpp")
     rows = json.loads(path.read_text())["rows"]
     assert [row["value"] for row in rows] == 2 * [0.1, 0.3, 1, 2, 4, 8]
@@ -255,6 +255,6 @@ def test_a_name_that_there_is_not_is_refused(tmp_path: Path) -> None:
     names = ("--pictures=text,x", "--only=bpp,bytes")
     for arguments, words in ((names, "bytes, x: no such name"), (("--judge",), "there are no rows")):
         with pytest.raises(subprocess.CalledProcessError) as refused:
-            stiff("--json", tmp_path / "none.json", *arguments)
+            stiff("--out", tmp_path / "none.json", *arguments)
         assert refused.value.returncode == 2
         assert words in refused.value.stderr

@@ -1,7 +1,7 @@
 """Profile rd on pictures that are hard for it: lines, letters, single pixels, noise, pictures of one row or one pixel.
 
-    python -m benchmarks.stiff [--pictures text,noise] [--seeds 3] [--only bpp,psnr,quality] [--json PATH]
-    python -m benchmarks.stiff --judge [--json PATH]
+    python -m benchmarks.stiff [--pictures text,noise] [--seeds 3] [--only bpp,psnr,quality] [--out PATH]
+    python -m benchmarks.stiff --judge [--out PATH]
     python -m benchmarks.stiff --draw FOLDER
 
 Each picture is encoded under budgets of three kinds, one encode at a time, and the rows of each picture and seed are
@@ -80,7 +80,7 @@ def main() -> None:
     parser.add_argument("--pictures", default=",".join(PICTURES), help="names, each a picture of its own; all")
     parser.add_argument("--seeds", type=int, default=3, help="encodes of each picture and budget")
     parser.add_argument("--only", default=",".join(BUDGETS), help="kinds of budget")
-    parser.add_argument("--json", type=Path, default=RESULTS / "stiff" / "stiff.json")
+    parser.add_argument("--out", type=Path, default=RESULTS / "version4" / "stiff.json")
     parser.add_argument("--judge", action="store_true", help="judge the rows of the JSON anew, encode nothing")
     parser.add_argument("--draw", type=Path, metavar="FOLDER", help="write the pictures there, encode nothing")
     options = parser.parse_args()
@@ -92,10 +92,10 @@ def main() -> None:
         draw(names, options.draw)
         return
     if not options.judge:
-        run(names, options.seeds, kinds, options.json)
-    if not options.json.exists():
-        parser.error(f"there are no rows in {options.json}")
-    print(summarise(options.json))
+        run(names, options.seeds, kinds, options.out)
+    if not options.out.exists():
+        parser.error(f"there are no rows in {options.out}")
+    print(summarise(options.out))
 
 
 if __name__ == "__main__":
