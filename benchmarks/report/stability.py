@@ -69,7 +69,7 @@ def kernels_table(rows: list[dict[str, Any]]) -> str:
             [
                 case,
                 *figures,
-                ", ".join(broken) or ("kept; gradients beyond what a fit uses have no limit" if free else "kept"),
+                ", ".join(broken) or ("kept; gradients have no limit at such a ratio" if free else "kept"),
             ]
         )
     limits = {row["rule"]: row["limit"] for row in rows if row["limit"] is not None}

@@ -15,14 +15,17 @@ import numpy as np
 from benchmarks.needs import photograph
 from benchmarks.pictures import Pixels
 from benchmarks.stability.case import Case, Cases, Found
+from benchmarks.stiff.drawings import text
 from sgmethod import Budget, BudgetError, Encoded, decode, encode, open
 from sgmethod.metrics import psnr
-from sgmethod.profiles import PROFILES, RD
+from sgmethod.paper import encode as paper
+from sgmethod.profiles import PROFILES
 from sgmethod.rd import fit
 from sgmethod.scene import Gaussians
 from sgmethod.start.placement import place
 
 BPP = 1.0
+RATES = (0.25, 1.0, 4.0)  # bpp
 RULE = "dB that the file is worse than the first error of its trace, or than one colour"
 SIZE_RULE = "bytes above the budget, or an error that is no BudgetError"
 SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB, CONDITION_LIMIT = 0.5, 1.0, 1e7
@@ -39,13 +42,26 @@ class Size:
     generations: int = 10
 
 
+def step(side: int) -> Pixels:
+    """Black beside white: one edge, and nothing else."""
+    pixels = np.zeros((side, side, 3), np.uint8)
+    pixels[:, side // 2 :] = 255
+    return pixels
+
+
+PICTURES: dict[str, Callable[[int], Pixels]] = {"photograph": photograph, "text": text, "step": step}
+
+
 def cases(size: Size) -> Cases:
-    """All, on one picture."""
+    """Bad starts on every picture, the rest on the photograph."""
+    for profile, names in (("rd", tuple(PICTURES)), ("paper", ("photograph",))):
+        for name in names:
+            for start, patched in starts(profile).items():
+                case, budget = f"{name}, profile {profile}, {start}", Budget("bpp", BPP)
+                yield Case(case, RULE, 0.0, partial(worse, PICTURES[name](size.side), budget, profile, patched))
     pixels = photograph(size.side)
-    for name, patched in starts().items():
-        yield Case(name, RULE, 0.0, partial(worse, pixels, Budget("bpp", BPP), patched))
     for n in (1, 2, pixels.shape[0] * pixels.shape[1]):
-        yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n)))
+        yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n), "rd"))
     for count in (1, 17, 18, 19, 30, 100, pixels.size, 10 * pixels.size):
         yield Case(f"{count:,} bytes", SIZE_RULE, 0, partial(beyond, pixels, count))
     yield Case(
@@ -57,15 +73,17 @@ def cases(size: Size) -> Cases:
         GENERATIONS_LIMIT_DB,
         partial(lost, pixels, size.generations),
     )
-    yield Case(
-        "colours of the file's Gaussians",
-        "condition number of their linear system, each Gaussian of norm 1",
-        CONDITION_LIMIT,
-        partial(condition, pixels),
-    )
+    for name, draw in PICTURES.items():
+        for bpp in RATES:
+            yield Case(
+                f"colours of the Gaussians of a file, {name}, {bpp:g} bpp",
+                "condition number of their linear system, each Gaussian of norm 1",
+                CONDITION_LIMIT,
+                partial(condition, draw(size.side), bpp),
+            )
 
 
-def starts() -> dict[str, Patch]:
+def starts(profile: str) -> dict[str, Patch]:
     """Other places of the first Gaussians, and other rates."""
 
     def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
@@ -75,7 +93,7 @@ def starts() -> dict[str, Patch]:
             spoil(copied)
             return copied
 
-        return lambda: patch.object(fit, "place", placed)
+        return lambda: patch.object(fit if profile == "rd" else paper, "place", placed)
 
     def equal(g: Gaussians) -> None:
         for values in (g.means, g.factors, g.colors):
@@ -90,7 +108,8 @@ def starts() -> dict[str, Patch]:
 
         return spoil
 
-    fast = {name: 10 * getattr(RD, name) for name in ("mean_rate", "factor_rate", "color_rate")}
+    settings = PROFILES[profile]
+    fast = {name: 10 * getattr(settings, name) for name in ("mean_rate", "factor_rate", "color_rate")}
     bad = [(math.nan, "not a number"), (math.inf, "infinite")]
     return {
         "as it is": nullcontext,
@@ -101,14 +120,14 @@ def starts() -> dict[str, Patch]:
             for v, word in bad
             for name in ("means", "factors")
         },
-        "rates ten times too high": lambda: patch.dict(PROFILES, {"rd": replace(RD, **fast)}),
+        "rates ten times too high": lambda: patch.dict(PROFILES, {profile: replace(settings, **fast)}),
     }
 
 
-def worse(pixels: Pixels, budget: Budget, patched: Patch = nullcontext) -> Found:
+def worse(pixels: Pixels, budget: Budget, profile: str, patched: Patch = nullcontext) -> Found:
     """How far the file is below the start of its own fit, and below a picture of one colour."""
     with patched():
-        encoded = encode(pixels, budget, tune="psnr")
+        encoded = encode(pixels, budget, profile=profile, tune="psnr" if profile == "rd" else None)
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
     least = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
     return max(least - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"
@@ -138,9 +157,9 @@ def lost(pixels: Pixels, generations: int) -> Found:
     return found[0] - found[-1], " ".join(f"{db:.2f}" for db in found)
 
 
-def condition(pixels: Pixels) -> Found:
+def condition(pixels: Pixels, bpp: float) -> Found:
     """In float64, from the weights of every Gaussian on every pixel."""
-    encoded: Encoded = encode(pixels, Budget("bpp", BPP), tune="psnr")
+    encoded: Encoded = encode(pixels, Budget("bpp", bpp), tune="psnr")
     scene = open(encoded.data)._stream.scene()
     x, y = np.arange(scene.width) + 0.5, np.arange(scene.height) + 0.5
     weights = []

@@ -20,14 +20,17 @@ from sgmethod.scene import FloatArray, Gaussians
 SIZE = (96, 64)
 FEW = 40  # Gaussians of a case
 CROWD = 3000
-MOST_FOR_GRADIENTS = 500  # autograd keeps every Gaussian's picture
+MOST_FOR_GRADIENTS = 500  # autograd keeps every Gaussian's picture, and a crowd has one of so many for gradients
 VALUE_LIMIT, GRADIENT_LIMIT = 1e-5, 1e-3
 HELD_UP_TO = 1e3  # the ratio of axes up to which gradients have a limit
+NEAR = 0.3  # scales from the middle of a pixel, which a Gaussian smaller than a pixel may miss
 DIFFERENCE = 1e-6  # of the scale: the step of finite differences
 LEAST = 1e-30  # no picture shows what is below; kernels may take denormal numbers for zero
 VALUE_RULE = "error of a pixel, over the sum of the magnitudes of the colours there, 1e-30 at least"
-GRADIENT_RULE = "error of a gradient against float64, over the largest of its kind"
-DIFFERENCE_RULE = "gradient along a random direction against finite differences, over the sum of magnitudes"
+GRADIENT_RULE = "error of a gradient against float64, over the largest of its kind, 1e-30 at least"
+DIFFERENCE_RULE = (
+    "gradient along a random direction against finite differences, over the sum of magnitudes, 1e-30 at least"
+)
 SAME_RULE = "bytes that differ between instruction sets and numbers of threads"
 
 
@@ -60,31 +63,34 @@ def extremes() -> dict[str, tuple[Gaussians, bool]]:
     """By name: Gaussians, and whether gradients have a limit there."""
     found: dict[str, tuple[Gaussians, bool]] = {}
     for power in range(-3, 5):
-        inside = native.MIN_SCALE <= 10.0**power <= HELD_UP_TO
-        found[f"scale 1e{power} pixels"] = scattered(scale=10.0**power), inside
+        found[f"scale 1e{power} pixels"] = scattered(scale=10.0**power), True
     for power in range(7):
         found[f"aspect ratio 1e{power}"] = scattered(scale=1.0, ratio=10.0**power), 10.0**power <= HELD_UP_TO
     for power in range(2, 7):
-        found[f"centres 1e{power} pixels outside"] = outside(10.0**power), 10.0**power <= HELD_UP_TO
+        found[f"centres 1e{power} pixels outside"] = outside(10.0**power), True
     one = scattered()
-    point, shape = np.full((CROWD, 2), 32.25, np.float32), np.tile(one.factors[:1], (CROWD, 1))
-    colors = np.random.default_rng(1).normal(0, 0.1, (CROWD, 3)).astype(np.float32)
-    found[f"{CROWD:,} on one point"] = Gaussians(point, shape, colors), False
+    for crowd in (MOST_FOR_GRADIENTS, CROWD):
+        point, shape = np.full((crowd, 2), 32.25, np.float32), np.tile(one.factors[:1], (crowd, 1))
+        colors = np.random.default_rng(1).normal(0, 0.1, (crowd, 3)).astype(np.float32)
+        found[f"{crowd:,} on one point"] = Gaussians(point, shape, colors), True
     means, factors = (np.concatenate([values, values]) for values in (one.means, one.factors))
     cancelled = np.concatenate([one.colors, np.float32(1e-6) - one.colors])
     found["colours that cancel to 1e-6"] = Gaussians(means, factors, cancelled), True
-    found["denormal colours"] = Gaussians(one.means, one.factors, np.full_like(one.colors, 1e-40)), False
+    found["denormal colours"] = Gaussians(one.means, one.factors, np.full_like(one.colors, 1e-40)), True
     slanted = one.factors.copy()
     slanted[:, 1] = 1e-40
     found["denormal slant"] = Gaussians(one.means, slanted, one.colors), True
-    found["the largest values of a file"] = largest(), False
+    found["the largest values of a file"] = largest(), True
     return found
 
 
 def scattered(scale: float = 2.0, ratio: float = 1.5) -> Gaussians:
-    """FEW over the picture at any angle; the minor axis is scale, the major one ratio times that."""
+    """FEW over the picture at any angle; the minor axis is scale, the major one ratio times that. Half of those
+    smaller than a pixel lie near the middle of one, where they are seen."""
     random = np.random.default_rng(0)
     means = random.uniform((0, 0), SIZE, (FEW, 2))
+    if scale < 1:
+        means[::2] = np.floor(means[::2]) + 0.5 + scale * random.normal(0, NEAR, means[::2].shape)
     angle = random.uniform(0, math.pi, FEW)
     minor = scale * np.exp(random.normal(0, 0.2, FEW))
     major = ratio * minor
@@ -156,7 +162,7 @@ def gradients(gaussians: Gaussians, model: Model) -> Found:
         ):
             assert tensor.grad is not None
             exact = tensor.grad.numpy()
-            scale = np.maximum(np.abs(exact).max(axis=0), np.finfo(np.float32).tiny)
+            scale = np.maximum(np.abs(exact).max(axis=0), LEAST)
             errors = np.abs(found - exact).max(axis=0) / scale
             if not errors.max() <= worst:
                 worst, where = float(errors.max()), f"{name}, column {int(errors.argmax())}"
@@ -179,7 +185,7 @@ def differences(gaussians: Gaussians, model: Model) -> Found:
                 ends.append((defined(gaussians, model, moved) * upstream()).sum().item())
         terms = found[kind].astype(np.float64) * step
         slope = (ends[0] - ends[1]) / (2 * DIFFERENCE)
-        worst = max(worst, abs(slope - terms.sum()) / max(np.abs(terms).sum(), np.finfo(np.float32).tiny))
+        worst = max(worst, abs(slope - terms.sum()) / max(np.abs(terms).sum(), LEAST))
     return worst, ""
 
 

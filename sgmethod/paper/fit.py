@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import torch
+
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture
@@ -23,11 +25,22 @@ def add_energy_gradient(p: Parameters, grad: Parameters, weight: float) -> None:
     grad.factors[:, 2] += energy / p.factors[:, 2]
 
 
+def usable(start: Gaussians, picture: Picture) -> Parameters:
+    """The start, less what no fit recovers from: places that are not finite become the middle of the picture, shapes
+    that are singular or not finite a circle as large as what each Gaussian has to cover."""
+    p = Parameters.of(start)
+    p.means[~p.means.isfinite().all(1)] = torch.tensor([picture.width / 2, picture.height / 2])
+    radius = math.sqrt(picture.width * picture.height / len(start) / math.pi)
+    shaped = p.factors.isfinite().all(1) & (p.factors[:, 0::2] > 0).all(1)
+    p.factors[~shaped] = torch.tensor([radius, 0.0, radius])
+    return p
+
+
 def fit(
     picture: Picture, start: Gaussians, settings: PaperSettings, recorder: Recorder, until: Until = never
 ) -> tuple[Gaussians, int]:
     """Fitted Gaussians without any quantisation, and the steps that took."""
-    p = Parameters.of(start)
+    p = usable(start, picture)
     p.colors = picture.solve_colors(p.means, p.factors, settings.color_solve_steps)
     adam = FrameAdam(len(start), settings)
 

@@ -356,3 +356,18 @@ def test_the_same_start_gives_the_same_fit() -> None:
     for one, other in zip(*((f.means, f.factors, f.colors) for f in fits), strict=True):
         assert np.array_equal(one, other)
     assert np.array_equal(start.colors, place(photo(), 60, settings, np.random.default_rng(0)).colors)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 0.0])
+@pytest.mark.parametrize("name", ["means", "factors"])
+def test_a_start_that_no_fit_could_begin_with_is_mended(name: str, value: float) -> None:
+    image = np.ascontiguousarray(photo()[:64, :64])
+    settings = replace(PAPER, fit_steps=60)
+    picture = Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF)
+    start = place(image, 40, settings, np.random.default_rng(0))
+    spoiled = Gaussians(*(np.array(values) for values in (start.means, start.factors, start.colors)))
+    getattr(spoiled, name)[::2, 0] = value
+    recorder = Recorder(Clock(), None)
+    fitted, _ = fit(picture, spoiled, settings, recorder)
+    assert all(np.isfinite(values).all() for values in (fitted.means, fitted.factors, fitted.colors))
+    assert recorder.points[-1].psnr > recorder.points[0].psnr + 1
