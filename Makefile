@@ -5,7 +5,7 @@
 #              check on further interpreters what needs no torch
 # make sanitize [MUTATIONS=n] [SEED=n]
 #              the native code under sanitizers: its own tests, golden files, n damaged files
-# make bench [FULL=yes IMAGES=folder]
+# make bench [FULL=yes IMAGES=folder WEIGHTS=folder]
 #              a small set of all measurements in at most ten minutes, or everything that docs/results.md shows
 # make fuzz [MINUTES=n]
 #              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
@@ -25,6 +25,7 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+OTHERS := $(VENV)/.benchmark
 COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name CMakeLists.txt)
 # The quick tests of single modules first, those of whole processes after them.
 TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py))) tests/service
@@ -117,8 +118,13 @@ build/wasm/decoder.wasm: $(COMPILED) sgmethod/native/wasm/decoder.js
 	$(WASM_CLANG) $(WASM_FLAGS) $(WASM_SOURCES) -o $@
 	cp sgmethod/native/wasm/decoder.js build/wasm/
 
-bench: $(STAMP)
+bench: $(OTHERS)
 	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS))
+
+# The other codecs that are measured.
+$(OTHERS): $(STAMP)
+	$(BIN)/python -m pip install --editable '.[benchmark]'
+	touch $@
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 $(STAMP): pyproject.toml $(COMPILED)

@@ -1,6 +1,6 @@
 """A small set of all measurements, in ten minutes at most, or what docs/results.md shows.
 
-    python -m benchmarks [--full --images KODAK] [--only rd,needs] [--weights FOLDER]
+    python -m benchmarks [--full --images KODAK --weights FOLDER] [--only rd,needs]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; python -m benchmarks.report then makes the documents.
@@ -112,6 +112,10 @@ def main() -> None:
     options = parser.parse_args()
     if options.full and options.images == PHOTOGRAPHS:
         parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
+    if options.full and not options.weights:
+        parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
+    if options.full and not has_rivals():
+        parser.error("--full needs the other codecs: pip install '.[benchmark]'")
     wanted = [part for part in PARTS if part.module in options.only and (options.full or part.small)]
     taken = [(part.result, run(part, options)) for part in wanted]
     print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken))

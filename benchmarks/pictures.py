@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,6 +28,22 @@ def chosen_from(folder: Path, most: int) -> list[Path]:
     if not every:
         raise SystemExit(f"there is no picture in {folder}")
     return [every[k * len(every) // most] for k in range(most)] if most < len(every) else every
+
+
+def add_options(parser: argparse.ArgumentParser, most: int) -> None:
+    """--images, --most and --pictures, which named_in() understands."""
+    parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
+    parser.add_argument("--most", type=int, default=most, help="pictures, evenly spread over the folder")
+    parser.add_argument("--pictures", type=lambda text: text.split(","), help="those of them to measure, by name; all")
+
+
+def named_in(options: argparse.Namespace) -> list[Path]:
+    """The pictures that such options name. Raises SystemExit if there is none."""
+    chosen = chosen_from(options.images, options.most)
+    names = {path.stem for path in chosen}
+    if unknown := {*(options.pictures or ())} - names:
+        raise SystemExit(f"{', '.join(sorted(unknown))}: no such picture; there are {', '.join(sorted(names))}")
+    return [path for path in chosen if path.stem in (options.pictures or names)]
 
 
 def sized(paths: Sequence[Path], first: int, megapixels: float) -> Pixels:

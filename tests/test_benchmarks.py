@@ -81,7 +81,7 @@ def test_every_plot_is_there() -> None:
 def test_results_say_where_they_come_from(path: Path) -> None:
     content = json.loads(path.read_text())
     assert {"command", "commit", "date", "machine", "settings", "rows"} <= set(content)
-    assert re.fullmatch(r"python -m benchmarks\.\w+[^/]*", content["command"])  # no path of a machine
+    assert re.fullmatch(r"(SG_THREADS=\d+ )?python -m benchmarks\.\w+[^/]*", content["command"])  # no path of a machine
     assert re.fullmatch(r"[0-9a-f]{12}(\+[0-9a-f]{8})?", content["commit"])
     assert {"processor", "cores", "instruction_set", "system", "python", "packages"} <= set(content["machine"])
     assert content["rows"]

@@ -1,7 +1,8 @@
 """What parts and numbers are worth: of profile rd one part at a time, of profile paper every table of its ablations.
 
     python -m benchmarks.ablation --images FOLDER [--tables parts,regularisation,ratio,quantisation,positions]
-                                  [--most 6] [--seeds 3] [--bpp 0.25] [--steps N] [--fit-steps 2000] [--tune-steps 1000]
+                                  [--most 6] [--pictures kodim05] [--seeds 3] [--bpp 0.25] [--steps N]
+                                  [--fit-steps 2000] [--tune-steps 1000]
 
 parts: files of profile rd. regularisation, ratio: float fits of profile paper at half the size, as dense as 50,000 to
 70,000 Gaussians are on 768x512 pixels. quantisation, positions: files of profile paper from whole pictures, with 1,000,
@@ -25,7 +26,7 @@ from benchmarks.ablation import paper, parts
 from benchmarks.ablation.report import section
 from benchmarks.arguments import some_of
 from benchmarks.machine import RESULTS, Record
-from benchmarks.pictures import chosen_from
+from benchmarks.pictures import add_options, named_in
 from sgmethod.profiles import RD
 
 TABLES = ("parts", *paper.TABLES)
@@ -55,11 +56,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.ablation", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
+    add_options(parser, most=6)
     parser.add_argument(
         "--tables", type=some_of(TABLES, "table"), default=",".join(TABLES), help="those that are measured"
     )
-    parser.add_argument("--most", type=int, default=6, help="pictures, taken evenly from the folder")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--bpp", type=float, default=0.25, help="of the files of profile rd")
     parser.add_argument("--steps", type=int, default=RD.steps, help="of profile rd")
@@ -70,7 +70,7 @@ def main() -> None:
     torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
     steps = {name: getattr(options, name) for name in ("steps", "fit_steps", "tune_steps")}
     record = Record(options.out, "benchmarks.ablation", {"bpp": options.bpp, **steps})
-    for picture in chosen_from(options.images, options.most):
+    for picture in named_in(options):
         for seed in range(options.seeds):
             if "parts" in options.tables:
                 measure_parts(record, picture, seed, options.bpp, options.steps)

@@ -220,4 +220,11 @@ def _points(rows: Sequence[Row], setting: str) -> list[tuple[float, float]]:
 def _order(name: str, means: dict[str, tuple[float | None, float | None]]) -> str:
     known = {setting: value for setting, (value, _) in means.items() if value is not None}
     spreads = {setting: spread or 0.0 for setting, (_, spread) in means.items()}
-    return f"Beside the paper's table: {order(known, quoted_values(*QUOTED[name]), spreads)}"
+    theirs = quoted_values(*QUOTED[name])
+    told = f"Beside the paper's table: {order(known, theirs, spreads)}"
+    turned = [
+        f"{setting} ({known[setting]:+.2f} dB here, {theirs[setting]:+.2f} there)"
+        for setting in known
+        if name in ANCHORS and setting in theirs and known[setting] * theirs[setting] < 0
+    ]
+    return told + (f" On the other side of {ANCHORS[name]} than in the paper: {', '.join(turned)}." if turned else "")

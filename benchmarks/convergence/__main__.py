@@ -1,7 +1,8 @@
 """Error against run time: one curve for each method on one clock, and other codecs as points.
 
-    python -m benchmarks.convergence --images FOLDER [--most 5] [--megapixels 0.4] [--bpp 0.25] [--seconds 60]
-                                     [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg] [--few] [--weights FOLDER]
+    python -m benchmarks.convergence --images FOLDER [--most 5] [--pictures kodim05] [--megapixels 0.4]
+                                     [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg] [--few]
+                                     [--weights FOLDER]
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
 and baseline: the trace of one encode, whose last point is the file; rd again under each time limit, and with each
@@ -23,7 +24,7 @@ from typing import Any
 from benchmarks.arguments import numbers, some_of
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
 from benchmarks.machine import RESULTS, Record
-from benchmarks.pictures import Pixels, chosen_from, sized
+from benchmarks.pictures import Pixels, add_options, chosen_from, named_in, sized
 from benchmarks.rd.rivals import AvifForEyes, AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, decode, encode
 from sgmethod.metrics import psnr
@@ -147,8 +148,7 @@ class Run:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=Path, required=True)
-    parser.add_argument("--most", type=int, default=5, help="pictures, evenly spread over the folder")
+    add_options(parser, most=5)
     parser.add_argument("--megapixels", type=numbers, default="0.4", help="such as 0.4,2,12")
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--seconds", type=float, default=60)
@@ -161,10 +161,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "convergence" / "kodak.json")
     options = parser.parse_args()
     run = Run(options)
-    paths = chosen_from(options.images, options.most)
+    every, wanted = chosen_from(options.images, options.most), named_in(options)
     for megapixels in options.megapixels:
-        for k, path in enumerate(paths):
-            run.all_of(path.stem, megapixels, sized(paths, k, megapixels))
+        for path in wanted:
+            run.all_of(path.stem, megapixels, sized(every, every.index(path), megapixels))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Rate and quality over a folder of pictures: real files, decoded again and measured.
 
-    python -m benchmarks.rd --images FOLDER [--most N] [--profiles rd,paper,baseline] [--bpp 0.15,0.25] [--effort N]
-                            [--tune psnr] [--steps N] [--rivals [NAME ...]] [--coin] [--coin-seconds 600]
-                            [--weights FOLDER]
+    python -m benchmarks.rd --images FOLDER [--most N] [--pictures kodim05] [--profiles rd,paper,baseline]
+                            [--bpp 0.15,0.25] [--effort N] [--tune psnr] [--steps N] [--rivals [NAME ...]]
+                            [--coin] [--coin-seconds 600] [--weights FOLDER]
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
@@ -29,7 +29,7 @@ import numpy as np
 
 from benchmarks.arguments import numbers, some_of
 from benchmarks.machine import RESULTS, Record, in_words
-from benchmarks.pictures import Pixels, chosen_from
+from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.codecs import FITTED, Codec, Sg
 from benchmarks.rd.coin import Coin
 from benchmarks.rd.report import Row, report
@@ -112,8 +112,7 @@ def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
-    parser.add_argument("--most", type=int, default=10**6, help="pictures, evenly spread over the folder")
+    add_options(parser, most=10**6)
     parser.add_argument(
         "--profiles",
         type=some_of(PROFILE_NAMES, "profile", none=True),
@@ -136,7 +135,7 @@ def main() -> None:
     networks = Networks(options.weights) if options.weights else None
     record = Record(options.out, "benchmarks.rd", settings)
     kept = {row.key: row for row in (Row(**kept) for kept in record.rows)}
-    paths = chosen_from(options.images, options.most)
+    paths = named_in(options)
     wanted = []
     for path in paths:
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))

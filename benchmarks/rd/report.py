@@ -28,8 +28,8 @@ class Row:
     psnr: float | None  # None for identical pixels
     ms_ssim: float | None  # None for pictures too small for it
     gaussians: int | None
-    encode_s: float
-    decode_ms: float
+    encode_s: float | None
+    decode_ms: float | None
     quality: float | None = None  # of profile rd, in place of max_bpp
     effort: int | None = None  # of profile rd; older files have the default and do not say so
     steps: int | None = None  # of a fit of profiles paper and baseline, None for their own number

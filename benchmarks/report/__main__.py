@@ -48,11 +48,12 @@ was typed, only remarks on a run. Each section says what was asked and what came
 line below its tables has the command, the machine, the commit and the date. "Quoted" marks figures that others
 published, with their source in [benchmarks/published](../benchmarks/published); nobody measured them here.
 
-To repeat a row, run the command below its table in a checkout, after `pip install '.[benchmark]'`: with `--out FILE`,
-or it writes over the JSON that is there, and with fewer pictures and settings, which every command's `--help` has. An
-example is `python -m benchmarks.rd --images KODAK --most 1 --bpp 0.25 --profiles rd --rivals --out rd.json`. KODAK is a
-folder with the 24 PNG files of [Kodak's set](https://r0k.us/graphics/kodak/), PHOTOGRAPHS and WEIGHTS are what
-`python -m benchmarks.perceptual.photographs FOLDER` and `python -m benchmarks.perceptual.weights FOLDER` fetch."""
+To repeat a row, run the command below its table in a checkout, after `pip install '.[encode,benchmark]'`, with
+`--out FILE`, or it may write over the JSON that is there. Most commands take `--pictures` and fewer settings as well,
+such as `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --profiles rd --rivals --out rd.json`.
+KODAK is a folder with the 24 PNG files of [Kodak's set](https://r0k.us/graphics/kodak/), WEIGHTS what
+`python -m benchmarks.perceptual.weights FOLDER` fetches, and PHOTOGRAPHS the folder `measured` of what
+`python -m benchmarks.perceptual.photographs FOLDER` fetches."""
 
 
 def sections(results: Path) -> list[Section]:

@@ -20,14 +20,15 @@ NAMES = {
     "avif": "avif, tune=psnr",
     "avif visual": "avif, tune=iq",
 }
-UNITS = {"avif": "speed", "avif visual": "speed", "webp": "method", "jpegxl": "effort"}
-FITTED_WITH_MORE = ("rd", "rd visual", "paper", "baseline")  # bytes on their way than in their file
+UNITS = {"avif": "speed", "avif visual": "speed", "jpegxl": "effort", "webp": "method", "jpeg2000": "", "jpeg": ""}
+LOOKS_S = (0.1, 0.25, 0.5, 1, 2, 5, 10, 30, 60, 120)  # after which is told what each method has
 # Complete encodes that make a curve: their method, and what its settings have.
 COMPLETE = {
     "rd, time limits": ("rd", " s"),
     "rd, efforts": ("rd", "effort"),
     "rd, tuned for the eye, efforts": ("rd visual", "effort"),
 }
+OURS = ("rd", "rd visual")
 # In every plot, so that a method looks the same in each.
 DRAWN = (
     *("paper", "baseline", "plain Adam", "siren", "hash grid", *COMPLETE),
@@ -61,16 +62,16 @@ def section(name: str, title: str, content: Content, note: str) -> Section:
     """Tables of every size, and a plot of the largest."""
     rows, settings = content["rows"], content["settings"]
     tables = []
-    for megapixels in sorted({row["megapixels"] for row in rows}):
+    sizes = sorted({row["megapixels"] for row in rows})
+    for megapixels in sizes:
         mine = [row for row in rows if row["megapixels"] == megapixels]
-        tables.append(f"### {megapixels:g} megapixels\n\n{curves_table(mine)}")
-        if points := points_table(mine):
-            tables.append(points)
-    size = max(row["megapixels"] for row in rows)
-    shown = [row for row in rows if row["megapixels"] == size]
+        tables += [f"### {megapixels:g} megapixels\n\n{bought_table(mine)}", curves_table(mine), points_table(mine)]
+    by_size = {size: [row for row in rows if row["megapixels"] == size] for size in sizes}
+    shown = by_size[sizes[-1]]
     said = (
-        f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At {size:g} "
-        f"megapixels, which the plot shows: {result(shown)} All but rd had {settings['seconds']:g} s at most. {note}"
+        f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At {sizes[-1]:g} "
+        f"megapixels, which the plot shows: {result(shown)} {' '.join(soonest(size, by_size[size]) for size in sizes)} "
+        f"All but rd had {settings['seconds']:g} s at most. {note}"
     )
     panels: list[Draw] = [lambda axes: draw(axes, shown, "psnr")]
     if all(row["lpips"] is not None for row in shown):
@@ -87,6 +88,19 @@ def result(rows: Sequence[dict[str, Any]]) -> str:
             db, seconds = (statistics.fmean(curve[-1][k] for curve in mine) for k in (1, 0))
             found.append(f"{method} {db:.2f} dB after {seconds:.1f} s")
     return f"{', '.join(found)}." if found else ""
+
+
+def soonest(megapixels: float, rows: Sequence[dict[str, Any]]) -> str:
+    """The fastest that rd offers, beside AVIF of about that time, in a sentence; none where one was not measured."""
+    told = []
+    for method, setting in (("rd", "effort 1"), ("avif", "6")):
+        mine = [row for row in rows if (row["method"], row["setting"]) == (method, setting)]
+        if not mine:
+            return ""
+        db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("psnr", "seconds"))
+        told.append(f"{db:.2f} dB after {seconds:.2f} s")
+    ours, avif = told
+    return f"Whoever is in a hurry at {megapixels:g} megapixels has {ours} by rd's effort 1, {avif} by AVIF's speed 6."
 
 
 def curves(rows: Sequence[dict[str, Any]]) -> list[tuple[str, Curve]]:
@@ -121,17 +135,11 @@ def until(curve: Curve, db: float) -> float:
     return last or curve[0][0]
 
 
-def bought(curve: Curve) -> float:
-    """dB that the second half of the time bought."""
-    before = [db for seconds, db in curve if seconds <= curve[-1][0] / 2]
-    return curve[-1][1] - (max(before) if before else curve[0][1])
-
-
 def curves_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Means over the pictures for each method that has a curve."""
+    """Means over the pictures for each method that has a line in the plot."""
     lines = []
     found = curves(rows)
-    for method in dict.fromkeys(name for name, _ in found):
+    for method in methods(rows)[0]:
         mine = [curve for name, curve in found if name == method]
         own = slowest(files_of(rows, method)) if method in COMPLETE else at_rest(rows, method)
         sizes = [row["bytes"] for row in own if row["bytes"]]
@@ -146,13 +154,50 @@ def curves_table(rows: Sequence[dict[str, Any]]) -> str:
                 number(statistics.fmean(lpips) if lpips else None, ".3f"),
                 f"{statistics.fmean(curve[-1][0] for curve in mine):.2f}",
                 *(f"{seconds:.2f}" for seconds in times),
-                "-" if method in FITTED_WITH_MORE else f"{statistics.fmean(map(bought, mine)):.2f}",
             ]
         )
-    titles = (
-        "method | pictures | bytes | PSNR at the end | LPIPS | seconds | within 1 dB of it after | 0.5 dB | 0.1 dB | "
+    titles = "method | pictures | bytes | PSNR at the end | LPIPS | seconds | within 1 dB of it after | 0.5 dB | 0.1 dB"
+    note = (
+        "Where each ends. Rows of rd are of its complete files, the slowest one last: under time limits, or by efforts "
+        "(5 where nothing is said)."
     )
-    return table(f"{titles}dB bought by the second half of the time", lines)
+    return f"{note}\n\n" + table(titles, lines)
+
+
+def bought_table(rows: Sequence[dict[str, Any]]) -> str:
+    """What each method has after so many seconds, and what every further second bought."""
+    found = curves(rows)
+    with_line, others = methods(rows)
+    names = {method: [curve for name, curve in found if name == method] for method in with_line}
+    for method in others:
+        own = [row for row in rows if row["method"] == method]
+        pictures = dict.fromkeys(row["picture"] for row in own)
+        names[method] = [sorted((r["seconds"], r["psnr"]) for r in own if r["picture"] == one) for one in pictures]
+    last = max(curve[-1][0] for some in names.values() for curve in some)
+    looks = [seconds for k, seconds in enumerate(LOOKS_S) if k == 0 or LOOKS_S[k - 1] < last]
+    lines = []
+    for method, mine in names.items():
+        cells, before = [], None
+        for k, seconds in enumerate(looks):
+            had = [best_by(curve, seconds, method in with_line and method not in COMPLETE) for curve in mine]
+            level = statistics.fmean(db for db in had if db is not None) if None not in had else None
+            gained = "" if level is None or before is None else f" ({(level - before) / (seconds - looks[k - 1]):+.2f})"
+            is_over = k > 0 and all(curve[-1][0] <= looks[k - 1] for curve in mine)
+            cells.append("" if is_over else number(level, ".2f") + gained)
+            before = level
+        lines.append([name_of(method), *cells])
+    note = (
+        "PSNR that a method has after so many seconds, and in brackets the dB that each second since the column before "
+        "bought. Of rd and other codecs the best complete file by then, of all settings; of the others what the fit "
+        "has, which may be worse than before. A dash: not yet, on some picture; nothing: no more to come."
+    )
+    return f"{note}\n\n" + table(" | ".join(["method", *(f"{seconds:g} s" for seconds in looks)]), lines)
+
+
+def best_by(curve: Curve, seconds: float, still_fitting: bool) -> float | None:
+    """The error last seen by then, or the best of complete files; None where there is none yet."""
+    seen = [db for at, db in curve if at <= seconds]
+    return None if not seen else seen[-1] if still_fitting else max(seen)
 
 
 def at_rest(rows: Sequence[dict[str, Any]], method: str) -> list[dict[str, Any]]:
@@ -167,17 +212,19 @@ def slowest(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def points_table(rows: Sequence[dict[str, Any]]) -> str:
-    """The other codecs, whose encodes have no curve."""
+    """Complete files: of rd at each limit and effort, and of other codecs at each setting."""
     lines = []
-    for method, setting in dict.fromkeys((r["method"], r["setting"]) for r in rows if r["curve"] is None):
-        mine = [row for row in rows if (row["method"], row["setting"], row["curve"]) == (method, setting, None)]
+    complete = [row for row in rows if row["curve"] is None or row["method"] in OURS]
+    found = sorted(complete, key=lambda row: ([*OURS, *UNITS].index(row["method"]), row["seconds"]))
+    for method, setting in dict.fromkeys((row["method"], row["setting"]) for row in found):
+        mine = [row for row in complete if (row["method"], row["setting"]) == (method, setting)]
         lpips = [row["lpips"] for row in mine if row["lpips"] is not None]
-        unit = f"{UNITS[method]} {setting}" if method in UNITS else "-"
+        unit = (f"{UNITS[method]} {setting}" if UNITS[method] else "-") if method in UNITS else setting or "effort 5"
         size, db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("bytes", "psnr", "seconds"))
         perceived = number(statistics.fmean(lpips) if lpips else None, ".3f")
         lines.append([name_of(method), unit, len(mine), f"{size:,.0f}", f"{db:.2f}", perceived, f"{seconds:.3f}"])
     note = "\n\nWhere bytes are above those of rd, a codec makes no file so small of some picture."
-    return table("codec | setting | pictures | bytes | PSNR | LPIPS | seconds", lines) + note if lines else ""
+    return table("method | setting | pictures | bytes | PSNR | LPIPS | seconds", lines) + note if lines else ""
 
 
 def methods(rows: Sequence[dict[str, Any]]) -> tuple[list[str], list[str]]:
@@ -204,7 +251,7 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]], figure: str) -> None:
         elif len(points) == 1:
             axes.annotate(f"{method}  ", points[0], ha="right", va="center", fontsize=7)
         axes.plot(*zip(*points, strict=True), **look)
-        last.append(points[-1][1])
+        last.append(points[0 if method in COMPLETE else -1][1])
     for method in others:
         points = ends([row for row in rows if row["method"] == method], figure)
         marks = style(DRAWN.index(method)) | {"linestyle": "none", "fillstyle": "none", "label": name_of(method)}

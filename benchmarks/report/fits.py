@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -44,7 +45,7 @@ TABLES = {30_000: "parts, Kodak, 30,000 Gaussians", 70_000: "representation, Kod
 def representation(content: Content) -> Section:
     """From representation.json; rows without a method are those of rd."""
     rows = [{"method": "rd", **row} for row in content["rows"]]
-    lines, found, beside = [], [], []
+    lines, found, beside, best = [], [], [], []
     for asked in sorted({row["asked"] for row in rows}):
         means = _means([row for row in rows if row["asked"] == asked])
         for method, figures in means.items():
@@ -52,6 +53,11 @@ def representation(content: Content) -> Section:
             lines.append([f"{asked:,}", NAMES[method], figures["pictures"], *cells])
         if "rd" in means:
             found.append(f"{means['rd']['psnr']:.2f} dB with {asked:,}")
+        if len(means) > 1:
+            by = {"MS-SSIM": max(means, key=lambda m: means[m]["ms_ssim"] or 0)}
+            by |= {"LPIPS": min(means, key=lambda m: math.inf if means[m]["lpips"] is None else means[m]["lpips"])}
+            told = ", ".join(f"{NAMES[method]} by {figure}" for figure, method in by.items())
+            best.append(f"of {asked:,} {told}")
         if asked in TABLES:
             ours = {QUOTED[method]: figures["psnr"] for method, figures in means.items() if method in QUOTED}
             beside.append(f"{asked:,} Gaussians, by PSNR: {order(ours, quoted_values(TABLES[asked], 'psnr'))}")
@@ -64,8 +70,8 @@ def representation(content: Content) -> Section:
     if any(row["method"] in QUOTED for row in rows):
         said += (
             " `paper` and what is left out of it are fitted by our optimiser and kernels, and a network for as many "
-            "seconds as `rd` took in that run, which are few for it on processor cores. The order below is by PSNR; "
-            "LPIPS and MS-SSIM may have another. MiB is the fit's whole process, Python "
+            "seconds as `rd` took in that run, which are few for it on processor cores. The best by other figures is "
+            f"{'; '.join(best)}. MiB is the fit's whole process, Python "
             "and torch included."
         )
     titles = " | ".join(["Gaussians", "method", "pictures", *(title for title, _ in COLUMNS.values())])

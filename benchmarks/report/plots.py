@@ -10,8 +10,8 @@ from benchmarks.report.section import Draw
 
 WIDTH_IN, HEIGHT_IN = 7.2, 3.8  # of a panel, with its part of title and legend
 COLOURS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#b0508c")  # all dark enough to be read as grey
-DASHES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)), (0, (1, 3)), (0, (8, 3)))
-MARKS = "os^DvP*x"  # no other so many as colours or dashes: that is what tells lines apart
+DASHES = ("-", "--", "-.", ":", (0, (9, 2, 1, 2, 1, 2)), (0, (1, 3)), (0, (8, 3)))
+MARKS = "os^DvP*xh<>dX+"  # no other so many as colours or dashes: that is what tells lines apart
 
 
 def style(k: int) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from benchmarks.rd.report import (
     scaled,
     shared_db,
 )
+from benchmarks.report.fits import quoted as papers_tables
 from benchmarks.report.plots import style
 from benchmarks.report.section import Content, Draw, Section, number, table
 
@@ -60,8 +61,12 @@ NOTE = (
 
 
 def rows_of(*contents: Content) -> list[Row]:
-    """All of them."""
-    return [Row(**row) for content in contents for row in content["rows"]]
+    """All of them; without times where the command had some of the threads alone, as beside another one."""
+    found = []
+    for content in contents:
+        untimed = {"encode_s": None, "decode_ms": None} if content.get("command", "").startswith("SG_THREADS=") else {}
+        found += [Row(**(row | untimed)) for row in content["rows"]]
+    return found
 
 
 def name_of(codec: str) -> str:
@@ -95,22 +100,35 @@ def section(
     said = (
         "How many bits does each codec need for the same PSNR, by the sizes of real files and the pixels decoded from "
         f"them? Profile `rd`, tuned for PSNR, needs {', '.join(told)}{by_default}. "
-        "Kodak alone is no statement on other pictures, and no figure is one on what an eye sees."
+        f"{best_seen(average)}Kodak alone is no statement on other pictures, and a figure is none on what an eye sees."
     )
-    tables = [measured(average), NOTE, differences(rows, average)]
+    tables = [measured(average), NOTE, differences(rows, average), every_pair(rows, average)]
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
     if any(row.lpips is not None for row in rows):
         tables += [seen(average), rates_seen(rows, average)]
         panels.append(lambda axes: draw_lpips(axes, average))
     tables += [on_fewer(rows, rows_of(fitted))] if fitted else []
     tables += [at_one_quality(rows_of(*at_qualities))] if at_qualities else []
-    tables += [quoted()]
+    tables += [quoted(), papers()]
     return Section("rate", "Rate against quality", said, tables, contents, panels)
 
 
-def measured(average: Means) -> str:
-    """Means over the pictures for each codec and rate."""
-    forms = {"images": "g", "above": "g"} | FORMATS | {"bpp": ".4f"} | COSTS
+def best_seen(average: Means) -> str:
+    """Who is ahead by each figure that follows the eye, in a sentence; none where there are no such figures."""
+    at = {codec: m for (codec, limit), m in average.items() if limit == RATES[1] and m["lpips"] is not None}
+    if not at:
+        return ""
+    told = []
+    for figure in SEEN:
+        pick = max if figure == "ssimulacra2" else min
+        ahead = pick(at, key=lambda codec: at[codec][figure] or 0)
+        told.append(f"{name_of(ahead)} by {TITLES[figure]}")
+    return f"At {RATES[1]:g} bpp the best for the eye is {', '.join(told)}. "
+
+
+def measured(average: Means, more: dict[str, str] | None = None) -> str:
+    """Means over the pictures for each codec and rate. more: further figures and their forms."""
+    forms = {"images": "g", "above": "g"} | FORMATS | {"bpp": ".4f"} | (more or {}) | COSTS
     titles = " | ".join(["codec", "bpp at most", *(TITLES.get(name, name) for name in forms)])
     cells = [
         [name_of(codec), f"{limit:g}", *(number(m[name], form) for name, form in forms.items())]
@@ -147,6 +165,23 @@ def differences(rows: Sequence[Row], average: Means) -> str:
         "have two. No figure where on some picture the two share no quality."
     )
     return f"{note}\n\n" + table(titles, lines)
+
+
+def every_pair(rows: Sequence[Row], average: Means) -> str:
+    """BD-rates of every codec against every other, averaged either way."""
+    codecs = list(dict.fromkeys(codec for codec, _ in average))
+    lines = []
+    for codec in codecs:
+        cells = []
+        for anchor in codecs:
+            found = first(against(rows, codec, anchor)), against_means(average, codec, anchor, "psnr")
+            cells.append("-" if codec == anchor else " / ".join(number(rate, "+.1f") for rate in found))
+        lines.append([name_of(codec), *cells])
+    note = (
+        "BD-rate for the same PSNR, in percent, of each row against each column: mean of pictures / of means. No "
+        "figure where the two share no quality, or a curve falls."
+    )
+    return f"{note}\n\n" + table(" | ".join(["codec", *map(name_of, codecs)]), lines)
 
 
 def seen(average: Means) -> str:
@@ -191,7 +226,7 @@ def on_fewer(rows: Sequence[Row], fitted: Sequence[Row]) -> str:
         note += (
             " COIN's authors fit each picture on a GPU, with some hundred times the work: it can reach more than here."
         )
-    return f"{note}\n\n" + measured(means([*fitted, *beside]))
+    return f"{note}\n\n" + measured(means([*fitted, *beside]), SEEN)
 
 
 def at_one_quality(rows: Sequence[Row]) -> str:
@@ -238,6 +273,18 @@ def quoted() -> str:
         "lower than means at one rate for all: do not compare those with the first table."
     )
     return f"{note}\n\n" + table(f"{titles} | means | source", lines)
+
+
+def papers() -> str:
+    """The paper's own codecs table, of other pictures, and what it says of Kodak."""
+    paper = published.paper()
+    return "\n\n".join(
+        [
+            f"The paper says of its own codec that it needs {-paper['bd_rate_kodak_percent']:g} % fewer bits than "
+            f"GSImage on Kodak, and {-paper['bd_rate_div2k_percent']:g} % fewer on DIV2K at half the size.",
+            *papers_tables("codecs"),
+        ]
+    )
 
 
 def at(points: Sequence[tuple[Any, ...]], rate: float, column: int) -> float | None:

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks.report.section import Content, Section, table
+from benchmarks.report.plots import style
+from benchmarks.report.section import Content, Draw, Section, table
 from benchmarks.soak.samples import STEADY, median
 
-PLOTTED = {"web_mb": "web process, MB", "worker_mb": "worker, MB", "jobs": "jobs", "images": "images"}
+# What a panel shows of the soak, by what its axis says.
+PLOTTED = {
+    "MB of memory": {"web_mb": "web process", "worker_mb": "worker"},
+    "number kept": {"jobs": "jobs", "images": "images"},
+}
 
 
 def verdict(met: bool) -> str:
@@ -144,7 +149,8 @@ def soaked(content: Content) -> Section:
     titles = "what | median of the first third | of the second | of the last | most | at the end"
     kept = table("claim | holds", [[claim, "yes" if holds else "no"] for claim, holds in claims.items()])
     tables = [table(titles, lines), kept]
-    return Section("soak", "The service for a long time", said, tables, [content], [lambda axes: draw(axes, rows)])
+    panels: list[Draw] = [lambda axes, says=says: draw(axes, rows, says) for says in PLOTTED]  # type: ignore[misc]
+    return Section("soak", "The service for a long time", said, tables, [content], panels)
 
 
 def image(content: Content) -> Section:
@@ -171,10 +177,12 @@ def _more(row: dict[str, Any]) -> str:
     return ", ".join(parts) or "-"
 
 
-def draw(axes: Any, rows: Sequence[dict[str, Any]]) -> None:
+def draw(axes: Any, rows: Sequence[dict[str, Any]], says: str) -> None:
     """What there was of each, over the minutes."""
     minutes = [row["minutes"] for row in rows]
-    for (name, words), style in zip(PLOTTED.items(), ("-", "--", "-.", ":"), strict=True):
-        axes.plot(minutes, [row[name] for row in rows], style, label=words)
-    axes.set_xlabel("minutes")
+    before = [name for panel in PLOTTED.values() for name in panel]
+    for name, words in PLOTTED[says].items():
+        how = style(before.index(name)) | {"marker": ""}
+        axes.plot(minutes, [row[name] for row in rows], **how, label=words)
+    axes.set(xlabel="minutes", ylabel=says)
     axes.set_ylim(bottom=0)

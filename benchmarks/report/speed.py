@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import published
 from benchmarks.report.section import Content, Section, table
-from benchmarks.speed import FLOPS
+from benchmarks.speed import OPERATIONS
 
 REACHED_BY = {"arithmetic": "a product of matrices", "memory": "a copy"}
+MOVED = {"forward": 12, "forward + backward": 24}  # bytes of a pixel: three float32 written, and as many read
+PIXELS = 768 * 512  # of the picture that kernels draw
+PAPERS = {"parts, Kodak, 30,000 Gaussians": 30_000, "representation, Kodak, 70,000 Gaussians": 70_000}  # with frames
 Rows = Sequence[dict[str, Any]]
 
 
@@ -21,6 +25,8 @@ def section(content: Content) -> Section:
     ceilings = {row["ceiling"]: row["value"] for row in content["rows"] if row["what"] == "ceiling"}
     makers = {"size": sizes_table, "gaussians": gaussians_table}
     tables = [make(by_what[what]) for what, make in makers.items() if by_what[what]]
+    if gpu := beside_the_gpu(by_what["gaussians"]):
+        tables.append(gpu)
     if by_what["kernel"]:
         tables.append(kernels_table(by_what["kernel"], ceilings))
     said = (
@@ -109,16 +115,41 @@ def gaussians_table(rows: Rows) -> str:
 
 
 def kernels_table(rows: Rows, ceilings: dict[str, float]) -> str:
-    """By instruction set and threads. How near drawing comes to arithmetic: operations on covered pixels alone."""
+    """By instruction set and threads, and how near drawing and its gradients come to what the machine reaches:
+    operations on covered pixels alone, and bytes of the pictures alone."""
     lines = []
     most = max(row["threads"] for row in rows)
     for row in rows:
-        part = None
-        if row["job"] == "forward" and row.get("covered") and ceilings and row["threads"] == most:
-            part = 100 * FLOPS * row["covered"] / row["median_ms"] / 1e6 / ceilings["arithmetic, GFLOP/s"]
+        parts = ["-", "-"]
+        if row["job"] in OPERATIONS and row.get("covered") and ceilings and row["threads"] == most:
+            done = OPERATIONS[row["job"]] * row["covered"], MOVED[row["job"]] * PIXELS
+            rates = [amount / row["median_ms"] / 1e6 for amount in done]
+            reached = ceilings["arithmetic, GFLOP/s"], ceilings["memory, GB/s"]
+            parts = [f"{rate:.1f} ({100 * rate / of:.0f} %)" for rate, of in zip(rates, reached, strict=True)]
         times = [f"{row[name]:.2f}" for name in ("median_ms", "p10_ms", "p90_ms")]
-        lines.append([row["job"], row["isa"], row["threads"], *times, f"{part:.0f} %" if part else "-"])
+        lines.append([row["job"], row["isa"], row["threads"], *times, *parts])
     units = ((name.split(", "), value) for name, value in ceilings.items())
     told = " and ".join(f"{value:.1f} {unit} in {REACHED_BY[of]}" for (of, unit), value in units)
-    titles = "job | instruction set | threads | median ms | p10 | p90 | of the arithmetic of a product of matrices"
-    return (f"The machine reaches {told}.\n\n" if told else "") + table(titles, lines)
+    titles = "job | instruction set | threads | median ms | p10 | p90 | GFLOP/s, of a product of matrices | "
+    titles += "GB/s, of a copy"
+    note = (
+        f"The machine reaches {told}. Operations are the fewest that are known to do: {OPERATIONS['forward']} for a "
+        f"Gaussian on a pixel, {OPERATIONS['forward + backward']} with its gradients; bytes are those of the picture "
+        "and of the gradient by its pixels.\n\n"
+    )
+    return (note if told else "") + table(titles, lines)
+
+
+def beside_the_gpu(rows: Rows) -> str:
+    """The paper's frames a second for as many Gaussians, and ours."""
+    paper = published.paper()
+    ours = {row["gaussians"]: row for row in rows}
+    lines = []
+    for title, asked in PAPERS.items():
+        if asked in ours:
+            quoted = [row for row in paper["rows_of"][title] if row["method"] in ("the paper", "GSImage")]
+            lines += [
+                [f"{asked:,}", f"{row['method']}, quoted, {paper['hardware']}", f"{row['fps']:,.0f}"] for row in quoted
+            ]
+            lines.append([f"{asked:,}", "here", f"{1e3 / ours[asked]['forward_ms']:,.0f}"])
+    return table("Gaussians | who | frames a second", lines) if lines else ""

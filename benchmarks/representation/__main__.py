@@ -1,7 +1,7 @@
 """Quality of a fixed number of Gaussians in floating point, before any is coded: the paper's tables of representation.
 
-    python -m benchmarks.representation --images FOLDER [--most 6] [--gaussians 5000,10000,30000,70000] [--steps 3000]
-                                        [--methods rd,paper,...] [--weights FOLDER]
+    python -m benchmarks.representation --images FOLDER [--most 6] [--pictures kodim05]
+                                        [--gaussians 5000,10000,30000,70000] [--methods rd,paper,...] [--weights FOLDER]
 
 rd: profile rd's fit. paper: profile paper's, from a structure-guided start and with geometry-consistent regularisation;
 unregularised and random-start: one of these left out; baseline: both, which is GSImage's start and loss with our
@@ -23,7 +23,7 @@ from typing import Any
 
 from benchmarks.arguments import integers, some_of
 from benchmarks.machine import RESULTS, Record
-from benchmarks.pictures import chosen_from
+from benchmarks.pictures import add_options, named_in
 from benchmarks.report.fits import representation
 from benchmarks.representation.fits import METHODS, NETWORKS, measured
 from benchmarks.speed.sizes import alone
@@ -57,8 +57,7 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--images", type=Path, required=True, help="folder of pictures")
-    parser.add_argument("--most", type=int, default=6, help="pictures, evenly spread over the folder")
+    add_options(parser, most=6)
     parser.add_argument("--gaussians", type=integers, default="5000,10000,30000,70000", help="numbers, with commas")
     parser.add_argument("--steps", type=int, default=3000, help="of every fit of Gaussians")
     parser.add_argument(
@@ -74,7 +73,7 @@ def main() -> None:
     seen = Networks(options.weights) if options.weights else None
     settings = {"steps": options.steps, "lpips": seen is not None}
     record = Record(options.out, "benchmarks.representation", settings)
-    for path in chosen_from(options.images, options.most):
+    for path in named_in(options):
         for asked in options.gaussians:
             for method in methods:
                 key = {"method": method, "asked": asked, "image": path.name}

@@ -1,3 +1,5 @@
 """Time and memory by size and by number of Gaussians, and of the kernels: python -m benchmarks.speed"""
 
-FLOPS = 8  # of one Gaussian on one pixel when it is drawn: two for the recurrence, two for each channel
+# The fewest of one Gaussian on one pixel: two for the recurrence and two for each channel when it is drawn; with its
+# gradients another two for the recurrence, and for each channel two for the colour's and two for the weight's.
+OPERATIONS = {"forward": 8, "forward + backward": 22}
