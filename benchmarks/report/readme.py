@@ -8,7 +8,7 @@ from pathlib import Path
 
 from benchmarks.perceptual import means as perceptual
 from benchmarks.rd.report import SEEN, TITLES, against_quoted, means, shared_db
-from benchmarks.report import rate
+from benchmarks.report import rate, stability
 from benchmarks.report.section import Content, load, number, table
 
 MARKED = r"<!-- table {} -->\n.*?<!-- end -->"
@@ -16,13 +16,25 @@ MARKED = r"<!-- table {} -->\n.*?<!-- end -->"
 
 def filled(text: str, results: Path) -> str:
     """The README with its tables as the JSON has them. Raises SystemExit where marks are missing."""
-    makers = {"codecs": codecs, "versions": versions, "large": large, "seen": seen, "profiles": profiles}
+    makers = {
+        "limits": limits,
+        "codecs": codecs,
+        "versions": versions,
+        "large": large,
+        "seen": seen,
+        "profiles": profiles,
+    }
     for name, make in makers.items():
         made = f"<!-- table {name} -->\n{make(results)}\n<!-- end -->"
         text, count = re.subn(MARKED.format(name), lambda _, made=made: made, text, flags=re.DOTALL)  # type: ignore[misc]
         if count != 1:
             raise SystemExit(f"the README has {count} tables {name}, and not one")
     return text
+
+
+def limits(results: Path) -> str:
+    """What is broken."""
+    return stability.limits(load(results, "version4/stiff"), load(results, "stability"))
 
 
 def codecs(results: Path) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import statistics
+import textwrap
 from collections import Counter
 from typing import Any
 
 from benchmarks.report.section import Content, Section, number, table
 from benchmarks.stiff.rules import RULES
 
+FEW_BYTES = 500  # one Gaussian is a large part of such a file
 SETS = {
     "kernels": "(b) Kernels against float64, every instruction set and number of threads",
     "fits": "(c) Fits",
@@ -98,3 +101,43 @@ def joined(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     whole = {**parts[0], "case": f"mutations 0 to {last}", "worst": max(row["worst"] or 0 for row in parts)}
     whole |= {"verdict": "broken" if verdicts["broken"] else "kept", "note": notes or f"{len(parts)} parts"}
     return [whole, *(row for row in rows if row not in parts)]
+
+
+def limits(stiff: Content | None, content: Content | None) -> str:
+    """Every rule of the stiff set and every extreme case that is broken, for the README."""
+    told = []
+    if stiff:
+        broken = [rule for rule in stiff["rules"] if rule["broken"]]
+        words = [_broken(rule, stiff) for rule in broken]
+        seconds: dict[str, list[float]] = {}
+        for row in stiff["rows"]:
+            if row["seconds"] is not None:
+                seconds.setdefault(row["picture"], []).append(row["seconds"])
+        means = [statistics.fmean(some) for some in seconds.values()]
+        told.append(
+            "- Some pictures do not suit Gaussians: lines, steps, single pixels, noise. "
+            f"{len(broken)} of {len(stiff['rules'])} rules of the [stiff set]"
+            f"(docs/results.md#stiff-and-extreme-cases) are broken there. {' '.join(words)} Small pictures of this "
+            f"kind are fitted and searched many times: 256 x 256 pixels take up to {max(means):.0f} s on average by "
+            f"picture, and {max(map(max, seconds.values())):.0f} s at most, on one core."
+        )
+    if content:
+        cases = [
+            f"{row['case']} ({row['rule']}: {number(row['worst'], '.2g')}, allowed {row['limit']:g})"
+            for row in content["rows"]
+            if row["verdict"] == "broken"
+        ]
+        told.append(f"- Extreme cases that break their rule: {'; '.join(cases) or 'none that was tried'}.")
+    return "\n".join(textwrap.fill(one, 120, subsequent_indent="  ", break_long_words=False) for one in told)
+
+
+def _broken(rule: dict[str, Any], stiff: Content) -> str:
+    """One rule of the stiff set, in a sentence."""
+    sizes = {(row["picture"], row["seed"], row["kind"], row["value"]): row["bytes"] for row in stiff["rows"]}
+    mine = [one for one in stiff["violations"] if one["rule"] == rule["rule"]]
+    few = sum(sizes[one["picture"], one["seed"], one["kind"], one["value"]] < FEW_BYTES for one in mine)
+    says, worst = (RULES[rule["rule"]].find.__doc__ or "").rstrip("."), rule["worst"]
+    return (
+        f'"{says}" is broken by {rule["broken"]} of {rule["checked"]} files, {few} of them of less than {FEW_BYTES} '
+        f"bytes, by {worst['by']:.2g} {rule['unit']} at most ({worst['picture']})."
+    )
