@@ -11,6 +11,7 @@ second checkout and root; the document has their commands.
 from __future__ import annotations
 
 import argparse
+import shlex
 import subprocess
 import sys
 import time
@@ -40,6 +41,12 @@ class Part:
 PARTS = (
     Part("rd", "kodak-rd", f"{IMAGES} --bpp 0.5", f"{IMAGES} --bpp 0.1,0.15,0.25,0.4", "--rivals"),
     Part("rd", "kodak-effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.1,0.15,0.25,0.4"),
+    Part(
+        "rd",
+        "kodak-settings",
+        "",
+        f"{IMAGES} --profiles '' --bpp 0.1,0.15,0.25,0.4 --rivals 'jpegxl effort 4' 'avif tune=psnr speed 0'",
+    ),
     Part("rd", "kodak-quality", "", f"{IMAGES} --quality 20,30,40,50,60,70"),
     Part("rd", "kodak-effort-quality", "", f"{IMAGES} --effort 9 --tune psnr --quality 20,30,40,50,60,70"),
     Part("rd", "kodak-paper", "", f"{IMAGES} --profiles paper,baseline --bpp 0.147,0.43"),
@@ -77,7 +84,8 @@ PARTS = (
 
 def run(part: Part, options: argparse.Namespace) -> float:
     """Seconds that the command took. Its failure does not keep others from running."""
-    words = (part.full if options.full else part.small).format(images=options.images).split()
+    line = (part.full if options.full else part.small).format(images=shlex.quote(str(options.images)))
+    words = shlex.split(line)
     if options.weights and part.module in ("rd", "convergence", "representation"):
         words += ["--weights", str(options.weights)]
     if part.module == "convergence":

@@ -33,7 +33,7 @@ from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.codecs import FITTED, Codec, Sg
 from benchmarks.rd.coin import Coin
 from benchmarks.rd.report import Row, report
-from benchmarks.rd.rivals import RIVALS, versions
+from benchmarks.rd.rivals import RIVALS, USUAL, versions
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.metrics.perceptual import MIN_SIDE, Networks, ssimulacra2
@@ -94,7 +94,7 @@ def codecs_of(options: argparse.Namespace) -> list[Codec]:
 def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """The options. Exits with one clear line for what makes no sense."""
     options = parser.parse_args()
-    options.rivals = [] if options.rivals is None else options.rivals or list(RIVALS)
+    options.rivals = [] if options.rivals is None else options.rivals or [rival.name for rival in USUAL]
     if options.quality and (options.rivals or options.coin):
         parser.error("--quality is for profile rd alone, without --rivals and --coin")
     if min(options.bpp) <= 0 or options.most < 1:
@@ -124,7 +124,9 @@ def main() -> None:
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
     parser.add_argument("--tune", nargs="+", choices=TUNES, default=TUNES, help="of profile rd; all if none is named")
     parser.add_argument("--steps", type=int, help="of the fits of profiles paper and baseline")
-    parser.add_argument("--rivals", nargs="*", choices=RIVALS, help="all of them where none is named")
+    parser.add_argument(
+        "--rivals", nargs="*", choices=RIVALS, help="the usual ones, with one setting each, where none is named"
+    )
     parser.add_argument("--coin", action="store_true", help="COIN, fitted here")
     parser.add_argument("--coin-seconds", type=float, default=600, help="for each picture and rate")
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")

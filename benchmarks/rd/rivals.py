@@ -187,10 +187,26 @@ class JpegXl(Rival):
         return np.asarray(imagecodecs().jpegxl_decode(data, numthreads=native.thread_count()))
 
 
-RIVALS: dict[str, Callable[[], Rival]] = {
-    rival.name: rival
-    for rival in (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes, AvifWithGrain)
-}
+class PatientAvif(AvifForPsnr):
+    """The slowest speed, some seconds for a photograph: what effort 9 of profile rd competes with."""
+
+    name = "avif tune=psnr speed 0"
+
+    def __init__(self) -> None:
+        super().__init__(speed=0)
+
+
+class QuickJpegXl(JpegXl):
+    """Effort 4, which has more PSNR than 7 where it makes files so small."""
+
+    name = "jpegxl effort 4"
+
+    def __init__(self) -> None:
+        super().__init__(effort=4)
+
+
+USUAL = (Jpeg, MozJpeg, Jpeg2000, WebP, JpegXl, Heic, AvifForPsnr, AvifForEyes, AvifWithGrain)
+RIVALS: dict[str, Callable[[], Rival]] = {rival.name: rival for rival in (*USUAL, PatientAvif, QuickJpegXl)}
 PACKAGES = ("imagecodecs", "jpeglib", "pillow_heif")
 
 

@@ -25,7 +25,10 @@ from tests.harness.data import ROOT
 MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
     (
         rate.section,
-        ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-effort-quality", "kodak-fitted"),
+        (
+            *("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-effort-quality", "kodak-fitted"),
+            "kodak-settings",
+        ),
     ),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.whole, ("convergence/kodak",)),

@@ -37,12 +37,14 @@ NAMES = {
     "paper": "`paper`",
     "baseline": "`baseline`",
     "avif tune=psnr": "AVIF, 4:4:4, speed 4, `tune=psnr`",
+    "avif tune=psnr speed 0": "AVIF, 4:4:4, speed 0, `tune=psnr`",
     "avif tune=iq": "AVIF, 4:2:0, speed 4, `tune=iq`",
     "avif grain": "AVIF, 4:2:0, speed 4, `tune=iq`, grain",
     "heic": "HEIC, x265, 4:2:0, `tune=psnr`",
     "jpeg2000": "JPEG 2000",
     "webp": "WebP, method 6",
     "jpegxl": "JPEG XL, effort 7",
+    "jpegxl effort 4": "JPEG XL, effort 4",
     "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
     "coin": "COIN",
@@ -82,12 +84,14 @@ def section(
     one_quality: Content | None = None,
     effort_one_quality: Content | None = None,
     fitted: Content | None = None,
+    settings: Content | None = None,
 ) -> Section:
-    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-quality.json, kodak-effort-quality.json and
-    kodak-fitted.json, as far as there are."""
+    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-quality.json, kodak-effort-quality.json,
+    kodak-fitted.json and kodak-settings.json, as far as there are."""
     at_qualities = [content for content in (one_quality, effort_one_quality) if content]
-    contents = [content for content in (main, effort, paper, *at_qualities, fitted) if content]
-    rows = rows_of(*(content for content in (main, effort, paper) if content))
+    at_rates = [content for content in (main, effort, paper, settings) if content]
+    contents = [*at_rates, *at_qualities, *([fitted] if fitted else [])]
+    rows = rows_of(*at_rates)
     average = means(rows)
     rates = {
         "GaussianImage as published": against_quoted(average, "rd", ANCHOR),
