@@ -1,8 +1,8 @@
 """Error against run time: one curve for each method on one clock, and other codecs as points.
 
     python -m benchmarks.convergence --images FOLDER [--most 5] [--pictures kodim05] [--megapixels 0.4]
-                                     [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg] [--few]
-                                     [--weights FOLDER]
+                                     [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg]
+                                     [--settings '8 s,effort 1'] [--few] [--weights FOLDER]
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
 and baseline: the trace of one encode, whose last point is the file; rd again under each time limit, and with each
@@ -117,7 +117,8 @@ class Run:
 
         def once(method: str, setting: str, measure: Callable[[], Row]) -> None:
             key = {"method": method, "setting": setting, "picture": picture, "megapixels": megapixels}
-            if method in o.methods and not self.record.has(**key):
+            wanted = method in o.methods and (o.settings is None or setting in o.settings)
+            if wanted and not self.record.has(**key):
                 self.record.add({**key, **measure()})
 
         for profile in OURS:
@@ -156,6 +157,7 @@ def main() -> None:
     parser.add_argument(
         "--methods", type=some_of(METHODS, "method"), default=",".join(METHODS), help="those that are measured"
     )
+    parser.add_argument("--settings", type=lambda text: text.split(","), help="those of a method, as in the table; all")
     parser.add_argument("--few", action="store_true")
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--out", type=Path, default=RESULTS / "convergence" / "kodak.json")
