@@ -150,10 +150,14 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     run("flat")
     first = rows()
     assert first[0]["left_out_of_the_file"] == ["Gaussians"]
-    assert first[0]["bits"]["payload"] == 0
+    assert [first[0]["bits"][kind] for kind in ("colour", "shape", "place", "begin and end")] == [0, 0, 0, 0]
     assert run("flat,grey").startswith("scene grey")
     assert rows()[:1] == first
-    assert "chroma" in rows()[1]["left_out_of_the_file"]
+    grey = rows()[1]
+    assert "chroma" in grey["left_out_of_the_file"]
+    assert all(grey["bits"][kind] > 100 for kind in ("colour", "shape", "place"))
+    assert 0 < grey["bits"]["begin and end"] < 100
+    assert sum(grey["bits"].values()) == pytest.approx(8 * grey["bytes"], abs=2)  # each is rounded
     run("flat", side="33")  # another setting, another run
     assert [row["scene"] for row in rows()] == ["flat"]
 
