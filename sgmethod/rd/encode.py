@@ -17,6 +17,8 @@ its own, and goes the same way first (alpha.py). A picture of one colour needs n
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -55,6 +57,8 @@ def encode_layer(request: Request, settings: RdSettings) -> tuple[StreamV4, int]
     ladder = Ladder(request, control)
     small = is_small(request, settings)
     stiff = small and is_stiff(request)
+    if stiff and not control.has_goal and math.isinf(request.left_s()):
+        return ladder.choice().stream, ladder.steps
     in_all, with_ladder = most_steps(control), most_steps(control) + ladder.most_steps
 
     def relaxings(rounds: int) -> int:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import cv2
 
 from sgmethod.bitstream import container
+from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
 from sgmethod.profiles import RdSettings
 from sgmethod.rd import quantiser
@@ -72,31 +73,57 @@ class Ladder:
         self.most_steps = of_rungs + control.steps() + LAST * FURTHER * steps_of_round(control)
         self.steps = 0
 
+    def choice(self) -> Found:
+        """For a quality, without a fit of its own, which would count for nothing. Where the encode is to end before the
+        last rung, there is one in the time that is left."""
+        rungs, is_whole = self._climbed(self.most_steps, alone=True)
+        if not is_whole:
+            runs = self._runs(place(self.request, self.control, shown_to_nobody), self.most_steps)
+            runs.first()
+            rungs.append(self._rung(runs))
+        return self._chosen(rungs)
+
     def found(self, own: Found, in_all: int) -> list[Found]:
-        """The encode's own coded picture, and those from the ladder; for a quality the best of the ladder alone.
+        """The encode's own coded picture, and those from the ladder; for a quality the ladder's choice alone.
         in_all: steps of the encode."""
-        rungs, is_whole = [], True
+        rungs, is_whole = self._climbed(in_all)
+        if not rungs:
+            return [own]
+        if not self.control.has_goal and is_whole:
+            return [self._chosen(rungs)]
+        judge = Finish(rungs[-1].fit, self.request)
+        found = [own, *self._within_budget(rungs, judge)]
+        for rung in self._worth_more(rungs, judge.best(found), judge):
+            found += self._further(rung, judge, in_all)
+        return found
+
+    def _chosen(self, rungs: list[Rung]) -> Found:
+        """For a quality: the best for its bytes of all rungs and of the background alone, which are the same whatever
+        the quality."""
+        judge = Finish(rungs[-1].fit, self.request)
+        background = Found(judge.coder.stream(Parameters.empty(0)), judge)
+        return judge.best([background, *(rung.found for rung in rungs)])
+
+    def _climbed(self, in_all: int, alone: bool = False) -> tuple[list[Rung], bool]:
+        """The rungs for which there is time, ready to be judged by the budget, and whether those are all. alone: no fit
+        went before, so that their files are the encode's previews, and what time there is after a stop is for one."""
+        rungs: list[Rung] = []
+        is_whole = True
+        preview = self.request.recorder.preview if alone else shown_to_nobody  # which would begin anew
         for control in self.controls:
-            runs = self._runs(place(self.request, control, shown_to_nobody), in_all)  # whose preview would begin anew
-            if not runs.has_time():
+            runs = self._runs(place(self.request, control, shown_to_nobody), in_all)
+            if not runs.has_time() or (alone and math.isfinite(self.request.left_s())):
                 is_whole = False
                 break
             runs.first()
             runs.until_round(1)
             rungs.append(self._rung(runs))
+            preview(container.serialise(rungs[-1].found.stream))
             if self._is_last(rungs):
                 break
-        if not rungs:
-            return [own]
         for rung in rungs:
             rung.fit.control = self.control
-        judge = Finish(rungs[-1].fit, self.request)
-        if not self.control.has_goal and is_whole:
-            return [judge.best([rung.found for rung in rungs])]  # the choice is to be the same whatever the quality
-        found = [own, *self._within_budget(rungs, judge)]
-        for rung in self._worth_more(rungs, judge.best(found), judge):
-            found += self._further(rung, judge, in_all)
-        return found
+        return rungs, is_whole
 
     def _further(self, rung: Rung, judge: Finish, in_all: int) -> list[Found]:
         """What the fit of a rung comes to if it goes on, within the budget's bytes, or within those that the rung

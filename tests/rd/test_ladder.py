@@ -75,6 +75,36 @@ def test_more_quality_is_never_worse_nor_smaller(name: str) -> None:
         assert error(name, less) <= error(name, more)
 
 
+@pytest.mark.parametrize("name", STIFF)
+def test_a_quality_takes_no_fit_that_counts_for_nothing(name: str) -> None:
+    """What its trace shows at the file's size is in the file. A time limit has such a fit to fall back on."""
+    file = encoded(name, "quality", 45)
+    assert max(point.psnr for point in file.trace if 0 < point.bytes <= len(file.data)) <= file.stats.psnr + 1e-4
+    limited = encode(STIFF[name](), quality=45, tune="psnr", time_limit_s=100)
+    assert limited.data == file.data
+    assert file.stats.steps < limited.stats.steps
+
+
+def test_a_quality_shows_each_rung() -> None:
+    shown: list[bytes] = []
+    file = encode(lines(), quality=60, tune="psnr", on_preview=shown.append)
+    assert file.data in shown
+    sizes = [len(data) for data in shown]
+    assert sorted(sizes) == sizes
+
+
+def test_a_quality_that_is_stopped_on_the_ladder_climbs_no_further() -> None:
+    """What time is left is for a fit of its own, which comes to more than the first rungs or gives way to them."""
+    shown: list[bytes] = []
+    file = encode(noise(), quality=90, tune="psnr", on_preview=shown.append, stop=lambda: len(shown) > 2)
+    assert len(shown) == 3
+    assert file.stats.psnr >= max(psnr(decode(data), noise()) for data in shown)
+
+
+def test_a_quality_of_nothing_is_the_background() -> None:
+    assert encode(noise(), quality=1, tune="psnr").stats.gaussians == 0
+
+
 def test_a_checkerboard_of_single_pixels_gains_from_each_byte() -> None:
     found = [encode(board(), Budget("bytes", size), tune="psnr").stats.psnr for size in (300, 600, 1200, 2400)]
     for fewer, more in pairwise(found):
