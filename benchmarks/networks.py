@@ -127,11 +127,12 @@ class Training:
 
 
 @torch.no_grad()
-def drawn(network: Network, shape: tuple[int, ...]) -> Pixels:
-    """The picture [H, W, 3] that it shows now."""
-    every = torch.arange(shape[0] * shape[1])
+def drawn(network: Network, shape: tuple[int, ...], apart: int = 1) -> Pixels:
+    """The picture [H, W, 3] that it shows now. apart: of each so many rows and columns only the first."""
+    some = torch.arange(shape[0] * shape[1]).reshape(shape[:2])[::apart, ::apart]
+    every = some.reshape(-1)
     parts = [network.colours(_places(every[k : k + BATCH], shape)) for k in range(0, len(every), BATCH)]
-    return levels_of(torch.cat(parts).numpy().reshape(*shape[:2], 3))
+    return levels_of(torch.cat(parts).numpy().reshape(*some.shape, 3))
 
 
 def _places(index: Tensor, shape: tuple[int, ...]) -> Tensor:

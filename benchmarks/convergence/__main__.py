@@ -75,8 +75,8 @@ def ours(
 def learned(start: Start, pixels: Pixels, seconds: float, amount: int, size: int | None, lpips: Measure) -> Row:
     """The curve of the pictures that a method shows. amount: what it has, Gaussians or bytes; size: bytes, if any."""
     curve = []
-    for run_s, picture in start(pixels, seconds, amount):
-        curve.append([round(run_s, 4), round(psnr(picture, pixels), 4)])
+    for run_s, (picture, source) in start(pixels, seconds, amount):
+        curve.append([round(run_s, 4), round(psnr(picture, source), 4)])
     return {
         "bytes": size,
         "gaussians": None,

@@ -1,10 +1,12 @@
 """Other ways to fit the same picture: plain Adam on the raw numbers of Gaussians, and two networks of the file's bytes.
 
-Each yields its picture at growing times. The clock stands while a picture is drawn and measured.
+Each yields its picture at growing times; a network before its last look at a large one the pixels of every few rows and
+columns, since it takes a minute to draw all of 12 megapixels. The clock stands while a picture is drawn and measured.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 
@@ -20,9 +22,11 @@ from sgmethod.native import native
 from sgmethod.profiles import BASELINE
 from sgmethod.start.placement import place
 
-Shown = Iterator[tuple[float, Pixels]]  # seconds, [H, W, 3]
+Look = tuple[Pixels, Pixels]  # of what is shown and of the picture the same pixels, [H, W, 3]
+Shown = Iterator[tuple[float, Look]]  # after so many seconds
 FIRST_S, GROWTH = 0.1, 1.25  # when the picture is looked at
-REST = 0.2  # of what the last look took, before the next: to draw 12 megapixels takes a network far longer than steps
+REST = 0.2  # of what the last look took, before the next: to draw a picture can take longer than steps
+LOOKED_AT = 1e6  # pixels, about, of a network's picture
 # The best of 0.02, 0.05, 0.1, 0.2, by the PSNR of 600 Gaussians after 400 steps on astronaut at 128x128.
 RATE_OF_ADAM = 0.2
 BYTES_OF_NUMBER = 2  # half precision, as COIN stores them
@@ -46,9 +50,9 @@ def plain_adam(pixels: Pixels, seconds: float, gaussians: int) -> Shown:
             p.factors[:, 0::2].clamp_(min=BASELINE.min_scale_px)
             p.colors.clamp_(-2, 2)
 
-    def show() -> Pixels:
+    def show(_: bool) -> Look:
         drawn = pixels / np.float32(255) - picture.residual(p)(0, pixels.shape[0]).transpose(1, 2, 0)
-        return levels_of(drawn)
+        return levels_of(drawn), pixels
 
     yield from watched(step, show, seconds, began)
 
@@ -65,16 +69,16 @@ def hash_grid(pixels: Pixels, seconds: float, size: int) -> Shown:
     return trained(networks.hash_grid(pixels, size // BYTES_OF_NUMBER), pixels, seconds, began)
 
 
-def watched(step: Callable[[], None], show: Callable[[], Pixels], seconds: float, began: float) -> Shown:
+def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: float, began: float) -> Shown:
     """Repeat a step for so many seconds, and show what has become at times that grow by a factor, or further
-    apart where a look takes long."""
+    apart where a look takes long. show: is told whether it is the last time."""
     due, stood = FIRST_S, 0.0
     while True:
         step()
         run = time.perf_counter() - began - stood
         if run >= min(due, seconds):
             paused = time.perf_counter()
-            yield run, show()
+            yield run, show(run >= seconds)
             looked = time.perf_counter() - paused
             stood += looked
             if run >= seconds:
@@ -88,13 +92,14 @@ def trained(network: Network, pixels: Pixels, seconds: float, began: float) -> S
     training = Training(network, pixels)
 
     @torch.no_grad()
-    def show() -> Pixels:
+    def show(last: bool) -> Look:
+        apart = 1 if last else max(1, round(math.sqrt(pixels[..., 0].size / LOOKED_AT)))
         kept = [number.clone() for number in network.numbers]
         for number in network.numbers:
             number.copy_(number.half().float())
-        shown = drawn(network, pixels.shape)
+        shown = drawn(network, pixels.shape, apart)
         for number, value in zip(network.numbers, kept, strict=True):
             number.copy_(value)
-        return shown
+        return shown, pixels[::apart, ::apart]
 
     yield from watched(training.step, show, seconds, began)
