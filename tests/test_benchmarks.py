@@ -347,6 +347,20 @@ def test_ablations_are_measured(tmp_path: Path, small: Path) -> None:
     assert "| LSQ, 6 bits | " in printed
 
 
+def test_every_part_that_is_left_out_is_missed(tmp_path: Path) -> None:
+    """A part's file differs from that with all parts: what is patched is what is used."""
+    out = tmp_path / "ablation.json"
+    run(
+        "ablation",
+        out,
+        *["--images", str(PHOTOGRAPHS), "--most", "1", "--tables", "parts", "--seeds", "1", "--bpp", "2"],
+    )
+    whole, *without = json.loads(out.read_text())["rows"]
+    assert whole["without"] == "nothing"
+    for row in without:
+        assert (row["psnr"], row["gaussians"]) != (whole["psnr"], whole["gaussians"]), row["without"]
+
+
 def shown_by_report(folder: Path, name: str, rows: list[dict[str, Any]], settings: dict[str, Any]) -> str:
     """docs/results.md with these rows in one JSON."""
     path = copied(folder) / f"{name}.json"
