@@ -40,7 +40,7 @@ class Part:
 
 PARTS = (
     Part("rd", "kodak-rd", f"{IMAGES} --bpp 0.5", f"{IMAGES} --bpp 0.1,0.15,0.25,0.4", "--rivals"),
-    Part("rd", "kodak-effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.1,0.15,0.25,0.4"),
+    Part("rd", "kodak-effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.15,0.25,0.4"),
     Part(
         "rd",
         "kodak-settings",
@@ -49,7 +49,7 @@ PARTS = (
     ),
     Part("rd", "kodak-quality", "", f"{IMAGES} --quality 20,30,40,50,60,70"),
     Part("rd", "kodak-effort-quality", "", f"{IMAGES} --effort 9 --tune psnr --quality 20,30,40,50,60,70"),
-    Part("rd", "kodak-paper", "", f"{IMAGES} --profiles paper,baseline --bpp 0.147,0.43"),
+    Part("rd", "kodak-paper", "", f"{IMAGES} --profiles paper --bpp 0.147,0.43"),
     Part(
         "rd",
         "kodak-fitted",

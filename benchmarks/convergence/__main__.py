@@ -9,7 +9,7 @@ and baseline: the trace of one encode, whose last point is the file; rd again un
 effort. plain Adam: as many Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget, in
 half precision. Other codecs: each speed or effort at the best quality within the budget. rd visual, avif visual: tuned
 for the eye (tune=iq), where rd and avif are tuned for PSNR.
---seconds: for all but rd. --few: two settings of each other codec, three efforts of rd. --weights: a folder as
+--seconds: for all but rd. --few: two or three settings of each other codec, three efforts of rd. --weights: a folder as
 benchmarks.perceptual takes it, for LPIPS.
 """
 
@@ -41,7 +41,7 @@ RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
     "jpeg2000": (lambda _: Jpeg2000(), (0,), (0,)),
     "webp": (WebP, tuple(range(7)), (0, 4)),
-    "avif": (AvifForPsnr, tuple(range(11)), (6, 10)),
+    "avif": (AvifForPsnr, tuple(range(11)), (4, 6, 10)),
     "avif visual": (AvifForEyes, tuple(range(11)), (6, 10)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
