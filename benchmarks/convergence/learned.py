@@ -26,7 +26,7 @@ Look = tuple[Pixels, Pixels]  # of what is shown and of the picture the same pix
 Shown = Iterator[tuple[float, Look]]  # after so many seconds
 FIRST_S, GROWTH = 0.1, 1.25  # when the picture is looked at
 REST = 0.2  # of what the last look took, before the next: to draw a picture can take longer than steps
-LOOKED_AT = 1e6  # pixels, about, of a network's picture
+LOOKED_AT = 2.5e5  # pixels, about, of a network's picture
 # The best of 0.02, 0.05, 0.1, 0.2, by the PSNR of 600 Gaussians after 400 steps on astronaut at 128x128.
 RATE_OF_ADAM = 0.2
 BYTES_OF_NUMBER = 2  # half precision, as COIN stores them
