@@ -33,7 +33,9 @@ def _keep_all(_: Any, _bits: float, _most: int) -> None:
 PARTS = (
     Part("nothing", {}),
     Part("growth (all placed by structure at the start)", {"start_share": 1.0, "bits_of_new": 1e12}),
-    Part("structure (random start)", {}, lambda: patch.object(fit, "START", replace(fit.START, structure_guided=False))),
+    Part(
+        "structure (random start)", {}, lambda: patch.object(fit, "START", replace(fit.START, structure_guided=False))
+    ),
     Part("dropping Gaussians", {}, lambda: patch.object(fit.RdFit, "_drop", _keep_all)),
     Part("dropping those not worth their bits", {"bits_of_dropped": RD.bits_of_nothing}),
     Part("smaller pictures at first", {"halvings": 0}),

@@ -20,11 +20,13 @@ def section(kodak: Content | None, photographs: Content | None) -> Section:
         "Photographs are those that desktop packages carry, 768 pixels wide; constants of the codec were chosen on "
         "others of them, but some values for texture were tried on these too, which are not wholly unseen. AVIF leaves "
         "4 % of the bytes. Nobody was asked: these are metrics. [A sheet of parts at twice their size](seen.webp) "
-        "shows the source, version 3, this version, AVIF and JPEG XL."
+        "shows the source, this codec, AVIF and JPEG XL; it is made by `python -m benchmarks.perceptual.sheet`."
     )
     tables = []
     for name, content in sets:
-        brackets = "in brackets less AVIF's, or as a part of it where lower is better; texture as a part of the bytes"
+        brackets = (
+            "in brackets the difference from AVIF or, where lower is better, the ratio to it; texture in % of bytes"
+        )
         tables.append(f"{name}, {brackets}:\n\n" + table(TITLES, list(lines(content["rows"]))))
         tables.append(f"{name}, pictures in which `visual` is behind:\n\n" + _behind(content))
     return Section("seen", "What people see", said, tables, [content for _, content in sets])

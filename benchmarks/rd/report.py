@@ -7,10 +7,12 @@ import statistics
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import PchipInterpolator, PPoly
 
 from benchmarks import published
 from benchmarks.report.section import MISSING, mean, number, table
@@ -92,16 +94,19 @@ def bd_quality(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
 
 def _mean_gap(anchor: Sequence[Point], test: Sequence[Point]) -> float | None:
     """The mean of test less anchor over the x that both reach."""
-    curves = []
-    for points in (anchor, test):
-        if len(points) < 2 or (np.diff([x for x, _ in points]) <= 0).any():
-            return None
-        curves.append(PchipInterpolator(*np.array(points).T))
-    low, high = (f(c.x[end] for c in curves) for f, end in ((max, 0), (min, -1)))
+    if any(len(points) < 2 or any(x >= after for (x, _), (after, _) in pairwise(points)) for points in (anchor, test)):
+        return None
+    low, high = max(anchor[0][0], test[0][0]), min(anchor[-1][0], test[-1][0])
     if low >= high:
         return None
-    ours, theirs = (c.integrate(low, high) / (high - low) for c in reversed(curves))
-    return float(ours - theirs)
+    theirs, ours = (_integral(tuple(points)) for points in (anchor, test))
+    return float((ours(high) - ours(low) - theirs(high) + theirs(low)) / (high - low))
+
+
+@lru_cache(maxsize=10_000)
+def _integral(points: tuple[Point, ...]) -> PPoly:
+    """Of the curve through points, up to some x."""
+    return PchipInterpolator(*np.array(points).T).antiderivative()
 
 
 def means(rows: Sequence[Row]) -> Means:
@@ -155,6 +160,7 @@ def against_means(average: Means, codec: str, anchor: str, figure: str) -> float
 def against(rows: Sequence[Row], codec: str, anchor: str, figure: str = "psnr") -> tuple[float, int] | None:
     """The mean over pictures of each one's BD-rate for the same figure, and how many they are. None where one of the
     pictures that both have has no such rate."""
+    rows = [row for row in rows if row.codec in (codec, anchor)]
     images = dict.fromkeys(row.image for row in rows if row.codec == anchor)
     return mean_rate({image: points(rows, anchor, image, figure) for image in images}, rows, codec, figure)
 
@@ -204,9 +210,23 @@ def quoted_curve(other: str) -> Curve:
 
 def shared_db(average: Means, codec: str, other: str) -> str:
     """From which to which PSNR that difference is an average, in words; a dash where they share none."""
+    found = _shared(average, codec, other)
+    return f"{found[0]:.1f} to {found[1]:.1f}" if found else MISSING
+
+
+def shared_bpp(average: Means, codec: str, other: str) -> str:
+    """From how many to how many bits per pixel a published codec takes for that PSNR, in words."""
+    found = _shared(average, codec, other)
+    if not found:
+        return MISSING
+    rates, dbs = zip(*sorted(scaled(quoted_curve(other), 1)), strict=True)
+    return " to ".join(f"{np.interp(db, dbs, rates):.2f}" for db in found)
+
+
+def _shared(average: Means, codec: str, other: str) -> tuple[float, float] | None:
     reached = [[db for _, db in scaled(points, 1)] for points in (quoted_curve(other), curve(average, codec))]
     low, high = max(min(dbs, default=math.inf) for dbs in reached), min(max(dbs, default=-math.inf) for dbs in reached)
-    return f"{low:.1f} to {high:.1f}" if low < high else MISSING
+    return (low, high) if low < high else None
 
 
 def is_kodak(rows: Sequence[Row]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ COMPLETE = {
     "rd, tuned for the eye, efforts": ("rd visual", "effort"),
 }
 OURS = ("rd", "rd visual")
+ROUNDED = "paper"  # at a time of the fit, which then goes on from what is left
 # In every plot, so that a method looks the same in each.
 DRAWN = (
     *("paper", "baseline", "plain Adam", "siren", "hash grid", *COMPLETE),
@@ -42,8 +44,10 @@ def whole(content: Content | None) -> Section:
     note = (
         "Pictures of one folder and one rate say nothing on others, plain Adam makes no file, and networks are fitted "
         "by torch without kernels of their own. On its way a fit may have more bytes than its file, which it gives up "
-        "at its end: the plot has complete files of rd alone. Each time is that of one encode, which may be a third "
-        "longer in another hour. Other codecs' are without the search for the quality that fits."
+        "at its end: the plot has complete files of rd alone. Where paper and baseline fall, their numbers begin to be "
+        "rounded, as those of files are. LPIPS is that of complete files, and of others at their end. Each time is "
+        "that of one encode, which may be a third longer in another hour. Other codecs' are without the search for "
+        "the quality that fits."
     )
     return section("convergence", "Error against run time", content, note)
 
@@ -68,15 +72,17 @@ def section(name: str, title: str, content: Content, note: str) -> Section:
         tables += [f"### {megapixels:g} megapixels\n\n{bought_table(mine)}", curves_table(mine), points_table(mine)]
     by_size = {size: [row for row in rows if row["megapixels"] == size] for size in sizes}
     shown = by_size[sizes[-1]]
+    pictures = list(dict.fromkeys(row["picture"] for row in shown))
     said = (
         f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At {sizes[-1]:g} "
         f"megapixels, which the plot shows: {result(shown)} {' '.join(soonest(size, by_size[size]) for size in sizes)} "
-        f"All but rd had {settings['seconds']:g} s at most. {note}"
+        f"All but rd had {settings['seconds']:g} s at most. {note} Pictures: {', '.join(pictures)}."
     )
     panels: list[Draw] = [lambda axes: draw(axes, shown, "psnr")]
     if all(row["lpips"] is not None for row in shown):
         panels.append(lambda axes: draw(axes, shown, "lpips"))
-    return Section(name, title, said, tables, [content], panels)
+    of = f"{sizes[-1]:g} megapixels, {settings['bpp']:g} bpp, means of {len(pictures)} pictures"
+    return Section(name, title, said, tables, [content], panels, of)
 
 
 def result(rows: Sequence[dict[str, Any]]) -> str:
@@ -248,6 +254,8 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]], figure: str) -> None:
         if method not in COMPLETE and figure == "psnr":
             points = list(zip(*mean_curve([curve for name, curve in found if name == method]), strict=True))
             look["marker"] = ""
+            if method == ROUNDED:
+                axes.annotate("rounded from here", before_fall(points), ha="center", va="bottom", fontsize=7)
         elif len(points) == 1:
             axes.annotate(f"{method}  ", points[0], ha="right", va="center", fontsize=7)
         axes.plot(*zip(*points, strict=True), **look)
@@ -263,6 +271,12 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]], figure: str) -> None:
     else:
         axes.set(ylabel="LPIPS, better upwards")
         axes.invert_yaxis()
+
+
+def before_fall(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """The best point of a curve before it falls most."""
+    falls = [before[1] - after[1] for before, after in pairwise(points)]
+    return max(points[: falls.index(max(falls)) + 1], key=lambda point: point[1])
 
 
 def ends(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[float, float]]:

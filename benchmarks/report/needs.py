@@ -18,28 +18,33 @@ def section(content: Content) -> Section:
     least, most = (find(rows, key=lambda row: row["bytes"]) for find in (min, max))
     reference = by_name.get(REFERENCE)
     saved = f"; smaller pictures at first {saving(reference)} of the {REFERENCE}" if reference else ""
-    climbed = " and ".join(row["scene"] for row in rows if row["on_the_ladder"])
+    *climbed, last = [row["scene"] for row in rows if row["on_the_ladder"]] or [""]
+    climbers = f"{', '.join(climbed)} and {last}" if climbed else last
     ladder = (
-        f"A quality is another fineness for {climbed}: small pictures of lines or noise take the best of several sizes "
-        "of file, with a fit for each. "
-        if climbed
+        f", but that {climbers}, small pictures of lines or noise, take the best of several sizes of file"
+        if last
         else ""
     )
+    every = (
+        "" if any("shear" in row["left_out_of_the_file"] for row in rows) else "No scene does without shear (slant). "
+    )
+    whole = [row for row in rows if row["steps_scheduled"] and row["steps"] == row["steps_scheduled"]]
     said = (
         f"What does profile `rd` leave out where a scene of {content['settings']['side']} pixels a side does not need "
-        f"it, at one quality ({content['settings']['quality']:g}) for all? From {least['bytes']:,} bytes "
-        f"({least['scene']}) to {most['bytes']:,} ({most['scene']}){saved}. One picture of each kind is no average of "
+        f"it, at one quality ({content['settings']['quality']:g}) for all{ladder}? From {least['bytes']:,} bytes "
+        f"({least['scene']}) to {most['bytes']:,} ({most['scene']}){saved}; {len(whole)} of "
+        f"{len(rows)} take all steps of their schedule. One picture of each kind is no average of "
         "its kind, and parts that no count shows (a Gaussian that could have been wider) are not seen."
     )
     note = (
         "Version 4 of the file has no oscillation and no tables of its own in a file, so that no scene pays for them. "
         "Shape: ratio, slant, and size within a class; place: how many of each class, and where; colour: with its "
-        f"signs. {ladder}Seconds: medians, and from the least to the most of "
+        f"signs; begin and end: of the entropy coder. {every}Seconds: medians, and from the least to the most of "
         f"{len(rows[0]['seconds'])} encodes each, in turns with encodes that have the whole picture in every step."
     )
     titles = " | ".join(
         [
-            *("scene", "bytes", *(f"bits of {kind}" for kind in KINDS), "PSNR", "Gaussians"),
+            *("scene", "bytes", *(f"bits of {kind}" for kind in KINDS), "begin and end", "PSNR", "Gaussians"),
             *("left out of the file", "steps, of those scheduled"),
             *("steps at full size, 1/2, 1/4, 1/8, with those after the fit", "seconds", "of the photograph's"),
             "by smaller pictures",
@@ -69,6 +74,7 @@ def line(row: dict[str, Any], reference: dict[str, Any] | None) -> list[object]:
         row["scene"],
         f"{row['bytes']:,}",
         *(f"{row['bits'][kind]:,}" for kind in KINDS),
+        f"{8 * row['bytes'] - sum(row['bits'][kind] for kind in KINDS):,}",
         number(row["psnr"], ".2f"),
         f"{row['gaussians']:,}",
         ", ".join(row["left_out_of_the_file"]) or "-",

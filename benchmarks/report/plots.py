@@ -19,8 +19,9 @@ def style(k: int) -> dict[str, Any]:
     return {"color": f"C{k % len(COLOURS)}", "linestyle": DASHES[k % len(DASHES)], "marker": MARKS[k % len(MARKS)]}
 
 
-def save(panels: Sequence[Draw], title: str, path: Path) -> None:
-    """Write path.svg and path.png: the panels one below the other on one axis, what they name in one legend."""
+def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
+    """Write path.svg and path.png: the panels one below the other on one axis, what they name in one legend. of: what
+    the title is of, in a line below it."""
     try:
         import matplotlib as mpl
         from cycler import cycler
@@ -38,7 +39,7 @@ def save(panels: Sequence[Draw], title: str, path: Path) -> None:
             for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
                 named.setdefault(name, handle)
             axes.label_outer()
-        all_axes[0].set_title(title)
+        all_axes[0].set_title(f"{title}\n{of}".strip(), loc="left", fontsize=9)
         if named:
             options = {"loc": "outside right upper", "frameon": False, "fontsize": 8, "handlelength": 4}
             figure.legend(named.values(), named.keys(), **options)

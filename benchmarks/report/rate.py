@@ -9,25 +9,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from benchmarks import published
-from benchmarks.rd.report import (
-    COSTS,
-    FORMATS,
-    LOW_DB,
-    ONE_QUALITY,
-    SEEN,
-    TITLES,
-    Means,
-    Row,
-    against,
-    against_cool_chic,
-    against_means,
-    against_quoted,
-    curve,
-    means,
-    scaled,
-    shared_db,
-)
-from benchmarks.report.fits import quoted as papers_tables
+from benchmarks.rd.report import COSTS, FORMATS, SEEN, TITLES, Means, Row, against, against_means, curve, means, scaled
 from benchmarks.report.plots import style
 from benchmarks.report.section import Content, Draw, Section, number, table
 
@@ -58,7 +40,8 @@ NOTE = (
     '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. AVIF and '
     "HEIC have whole numbers for qualities and leave 4 to 6 % of the bytes: BD-rates compare better than lines. "
     "Seconds of other codecs are those of the last encode, without the search for the quality that fits; those of `rd` "
-    "have it in them. `rd` and JPEG XL are decoded by every thread; AVIF and JPEG 2000 gain nothing from a second."
+    "have it in them. Effort 9 was measured in another hour, so that its seconds compare with no other row. `rd` and "
+    "JPEG XL are decoded by every thread; AVIF and JPEG 2000 gain nothing from a second."
 )
 
 
@@ -81,40 +64,35 @@ def section(
     main: Content | None,
     effort: Content | None,
     paper: Content | None,
-    one_quality: Content | None = None,
-    effort_one_quality: Content | None = None,
     fitted: Content | None = None,
     settings: Content | None = None,
 ) -> Section:
-    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-quality.json, kodak-effort-quality.json,
-    kodak-fitted.json and kodak-settings.json, as far as there are."""
-    at_qualities = [content for content in (one_quality, effort_one_quality) if content]
+    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-fitted.json and kodak-settings.json, as far as
+    there are."""
     at_rates = [content for content in (main, effort, paper, settings) if content]
-    contents = [*at_rates, *at_qualities, *([fitted] if fitted else [])]
     rows = rows_of(*at_rates)
     average = means(rows)
-    rates = {
-        "GaussianImage as published": against_quoted(average, "rd", ANCHOR),
-        "AVIF at speed 4": first(against(rows, "rd", AVIF)),
-        "Cool-Chic 5.0 as published": first(against_cool_chic(rows, "rd")),
-    }
-    told = [f"{fewer(rate)} than {name}" for name, rate in rates.items() if rate is not None]
-    for_the_eye = first(against(rows, "rd visual", AVIF))
-    by_default = f"; tuned for the eye, as it is by default, {fewer(for_the_eye)} than AVIF" if for_the_eye else ""
+    told = []
+    for codec, words in (("rd", "tuned for PSNR"), ("rd visual", "tuned for the eye, as it is by default,")):
+        if (rate := first(against(rows, codec, AVIF))) is not None:
+            told.append(f"{words} {fewer(rate)} than AVIF at speed 4")
     said = (
         "How many bits does each codec need for the same PSNR, by the sizes of real files and the pixels decoded from "
-        f"them? Profile `rd`, tuned for PSNR, needs {', '.join(told)}{by_default}. "
-        f"{best_seen(average)}Kodak alone is no statement on other pictures, and a figure is none on what an eye sees."
+        f"them? Profile `rd` needs {', '.join(told)}. {best_seen(average)}Kodak alone is no statement on other "
+        "pictures, and a figure is none on what an eye sees."
     )
-    tables = [measured(average), NOTE, differences(rows, average), every_pair(rows, average)]
+    tables = [measured(average), NOTE, every_pair(rows, average, "psnr")]
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
     if any(row.lpips is not None for row in rows):
         tables += [seen(average), rates_seen(rows, average)]
+        tables += [every_pair(rows, average, figure) for figure in BD_SEEN]
         panels.append(lambda axes: draw_lpips(axes, average))
     tables += [on_fewer(rows, rows_of(fitted))] if fitted else []
-    tables += [at_one_quality(rows_of(*at_qualities))] if at_qualities else []
-    tables += [quoted(), papers()]
-    return Section("rate", "Rate against quality", said, tables, contents, panels)
+    pictures = len({row.image for row in rows})
+    contents = [*at_rates, *([fitted] if fitted else [])]
+    return Section(
+        "rate", "Rate against quality", said, tables, contents, panels, f"means of {pictures} pictures of Kodak"
+    )
 
 
 def best_seen(average: Means) -> str:
@@ -146,44 +124,20 @@ def fewer(rate: float) -> str:
     return f"{abs(rate):.1f} % {'fewer' if rate < 0 else 'more'} bits"
 
 
-def differences(rows: Sequence[Row], average: Means) -> str:
-    """BD-rates, each against what averages in the same way."""
-    titles = "codec | against GaussianImage, quoted, of means | over so many dB | "
-    titles += f"against Cool-Chic 5.0, quoted, mean of pictures | the same below {LOW_DB} dB | "
-    titles += "against AVIF, speed 4, `tune=psnr`, mean of pictures"
-    lines = []
-    for codec in dict.fromkeys(codec for codec, _ in average):
-        found = (
-            against_quoted(average, codec, ANCHOR),
-            first(against_cool_chic(rows, codec)),
-            None if codec == AVIF else first(against(rows, codec, AVIF)),
-        )
-        low = against_cool_chic(rows, codec, LOW_DB)
-        cells = [*map(percent, found)]
-        cells.insert(2, percent(low[0]) + f" ({low[1]})" if low else percent(None))
-        cells.insert(1, shared_db(average, codec, ANCHOR))
-        lines.append([name_of(codec), *cells])
-    note = (
-        "BD-rate for the same PSNR, below 0 for fewer bits, of the qualities that both reach: figures over other dB "
-        f"do not compare. Below {LOW_DB} dB only points below that count, of the pictures (in brackets, how many) that "
-        "have two. No figure where on some picture the two share no quality."
-    )
-    return f"{note}\n\n" + table(titles, lines)
-
-
-def every_pair(rows: Sequence[Row], average: Means) -> str:
-    """BD-rates of every codec against every other, averaged either way."""
-    codecs = list(dict.fromkeys(codec for codec, _ in average))
+def every_pair(rows: Sequence[Row], average: Means, figure: str) -> str:
+    """BD-rates of every codec that has a figure against every other, averaged either way."""
+    codecs = list(dict.fromkeys(row.codec for row in rows if getattr(row, figure) is not None))
     lines = []
     for codec in codecs:
         cells = []
         for anchor in codecs:
-            found = first(against(rows, codec, anchor)), against_means(average, codec, anchor, "psnr")
+            found = first(against(rows, codec, anchor, figure)), against_means(average, codec, anchor, figure)
             cells.append("-" if codec == anchor else " / ".join(number(rate, "+.1f") for rate in found))
         lines.append([name_of(codec), *cells])
     note = (
-        "BD-rate for the same PSNR, in percent, of each row against each column: mean of pictures / of means. No "
-        "figure where the two share no quality, or a curve falls."
+        f"BD-rate for the same {TITLES[figure]}, in percent, below 0 for fewer bits, of each row against each column: "
+        "mean of pictures / of means. No figure where on some picture the two share none, or a curve falls. Figures "
+        "over other qualities do not compare."
     )
     return f"{note}\n\n" + table(" | ".join(["codec", *map(name_of, codecs)]), lines)
 
@@ -233,25 +187,6 @@ def on_fewer(rows: Sequence[Row], fitted: Sequence[Row]) -> str:
     return f"{note}\n\n" + measured(means([*fitted, *beside]), SEEN)
 
 
-def at_one_quality(rows: Sequence[Row]) -> str:
-    """Against published means over pictures of one quality, as these are."""
-    average = means(rows)
-    ours = list(dict.fromkeys(row.codec for row in rows))
-    names = [name_of(codec.removesuffix(f" {ONE_QUALITY}")) for codec in ours]
-    titles = ["against, quoted", *(f"{name}: {kind}" for name in names for kind in ("PSNR", "MS-SSIM"))]
-    lines = []
-    for other in published.kodak():
-        found = [against_quoted(average, codec, other, column) for codec in ours for column in (1, 2)]
-        if any(rate is not None for rate in found):
-            lines.append([other, *map(percent, found)])
-    qualities = ", ".join(f"{quality:g}" for quality in sorted({row.aim for row in rows}))
-    note = (
-        f"BD-rate of means over pictures, at one quality for all of them (ours: {qualities}; theirs: as published), "
-        "below 0 for fewer bits:"
-    )
-    return f"{note}\n\n" + table(" | ".join(titles), lines)
-
-
 def percent(rate: float | None) -> str:
     """A difference in rate."""
     return number(rate, "+.1f") + (" %" if rate is not None else "")
@@ -260,35 +195,6 @@ def percent(rate: float | None) -> str:
 def first(found: tuple[float, int] | None) -> float | None:
     """The rate alone, where the number of pictures is known."""
     return found[0] if found else None
-
-
-def quoted() -> str:
-    """Published curves, at the rates that are measured here. Their means are of another kind."""
-    lines = []
-    for name, codec in published.kodak().items():
-        points = codec["points"]
-        known = [(p["bpp"], p["psnr"], p.get("ms_ssim")) for p in points]
-        cells = [number(at(known, rate, 1), ".2f") for rate in RATES]
-        cells += [number(at(known, rate, 2), ".4f") for rate in RATES]
-        lines.append([name, *cells, codec["averaged"], codec["source"]])
-    titles = " | ".join(["codec", *(f"PSNR at {r:g}" for r in RATES), *(f"MS-SSIM at {r:g}" for r in RATES)])
-    note = (
-        "Quoted, not measured here, interpolated between published points. Means at one quality for all pictures are "
-        "lower than means at one rate for all: do not compare those with the first table."
-    )
-    return f"{note}\n\n" + table(f"{titles} | means | source", lines)
-
-
-def papers() -> str:
-    """The paper's own codecs table, of other pictures, and what it says of Kodak."""
-    paper = published.paper()
-    return "\n\n".join(
-        [
-            f"The paper says of its own codec that it needs {-paper['bd_rate_kodak_percent']:g} % fewer bits than "
-            f"GSImage on Kodak, and {-paper['bd_rate_div2k_percent']:g} % fewer on DIV2K at half the size.",
-            *papers_tables("codecs"),
-        ]
-    )
 
 
 def at(points: Sequence[tuple[Any, ...]], rate: float, column: int) -> float | None:

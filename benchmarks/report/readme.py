@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 import statistics
+import textwrap
 from pathlib import Path
 
-from benchmarks.perceptual import means as perceptual
-from benchmarks.rd.report import SEEN, TITLES, against_quoted, means, shared_db
+from benchmarks.published import report as published
+from benchmarks.rd.report import SEEN, TITLES, against_cool_chic, against_quoted, means, shared_bpp, shared_db
 from benchmarks.report import rate, stability
-from benchmarks.report.section import Content, load, number, table
+from benchmarks.report.section import Content, load, mean, number, table
 
+WIDTH = 120  # of a line
 MARKED = r"<!-- table {} -->\n.*?<!-- end -->"
 
 
@@ -22,6 +24,7 @@ def filled(text: str, results: Path) -> str:
         "versions": versions,
         "large": large,
         "seen": seen,
+        "ahead": ahead,
         "profiles": profiles,
     }
     for name, make in makers.items():
@@ -30,6 +33,11 @@ def filled(text: str, results: Path) -> str:
         if count != 1:
             raise SystemExit(f"the README has {count} tables {name}, and not one")
     return text
+
+
+def paragraph(*sentences: str) -> str:
+    """Sentences, in lines."""
+    return textwrap.fill(" ".join(filter(None, sentences)), WIDTH, break_long_words=False, break_on_hyphens=False)
 
 
 def limits(results: Path) -> str:
@@ -53,67 +61,97 @@ def versions(results: Path) -> str:
     """Times beside those of version 3, libavif and libjpeg-turbo, all of which took turns."""
     psnr, visual = (load(results, f"version4/{name}") or {"rows": []} for name in ("turns", "turns-visual"))
 
-    def mean(content: Content, who: str, what: str) -> float:
+    def average(content: Content, who: str, what: str) -> float:
         return statistics.fmean(row[who][what] for row in content["rows"])
 
     def beside(content: Content, what: str, rival: str) -> tuple[float, float]:
-        ours = mean(content, "this", what)
-        return ours, ours / mean(content, "rivals", rival)
+        ours = average(content, "this", what)
+        return ours, ours / average(content, "rivals", rival)
 
     encode, of_avif = beside(psnr, "encode_s", "avif_encode_s")
     decode, of_jpeg = beside(psnr, "decode_ms", "jpeg_decode_ms")
     eye_encode, eye_of_avif = beside(visual, "encode_s", "avif_encode_s")
     eye_decode, eye_of_jpeg = beside(visual, "decode_ms", "jpeg_decode_ms")
-    db = mean(psnr, "this", "psnr") - mean(psnr, "other", "psnr")
-    return (
+    db = average(psnr, "this", "psnr") - average(psnr, "other", "psnr")
+    return paragraph(
         f"[In turns](benchmarks/results/version4) with `--tune psnr` a file is encoded in {encode:.1f} s, which is "
-        f"{of_avif:.1f} of libavif's time\n(4:2:0, `tune=iq`, speed 4) and "
-        f"{encode / mean(psnr, 'other', 'encode_s'):.2f} of that of version 3 of this codec, {abs(db):.2f} dB "
-        f"{'behind' if db < 0 else 'ahead'} of it;\nit is decoded in {decode:.2f} ms, {of_jpeg:.1f} of libjpeg-turbo's "
-        f"and {decode / mean(psnr, 'other', 'decode_ms'):.2f} of version 3's. By default it is {eye_encode:.1f} s,\n"
-        f"{eye_of_avif:.1f} of libavif's, and {eye_decode:.2f} ms, {eye_of_jpeg:.1f} of libjpeg-turbo's."
+        f"{of_avif:.1f} times libavif's time (4:2:0, `tune=iq`, speed 4) and "
+        f"{encode / average(psnr, 'other', 'encode_s'):.2f} times that of version 3 of this codec, {abs(db):.2f} dB "
+        f"{'behind' if db < 0 else 'ahead'} of it; it is decoded in {decode:.2f} ms, {of_jpeg:.1f} times "
+        f"libjpeg-turbo's and {decode / average(psnr, 'other', 'decode_ms'):.2f} times version 3's.",
+        f"By default it is {eye_encode:.1f} s, {eye_of_avif:.1f} times libavif's, and {eye_decode:.2f} ms, "
+        f"{eye_of_jpeg:.1f} times libjpeg-turbo's.",
+        "Other hours and sizes have [other ratios](docs/results.md#time-and-memory).",
     )
 
 
 def large(results: Path) -> str:
-    """What 12 megapixels take, and who is ahead on them within ten seconds."""
-    rows = (load(results, "convergence/mosaics") or {"rows": []})["rows"]
+    """Who is ahead of those in a hurry, what larger pictures take, and what time limits come to."""
+    contents = [load(results, f"convergence/{name}") or {"rows": []} for name in ("kodak", "mosaics")]
+    rows = [row for content in contents for row in content["rows"]]
 
-    def mean(method: str, setting: str, what: str) -> str:
-        found = [r[what] for r in rows if (r["method"], r["setting"], r["megapixels"]) == (method, setting, 12)]
-        return f"{statistics.fmean(found):.1f}"
+    def cell(megapixels: float, method: str, setting: str) -> str:
+        mine = [r for r in rows if (r["method"], r["setting"], r["megapixels"]) == (method, setting, megapixels)]
+        db, seconds = (mean([row[name] for row in mine]) for name in ("psnr", "seconds"))
+        return f"{number(db, '.1f')} dB, {number(seconds, '.2g')} s"
 
-    ours, avif = ("rd", "effort 1"), ("avif", "6")
-    return (
-        f"12 megapixels take {mean('rd', '', 'seconds')} s tuned for PSNR and {mean('rd visual', '', 'seconds')} s by "
-        f"default, {mean('rd', '', 'psnr')} and {mean('rd visual', '', 'psnr')} dB.\n"
-        "Whoever has ten seconds for 12 megapixels takes AVIF: at 0.25 bits per pixel its speed 6 has\n"
-        f"[{mean(*avif, 'psnr')} dB after {mean(*avif, 'seconds')} s](docs/results.md#12-megapixels), `--effort 1` "
-        f"{mean(*ours, 'psnr')} dB after {mean(*ours, 'seconds')} s.\nA `--time-limit` of 4 s leaves "
-        f"{mean('rd', '4 s', 'psnr')} dB there, and shorter ones take {mean('rd', '2 s', 'seconds')} s all the same."
+    columns = {
+        "AVIF, speed 6": ("avif", "6"),
+        "AVIF, speed 4": ("avif", "4"),
+        "`--effort 1 --tune psnr`": ("rd", "effort 1"),
+        "`--tune psnr`": ("rd", ""),
+        "by default": ("rd visual", ""),
+        "`--tune psnr --time-limit 0.25`": ("rd", "0.25 s"),
+        "`--tune psnr --time-limit 4`": ("rd", "4 s"),
+    }
+    lines = [
+        [f"{size:g}", *(cell(size, *which) for which in columns.values())]
+        for size in sorted({row["megapixels"] for row in rows})
+    ]
+    said = paragraph(
+        "Whoever is in a hurry takes AVIF, the more so the larger the picture is; and a time limit is kept as far as "
+        "the start and the file allow. At 0.25 bits per pixel "
+        "([error against run time](docs/results.md#error-against-run-time)):"
     )
+    return f"{said}\n\n{table(' | '.join(['megapixels', *columns]), lines)}"
 
 
 def seen(results: Path) -> str:
     """What figures that follow the eye say, at 0.25 bits per pixel."""
-    found = perceptual.means((load(results, "perceptual/kodak") or {"rows": []})["rows"], 0.25)
-    ours, avif = found["visual"], found["avif"]
-    points = ours["ssimulacra2"] - avif["ssimulacra2"]
     average = means(rate.rows_of(load(results, "kodak-rd") or {"rows": []}))
-    grain, own = (average.get((codec, 0.25)) for codec in ("avif grain", "rd visual"))
+    ours, avif, grain = (average.get((codec, 0.25)) for codec in ("rd visual", rate.AVIF_FOR_EYES, "avif grain"))
+    if not (ours and avif and ours["lpips"] and avif["lpips"]):
+        return ""
+    of_avif = {name: (ours[name] or 0) / (avif[name] or 1) for name in ("lpips", "dists", "bytes")}
+    points = (ours["ssimulacra2"] or 0) - (avif["ssimulacra2"] or 0)
     with_grain = (
-        f"\nWith grain of its own AVIF has an LPIPS of {number(grain['lpips'], '.3f')} where ours is "
-        f"{number(own['lpips'], '.3f')}, and a DISTS of {number(grain['dists'], '.3f')} where ours is "
-        f"{number(own['dists'], '.3f')}."
-        if grain and own
+        f"With grain of its own AVIF has an LPIPS of {number(grain['lpips'], '.3f')} where ours is "
+        f"{number(ours['lpips'], '.3f')}, and a DISTS of {number(grain['dists'], '.3f')} where ours is "
+        f"{number(ours['dists'], '.3f')}."
+        if grain
         else ""
     )
-    return (
-        f"Tuned for the eye, which is the default, files have {ours['lpips'] / avif['lpips']:.2f} of AVIF's distance "
-        f"by LPIPS\nand {ours['dists'] / avif['dists']:.2f} by DISTS, and {abs(points):.1f} points "
-        f"{'less' if points < 0 else 'more'} of SSIMULACRA 2, where both may take 0.25 bits per pixel\nand AVIF leaves "
-        f"{100 * (1 - avif['bytes'] / ours['bytes']):.0f} % of them ([What people see]"
-        f"(docs/results.md#what-people-see); AVIF with `tune=iq`).{with_grain}"
+    return paragraph(
+        f"Tuned for the eye, which is the default, files have {of_avif['lpips']:.2f} times the distance of "
+        f"AVIF's (`tune=iq`) by LPIPS, {of_avif['dists']:.2f} times by DISTS, and {abs(points):.1f} points "
+        f"{'less' if points < 0 else 'more'} of SSIMULACRA 2, where AVIF leaves {100 - 100 / of_avif['bytes']:.0f} % "
+        "of the bytes ([What people see](docs/results.md#what-people-see)).",
+        with_grain,
+    )
+
+
+def ahead(results: Path) -> str:
+    """The published codecs that are ahead in PSNR."""
+    found = published.ahead(rate.rows_of(load(results, "kodak-quality") or {"rows": []}))
+    at_rates = rate.rows_of(load(results, "kodak-rd") or {"rows": []})
+    found["Cool-Chic 5.0"] = rate.first(against_cool_chic(at_rates, "rd"))
+    told = [
+        f"{change:.0f} % more bits than {name}" for name, change in found.items() if change is not None and change > 0
+    ]
+    return paragraph(
+        "By what others published, some codecs are ahead in PSNR, not all of them networks: `rd`, tuned for PSNR, "
+        f"needs {', '.join(told)} for the same PSNR "
+        "([beside what others published](docs/results.md#rate-against-quality-beside-what-others-published)).",
     )
 
 
@@ -124,7 +162,8 @@ def profiles(results: Path) -> str:
     for profile, low, high in (("rd", 0.15, 0.4), ("paper", 0.147, 0.43)):
         psnrs = [number(average[profile, limit]["psnr"], ".2f") + " dB" for limit in (low, high)]
         fewer = number(against_quoted(average, profile, rate.ANCHOR), "+.1f") + " %"
-        lines.append([rate.name_of(profile), *psnrs, fewer, shared_db(average, profile, rate.ANCHOR)])
-    titles = "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted) for the same "
-    titles += "PSNR | over so many dB"
+        shared = shared_db(average, profile, rate.ANCHOR), shared_bpp(average, profile, rate.ANCHOR)
+        lines.append([rate.name_of(profile), *psnrs, fewer, *shared])
+    titles = "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted, read off its "
+    titles += "figure) for the same PSNR | over so many dB | for which GaussianImage takes so many bpp"
     return table(titles, lines)

@@ -19,7 +19,7 @@ MISSING = "-"
 @dataclass(frozen=True)
 class Section:
     """One question. said: what was asked, what came out, what it does not show; contents: the JSON of each table and
-    plot; panels: of its plot, if there is one, from the top."""
+    plot; panels: of its plot, if there is one, from the top; of: which pictures and files the plot is of."""
 
     name: str
     title: str
@@ -27,10 +27,12 @@ class Section:
     tables: Sequence[str]
     contents: Sequence[Content]
     panels: Sequence[Draw] = ()
+    of: str = ""
 
     def text(self) -> str:
         """Markdown."""
-        plot = [f"![{self.title}](plots/{self.name}.svg)"] if self.panels else []
+        name = ": ".join(filter(None, [self.title, self.of]))
+        plot = [f"![{name}](plots/{self.name}.svg)"] if self.panels else []
         return "\n\n".join([f"## {self.title}", self.said, *plot, *self.tables, *map(origin, self.contents)])
 
 
