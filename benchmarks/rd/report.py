@@ -60,7 +60,7 @@ ANCHORS = ("avif tune=psnr", "baseline")  # how the names of those begin that ot
 LOW_DB = 32
 FORMATS = {"images": "g", "bytes": ".0f", "bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f"}
 SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
-COSTS = {"gaussians": ".0f", "encode_s": ".2f", "decode_ms": ".2f"}
+COSTS = {"gaussians": ".0f", "encode_s": ".3f", "decode_ms": ".2f"}
 TITLES = {
     "images": "pictures",
     "above": "above it",

@@ -52,7 +52,7 @@ def codecs(results: Path) -> str:
         ((c, m) for (c, limit), m in average.items() if limit == 0.25), key=lambda cm: -(cm[1]["psnr"] or 0)
     )
     seen = SEEN if any(m["lpips"] for _, m in chosen) else {}
-    forms = {"bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f", **seen, "encode_s": ".2f", "decode_ms": ".2f"}
+    forms = {"bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f", **seen, "encode_s": ".3f", "decode_ms": ".2f"}
     lines = [[rate.name_of(c), *(number(m[name], form) for name, form in forms.items())] for c, m in chosen]
     return table(" | ".join(["codec", *(TITLES.get(name, name) for name in forms)]), lines)
 
