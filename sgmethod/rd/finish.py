@@ -62,7 +62,7 @@ class Finish:
 
     def stream(self) -> StreamV4:
         """The coded picture that meets the budget best."""
-        texture = self._texture()
+        texture = self._texture(self.coder.stream(self.p))
         limit = self._limit(texture)
         if self.control.psnr is not None:
             best = self._at_psnr(self.control.psnr)
@@ -131,11 +131,16 @@ class Finish:
         price = quantiser.error_per_bit(self.control.quantum)
         return -self.error(stream) - 8 * price * size, -size
 
-    def _texture(self) -> Codes | None:
-        """That goes with the Gaussians as they would be rounded now; the quantum found later differs little."""
+    def background(self) -> StreamV4:
+        """The coded picture without any Gaussian."""
+        alone = self.coder.with_quantum(self.control.quantum).stream(Parameters.empty(0))
+        return replace(alone, texture=self._texture(alone))
+
+    def _texture(self, stream: StreamV4) -> Codes | None:
+        """That goes with a coded picture; if its quantum is not the last one, that differs little."""
         if self.settings.tune == "psnr":
             return None
-        drawn = draw_whole(self.coder.stream(self.p))
+        drawn = draw_whole(stream)
         if self.alpha is not None:  # nobody sees what was left there
             drawn = np.where(self.alpha[..., None] > 0, drawn, self.source)
         codes = estimate(self.source, drawn, self.settings)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import cv2
 
 from sgmethod.bitstream import container
-from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.request import Request
 from sgmethod.profiles import RdSettings
 from sgmethod.rd import quantiser
@@ -101,8 +100,7 @@ class Ladder:
         """For a quality: the best for its bytes of all rungs and of the background alone, which are the same whatever
         the quality."""
         judge = Finish(rungs[-1].fit, self.request)
-        background = Found(judge.coder.stream(Parameters.empty(0)), judge)
-        return judge.best([background, *(rung.found for rung in rungs)])
+        return judge.best([Found(judge.background(), judge), *(rung.found for rung in rungs)])
 
     def _climbed(self, in_all: int, alone: bool = False) -> tuple[list[Rung], bool]:
         """The rungs for which there is time, ready to be judged by the budget, and whether those are all. alone: no fit

@@ -101,8 +101,13 @@ def test_a_quality_that_is_stopped_on_the_ladder_climbs_no_further() -> None:
     assert file.stats.psnr >= max(psnr(decode(data), noise()) for data in shown)
 
 
-def test_a_quality_of_nothing_is_the_background() -> None:
-    assert encode(noise(), quality=1, tune="psnr").stats.gaussians == 0
+@pytest.mark.parametrize("tune", ["psnr", "visual"])
+def test_a_quality_of_nothing_is_the_background(tune: str) -> None:
+    """With the grain that stands for noise, as where a time limit has a fit to fall back on."""
+    file = encode(noise(), quality=1, tune=tune)
+    assert file.stats.gaussians == 0
+    assert file.data == encode(noise(), quality=1, tune=tune, time_limit_s=100).data
+    assert bool(np.ptp(decode(file.data), axis=(0, 1)).any()) == (tune == "visual")
 
 
 def test_a_checkerboard_of_single_pixels_gains_from_each_byte() -> None:
