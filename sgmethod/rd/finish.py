@@ -62,7 +62,7 @@ class Finish:
 
     def stream(self) -> StreamV4:
         """The coded picture that meets the budget best."""
-        texture = self._texture(self.coder.stream(self.p))
+        texture = self._texture(self.p)
         limit = self._limit(texture)
         if self.control.psnr is not None:
             best = self._at_psnr(self.control.psnr)
@@ -133,14 +133,14 @@ class Finish:
 
     def background(self) -> StreamV4:
         """The coded picture without any Gaussian."""
-        alone = self.coder.with_quantum(self.control.quantum).stream(Parameters.empty(0))
-        return replace(alone, texture=self._texture(alone))
+        nothing = Parameters.empty(0)
+        return replace(self.coder.with_quantum(self.control.quantum).stream(nothing), texture=self._texture(nothing))
 
-    def _texture(self, stream: StreamV4) -> Codes | None:
-        """That goes with a coded picture; if its quantum is not the last one, that differs little."""
+    def _texture(self, p: Parameters) -> Codes | None:
+        """That goes with Gaussians as they would be rounded now; the quantum found later differs little."""
         if self.settings.tune == "psnr":
             return None
-        drawn = draw_whole(stream)
+        drawn = draw_whole(self.coder.stream(p))
         if self.alpha is not None:  # nobody sees what was left there
             drawn = np.where(self.alpha[..., None] > 0, drawn, self.source)
         codes = estimate(self.source, drawn, self.settings)
