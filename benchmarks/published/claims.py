@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from benchmarks import published
 from benchmarks.ablation.report import worth
 from benchmarks.rd.report import against_quoted, means
-from benchmarks.report.fits import by_method, quoted_values
+from benchmarks.report.fits import NOTHING_DB, by_method, quoted_values
 from benchmarks.report.rate import ANCHOR, rows_of
 from benchmarks.report.section import Content, Section, number, table
 
@@ -15,7 +13,6 @@ PARTS, WHOLE = "parts, Kodak, 30,000 Gaussians", "representation, Kodak, 70,000 
 WEIGHT = "regularisation weight, Kodak, 70,000 Gaussians"
 BITS, POSITIONS = "quantisation of covariance, Kodak, against GSImage", "bits of a position, against 16"
 Ours = tuple[float | None, float | None]  # dB or percent, and the spread over seeds
-NO_SPREAD_DB = 0.05  # what one seed alone may make
 MOST = 0.5  # of what the paper has is there
 
 
@@ -33,27 +30,21 @@ def section(representation: Content | None, ablation: Content | None, paper: Con
             if one in ours and other in ours:
                 lines.append(line(what, theirs[one] - theirs[other], (ours[one] - ours[other], None), "dB"))
     if ablation:
-        told: tuple[tuple[str, float, Callable[[], Ours]], ...] = (
-            (
-                "regularisation of 0.06 against none, 70,000 Gaussians",
-                quoted_values(WEIGHT, "psnr")["0.06"] - quoted_values(WEIGHT, "psnr")["0"],
-                lambda: worth(ablation, "regularisation", "0.06", "0"),
-            ),
-            *(
-                (
-                    f"{name} against GSImage, files",
-                    quoted_values(BITS, "bd_psnr_db")[name],
-                    lambda name=name: worth(ablation, "quantisation", name, "GSImage"),
-                )
-                for name in ("LSQ, 8 bits", "ABQ, weight 0.0012")
-            ),
-            (
-                "12 bits of a position against 16, files",
-                quoted_values(POSITIONS, "bd_psnr_db")["12"],
-                lambda: worth(ablation, "positions", "12", "16"),
-            ),
+        weights, bits, positions = (
+            quoted_values(*which) for which in ((WEIGHT, "psnr"), (BITS, "bd_psnr_db"), (POSITIONS, "bd_psnr_db"))
         )
-        lines += [line(what, theirs, ours(), "dB") for what, theirs, ours in told if ours()[0] is not None]
+        none = "regularisation of 0.06 against none, 70,000 Gaussians"
+        for what, gain, name, one, other in (
+            (none, weights["0.06"] - weights["0"], "regularisation", "0.06", "0"),
+            *(
+                (f"{coded} against GSImage, files", bits[coded], "quantisation", coded, "GSImage")
+                for coded in ("LSQ, 8 bits", "ABQ, weight 0.0012")
+            ),
+            ("12 bits of a position against 16, files", positions["12"], "positions", "12", "16"),
+        ):
+            found = worth(ablation, name, one, other)
+            if found[0] is not None:
+                lines.append(line(what, gain, found, "dB"))
     if paper:
         rate = against_quoted(means(rows_of(paper)), "paper", ANCHOR)
         lines.append(
@@ -91,6 +82,6 @@ def verdict(theirs: float, ours: Ours) -> str:
     gained = (value or 0.0) * (1 if theirs > 0 else -1)
     if gained >= MOST * abs(theirs):
         return "yes"
-    if abs(gained) <= max(spread or 0.0, NO_SPREAD_DB):
+    if abs(gained) <= max(spread or 0.0, NOTHING_DB):
         return "nothing that can be told"
     return "in part" if gained > 0 else "the other way round"

@@ -145,7 +145,7 @@ def limits(stiff: Content | None, content: Content | None) -> str:
 def _filled(line: str) -> str:
     """A line of a list, within 120 characters."""
     indent = " " * (line.index("- ") + 2)
-    return textwrap.fill(line, 120, subsequent_indent=indent, break_long_words=False, drop_whitespace=True)
+    return textwrap.fill(line, 120, subsequent_indent=indent, break_long_words=False)
 
 
 def _broken(rule: dict[str, Any], stiff: Content) -> str:
