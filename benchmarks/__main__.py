@@ -59,7 +59,7 @@ PARTS = (
     Part(
         "convergence",
         "convergence/kodak",
-        f"{IMAGES} {FEW} --megapixels 0.1 --seconds 6 --limits 0.25,0.5,1 --few",
+        f"{IMAGES} {FEW} --megapixels 0.1 --seconds 6 --limits 0.25,0.5,1 --paper-limits 2 --few",
         f"{IMAGES} --most 5 --megapixels 0.4",
     ),
     Part("convergence", "convergence/mosaics", "", f"{IMAGES} --most 5 --megapixels 2,12 --few"),

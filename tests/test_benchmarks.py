@@ -121,16 +121,22 @@ def test_rows_are_kept_as_long_as_the_code_is_the_same(tmp_path: Path) -> None:
 
 
 def test_curves_of_every_method(tmp_path: Path) -> None:
-    methods = ["rd", "plain Adam", "siren", "hash grid"]
+    methods = ["rd", "paper", "plain Adam", "siren", "hash grid"]
     out = tmp_path / "convergence.json"
     sizes = ["--images", str(PHOTOGRAPHS), "--most", "1", "--megapixels", "0.002", "--bpp", "4", "--few"]
-    times = ["--seconds", "0.4", "--limits", "0.3", "--methods", ",".join(methods), "--out", str(out)]
-    command = [sys.executable, "-m", "benchmarks.convergence", *sizes, *times]
+    times = ["--seconds", "0.4", "--limits", "0.3", "--paper-limits", "0.2", "--methods", ",".join(methods)]
+    command = [sys.executable, "-m", "benchmarks.convergence", *sizes, *times, "--out", str(out)]
     subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300)
     rows = json.loads(out.read_text())["rows"]
-    assert [row["method"] for row in rows] == [*["rd"] * 5, *methods[1:]]
-    assert [row["setting"] for row in rows] == ["", "0.3 s", "effort 1", "effort 3", "effort 7", "", "", ""]
+    efforts = [f"effort {effort}" for effort in (1, 3, 7)]
+    assert [(row["method"], row["setting"]) for row in rows] == [
+        *(("rd", ""), ("paper", ""), ("rd", "0.3 s"), ("paper", "0.2 s"), *(("rd", effort) for effort in efforts)),
+        *((method, "") for method in methods[2:]),
+    ]
     for row in rows:
+        looked_at = [seconds for seconds, _ in row.get("lpips_curve", row["curve"][-1:])]
+        assert {*looked_at} <= {seconds for seconds, _ in row["curve"]}
+        assert looked_at[-1] == row["curve"][-1][0]
         times_s = [seconds for seconds, _ in row["curve"]]
         assert times_s == sorted(times_s)
         assert row["psnr"] == pytest.approx(row["curve"][-1][1], abs=1e-3)

@@ -1,14 +1,14 @@
 """Error against run time: one curve for each method on one clock, and other codecs as points.
 
     python -m benchmarks.convergence --images FOLDER [--most 5] [--pictures kodim05] [--megapixels 0.4]
-                                     [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--methods rd,jpeg]
-                                     [--settings '8 s,effort 1'] [--few] [--weights FOLDER]
+                                     [--bpp 0.25] [--seconds 60] [--limits 0.25,0.5,1,2,4] [--paper-limits 1,3,10,30]
+                                     [--methods rd,jpeg] [--settings '8 s,effort 1'] [--few] [--weights FOLDER]
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
-and baseline: the trace of one encode, whose last point is the file; rd again under each time limit, and with each
-effort. plain Adam: as many Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget, in
-half precision. Other codecs: each speed or effort at the best quality within the budget. rd visual, avif visual: tuned
-for the eye (tune=iq), where rd and avif are tuned for PSNR.
+and baseline: the trace of one encode, whose last point is the file, and a file under each time limit; rd again with
+each effort. plain Adam: as many Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget,
+in half precision. Other codecs: each speed or effort at the best quality within the budget. rd visual, avif visual:
+tuned for the eye (tune=iq), where rd and avif are tuned for PSNR.
 --seconds: for all but rd. --few: two or three settings of each other codec, three efforts of rd. --weights: a folder as
 benchmarks.perceptual takes it, for LPIPS.
 """
@@ -74,16 +74,19 @@ def ours(
 
 def learned(start: Start, pixels: Pixels, seconds: float, amount: int, size: int | None, lpips: Measure) -> Row:
     """The curve of the pictures that a method shows. amount: what it has, Gaussians or bytes; size: bytes, if any."""
-    curve = []
-    for run_s, (picture, source) in start(pixels, seconds, amount):
+    curve, perceived = [], []
+    for run_s, (picture, source), whole in start(pixels, seconds, amount):
         curve.append([round(run_s, 4), round(psnr(picture, source), 4)])
+        if whole:
+            perceived.append([curve[-1][0], lpips(picture, source)])
     return {
         "bytes": size,
         "gaussians": None,
         "seconds": curve[-1][0],
         "psnr": curve[-1][1],
-        "lpips": lpips(picture, pixels),
+        "lpips": perceived[-1][1],
         "curve": curve,
+        "lpips_curve": perceived,
     }
 
 
@@ -126,6 +129,9 @@ class Run:
             once(profile, "", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
         for limit in o.limits:
             once("rd", f"{limit:g} s", partial(ours, pixels, "rd", o.bpp, limit, self.lpips))
+        for profile in ("paper", "baseline"):
+            for limit in o.paper_limits:
+                once(profile, f"{limit:g} s", partial(ours, pixels, profile, o.bpp, limit, self.lpips))
         once(VISUAL, "", partial(ours, pixels, "rd", o.bpp, None, self.lpips, tune="visual"))
         for effort in FEW_EFFORTS if o.few else OTHER_EFFORTS:
             for method, tune in (("rd", "psnr"), (VISUAL, "visual")):
@@ -153,7 +159,8 @@ def main() -> None:
     parser.add_argument("--megapixels", type=numbers, default="0.4", help="such as 0.4,2,12")
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--seconds", type=float, default=60)
-    parser.add_argument("--limits", type=numbers, default="0.25,0.5,1,2,4")
+    parser.add_argument("--limits", type=numbers, default="0.25,0.5,1,2,4", help="seconds, of rd")
+    parser.add_argument("--paper-limits", type=numbers, default="1,3,10,30", help="seconds, of paper and baseline")
     parser.add_argument(
         "--methods", type=some_of(METHODS, "method"), default=",".join(METHODS), help="those that are measured"
     )

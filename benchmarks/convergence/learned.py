@@ -1,7 +1,8 @@
 """Other ways to fit the same picture: plain Adam on the raw numbers of Gaussians, and two networks of the file's bytes.
 
-Each yields its picture at growing times; a network before its last look at a large one the pixels of every few rows and
-columns, since it takes a minute to draw all of 12 megapixels. The clock stands while a picture is drawn and measured.
+Each yields its picture at growing times, the whole of it now and then and at the end. In between a network shows the
+pixels of every few rows and columns of a large one, since it takes a minute to draw all of 12 megapixels. The clock
+stands while a picture is drawn and measured.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from sgmethod.profiles import BASELINE
 from sgmethod.start.placement import place
 
 Look = tuple[Pixels, Pixels]  # of what is shown and of the picture the same pixels, [H, W, 3]
-Shown = Iterator[tuple[float, Look]]  # after so many seconds
-FIRST_S, GROWTH = 0.1, 1.25  # when the picture is looked at
+Shown = Iterator[tuple[float, Look, bool]]  # after so many seconds; whether it is the whole picture
+FIRST_S, GROWTH, GROWTH_OF_WHOLE = 0.1, 1.25, 3  # when the picture is looked at, and when at the whole of it
 REST = 0.2  # of what the last look took, before the next: to draw a picture can take longer than steps
 LOOKED_AT = 2.5e5  # pixels, about, of a network's picture
 # The best of 0.02, 0.05, 0.1, 0.2, by the PSNR of 600 Gaussians after 400 steps on astronaut at 128x128.
@@ -71,14 +72,16 @@ def hash_grid(pixels: Pixels, seconds: float, size: int) -> Shown:
 
 def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: float, began: float) -> Shown:
     """Repeat a step for so many seconds, and show what has become at times that grow by a factor, or further
-    apart where a look takes long. show: is told whether it is the last time."""
-    due, stood = FIRST_S, 0.0
+    apart where a look takes long. show: is told whether to show the whole."""
+    due, stood, due_whole = FIRST_S, 0.0, FIRST_S
     while True:
         step()
         run = time.perf_counter() - began - stood
         if run >= min(due, seconds):
             paused = time.perf_counter()
-            yield run, show(run >= seconds)
+            whole = run >= min(due_whole, seconds)
+            due_whole = run * GROWTH_OF_WHOLE if whole else due_whole
+            yield run, show(whole), whole
             looked = time.perf_counter() - paused
             stood += looked
             if run >= seconds:
@@ -92,8 +95,8 @@ def trained(network: Network, pixels: Pixels, seconds: float, began: float) -> S
     training = Training(network, pixels)
 
     @torch.no_grad()
-    def show(last: bool) -> Look:
-        apart = 1 if last else max(1, round(math.sqrt(pixels[..., 0].size / LOOKED_AT)))
+    def show(whole: bool) -> Look:
+        apart = 1 if whole else max(1, round(math.sqrt(pixels[..., 0].size / LOOKED_AT)))
         kept = [number.clone() for number in network.numbers]
         for number in network.numbers:
             number.copy_(number.half().float())

@@ -42,7 +42,7 @@ class Coin:
         size = int(aim * pixels.shape[0] * pixels.shape[1] / 8)
         network = replace(networks.siren(pixels, size // BYTES_OF_NUMBER, hidden), rate=RATE)
         best, data, spent_s = -np.inf, b"", 0.0
-        for run_s, (picture, source) in trained(network, pixels, self.seconds, began):
+        for run_s, (picture, source), _ in trained(network, pixels, self.seconds, began):
             spent_s = run_s
             if (db := psnr(picture, source)) > best:
                 numbers = parameters_to_vector(network.numbers).detach().half().numpy()

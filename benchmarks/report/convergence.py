@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Sequence
-from itertools import pairwise
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,14 +28,27 @@ COMPLETE = {
     "rd, time limits": ("rd", " s"),
     "rd, efforts": ("rd", "effort"),
     "rd, tuned for the eye, efforts": ("rd visual", "effort"),
+    "paper, time limits": ("paper", " s"),
+    "baseline, time limits": ("baseline", " s"),
 }
-OURS = ("rd", "rd visual")
-ROUNDED = "paper"  # at a time of the fit, which then goes on from what is left
+OURS = ("rd", "rd visual", "paper", "baseline")
+NOTHING_SET = {"rd": "effort 5", "rd visual": "effort 5"}  # what that means; of others, as long as all had
 # In every plot, so that a method looks the same in each.
 DRAWN = (
-    *("paper", "baseline", "plain Adam", "siren", "hash grid", *COMPLETE),
+    *("paper, time limits", "baseline, time limits", "plain Adam", "siren", "hash grid"),
+    *("rd, time limits", "rd, efforts", "rd, tuned for the eye, efforts"),
     *("jpeg", "jpeg2000", "webp", "avif", "jpegxl", "avif visual"),
 )
+BETTER = {"psnr": max, "lpips": min}
+NOTES_ON_BOUGHT = {
+    "psnr": (
+        "PSNR that a method has after so many seconds, and in brackets the dB that each second since the column before "
+        "bought. Of rd, paper, baseline and other codecs the best complete file by then, of all settings; of the "
+        "others what the fit has, which may be worse than before. A dash: not yet, on some picture; nothing: no more "
+        "to come."
+    ),
+    "lpips": "LPIPS after so many seconds (less is better), where it was measured on the way.",
+}
 
 
 def whole(content: Content | None) -> Section:
@@ -43,11 +56,10 @@ def whole(content: Content | None) -> Section:
     assert content
     note = (
         "Pictures of one folder and one rate say nothing on others, plain Adam makes no file, and networks are fitted "
-        "by torch without kernels of their own. On its way a fit may have more bytes than its file, which it gives up "
-        "at its end: the plot has complete files of rd alone. Where paper and baseline fall, their numbers begin to be "
-        "rounded, as those of files are. LPIPS is that of complete files, and of others at their end. Each time is "
-        "that of one encode, which may be a third longer in another hour. Other codecs' are without the search for "
-        "the quality that fits."
+        "by torch without kernels of their own. On its way a fit has more bytes than its file, or numbers that are not "
+        "rounded, and gives that up at its end: of rd, paper and baseline there are complete files alone, each of an "
+        "encode of its own. Each time is that of one encode, which may be a third longer in another hour. Other "
+        "codecs' are without the search for the quality that fits."
     )
     return section("convergence", "Error against run time", content, note)
 
@@ -69,7 +81,8 @@ def section(name: str, title: str, content: Content, note: str) -> Section:
     sizes = sorted({row["megapixels"] for row in rows})
     for megapixels in sizes:
         mine = [row for row in rows if row["megapixels"] == megapixels]
-        tables += [f"### {megapixels:g} megapixels\n\n{bought_table(mine)}", curves_table(mine), points_table(mine)]
+        bought = [bought_table(mine, figure) for figure in BETTER if has(mine, figure)]
+        tables += [f"### {megapixels:g} megapixels", *bought, curves_table(mine), points_table(mine)]
     by_size = {size: [row for row in rows if row["megapixels"] == size] for size in sizes}
     shown = by_size[sizes[-1]]
     pictures = list(dict.fromkeys(row["picture"] for row in shown))
@@ -78,9 +91,7 @@ def section(name: str, title: str, content: Content, note: str) -> Section:
         f"megapixels, which the plot shows: {result(shown)} {' '.join(soonest(size, by_size[size]) for size in sizes)} "
         f"All but rd had {settings['seconds']:g} s at most. {note} Pictures: {', '.join(pictures)}."
     )
-    panels: list[Draw] = [lambda axes: draw(axes, shown, "psnr")]
-    if all(row["lpips"] is not None for row in shown):
-        panels.append(lambda axes: draw(axes, shown, "lpips"))
+    panels: list[Draw] = [partial(draw, rows=shown, figure=figure) for figure in BETTER if has(shown, figure)]
     of = f"{sizes[-1]:g} megapixels, {settings['bpp']:g} bpp, means of {len(pictures)} pictures"
     return Section(name, title, said, tables, [content], panels, of)
 
@@ -89,9 +100,9 @@ def result(rows: Sequence[dict[str, Any]]) -> str:
     """What came out, in one sentence."""
     found = []
     for method in ("rd", "paper", "baseline", "plain Adam", "siren", "hash grid"):
-        mine = [curve for name, curve in curves(rows) if name == method]
+        mine = at_rest(rows, method)
         if mine:
-            db, seconds = (statistics.fmean(curve[-1][k] for curve in mine) for k in (1, 0))
+            db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("psnr", "seconds"))
             found.append(f"{method} {db:.2f} dB after {seconds:.1f} s")
     return f"{', '.join(found)}." if found else ""
 
@@ -109,15 +120,22 @@ def soonest(megapixels: float, rows: Sequence[dict[str, Any]]) -> str:
     return f"Whoever is in a hurry at {megapixels:g} megapixels has {ours} by rd's effort 1, {avif} by AVIF's speed 6."
 
 
-def curves(rows: Sequence[dict[str, Any]]) -> list[tuple[str, Curve]]:
-    """Of each method and picture. The complete encodes of rd under time limits make one curve of each picture, its
-    efforts another, and those tuned for the eye a third."""
-    found = [(r["method"], [(t, db) for t, db in r["curve"]]) for r in rows if r["curve"] and not r["setting"]]
+def has(rows: Sequence[dict[str, Any]], figure: str) -> bool:
+    """Whether it was measured."""
+    return all(row[figure] is not None for row in rows)
+
+
+def curves(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[str, Curve]]:
+    """Of each method and picture, PSNR or LPIPS. The complete encodes under time limits make one curve of each picture,
+    those of rd's efforts another, and those tuned for the eye a third."""
+    name_of_curve = {"psnr": "curve", "lpips": "lpips_curve"}[figure]
+    found = [(r["method"], [(t, v) for t, v in r[name_of_curve]]) for r in rows if r["curve"] and r.get(name_of_curve)]
+    found = [(method, curve) for method, curve in found if method not in OURS]
     for picture in dict.fromkeys(row["picture"] for row in rows):
         for name in COMPLETE:
             mine = [row for row in files_of(rows, name) if row["picture"] == picture]
             if len(mine) > 1:
-                found.append((name, sorted((row["seconds"], row["psnr"]) for row in mine)))
+                found.append((name, sorted((row["seconds"], row[figure]) for row in mine)))
     return found
 
 
@@ -164,46 +182,47 @@ def curves_table(rows: Sequence[dict[str, Any]]) -> str:
         )
     titles = "method | pictures | bytes | PSNR at the end | LPIPS | seconds | within 1 dB of it after | 0.5 dB | 0.1 dB"
     note = (
-        "Where each ends. Rows of rd are of its complete files, the slowest one last: under time limits, or by efforts "
-        "(5 where nothing is said)."
+        "Where each ends. Rows of rd, paper and baseline are of complete files, the slowest one last: under time "
+        "limits, or by efforts (5 where nothing is said)."
     )
     return f"{note}\n\n" + table(titles, lines)
 
 
-def bought_table(rows: Sequence[dict[str, Any]]) -> str:
-    """What each method has after so many seconds, and what every further second bought."""
-    found = curves(rows)
+def bought_table(rows: Sequence[dict[str, Any]], figure: str) -> str:
+    """What each method has after so many seconds, PSNR or LPIPS, and of PSNR what every further second bought."""
     with_line, others = methods(rows)
+    found = curves(rows, figure)
     names = {method: [curve for name, curve in found if name == method] for method in with_line}
     for method in others:
         own = [row for row in rows if row["method"] == method]
         pictures = dict.fromkeys(row["picture"] for row in own)
-        names[method] = [sorted((r["seconds"], r["psnr"]) for r in own if r["picture"] == one) for one in pictures]
+        names[method] = [sorted((r["seconds"], r[figure]) for r in own if r["picture"] == one) for one in pictures]
+    names = {method: mine for method, mine in names.items() if mine}
     last = max(curve[-1][0] for some in names.values() for curve in some)
     looks = [seconds for k, seconds in enumerate(LOOKS_S) if k == 0 or LOOKS_S[k - 1] < last]
     lines = []
     for method, mine in names.items():
+        is_complete = method in COMPLETE or method in others
         cells, before = [], None
         for k, seconds in enumerate(looks):
-            had = [best_by(curve, seconds, method in with_line and method not in COMPLETE) for curve in mine]
-            level = statistics.fmean(db for db in had if db is not None) if None not in had else None
-            gained = "" if level is None or before is None else f" ({(level - before) / (seconds - looks[k - 1]):+.2f})"
+            had = [best_by(curve, seconds, figure if is_complete else None) for curve in mine]
+            level = statistics.fmean(value for value in had if value is not None) if None not in had else None
+            gained = ""
+            if figure == "psnr" and level is not None and before is not None:
+                gained = f" ({(level - before) / (seconds - looks[k - 1]):+.2f})"
             is_over = k > 0 and all(curve[-1][0] <= looks[k - 1] for curve in mine)
-            cells.append("" if is_over else number(level, ".2f") + gained)
+            cells.append("" if is_over else number(level, {"psnr": ".2f", "lpips": ".3f"}[figure]) + gained)
             before = level
         lines.append([name_of(method), *cells])
-    note = (
-        "PSNR that a method has after so many seconds, and in brackets the dB that each second since the column before "
-        "bought. Of rd and other codecs the best complete file by then, of all settings; of the others what the fit "
-        "has, which may be worse than before. A dash: not yet, on some picture; nothing: no more to come."
-    )
+    note = NOTES_ON_BOUGHT[figure]
     return f"{note}\n\n" + table(" | ".join(["method", *(f"{seconds:g} s" for seconds in looks)]), lines)
 
 
-def best_by(curve: Curve, seconds: float, still_fitting: bool) -> float | None:
-    """The error last seen by then, or the best of complete files; None where there is none yet."""
-    seen = [db for at, db in curve if at <= seconds]
-    return None if not seen else seen[-1] if still_fitting else max(seen)
+def best_by(curve: Curve, seconds: float, figure: str | None) -> float | None:
+    """The best of complete files by then, if a figure says which is best, or the error last seen; None where there is
+    none yet."""
+    seen = [value for at, value in curve if at <= seconds]
+    return None if not seen else BETTER[figure](seen) if figure else seen[-1]
 
 
 def at_rest(rows: Sequence[dict[str, Any]], method: str) -> list[dict[str, Any]]:
@@ -218,14 +237,17 @@ def slowest(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def points_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Complete files: of rd at each limit and effort, and of other codecs at each setting."""
+    """Complete files: ours at each limit and effort, and other codecs' at each setting."""
     lines = []
     complete = [row for row in rows if row["curve"] is None or row["method"] in OURS]
     found = sorted(complete, key=lambda row: ([*OURS, *UNITS].index(row["method"]), row["seconds"]))
     for method, setting in dict.fromkeys((row["method"], row["setting"]) for row in found):
         mine = [row for row in complete if (row["method"], row["setting"]) == (method, setting)]
         lpips = [row["lpips"] for row in mine if row["lpips"] is not None]
-        unit = (f"{UNITS[method]} {setting}" if UNITS[method] else "-") if method in UNITS else setting or "effort 5"
+        if method in UNITS:
+            unit = f"{UNITS[method]} {setting}" if UNITS[method] else "-"
+        else:
+            unit = setting or NOTHING_SET.get(method, "all the time")
         size, db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("bytes", "psnr", "seconds"))
         perceived = number(statistics.fmean(lpips) if lpips else None, ".3f")
         lines.append([name_of(method), unit, len(mine), f"{size:,.0f}", f"{db:.2f}", perceived, f"{seconds:.3f}"])
@@ -234,30 +256,25 @@ def points_table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def methods(rows: Sequence[dict[str, Any]]) -> tuple[list[str], list[str]]:
-    """Those with a line, and those whose settings are marks. On its way a fit of rd has more bytes than its file, so
-    that its complete files stand for it where there are some."""
-    names = list(dict.fromkeys(name for name, _ in curves(rows)))
-    replaced = {COMPLETE[name][0] for name in names if name in COMPLETE}
-    with_line = [name for name in names if name not in replaced]
+    """Those with a line, and those whose settings are marks."""
+    with_line = sorted({name for name, _ in curves(rows)}, key=DRAWN.index)
     return with_line, list(dict.fromkeys(row["method"] for row in rows if row["curve"] is None))
 
 
 def draw(axes: Any, rows: Sequence[dict[str, Any]], figure: str) -> None:
-    """PSNR while a method runs, or LPIPS of what it had at its end, the best at the top in either; complete files of rd
-    and of other codecs. Means over the pictures, curves from the time at which every picture has an error."""
+    """PSNR or LPIPS while a method runs, or of its end alone, the best at the top in either; complete files of ours and
+    of other codecs. Means over the pictures, curves from the time at which every picture has an error."""
     with_line, others = methods(rows)
-    found = curves(rows)
+    found = curves(rows, figure)
     last = []
     for method in with_line:
         look = style(DRAWN.index(method)) | {"label": name_of(method)}
-        points = ends(files_of(rows, method) if method in COMPLETE else at_rest(rows, method), figure)
-        if method not in COMPLETE and figure == "psnr":
-            points = list(zip(*mean_curve([curve for name, curve in found if name == method]), strict=True))
+        mine = [curve for name, curve in found if name == method]
+        if mine and method not in COMPLETE:
+            points = list(zip(*mean_curve(mine), strict=True))
             look["marker"] = ""
-            if method == ROUNDED:
-                axes.annotate("rounded from here", before_fall(points), ha="center", va="bottom", fontsize=7)
-        elif len(points) == 1:
-            axes.annotate(f"{method}  ", points[0], ha="right", va="center", fontsize=7)
+        else:
+            points = ends(files_of(rows, method) if method in COMPLETE else at_rest(rows, method), figure)
         axes.plot(*zip(*points, strict=True), **look)
         last.append(points[0 if method in COMPLETE else -1][1])
     for method in others:
@@ -271,12 +288,6 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]], figure: str) -> None:
     else:
         axes.set(ylabel="LPIPS, better upwards")
         axes.invert_yaxis()
-
-
-def before_fall(points: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """The best point of a curve before it falls most."""
-    falls = [before[1] - after[1] for before, after in pairwise(points)]
-    return max(points[: falls.index(max(falls)) + 1], key=lambda point: point[1])
 
 
 def ends(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[float, float]]:
