@@ -42,16 +42,21 @@ class Rival:
         """Its pixels."""
         raise NotImplementedError
 
-    def run(self, pixels: Pixels, aim: float) -> Run:
-        """As Codec.run; the time is that of the last encode, not of the search."""
+    def fitting(self, pixels: Pixels, aim: float) -> float:
+        """The quality of the best file of at most so many bits per pixel."""
         max_bytes = aim * pixels.shape[0] * pixels.shape[1] / 8
         low, high = 0, len(self.qualities)  # what `low` gives is taken, what `high` gives is too large
         while high - low > 1:
             middle = (low + high) // 2
             fits = len(self.encode(pixels, self.qualities[middle])) <= max_bytes
             low, high = (middle, high) if fits else (low, middle)
+        return self.qualities[low]
+
+    def run(self, pixels: Pixels, aim: float) -> Run:
+        """As Codec.run; the time is that of the last encode, not of the search."""
+        quality = self.fitting(pixels, aim)
         began = time.perf_counter()
-        data = self.encode(pixels, self.qualities[low])
+        data = self.encode(pixels, quality)
         return Run(data, time.perf_counter() - began, self.decode)
 
 

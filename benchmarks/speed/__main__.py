@@ -4,8 +4,9 @@
                                [--gaussians 1000,3000,10000,30000,70000] [--bpp 0.25] [--repeats 3] [--out FILE]
 
 sizes: encode, decode and peak of memory of profile rd, each in a process of its own, beside other codecs on the same
-cores. gaussians: drawing and gradients of so many at 768x512. kernels: every instruction set, one thread and all,
-beside what a product of matrices and a copy reach. Pictures larger than those of the folder are mosaics of them.
+cores. gaussians: the same of so many at 0.4 megapixels, and drawing and gradients of them alone. kernels: every
+instruction set, one thread and all, beside what a product of matrices and a copy reach. Pictures larger than those of
+the folder are mosaics of them.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ from benchmarks.machine import RESULTS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.rd.rivals import versions
 from benchmarks.speed import kernels, sizes
+from sgmethod import Budget
 from sgmethod.native import native
 from tests.harness.data import PHOTOGRAPHS
 
 PARTS = ("sizes", "gaussians", "kernels")
+MEGAPIXELS = 0.4  # where the number of Gaussians is asked for
 
 
 def measure_gaussians(record: Record, path: Path, numbers: list[int], steps: int, rounds: int) -> None:
@@ -69,8 +72,13 @@ def main() -> None:
     if "sizes" in options.only:
         for megapixels in options.megapixels:
             if not record.has(what="size", megapixels=megapixels):
-                record.add(sizes.row(paths, megapixels, options.bpp, options.repeats))
+                budget = Budget("bpp", options.bpp)
+                record.add({"what": "size", **sizes.row(paths, megapixels, budget, options.repeats)})
     if "gaussians" in options.only:
+        for n in options.gaussians:
+            if not record.has(what="file", asked=n):
+                found = sizes.row(paths, MEGAPIXELS, Budget("gaussians", n), options.repeats)
+                record.add({"what": "file", "asked": n, **found})
         measure_gaussians(record, paths[0], options.gaussians, options.steps, options.rounds)
     if "kernels" in options.only:
         measure_kernels(record, paths[0], options.steps, options.rounds)

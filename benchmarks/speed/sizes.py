@@ -1,4 +1,5 @@
-"""Encode and decode of pictures of several sizes, each in a process of its own: it has a peak of memory of its own."""
+"""Encode and decode of pictures of several sizes and of several numbers of Gaussians, beside other codecs. Each is in a
+process of its own, which has a peak of memory of its own."""
 
 from __future__ import annotations
 
@@ -7,15 +8,24 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from benchmarks.pictures import Pixels, sized
-from benchmarks.rd.rivals import Avif, Jpeg, JpegXl, Rival, WebP, versions
+from benchmarks.rd.rivals import Avif, Heic, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
+from sgmethod import Budget, decode, encode
 from tests.harness.data import ROOT
 
-RIVALS: dict[str, Callable[[], Rival]] = {"jpeg": Jpeg, "webp": WebP, "avif": Avif, "jpegxl": JpegXl}
+RIVALS: dict[str, Callable[[], Rival]] = {
+    "jpeg": Jpeg,
+    "jpeg2000": Jpeg2000,
+    "webp": WebP,
+    "avif": Avif,
+    "heic": Heic,
+    "jpegxl": JpegXl,
+}
 DECODE = """
 import sys
 from pathlib import Path
@@ -26,12 +36,12 @@ print(Path("/proc/self/status").read_text())
 DECODES = 9  # of each codec, in turns; the first does not count
 
 
-def row(paths: Sequence[Path], megapixels: float, bpp: float, repeats: int) -> dict[str, Any]:
-    """Seconds, milliseconds and MiB of one size: medians of so many encodes, in turns with the other codecs."""
-    ours = [alone(encoded, paths, megapixels, bpp) for _ in range(repeats)]
+def row(paths: Sequence[Path], megapixels: float, budget: Budget, repeats: int) -> dict[str, Any]:
+    """Seconds, milliseconds and MiB of one size and budget: medians of so many encodes, in turns with the other codecs'
+    decodes of files of as many bytes."""
+    ours = [alone(encoded, paths, megapixels, budget) for _ in range(repeats)]
     data = ours[0].pop("data")
     return {
-        "what": "size",
         "megapixels": megapixels,
         "pixels": ours[0]["pixels"],
         "bytes": len(data),
@@ -40,7 +50,7 @@ def row(paths: Sequence[Path], megapixels: float, bpp: float, repeats: int) -> d
         "encode_s": [one["encode_s"] for one in ours],
         "encode_mib": max(one["mib"] for one in ours),
         "decode_mib": decoding_mib(data),
-        **alone(beside, paths, megapixels, bpp, repeats, data),
+        **alone(beside, paths, megapixels, repeats, data),
     }
 
 
@@ -50,12 +60,10 @@ def alone(function: Callable[..., dict[str, Any]], *arguments: object) -> dict[s
         return pool.apply(function, arguments)
 
 
-def encoded(paths: Sequence[Path], megapixels: float, bpp: float) -> dict[str, Any]:
+def encoded(paths: Sequence[Path], megapixels: float, budget: Budget) -> dict[str, Any]:
     """One encode, and the peak of memory after it."""
-    from sgmethod import encode
-
     pixels = sized(paths, 0, megapixels)
-    found = encode(pixels, bpp=bpp, tune="psnr")
+    found = encode(pixels, budget, tune="psnr")
     size = {"pixels": pixels.shape[0] * pixels.shape[1], "data": found.data, "mib": peak_mib()}
     return {**size, "encode_s": found.stats.seconds, "psnr": found.stats.psnr, "gaussians": found.stats.gaussians}
 
@@ -66,17 +74,21 @@ def decoding_mib(data: bytes) -> float:
     return peak_mib(subprocess.run(command, input=data, capture_output=True, check=True, cwd=ROOT).stdout.decode())
 
 
-def beside(paths: Sequence[Path], megapixels: float, bpp: float, repeats: int, data: bytes) -> dict[str, Any]:
+def beside(paths: Sequence[Path], megapixels: float, repeats: int, data: bytes) -> dict[str, Any]:
     """Decodes of ours and of the other codecs in turns, and the others' encodes; medians."""
-    from sgmethod import decode
-
     pixels = sized(paths, 0, megapixels)
     decodes: dict[str, Callable[[], Pixels]] = {"rd": lambda: decode(data)}
     encodes: dict[str, list[float]] = {}
+    bpp = 8 * len(data) / (pixels.shape[0] * pixels.shape[1])
     for name, make in RIVALS.items() if versions() else ():
-        made = [make().run(pixels, bpp) for _ in range(repeats)]
-        encodes[name] = [one.encode_s for one in made]
-        decodes[name] = lambda one=made[0]: one.decode(one.data)  # type: ignore[misc]
+        rival = make()
+        quality = rival.fitting(pixels, bpp)
+        encodes[name] = []
+        for _ in range(repeats):
+            began = time.perf_counter()
+            file = rival.encode(pixels, quality)
+            encodes[name].append(time.perf_counter() - began)
+        decodes[name] = partial(rival.decode, file)
     times: dict[str, list[float]] = {name: [] for name in decodes}
     for _ in range(DECODES + 1):
         for name, run in decodes.items():
