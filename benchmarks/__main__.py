@@ -39,20 +39,20 @@ class Part:
 
 
 PARTS = (
-    Part("rd", "kodak-rd", f"{IMAGES} --bpp 0.5", f"{IMAGES} --bpp 0.1,0.15,0.25,0.4", "--rivals"),
-    Part("rd", "kodak-effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.15,0.25,0.4"),
+    Part("rd", "rd/kodak", f"{IMAGES} --bpp 0.5", f"{IMAGES} --bpp 0.1,0.15,0.25,0.4", "--rivals"),
+    Part("rd", "rd/effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.15,0.25,0.4"),
     Part(
         "rd",
-        "kodak-settings",
+        "rd/settings",
         "",
         f"{IMAGES} --profiles '' --bpp 0.1,0.15,0.25,0.4 --rivals 'jpegxl effort 4' 'avif tune=psnr speed 0'",
     ),
-    Part("rd", "kodak-quality", "", f"{IMAGES} --quality 20,30,40,50,60,70"),
-    Part("rd", "kodak-effort-quality", "", f"{IMAGES} --effort 9 --tune psnr --quality 20,30,40,50,60,70"),
-    Part("rd", "kodak-paper", "", f"{IMAGES} --profiles paper --bpp 0.147,0.43"),
+    Part("rd", "rd/quality", "", f"{IMAGES} --quality 20,30,40,50,60,70"),
+    Part("rd", "rd/effort-quality", "", f"{IMAGES} --effort 9 --tune psnr --quality 20,30,40,50,60,70"),
+    Part("rd", "rd/paper", "", f"{IMAGES} --profiles paper --bpp 0.147,0.43"),
     Part(
         "rd",
-        "kodak-fitted",
+        "rd/fitted",
         "",
         f"{IMAGES} --most 6 --profiles baseline --steps 20000 --coin --bpp 0.15,0.25,0.4",
     ),

@@ -52,7 +52,7 @@ def spoil_origin(content: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "spoil", "documents"),
     [
-        ("kodak-rd", spoil_rate, "results.md and README.md"),
+        ("rd/kodak", spoil_rate, "results.md and README.md"),
         ("version4/turns", lambda content: content["rows"][0]["this"].update(psnr=1.0), "README.md"),
         ("ablation", spoil_origin, "results.md"),
     ],
@@ -255,6 +255,22 @@ def test_what_cannot_be_measured_is_refused_in_a_line(arguments: list[str], said
     assert "Traceback" not in ran.stderr
 
 
+def test_figures_that_do_not_come_out_again_are_named(tmp_path: Path) -> None:
+    def run(module: str, *options: str) -> None:
+        command = [sys.executable, "-m", f"benchmarks.{module}", *options]
+        subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=300)
+
+    needs, out = tmp_path / "needs.json", tmp_path / "again.json"
+    run("needs", "--scenes", "flat,photograph", "--side", "32", "--repeats", "1", "--out", str(needs))
+    content = json.loads(needs.read_text())
+    content["rows"][1]["bytes"] += 1
+    needs.write_text(json.dumps(content))
+    run("again", "--images", ".", "--results", "needs", "--folder", str(tmp_path), "--out", str(out))
+    (row,) = json.loads(out.read_text())["rows"]
+    assert (row["of"], row["drawn"], row["made"]) == (2, 2, 2)
+    assert row["different"] == [{"scene": "photograph", "by": {"bytes": 1}}]
+
+
 def row_of(codec: str, image: str, aim: float, bpp: float, db: float) -> dict[str, object]:
     """One of made-up figures."""
     aims = {"max_bpp": None, "quality": aim} if "one quality" in codec else {"max_bpp": aim}
@@ -267,14 +283,14 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
     shutil.copytree(RESULTS, results)
     (tmp_path / "docs").mkdir()
     shutil.copy(ROOT / "README.md", tmp_path)
-    content = json.loads((results / "kodak-rd.json").read_text())
+    content = json.loads((results / "rd/kodak.json").read_text())
     published = json.loads((ROOT / "benchmarks" / "published" / "kodak.json").read_text())["AV1 (libaom)"]["points"]
     two = [  # their means are AV1's, none of the two is
         row_of("rd one quality", image, 10 * k, point["bpp"] * factor, point["psnr"] + 2 * (1 - factor))
         for k, point in enumerate(published, 1)
         for image, factor in (("kodim13.png", 1.5), ("kodim23.png", 0.5))
     ]
-    (results / "kodak-quality.json").write_text(json.dumps({**content, "rows": two}))
+    (results / "rd/quality.json").write_text(json.dumps({**content, "rows": two}))
     low = [(0.15, 22.0), (0.25, 23.5), (0.4, 25.0)]
     high = [(0.15, 33.8), (0.25, 36.0), (0.4, 38.0)]
     seen = {"ssimulacra2": 50.0, "lpips": 0.25, "dists": 0.125}
@@ -289,11 +305,11 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
         ("webp", [(0.1, 0.3, 22.0), (0.15, 0.3, 22.0), (0.6, 0.6, 24.0)]),  # whose smallest file serves twice
     ):
         content["rows"] += [row_of(codec, "kodim13.png", *point) for point in points]
-    (results / "kodak-rd.json").write_text(json.dumps(content))
+    (results / "rd/kodak.json").write_text(json.dumps(content))
     effort = {"rows": [row_of("rd effort 9", "kodim13.png", 0.15, 0.15, 22.5)]}
-    (results / "kodak-effort.json").write_text(json.dumps(content | effort))
+    (results / "rd/effort.json").write_text(json.dumps(content | effort))
     fitted = {"rows": [row_of("coin", "kodim13.png", 0.15, 0.149, 20.0)], "settings": {}}
-    (results / "kodak-fitted.json").write_text(json.dumps(content | fitted))
+    (results / "rd/fitted.json").write_text(json.dumps(content | fitted))
     ran = report(tmp_path)
     assert ran.returncode == 0, ran.stderr
     made = (tmp_path / "docs" / "results.md").read_text()

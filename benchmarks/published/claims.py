@@ -17,7 +17,7 @@ MOST = 0.5  # of what the paper has is there
 
 
 def section(representation: Content | None, ablation: Content | None, paper: Content | None) -> Section:
-    """From representation.json, ablation.json and kodak-paper.json, as far as there are."""
+    """From representation.json, ablation.json and rd/paper.json, as far as there are."""
     lines = []
     if representation:
         for what, title, asked, one, other in (

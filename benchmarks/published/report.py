@@ -36,7 +36,7 @@ def section(
     one_quality: Content | None,
     effort_one_quality: Content | None,
 ) -> Section:
-    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-quality.json and kodak-effort-quality.json, as far
+    """From rd/kodak.json, rd/effort.json, rd/paper.json, rd/quality.json and rd/effort-quality.json, as far
     as there are."""
     at_qualities = [content for content in (one_quality, effort_one_quality) if content]
     at_rates = [content for content in (main, effort, paper) if content]

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.ablation import report as ablation
+from benchmarks.again import report as again
 from benchmarks.perceptual import report as perceptual
 from benchmarks.published import claims
 from benchmarks.published import report as published
@@ -25,11 +26,8 @@ from tests.harness.data import ROOT
 
 # Each section, and the JSON that it is made from.
 MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
-    (
-        rate.section,
-        ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-fitted", "kodak-settings"),
-    ),
-    (published.section, ("kodak-rd", "kodak-effort", "kodak-paper", "kodak-quality", "kodak-effort-quality")),
+    (rate.section, ("rd/kodak", "rd/effort", "rd/paper", "rd/fitted", "rd/settings")),
+    (published.section, ("rd/kodak", "rd/effort", "rd/paper", "rd/quality", "rd/effort-quality")),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.whole, ("convergence/kodak",)),
     (convergence.large, ("convergence/mosaics",)),
@@ -38,7 +36,8 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
     (speed.section, ("speed",)),
     (fits.representation, ("representation",)),
     (ablation.section, ("ablation",)),
-    (claims.section, ("representation", "ablation", "kodak-paper")),
+    (claims.section, ("representation", "ablation", "rd/paper")),
+    (again.section, ("again",)),
     (service.under_load, ("service/load",)),
     (service.attacked, ("service/attacks",)),
     (service.killed, ("service/chaos-sqlite", "service/chaos-postgresql")),
@@ -55,6 +54,7 @@ published, with their source in [benchmarks/published](../benchmarks/published);
 To repeat a row, run the command below its table in a checkout, after `pip install '.[encode,benchmark]'`, with
 `--out FILE`, or it may write over the JSON that is there. Most commands take `--pictures` and fewer settings as well,
 such as `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --profiles rd --rivals --out rd.json`.
+`python -m benchmarks.again --images KODAK` does so for rows drawn by chance, and says which came out otherwise.
 KODAK is a folder with the 24 PNG files of [Kodak's set](https://r0k.us/graphics/kodak/), WEIGHTS what
 `python -m benchmarks.perceptual.weights FOLDER` fetches, and PHOTOGRAPHS the folder `measured` of what
 `python -m benchmarks.perceptual.photographs FOLDER` fetches."""

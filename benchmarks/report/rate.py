@@ -67,7 +67,7 @@ def section(
     fitted: Content | None = None,
     settings: Content | None = None,
 ) -> Section:
-    """From kodak-rd.json, kodak-effort.json, kodak-paper.json, kodak-fitted.json and kodak-settings.json, as far as
+    """From rd/kodak.json, rd/effort.json, rd/paper.json, rd/fitted.json and rd/settings.json, as far as
     there are."""
     at_rates = [content for content in (main, effort, paper, settings) if content]
     rows = rows_of(*at_rates)

@@ -47,7 +47,7 @@ def limits(results: Path) -> str:
 
 def codecs(results: Path) -> str:
     """All codecs of one run at 0.25 bits per pixel, the best PSNR first."""
-    average = means(rate.rows_of(load(results, "kodak-rd") or {"rows": []}))
+    average = means(rate.rows_of(load(results, "rd/kodak") or {"rows": []}))
     chosen = sorted(
         ((c, m) for (c, limit), m in average.items() if limit == 0.25), key=lambda cm: -(cm[1]["psnr"] or 0)
     )
@@ -118,7 +118,7 @@ def large(results: Path) -> str:
 
 def seen(results: Path) -> str:
     """What figures that follow the eye say, at 0.25 bits per pixel."""
-    average = means(rate.rows_of(load(results, "kodak-rd") or {"rows": []}))
+    average = means(rate.rows_of(load(results, "rd/kodak") or {"rows": []}))
     ours, avif, grain = (average.get((codec, 0.25)) for codec in ("rd visual", rate.AVIF_FOR_EYES, "avif grain"))
     if not (ours and avif and ours["lpips"] and avif["lpips"]):
         return ""
@@ -142,8 +142,8 @@ def seen(results: Path) -> str:
 
 def ahead(results: Path) -> str:
     """The published codecs that are ahead in PSNR."""
-    found = published.ahead(rate.rows_of(load(results, "kodak-quality") or {"rows": []}))
-    at_rates = rate.rows_of(load(results, "kodak-rd") or {"rows": []})
+    found = published.ahead(rate.rows_of(load(results, "rd/quality") or {"rows": []}))
+    at_rates = rate.rows_of(load(results, "rd/kodak") or {"rows": []})
     found["Cool-Chic 5.0"] = rate.first(against_cool_chic(at_rates, "rd"))
     told = [
         f"{change:.0f} % more bits than {name}" for name, change in found.items() if change is not None and change > 0
@@ -157,7 +157,7 @@ def ahead(results: Path) -> str:
 
 def profiles(results: Path) -> str:
     """Profiles rd and paper at two rates, and against GaussianImage as published."""
-    average = means(rate.rows_of(*(load(results, name) or {"rows": []} for name in ("kodak-rd", "kodak-paper"))))
+    average = means(rate.rows_of(*(load(results, name) or {"rows": []} for name in ("rd/kodak", "rd/paper"))))
     lines = []
     for profile, low, high in (("rd", 0.15, 0.4), ("paper", 0.147, 0.43)):
         psnrs = [number(average[profile, limit]["psnr"], ".2f") + " dB" for limit in (low, high)]

@@ -1,0 +1,1 @@
+"""Whether the figures come out again: python -m benchmarks.again"""

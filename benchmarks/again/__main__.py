@@ -1,0 +1,144 @@
+"""Whether the figures of the results come out again: some rows of each JSON, made anew by the command that it names.
+
+    python -m benchmarks.again --images FOLDER [--weights FOLDER] [--rows 5] [--seed 0] [--results rd/kodak,needs]
+                               [--seconds 600] [--folder FOLDER] [--out FILE]
+
+Rows are drawn by chance from those that no clock decides: files, and the PSNR and other distances of fits with a fixed
+number of steps. Bytes, Gaussians and figures are compared, times are not. Without --weights, LPIPS and DISTS are left
+out. --seconds: at most for each JSON; what is not there by then, or comes from another command than the JSON's, counts
+as not made. --images must be the folder that the results are of. --folder: with the JSONs; benchmarks/results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import random
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.arguments import some_of
+from benchmarks.machine import RESULTS, Record, origin, write_json
+from tests.harness.data import ROOT
+
+Row = dict[str, Any]
+NAMES = (
+    *("rd/kodak", "rd/effort", "rd/effort-quality", "rd/quality", "rd/paper", "rd/settings"),
+    *("convergence/kodak", "needs", "representation", "ablation"),
+)
+COMPARED = ("bytes", "gaussians", "bpp", "psnr", "ms_ssim", "ssimulacra2", "lpips", "dists")
+TIMES = ("encode_s", "decode_ms", "seconds")
+OF_WEIGHTS = ("lpips", "dists")
+NEAR = 1e-5  # of a figure's size: sums of a network's numbers depend on the threads that take part
+TIMED = ("paper", "baseline", "plain Adam", "siren", "hash grid", "SIREN", "WIRE", "coin")  # fitted for so many seconds
+
+
+def is_timed(row: Row) -> bool:
+    """Whether a clock decides what comes out."""
+    limited = str(row.get("setting", "")).endswith(" s")
+    return limited or ("picture" in row and row.get("method") in TIMED) or row.get("method") in TIMED[-3:]
+
+
+def key_of(row: Row, rows: Sequence[Row]) -> Row:
+    """What tells a row from all others: its first values, as many as that takes, but none that was measured."""
+    key: Row = {}
+    others = [other for other in rows if other is not row]
+    for name, value in row.items():
+        if name in COMPARED or name in TIMES:
+            continue
+        key[name] = value
+        others = [other for other in others if name in other and other[name] == value]
+        if not others:
+            break
+    return key
+
+
+def found(key: Row, rows: Sequence[Row]) -> Row | None:
+    """The row with these values."""
+    return next((row for row in rows if all(row.get(name) == value for name, value in key.items())), None)
+
+
+def arguments(command: str, images: Path, weights: Path | None) -> tuple[list[str], dict[str, str]]:
+    """Module and arguments of a JSON's command with this machine's folders, and what it sets in the environment."""
+    words = shlex.split(command)
+    begin = words.index("python")
+    settings = dict(word.split("=", 1) for word in words[:begin])
+    words = words[begin + 2 :]
+    for option, folder in (("--images", images), ("--weights", weights)):
+        if option in words:
+            k = words.index(option)
+            words[k : k + 2] = [option, str(folder)] if folder else []
+    return words, settings
+
+
+def made_again(content: Row, drawn: Sequence[Row], options: argparse.Namespace) -> list[Row | None]:
+    """The rows that the JSON's command makes in place of those drawn; None for one that it does not."""
+    keys = [key_of(row, content["rows"]) for row in drawn]
+    others = [row for row in content["rows"] if row not in drawn]
+    words, settings = arguments(content["command"], options.images, options.weights)
+    kept = dict(content["settings"])
+    kept |= {name: False for name in ("seen", "lpips") if name in kept and not options.weights}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "again.json"
+        write_json(path, {**content, **origin(), "settings": kept, "rows": others})
+        command = [sys.executable, "-m", *words, "--out", str(path)]
+        quiet: dict[str, Any] = {"env": os.environ | settings, "stdout": subprocess.DEVNULL}
+        with subprocess.Popen(command, cwd=ROOT, start_new_session=True, **quiet) as process:
+            began = time.monotonic()
+            made: list[Row | None] = [None] * len(keys)
+            while None in made and time.monotonic() - began < options.seconds:
+                ended = process.poll() is not None
+                rows = json.loads(path.read_text())["rows"]
+                made = [found(key, rows) for key in keys]
+                if ended:
+                    break
+                time.sleep(0.2)
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # and what it has started
+    return made
+
+
+def compared(old: Row, new: Row, with_weights: bool) -> dict[str, float]:
+    """How far each figure that both have is from what it was."""
+    names = [name for name in COMPARED if with_weights or name not in OF_WEIGHTS]
+    both = [name for name in names if old.get(name) is not None and new.get(name) is not None]
+    return {name: abs(new[name] - old[name]) for name in both if abs(new[name] - old[name]) > NEAR * abs(old[name])}
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=Path, required=True, help="the folder that the results are of")
+    parser.add_argument("--weights", type=Path)
+    parser.add_argument("--rows", type=int, default=5, help="of each JSON")
+    parser.add_argument("--seed", type=int, default=0, help="of the draw")
+    parser.add_argument("--results", type=some_of(NAMES, "result"), default=",".join(NAMES), help="JSONs")
+    parser.add_argument("--seconds", type=float, default=600)
+    parser.add_argument("--folder", type=Path, default=RESULTS)
+    parser.add_argument("--out", type=Path, default=RESULTS / "again.json")
+    options = parser.parse_args()
+    record = Record(options.out, "benchmarks.again", {"rows": options.rows, "seed": options.seed})
+    for name in options.results:
+        if record.has(result=name):
+            continue
+        content = json.loads((options.folder / f"{name}.json").read_text())
+        rows = [row for row in content["rows"] if not is_timed(row)]
+        drawn = random.Random(options.seed).sample(rows, min(options.rows, len(rows)))
+        pairs = zip(drawn, made_again(content, drawn, options), strict=True)
+        differ = [(old, compared(old, new, bool(options.weights))) for old, new in pairs if new]
+        different = [{**key_of(old, content["rows"]), "by": by} for old, by in differ if by]
+        counts = {"of": len(content["rows"]), "drawn": len(drawn), "made": len(differ)}
+        record.add({"result": name, "commit": content["commit"], **counts, "different": different})
+
+
+if __name__ == "__main__":
+    main()
