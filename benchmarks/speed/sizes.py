@@ -37,8 +37,8 @@ DECODES = 9  # of each codec, in turns; the first does not count
 
 
 def row(paths: Sequence[Path], megapixels: float, budget: Budget, repeats: int) -> dict[str, Any]:
-    """Seconds, milliseconds and MiB of one size and budget: medians of so many encodes, in turns with the other codecs'
-    decodes of files of as many bytes."""
+    """Seconds of so many encodes of one size and budget, milliseconds and MiB; and of other codecs' files of at most as
+    many bytes."""
     ours = [alone(encoded, paths, megapixels, budget) for _ in range(repeats)]
     data = ours[0].pop("data")
     return {
@@ -75,10 +75,11 @@ def decoding_mib(data: bytes) -> float:
 
 
 def beside(paths: Sequence[Path], megapixels: float, repeats: int, data: bytes) -> dict[str, Any]:
-    """Decodes of ours and of the other codecs in turns, and the others' encodes; medians."""
+    """Decodes of ours and of the other codecs in turns, and the others' encodes; medians, and the others' bytes."""
     pixels = sized(paths, 0, megapixels)
     decodes: dict[str, Callable[[], Pixels]] = {"rd": lambda: decode(data)}
     encodes: dict[str, list[float]] = {}
+    sizes: dict[str, int] = {}
     bpp = 8 * len(data) / (pixels.shape[0] * pixels.shape[1])
     for name, make in RIVALS.items() if versions() else ():
         rival = make()
@@ -88,7 +89,7 @@ def beside(paths: Sequence[Path], megapixels: float, repeats: int, data: bytes) 
             began = time.perf_counter()
             file = rival.encode(pixels, quality)
             encodes[name].append(time.perf_counter() - began)
-        decodes[name] = partial(rival.decode, file)
+        decodes[name], sizes[name] = partial(rival.decode, file), len(file)
     times: dict[str, list[float]] = {name: [] for name in decodes}
     for _ in range(DECODES + 1):
         for name, run in decodes.items():
@@ -98,6 +99,7 @@ def beside(paths: Sequence[Path], megapixels: float, repeats: int, data: bytes) 
     shown = {name: round(statistics.median(taken[1:]), 3) for name, taken in times.items()}
     return {
         "decode_ms": shown.pop("rd"),
+        "rivals_bytes": sizes,
         "rivals_decode_ms": shown,
         "rivals_encode_s": {name: round(statistics.median(taken), 4) for name, taken in encodes.items()},
     }
