@@ -11,6 +11,7 @@ python -m benchmarks.speed           time and memory by size and by number of Ga
 python -m benchmarks.representation  float quality at a fixed number of Gaussians, beside networks
 python -m benchmarks.ablation        profile rd with one part left out at a time, and the paper's ablations
 python -m benchmarks.turns           encodes and decodes of two checkouts in turns
+python -m benchmarks.again           rows drawn by chance, made again: which come out otherwise
 python -m benchmarks.report          docs/results.md, its plots and the README's tables from the JSON
 python -m benchmarks.load            decoding under load while the service encodes
 python -m benchmarks.attacks         what others notice while clients mean harm, and the memory that it takes

@@ -35,17 +35,20 @@ NAMES = (
     *("rd/kodak", "rd/effort", "rd/effort-quality", "rd/quality", "rd/paper", "rd/settings"),
     *("convergence/kodak", "needs", "representation", "ablation"),
 )
-COMPARED = ("bytes", "gaussians", "bpp", "psnr", "ms_ssim", "ssimulacra2", "lpips", "dists")
-TIMES = ("encode_s", "decode_ms", "seconds")
+# Methods of a JSON that are fitted for so many seconds.
+TIMED = {
+    "convergence/kodak": {"paper", "baseline", "plain Adam", "siren", "hash grid"},
+    "representation": {"siren", "wire"},
+}
 OF_WEIGHTS = ("lpips", "dists")
-NEAR = 1e-5  # of a figure's size: sums of a network's numbers depend on the threads that take part
-TIMED = ("paper", "baseline", "plain Adam", "siren", "hash grid", "SIREN", "WIRE", "coin")  # fitted for so many seconds
+COMPARED = ("bytes", "gaussians", "bpp", "psnr", "ms_ssim", "ssimulacra2", *OF_WEIGHTS)
+TIMES = ("encode_s", "decode_ms", "seconds")
+NEAR = 1e-5  # of a network's distance, whose sums depend on the threads that take part
 
 
-def is_timed(row: Row) -> bool:
-    """Whether a clock decides what comes out."""
-    limited = str(row.get("setting", "")).endswith(" s")
-    return limited or ("picture" in row and row.get("method") in TIMED) or row.get("method") in TIMED[-3:]
+def is_timed(name: str, row: Row) -> bool:
+    """Whether a clock decides what comes out. name: of the JSON."""
+    return row.get("method") in TIMED.get(name, ()) or str(row.get("setting", "")).endswith(" s")
 
 
 def key_of(row: Row, rows: Sequence[Row]) -> Row:
@@ -81,37 +84,50 @@ def arguments(command: str, images: Path, weights: Path | None) -> tuple[list[st
 
 
 def made_again(content: Row, drawn: Sequence[Row], options: argparse.Namespace) -> list[Row | None]:
-    """The rows that the JSON's command makes in place of those drawn; None for one that it does not."""
+    """The rows that the JSON's command makes in place of those drawn; None for one that it does not. Raises SystemExit
+    if it fails."""
     keys = [key_of(row, content["rows"]) for row in drawn]
-    others = [row for row in content["rows"] if row not in drawn]
+    made: list[Row | None] = [None] * len(keys)
     words, settings = arguments(content["command"], options.images, options.weights)
     kept = dict(content["settings"])
     kept |= {name: False for name in ("seen", "lpips") if name in kept and not options.weights}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "again.json"
+        others = [row for row in content["rows"] if row not in drawn]
         write_json(path, {**content, **origin(), "settings": kept, "rows": others})
         command = [sys.executable, "-m", *words, "--out", str(path)]
         quiet: dict[str, Any] = {"env": os.environ | settings, "stdout": subprocess.DEVNULL}
+        began = time.monotonic()
         with subprocess.Popen(command, cwd=ROOT, start_new_session=True, **quiet) as process:
-            began = time.monotonic()
-            made: list[Row | None] = [None] * len(keys)
-            while None in made and time.monotonic() - began < options.seconds:
-                ended = process.poll() is not None
-                rows = json.loads(path.read_text())["rows"]
-                made = [found(key, rows) for key in keys]
-                if ended:
-                    break
-                time.sleep(0.2)
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)  # and what it has started
+            try:
+                while None in made and time.monotonic() - began < options.seconds:
+                    status = process.poll()
+                    written = json.loads(path.read_text())
+                    if written["settings"] != kept:
+                        raise SystemExit(f"other settings, or other versions of codecs: {kept}")
+                    made = [found(key, written["rows"]) for key in keys]
+                    if status:
+                        raise SystemExit(f"this failed with status {status}: {shlex.join(command)}")
+                    if status == 0:
+                        break
+                    time.sleep(0.2)
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)  # and what it has started
     return made
 
 
-def compared(old: Row, new: Row, with_weights: bool) -> dict[str, float]:
-    """How far each figure that both have is from what it was."""
-    names = [name for name in COMPARED if with_weights or name not in OF_WEIGHTS]
-    both = [name for name in names if old.get(name) is not None and new.get(name) is not None]
-    return {name: abs(new[name] - old[name]) for name in both if abs(new[name] - old[name]) > NEAR * abs(old[name])}
+def compared(old: Row, new: Row, with_weights: bool) -> dict[str, list[float | None]]:
+    """Each figure that is another, as it was and as it is."""
+    different: dict[str, list[float | None]] = {}
+    for name in COMPARED:
+        was, now = old.get(name), new.get(name)
+        if name in OF_WEIGHTS and not with_weights:
+            continue
+        near = name in OF_WEIGHTS and was and now and abs(now - was) <= NEAR * abs(was)
+        if was != now and not near:
+            different[name] = [was, now]
+    return different
 
 
 def main() -> None:
@@ -126,17 +142,22 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=RESULTS)
     parser.add_argument("--out", type=Path, default=RESULTS / "again.json")
     options = parser.parse_args()
-    record = Record(options.out, "benchmarks.again", {"rows": options.rows, "seed": options.seed})
+    if options.rows < 1:
+        parser.error("--rows takes a number above 0")
+    if missing := [name for name in options.results if not (options.folder / f"{name}.json").is_file()]:
+        parser.error(f"{options.folder} has no {', '.join(missing)}")
+    settings = {"rows": options.rows, "seed": options.seed, "seconds": options.seconds, "seen": bool(options.weights)}
+    record = Record(options.out, "benchmarks.again", settings)
     for name in options.results:
         if record.has(result=name):
             continue
         content = json.loads((options.folder / f"{name}.json").read_text())
-        rows = [row for row in content["rows"] if not is_timed(row)]
+        rows = [row for row in content["rows"] if not is_timed(name, row)]
         drawn = random.Random(options.seed).sample(rows, min(options.rows, len(rows)))
         pairs = zip(drawn, made_again(content, drawn, options), strict=True)
-        differ = [(old, compared(old, new, bool(options.weights))) for old, new in pairs if new]
-        different = [{**key_of(old, content["rows"]), "by": by} for old, by in differ if by]
-        counts = {"of": len(content["rows"]), "drawn": len(drawn), "made": len(differ)}
+        both = [(old, compared(old, new, bool(options.weights))) for old, new in pairs if new]
+        different = [{**key_of(old, content["rows"]), "figures": figures} for old, figures in both if figures]
+        counts = {"of": len(rows), "drawn": len(drawn), "made": len(both)}
         record.add({"result": name, "commit": content["commit"], **counts, "different": different})
 
 

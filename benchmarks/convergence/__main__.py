@@ -9,8 +9,8 @@ and baseline: the trace of one encode, whose last point is the file, and a file 
 each effort. plain Adam: as many Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget,
 in half precision. Other codecs: each speed or effort at the best quality within the budget. rd visual, avif visual:
 tuned for the eye (tune=iq), where rd and avif are tuned for PSNR.
---seconds: for all but rd and other codecs, where no limit is shorter. --few: two or three settings of each other codec, three efforts of rd. --weights: a folder as
-benchmarks.perceptual takes it, for LPIPS.
+--seconds: for all but rd and other codecs, where no limit is shorter. --few: two or three settings of each other codec,
+three efforts of rd. --weights: a folder as benchmarks.perceptual takes it, for LPIPS.
 """
 
 from __future__ import annotations

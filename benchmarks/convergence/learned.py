@@ -26,8 +26,7 @@ from sgmethod.start.placement import place
 Look = tuple[Pixels, Pixels]  # of what is shown and of the picture the same pixels, [H, W, 3]
 Shown = Iterator[tuple[float, Look, bool]]  # after so many seconds; whether it is the whole picture
 FIRST_S, GROWTH, GROWTH_OF_WHOLE = 0.1, 1.25, 3  # when the picture is looked at, and when at the whole of it
-REST = 0.2  # of what the last look took, before the next: to draw a picture can take longer than steps. Not after a
-# look at the whole, of which there are few
+REST = 0.2  # of what a look took, before the next: to draw a picture can take longer than steps; of the whole never
 LOOKED_AT = 2.5e5  # pixels, about, of a network's picture
 # The best of 0.02, 0.05, 0.1, 0.2, by the PSNR of 600 Gaussians after 400 steps on astronaut at 128x128.
 RATE_OF_ADAM = 0.2

@@ -32,7 +32,7 @@ COMPLETE = {
     "baseline, time limits": ("baseline", " s"),
 }
 OURS = ("rd", "rd visual", "paper", "baseline")
-NOTHING_SET = {"rd": "effort 5", "rd visual": "effort 5"}  # what that means; of others, as long as all had
+DEFAULT = "effort 5"  # of rd with nothing set
 # In every plot, so that a method looks the same in each.
 DRAWN = (
     *("paper, time limits", "baseline, time limits", "plain Adam", "siren", "hash grid"),
@@ -47,7 +47,7 @@ NOTES_ON_BOUGHT = {
         "others what the fit has, which may be worse than before. A dash: not yet, on some picture; nothing: no more "
         "to come."
     ),
-    "lpips": "LPIPS after so many seconds (less is better), where it was measured on the way.",
+    "lpips": "LPIPS, of which less is better, in the same way; where it was looked at seldom, between two looks.",
 }
 
 
@@ -82,14 +82,15 @@ def section(name: str, title: str, content: Content, note: str) -> Section:
     for megapixels in sizes:
         mine = [row for row in rows if row["megapixels"] == megapixels]
         bought = [bought_table(mine, figure) for figure in BETTER if has(mine, figure)]
-        tables += [f"### {megapixels:g} megapixels", *bought, curves_table(mine), points_table(mine)]
+        tables += [f"### {megapixels:g} megapixels", *bought, curves_table(mine)]
+        tables.append(points_table(mine, f"{settings['seconds']:g} s at most"))
     by_size = {size: [row for row in rows if row["megapixels"] == size] for size in sizes}
     shown = by_size[sizes[-1]]
     pictures = list(dict.fromkeys(row["picture"] for row in shown))
     said = (
         f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At {sizes[-1]:g} "
         f"megapixels, which the plot shows: {result(shown)} {' '.join(soonest(size, by_size[size]) for size in sizes)} "
-        f"All but rd had {settings['seconds']:g} s at most. {note} Pictures: {', '.join(pictures)}."
+        f"All but rd and other codecs had {settings['seconds']:g} s at most. {note} Pictures: {', '.join(pictures)}."
     )
     panels: list[Draw] = [partial(draw, rows=shown, figure=figure) for figure in BETTER if has(shown, figure)]
     of = f"{sizes[-1]:g} megapixels, {settings['bpp']:g} bpp, means of {len(pictures)} pictures"
@@ -126,15 +127,15 @@ def has(rows: Sequence[dict[str, Any]], figure: str) -> bool:
 
 
 def curves(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[str, Curve]]:
-    """Of each method and picture, PSNR or LPIPS. The complete encodes under time limits make one curve of each picture,
-    those of rd's efforts another, and those tuned for the eye a third."""
+    """Of each method and picture, PSNR or LPIPS. Complete encodes of one method make a curve of each picture: all under
+    time limits, or all efforts."""
     name_of_curve = {"psnr": "curve", "lpips": "lpips_curve"}[figure]
-    found = [(r["method"], [(t, v) for t, v in r[name_of_curve]]) for r in rows if r["curve"] and r.get(name_of_curve)]
-    found = [(method, curve) for method, curve in found if method not in OURS]
+    fitted = [row for row in rows if row["method"] not in OURS and row.get(name_of_curve)]
+    found = [(row["method"], [(at, value) for at, value in row[name_of_curve]]) for row in fitted]
     for picture in dict.fromkeys(row["picture"] for row in rows):
         for name in COMPLETE:
             mine = [row for row in files_of(rows, name) if row["picture"] == picture]
-            if len(mine) > 1:
+            if mine:
                 found.append((name, sorted((row["seconds"], row[figure]) for row in mine)))
     return found
 
@@ -198,7 +199,7 @@ def bought_table(rows: Sequence[dict[str, Any]], figure: str) -> str:
         pictures = dict.fromkeys(row["picture"] for row in own)
         names[method] = [sorted((r["seconds"], r[figure]) for r in own if r["picture"] == one) for one in pictures]
     names = {method: mine for method, mine in names.items() if mine}
-    last = max(curve[-1][0] for some in names.values() for curve in some)
+    last = max((curve[-1][0] for some in names.values() for curve in some), default=0.0)
     looks = [seconds for k, seconds in enumerate(LOOKS_S) if k == 0 or LOOKS_S[k - 1] < last]
     lines = []
     for method, mine in names.items():
@@ -219,10 +220,10 @@ def bought_table(rows: Sequence[dict[str, Any]], figure: str) -> str:
 
 
 def best_by(curve: Curve, seconds: float, figure: str | None) -> float | None:
-    """The best of complete files by then, if a figure says which is best, or the error last seen; None where there is
-    none yet."""
+    """The best of complete files by then, if a figure says which is best, or the error then; None where there is none
+    yet."""
     seen = [value for at, value in curve if at <= seconds]
-    return None if not seen else BETTER[figure](seen) if figure else seen[-1]
+    return None if not seen else BETTER[figure](seen) if figure else value_at(curve, seconds)
 
 
 def at_rest(rows: Sequence[dict[str, Any]], method: str) -> list[dict[str, Any]]:
@@ -236,8 +237,9 @@ def slowest(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [max((r for r in rows if r["picture"] == name), key=lambda row: row["seconds"]) for name in pictures]
 
 
-def points_table(rows: Sequence[dict[str, Any]]) -> str:
-    """Complete files: ours at each limit and effort, and other codecs' at each setting."""
+def points_table(rows: Sequence[dict[str, Any]], limit: str) -> str:
+    """Complete files: ours at each limit and effort, and other codecs' at each setting. limit: of paper and baseline
+    with nothing set."""
     lines = []
     complete = [row for row in rows if row["curve"] is None or row["method"] in OURS]
     found = sorted(complete, key=lambda row: ([*OURS, *UNITS].index(row["method"]), row["seconds"]))
@@ -247,7 +249,7 @@ def points_table(rows: Sequence[dict[str, Any]]) -> str:
         if method in UNITS:
             unit = f"{UNITS[method]} {setting}" if UNITS[method] else "-"
         else:
-            unit = setting or NOTHING_SET.get(method, "all the time")
+            unit = setting or (DEFAULT if method.startswith("rd") else limit)
         size, db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("bytes", "psnr", "seconds"))
         perceived = number(statistics.fmean(lpips) if lpips else None, ".3f")
         lines.append([name_of(method), unit, len(mine), f"{size:,.0f}", f"{db:.2f}", perceived, f"{seconds:.3f}"])
@@ -284,13 +286,13 @@ def draw(axes: Any, rows: Sequence[dict[str, Any]], figure: str) -> None:
         last.append(points[0][1])
     axes.set(xscale="log", xlabel="seconds")
     if figure == "psnr":
-        axes.set(ylabel="PSNR, dB", ylim=(math.floor(min(last)) - 2, None))
+        axes.set(ylabel="PSNR, dB", ylim=(math.floor(min(last)) - 2, None) if last else None)
     else:
         axes.set(ylabel="LPIPS, better upwards")
         axes.invert_yaxis()
 
 
-def ends(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[float, float]]:
+def ends(rows: Sequence[dict[str, Any]], figure: str) -> list[tuple[float, float]]:
     """For each setting the seconds that an encode took and what came of it, means over the pictures."""
     groups = [[row for row in rows if row["setting"] == name] for name in dict.fromkeys(row["setting"] for row in rows)]
     return sorted(
@@ -300,11 +302,12 @@ def ends(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[flo
 
 
 def mean_curve(curves: Sequence[Curve]) -> tuple[list[float], list[float]]:
-    """Times, and at each the mean of the errors last seen by then."""
+    """Times at which one of the pictures was looked at, and the mean of the errors then."""
     times = sorted({seconds for curve in curves for seconds, _ in curve})
     times = [seconds for seconds in times if seconds >= max(curve[0][0] for curve in curves)]
-    levels = []
-    for seconds in times:
-        seen = [np.searchsorted([t for t, _ in curve], seconds, side="right") - 1 for curve in curves]
-        levels.append(statistics.fmean(curve[k][1] for k, curve in zip(seen, curves, strict=True)))
-    return times, levels
+    return times, [statistics.fmean(value_at(curve, seconds) for curve in curves) for seconds in times]
+
+
+def value_at(curve: Curve, seconds: float) -> float:
+    """The error then, between two looks on the line that a plot has: over the logarithm of the seconds."""
+    return float(np.interp(math.log(seconds), [math.log(at) for at, _ in curve], [value for _, value in curve]))

@@ -1,0 +1,34 @@
+"""Commands of benchmarks, and a copy of their results."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.harness.data import ROOT
+
+RESULTS = ROOT / "benchmarks" / "results"
+
+
+def report(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run benchmarks.report on a folder."""
+    command = [sys.executable, "-m", "benchmarks.report", "--root", str(root), *arguments]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=100)
+
+
+def copied(folder: Path) -> Path:
+    """The results in another folder, beside the documents that are made of them."""
+    results = folder / "benchmarks" / "results"
+    shutil.copytree(RESULTS, results)
+    (folder / "docs").mkdir()
+    for document in ("README.md", "docs/results.md"):
+        shutil.copy(ROOT / document, folder / document)
+    return results
+
+
+def run(module: str, out: Path, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
+    """Run a command of benchmarks."""
+    command = [sys.executable, "-m", f"benchmarks.{module}", *arguments, "--out", str(out)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=check, timeout=300)

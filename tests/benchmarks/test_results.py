@@ -1,0 +1,163 @@
+"""Documents against the JSON of benchmarks/results, the form of each JSON, and rows that are kept or made again."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.benchmarks.commands import RESULTS, copied, report, run
+from tests.harness.data import ROOT
+
+JSONS = sorted(RESULTS.rglob("*.json"))
+
+
+def test_documents_are_what_the_json_says() -> None:
+    ran = report(ROOT, "--check")
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
+def spoil_rate(content: Any) -> None:
+    content["rows"][0]["psnr"] += 1
+
+
+def spoil_origin(content: Any) -> None:
+    content["commit"] = "0123456789ab"
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "documents"),
+    [
+        ("rd/kodak", spoil_rate, "results.md and README.md"),
+        ("version4/turns", lambda content: content["rows"][0]["this"].update(psnr=1.0), "README.md"),
+        ("ablation", spoil_origin, "results.md"),
+    ],
+)
+def test_a_document_that_differs_is_named(
+    tmp_path: Path, name: str, spoil: Callable[[Any], None], documents: str
+) -> None:
+    path = copied(tmp_path) / f"{name}.json"
+    content = json.loads(path.read_text())
+    spoil(content)
+    path.write_text(json.dumps(content))
+    ran = report(tmp_path, "--check")
+    assert ran.returncode == 1
+    assert ran.stderr.startswith(f"{documents}: not what the JSON says")
+
+
+def test_every_plot_is_there() -> None:
+    named = re.findall(r"\]\((plots/\S+)\)", (ROOT / "docs" / "results.md").read_text())
+    assert named
+    for name in named:
+        for suffix in (".svg", ".png"):
+            assert (ROOT / "docs" / name).with_suffix(suffix).stat().st_size > 1000
+
+
+@pytest.mark.parametrize("path", JSONS, ids=lambda path: str(path.relative_to(RESULTS)))
+def test_results_say_where_they_come_from(path: Path) -> None:
+    content = json.loads(path.read_text())
+    assert {"command", "commit", "date", "machine", "settings", "rows"} <= set(content)
+    assert re.fullmatch(r"(SG_THREADS=\d+ )?python -m benchmarks\.\w+[^/]*", content["command"])  # no path of a machine
+    assert re.fullmatch(r"[0-9a-f]{12}(\+[0-9a-f]{8})?", content["commit"])
+    assert {"processor", "cores", "instruction_set", "system", "python", "packages"} <= set(content["machine"])
+    assert content["rows"]
+
+
+def test_rows_are_kept_as_long_as_the_code_is_the_same(tmp_path: Path) -> None:
+    def git(*arguments: str) -> None:
+        who = "-c", "user.name=a", "-c", "user.email=a@b"
+        subprocess.run(["git", *who, *arguments], cwd=tmp_path, check=True, capture_output=True)
+
+    def printed(expression: str) -> str:
+        script = f"import pathlib; from benchmarks import machine; machine.ROOT = pathlib.Path({str(tmp_path)!r})"
+        command = [sys.executable, "-c", f"{script}; print({expression})"]
+        return subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout.strip()
+
+    def written(name: str) -> str:
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        with (tmp_path / name).open("a") as file:
+            file.write("more")
+        git("add", ".")
+        return printed("machine.commit()")
+
+    def committed(name: str) -> str:
+        written(name)
+        git("commit", "-m", name)
+        return printed("machine.commit()")
+
+    def same(*others: str) -> str:
+        return printed(f"[machine.same_code({result!r}, other) for other in {others!r}]")
+
+    git("init")
+    code, text, result = (committed(name) for name in ("sgmethod/a.py", "README.md", "benchmarks/results/a.json"))
+    assert same(result, code, text) == "[True, True, True]"
+    changed = written("sgmethod/a.py")
+    assert changed.startswith(f"{result}+")
+    assert same(changed, committed("sgmethod/a.py"), "0123456789ab", "unknown") == "[False, False, False, False]"
+
+
+def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    def run(scenes: str, side: str = "32") -> str:
+        out = ["--out", str(tmp_path / "needs.json"), "--side", side, "--repeats", "1"]
+        command = [sys.executable, "-m", "benchmarks.needs", "--scenes", scenes, *out]
+        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300).stdout
+
+    def rows() -> list[dict[str, Any]]:
+        found: list[dict[str, Any]] = json.loads((tmp_path / "needs.json").read_text())["rows"]
+        return found
+
+    run("flat")
+    first = rows()
+    assert first[0]["left_out_of_the_file"] == ["Gaussians"]
+    assert [first[0]["bits"][kind] for kind in ("colour", "shape", "place", "begin and end")] == [0, 0, 0, 0]
+    assert run("flat,grey").startswith("scene grey")
+    assert rows()[:1] == first
+    grey = rows()[1]
+    assert "chroma" in grey["left_out_of_the_file"]
+    assert all(grey["bits"][kind] > 100 for kind in ("colour", "shape", "place"))
+    assert 0 < grey["bits"]["begin and end"] < 100
+    assert sum(grey["bits"].values()) == pytest.approx(8 * grey["bytes"], abs=2)  # each is rounded
+    run("flat", side="33")  # another setting, another run
+    assert [row["scene"] for row in rows()] == ["flat"]
+
+
+def test_figures_that_do_not_come_out_again_are_named(tmp_path: Path) -> None:
+    needs, out = tmp_path / "needs.json", tmp_path / "again.json"
+    run("needs", needs, "--scenes", "flat,photograph", "--side", "32", "--repeats", "1")
+    content = json.loads(needs.read_text())
+    content["rows"][1]["bytes"] += 1
+    needs.write_text(json.dumps(content))
+    options = ["--images", ".", "--results", "needs", "--folder", str(tmp_path)]
+    run("again", out, *options)
+    (row,) = json.loads(out.read_text())["rows"]
+    assert (row["of"], row["drawn"], row["made"]) == (2, 2, 2)
+    was = content["rows"][1]["bytes"]
+    assert row["different"] == [{"scene": "photograph", "figures": {"bytes": [was, was - 1]}}]
+    for changed, said in (
+        ({"command": "python -m benchmarks.needs --scenes nothing"}, "failed with status 2"),
+        ({"settings": {"quality": 51, "side": 32}}, "other settings"),
+    ):
+        needs.write_text(json.dumps(content | changed))
+        out.unlink(missing_ok=True)
+        failed = run("again", out, *options, check=False)
+        assert failed.returncode == 1
+        assert said in failed.stderr
+        assert not out.exists()
+
+
+def test_a_command_is_typed_again_with_the_folders_of_this_machine() -> None:
+    typed = "SG_THREADS=1 python -m benchmarks.rd --images KODAK --profiles '' --weights WEIGHTS --bpp 0.1"
+    script = (
+        "from pathlib import Path; from benchmarks.again.__main__ import arguments; "
+        f"print(arguments({typed!r}, Path('/a'), Path('/b')), arguments({typed!r}, Path('/a'), None))"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True, capture_output=True, text=True)
+    begin, end = ["benchmarks.rd", "--images", "/a", "--profiles", ""], ["--bpp", "0.1"]
+    threads = {"SG_THREADS": "1"}
+    assert ran.stdout == f"{([*begin, '--weights', '/b', *end], threads)} {([*begin, *end], threads)}\n"
