@@ -69,7 +69,8 @@ def large(content: Content | None) -> Section:
     assert content
     note = (
         "Pictures larger than the folder's are mosaics of the same ones, so that those of 12 megapixels differ little. "
-        "Of other codecs and of rd there are fewer settings than at 0.4 megapixels."
+        "Of other codecs and of rd there are fewer settings than at 0.4 megapixels, and of networks at 12 megapixels, "
+        "which take a minute to draw, the LPIPS of their end alone."
     )
     return section("convergence_large", "Error against run time of larger pictures", content, note)
 
