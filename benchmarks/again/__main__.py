@@ -43,6 +43,7 @@ TIMED = {
 OF_WEIGHTS = ("lpips", "dists")
 COMPARED = ("bytes", "gaussians", "bpp", "psnr", "ms_ssim", "ssimulacra2", *OF_WEIGHTS)
 TIMES = ("encode_s", "decode_ms", "seconds")
+THREADS = "SG_THREADS"  # of a command alone: AVIF's files depend on their number
 NEAR = 1e-5  # of a network's distance, whose sums depend on the threads that take part
 
 
@@ -96,7 +97,8 @@ def made_again(content: Row, drawn: Sequence[Row], options: argparse.Namespace) 
         others = [row for row in content["rows"] if row not in drawn]
         write_json(path, {**content, **origin(), "settings": kept, "rows": others})
         command = [sys.executable, "-m", *words, "--out", str(path)]
-        quiet: dict[str, Any] = {"env": os.environ | settings, "stdout": subprocess.DEVNULL}
+        environment = {name: value for name, value in os.environ.items() if name != THREADS}
+        quiet: dict[str, Any] = {"env": environment | settings, "stdout": subprocess.DEVNULL}
         began = time.monotonic()
         with subprocess.Popen(command, cwd=ROOT, start_new_session=True, **quiet) as process:
             try:
