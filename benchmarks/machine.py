@@ -10,6 +10,7 @@ import shlex
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -80,6 +81,11 @@ def kept_rows(path: Path, where: dict[str, Any]) -> list[dict[str, Any]]:
     return list(content["rows"]) if same and same_code(content["commit"], where["commit"]) else []
 
 
+def found(key: dict[str, Any], rows: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
+    """The first row with these values."""
+    return next((row for row in rows if all(row.get(name) == value for name, value in key.items())), None)
+
+
 class Record:
     """The JSON of one run, written after every row. What is there already of the same code, machine and settings is
     kept, so that an interrupted run goes on where it stopped.
@@ -94,7 +100,7 @@ class Record:
 
     def has(self, **key: object) -> bool:
         """Whether there is a row with these values."""
-        return any(all(row.get(name) == value for name, value in key.items()) for row in self.rows)
+        return found(key, self.rows) is not None
 
     def add(self, row: dict[str, Any]) -> None:
         """Write it down, and print it."""

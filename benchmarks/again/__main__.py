@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import some_of
-from benchmarks.machine import RESULTS, Record, origin, write_json
+from benchmarks.machine import RESULTS, Record, found, origin, write_json
 from tests.harness.data import ROOT
 
 Row = dict[str, Any]
@@ -64,11 +64,6 @@ def key_of(row: Row, rows: Sequence[Row]) -> Row:
         if not others:
             break
     return key
-
-
-def found(key: Row, rows: Sequence[Row]) -> Row | None:
-    """The row with these values."""
-    return next((row for row in rows if all(row.get(name) == value for name, value in key.items())), None)
 
 
 def arguments(command: str, images: Path, weights: Path | None) -> tuple[list[str], dict[str, str]]:

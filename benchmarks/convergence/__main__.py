@@ -23,7 +23,7 @@ from typing import Any
 
 from benchmarks.arguments import numbers, some_of
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
-from benchmarks.machine import RESULTS, Record
+from benchmarks.machine import RESULTS, Record, found
 from benchmarks.pictures import Pixels, add_options, chosen_from, named_in, sized
 from benchmarks.rd.rivals import AvifForEyes, AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, decode, encode
@@ -95,8 +95,8 @@ def point(make: Callable[[int], Rival], setting: int, pixels: Pixels, bpp: float
     """Another codec's file within the budget; the seconds are those of its last encode."""
     made = make(setting).run(pixels, bpp)
     decoded = made.decode(made.data)
-    found: Row = {"bytes": len(made.data), "gaussians": None, "seconds": made.encode_s}
-    return found | {"psnr": psnr(decoded, pixels), "lpips": lpips(decoded, pixels), "curve": None}
+    row: Row = {"bytes": len(made.data), "gaussians": None, "seconds": made.encode_s}
+    return row | {"psnr": psnr(decoded, pixels), "lpips": lpips(decoded, pixels), "curve": None}
 
 
 class Run:
@@ -150,9 +150,8 @@ class Run:
 
     def _gaussians(self, picture: str, megapixels: float) -> int | None:
         """As many as rd's file of the picture has."""
-        key = ("rd", "", picture, megapixels)
-        found = [r for r in self.record.rows if (r["method"], r["setting"], r["picture"], r["megapixels"]) == key]
-        return found[0]["gaussians"] if found else None
+        row = found({"method": "rd", "setting": "", "picture": picture, "megapixels": megapixels}, self.record.rows)
+        return row["gaussians"] if row else None
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.benchmarks.commands import run
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
 
@@ -18,8 +19,7 @@ def test_curves_of_every_method(tmp_path: Path) -> None:
     out = tmp_path / "convergence.json"
     sizes = ["--images", str(PHOTOGRAPHS), "--most", "1", "--megapixels", "0.002", "--bpp", "4", "--few"]
     times = ["--seconds", "0.4", "--limits", "0.3", "--paper-limits", "0.2", "--methods", ",".join(methods)]
-    command = [sys.executable, "-m", "benchmarks.convergence", *sizes, *times, "--out", str(out)]
-    subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300)
+    run("convergence", out, *sizes, *times)
     rows = json.loads(out.read_text())["rows"]
     efforts = [f"effort {effort}" for effort in (1, 3, 7)]
     assert [(row["method"], row["setting"]) for row in rows] == [

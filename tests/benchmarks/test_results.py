@@ -103,27 +103,25 @@ def test_rows_are_kept_as_long_as_the_code_is_the_same(tmp_path: Path) -> None:
 
 
 def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
-    def run(scenes: str, side: str = "32") -> str:
-        out = ["--out", str(tmp_path / "needs.json"), "--side", side, "--repeats", "1"]
-        command = [sys.executable, "-m", "benchmarks.needs", "--scenes", scenes, *out]
-        return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True, timeout=300).stdout
+    def measured(scenes: str, side: str = "32") -> str:
+        return run("needs", tmp_path / "needs.json", "--scenes", scenes, "--side", side, "--repeats", "1").stdout
 
     def rows() -> list[dict[str, Any]]:
         found: list[dict[str, Any]] = json.loads((tmp_path / "needs.json").read_text())["rows"]
         return found
 
-    run("flat")
+    measured("flat")
     first = rows()
     assert first[0]["left_out_of_the_file"] == ["Gaussians"]
     assert [first[0]["bits"][kind] for kind in ("colour", "shape", "place", "begin and end")] == [0, 0, 0, 0]
-    assert run("flat,grey").startswith("scene grey")
+    assert measured("flat,grey").startswith("scene grey")
     assert rows()[:1] == first
     grey = rows()[1]
     assert "chroma" in grey["left_out_of_the_file"]
     assert all(grey["bits"][kind] > 100 for kind in ("colour", "shape", "place"))
     assert 0 < grey["bits"]["begin and end"] < 100
     assert sum(grey["bits"].values()) == pytest.approx(8 * grey["bytes"], abs=2)  # each is rounded
-    run("flat", side="33")  # another setting, another run
+    measured("flat", side="33")  # another setting, another run
     assert [row["scene"] for row in rows()] == ["flat"]
 
 

@@ -9,14 +9,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from tests.benchmarks.commands import run
 from tests.harness.data import ROOT
 
 
 def test_files_of_so_many_gaussians_are_timed(tmp_path: Path) -> None:
     out = tmp_path / "speed.json"
     few = ["--gaussians", "20,40", "--repeats", "1", "--steps", "10", "--rounds", "1"]
-    command = [sys.executable, "-m", "benchmarks.speed", "--only", "gaussians", *few, "--out", str(out)]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=300)
+    run("speed", out, "--only", "gaussians", *few)
     rows = [row for row in json.loads(out.read_text())["rows"] if row["what"] == "file"]
     assert [row["asked"] for row in rows] == [20, 40]
     assert all(0 < row["gaussians"] <= row["asked"] and row["decode_ms"] > 0 for row in rows)
@@ -32,8 +32,7 @@ def test_files_of_so_many_gaussians_are_timed(tmp_path: Path) -> None:
 
 def test_an_attack_is_measured(tmp_path: Path) -> None:
     out = tmp_path / "attacks.json"
-    command = [sys.executable, "-m", "benchmarks.attacks", "--seconds", "2", "--only", "slow", "--out", str(out)]
-    subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=300)
+    run("attacks", out, "--seconds", "2", "--only", "slow", check=False)
     (row,) = json.loads(out.read_text())["rows"]
     assert sum(other["requests"] for other in row["others"].values()) == 74
     assert (row["tracebacks"], row["exit_status"]) == (0, 0)
