@@ -33,11 +33,12 @@ from tests.harness.data import ROOT
 Row = dict[str, Any]
 NAMES = (
     *("rd/kodak", "rd/effort", "rd/effort-quality", "rd/quality", "rd/paper", "rd/settings"),
-    *("convergence/kodak", "needs", "representation", "ablation"),
+    *("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels"),
+    *("needs", "representation", "ablation"),
 )
-# Methods of a JSON that are fitted for so many seconds.
+# Methods that are fitted for so many seconds, by command.
 TIMED = {
-    "convergence/kodak": {"paper", "baseline", "plain Adam", "siren", "hash grid"},
+    "convergence": {"paper", "baseline", "plain Adam", "siren", "hash grid"},
     "representation": {"siren", "wire"},
 }
 OF_WEIGHTS = ("lpips", "dists")
@@ -49,7 +50,7 @@ NEAR = 1e-5  # of a network's distance, whose sums depend on the threads that ta
 
 def is_timed(name: str, row: Row) -> bool:
     """Whether a clock decides what comes out. name: of the JSON."""
-    return row.get("method") in TIMED.get(name, ()) or str(row.get("setting", "")).endswith(" s")
+    return row.get("method") in TIMED.get(name.partition("/")[0], ()) or str(row.get("setting", "")).endswith(" s")
 
 
 def key_of(row: Row, rows: Sequence[Row]) -> Row:

@@ -2,7 +2,7 @@
 
 For each picture and rate: a file tuned for PSNR, one tuned for the eye, the latter decoded without its texture, and
 AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is libavif's own) at the best quality that takes no more bytes. A
-picture that AVIF cannot make so small is left out of the means. What the JSON already holds for the same commit and
+picture that AVIF cannot make so small is left out of the means. What the JSON already holds for the same code and
 machine is not done again. Needs the extra "benchmark", and weights (python -m benchmarks.perceptual.weights FOLDER).
 """
 
@@ -63,18 +63,17 @@ def main() -> None:
         if min(pixels.shape[:2]) < MIN_SIDE:
             parser.error(f"{path} has a side below {MIN_SIDE} pixels, for which MS-SSIM is not defined")
         for bpp in options.bpp:
-            if record.has(image=path.name, max_bpp=bpp):
+            key = {"image": path.name, "max_bpp": bpp}
+            wanted = [kind for kind in options.kinds if not record.has(**key, kind=kind)]
+            if not wanted:
                 continue
-            rows = []
-            for kind, size, texture, picture in decoded(pixels, bpp, options.kinds):
-                row = {"image": path.name, "max_bpp": bpp, "kind": kind, "bytes": size, "texture": round(texture, 5)}
+            for kind, size, texture, picture in decoded(pixels, bpp, wanted):
+                row = {**key, "kind": kind, "bytes": size, "texture": round(texture, 5)}
                 similarity = ms_ssim(picture, pixels)
                 assert similarity is not None
                 found = {"psnr": psnr(picture, pixels), "ms_ssim": similarity}
                 found |= {"ssimulacra2": ssimulacra2(picture, pixels), **networks(picture, pixels)}
-                rows.append({**row, **{name: round(value, 4) for name, value in found.items()}})
-            for row in rows:
-                record.add(row)
+                record.add({**row, **{name: round(value, 4) for name, value in found.items()}})
     print(table(TITLES, list(lines(record.rows))), in_words(record.content), sep="\n\n")
 
 

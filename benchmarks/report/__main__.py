@@ -30,7 +30,7 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
     (published.section, ("rd/kodak", "rd/effort", "rd/paper", "rd/quality", "rd/effort-quality")),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.whole, ("convergence/kodak",)),
-    (convergence.large, ("convergence/mosaics",)),
+    (convergence.large, ("convergence/2-megapixels", "convergence/12-megapixels")),
     (needs.section, ("needs",)),
     (stability.section, ("version4/stiff", "stability")),
     (speed.section, ("speed",)),

@@ -61,23 +61,22 @@ def whole(content: Content | None) -> Section:
         "encode of its own. Each time is that of one encode, which may be a third longer in another hour. Other "
         "codecs' are without the search for the quality that fits."
     )
-    return section("convergence", "Error against run time", content, note)
+    return section("convergence", "Error against run time", [content], note)
 
 
-def large(content: Content | None) -> Section:
-    """From mosaics.json."""
-    assert content
+def large(*contents: Content | None) -> Section:
+    """From 2-megapixels.json and 12-megapixels.json, as far as there are."""
     note = (
         "Pictures larger than the folder's are mosaics of the same ones, so that those of 12 megapixels differ little. "
         "Of other codecs and of rd there are fewer settings than at 0.4 megapixels, and of networks at 12 megapixels, "
         "which take a minute to draw, the LPIPS of their end alone."
     )
-    return section("convergence_large", "Error against run time of larger pictures", content, note)
+    return section("convergence_large", "Error against run time of larger pictures", list(filter(None, contents)), note)
 
 
-def section(name: str, title: str, content: Content, note: str) -> Section:
-    """Tables of every size, and a plot of the largest."""
-    rows, settings = content["rows"], content["settings"]
+def section(name: str, title: str, contents: Sequence[Content], note: str) -> Section:
+    """Tables of every size, and a plot of the largest. contents: with the same settings."""
+    rows, settings = [row for content in contents for row in content["rows"]], contents[0]["settings"]
     tables = []
     sizes = sorted({row["megapixels"] for row in rows})
     for megapixels in sizes:
@@ -95,7 +94,7 @@ def section(name: str, title: str, content: Content, note: str) -> Section:
     )
     panels: list[Draw] = [partial(draw, rows=shown, figure=figure) for figure in BETTER if has(shown, figure)]
     of = f"{sizes[-1]:g} megapixels, {settings['bpp']:g} bpp, means of {len(pictures)} pictures"
-    return Section(name, title, said, tables, [content], panels, of)
+    return Section(name, title, said, tables, contents, panels, of)
 
 
 def result(rows: Sequence[dict[str, Any]]) -> str:

@@ -1,14 +1,19 @@
-"""Plots as SVG and PNG, readable without colour: lines differ by dashes and marks. The same data give the same SVG."""
+"""Plots as SVG and PNG, readable without colour: lines differ by dashes and marks. The same data give the same SVG.
+
+Narrow, with the legend below, so that two beside each other in the README have letters large enough to read.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.report.section import Draw
 
-WIDTH_IN, HEIGHT_IN = 7.2, 3.8  # of a panel, with its part of title and legend
+WIDTH_IN, HEIGHT_IN, LINE_IN = 5.4, 3.2, 0.18  # of a panel; of a line of title or legend
+LEGEND_COLUMNS = 2
 COLOURS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#b0508c")  # all dark enough to be read as grey
 DASHES = ("-", "--", "-.", ":", (0, (9, 2, 1, 2, 1, 2)), (0, (1, 3)), (0, (8, 3)))
 MARKS = "os^DvP*xh<>dX+"  # no other so many as colours or dashes: that is what tells lines apart
@@ -31,7 +36,7 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
     settings = {"svg.hashsalt": path.name, "font.size": 9, "lines.markersize": 4, "lines.linewidth": 1.2}
     settings |= {"axes.prop_cycle": cycler(color=COLOURS), "axes.grid": True, "grid.color": "0.9"}
     with mpl.rc_context(settings | {"svg.fonttype": "none"}):
-        figure = Figure(figsize=(WIDTH_IN, 0.6 + HEIGHT_IN * len(panels)), layout="constrained")
+        figure = Figure(layout="constrained")
         all_axes = figure.subplots(len(panels), squeeze=False, sharex=True)[:, 0]
         named: dict[str, Any] = {}
         for draw, axes in zip(panels, all_axes, strict=True):
@@ -41,8 +46,10 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
             axes.label_outer()
         all_axes[0].set_title(f"{title}\n{of}".strip(), loc="left", fontsize=9)
         if named:
-            options = {"loc": "outside right upper", "frameon": False, "fontsize": 8, "handlelength": 4}
-            figure.legend(named.values(), named.keys(), **options)
+            options = {"loc": "outside lower left", "ncols": LEGEND_COLUMNS, "handlelength": 4}
+            figure.legend(named.values(), named.keys(), frameon=False, fontsize=8, **options)
+        lines = 2 + math.ceil(len(named) / LEGEND_COLUMNS)
+        figure.set_size_inches(WIDTH_IN, HEIGHT_IN * len(panels) + LINE_IN * lines)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
         figure.savefig(path.with_suffix(".png"), dpi=110)

@@ -109,8 +109,12 @@ def best_seen(average: Means) -> str:
 
 
 def measured(average: Means, more: dict[str, str] | None = None) -> str:
-    """Means over the pictures for each codec and rate. more: further figures and their forms."""
+    """Means over the pictures for each codec and rate; how many, where that differs. more: further figures and their
+    forms."""
     forms = {"images": "g", "above": "g"} | FORMATS | {"bpp": ".4f"} | (more or {}) | COSTS
+    del forms["bytes"]  # which bits per pixel say already, and the page is narrow
+    if len({m["images"] for m in average.values()}) == 1:
+        del forms["images"]
     titles = " | ".join(["codec", "bpp at most", *(TITLES.get(name, name) for name in forms)])
     cells = [
         [name_of(codec), f"{limit:g}", *(number(m[name], form) for name, form in forms.items())]

@@ -87,7 +87,8 @@ def versions(results: Path) -> str:
 
 def large(results: Path) -> str:
     """Who is ahead of those in a hurry, what larger pictures take, and what time limits come to."""
-    contents = [load(results, f"convergence/{name}") or {"rows": []} for name in ("kodak", "mosaics")]
+    names = ("kodak", "2-megapixels", "12-megapixels")
+    contents = [load(results, f"convergence/{name}") or {"rows": []} for name in names]
     rows = [row for content in contents for row in content["rows"]]
 
     def cell(megapixels: float, method: str, setting: str) -> str:
