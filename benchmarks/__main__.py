@@ -19,10 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.arguments import some_of
-from benchmarks.machine import RESULTS
+from benchmarks.machine import RESULTS, RUNS
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
-SMALL = ROOT / "build" / "bench"
 IMAGES = "--images {images}"
 FEW = "--bpp 0.5 --most 1"
 
@@ -93,7 +92,7 @@ def run(part: Part, options: argparse.Namespace) -> float:
         words += [] if has_rivals() else ["--methods", "rd,rd visual,paper,baseline,plain Adam,siren,hash grid"]
     elif has_rivals():
         words += part.rivals.split()
-    out = (RESULTS if options.full else SMALL) / f"{part.result}.json"
+    out = (RESULTS if options.full else RUNS) / f"{part.result}.json"
     print(f"--- {part.module}: {' '.join(words)}", flush=True)
     began = time.monotonic()
     command = [sys.executable, "-m", f"benchmarks.{part.module}", *words, "--out", str(out)]

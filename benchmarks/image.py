@@ -34,7 +34,7 @@ from PIL import Image
 
 import sgmethod
 from benchmarks.load.service import made_picture, png
-from benchmarks.machine import RESULTS, command, origin, write_json
+from benchmarks.machine import RUNS, command, origin, write_json
 from service.keys import digest
 from tests.harness.data import ROOT
 
@@ -294,7 +294,7 @@ def main() -> None:
     parser.add_argument("--build-arg", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--bind", action="append", default=[], metavar="PATH")
     parser.add_argument("--debootstrap", default="debootstrap")
-    parser.add_argument("--out", type=Path, default=RESULTS / "service" / "image.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "service" / "image.json")
     options = parser.parse_args()
     if os.geteuid() != 0:
         sys.exit("a root of one's own takes root")

@@ -21,7 +21,8 @@ from sgmethod.native import native
 from tests.harness.data import ROOT
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
-RESULTS = ROOT / "benchmarks" / "results"
+RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
+RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes that is told nothing else
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
 CODE = ("sgmethod", "service", "benchmarks", ":!benchmarks/results", ":!benchmarks/report")  # that measures
 
@@ -88,7 +89,7 @@ def found(key: dict[str, Any], rows: Iterable[dict[str, Any]]) -> dict[str, Any]
 
 class Record:
     """The JSON of one run, written after every row. What is there already of the same code, machine and settings is
-    kept, so that an interrupted run goes on where it stopped.
+    kept, so that an interrupted run goes on where it stopped. Where the JSON lies is said at the beginning.
 
     remark: what a reader must know of this run, put in by hand; settings: what changes the meaning of the rows.
     """
@@ -97,6 +98,7 @@ class Record:
         self.path = path
         self.content = {"command": command(module), **origin(), "remark": "", "settings": settings}
         self.rows = kept_rows(path, self.content)
+        print(f"into {path}, which has {len(self.rows)} rows of this code, machine and settings", file=sys.stderr)
 
     def has(self, **key: object) -> bool:
         """Whether there is a row with these values."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from benchmarks.arguments import some_of
 from benchmarks.bits import by_kind
-from benchmarks.machine import RESULTS, Record
+from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels
 from benchmarks.stiff.drawings import chart, screenshot, text
 from sgmethod import Budget, Encoded, encode, info
@@ -163,7 +163,7 @@ def main() -> None:
     parser.add_argument("--quality", type=float, default=50)
     parser.add_argument("--side", type=int, default=256, help="pixels, 256 or more")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--out", type=Path, default=RESULTS / "needs.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "needs.json")
     options = parser.parse_args()
     record = Record(options.out, "benchmarks.needs", {"quality": options.quality, "side": options.side})
     encode(flat(16), bytes=100)  # what the first encode of a process loads is no scene's

@@ -16,7 +16,7 @@ import sys
 import time
 from pathlib import Path
 
-from benchmarks.machine import RESULTS, Record, in_words
+from benchmarks.machine import RUNS, Record, in_words
 from benchmarks.pictures import pictures_in
 from benchmarks.rd.rivals import Avif, Jpeg
 from sgmethod.io import read_image_8_bit
@@ -82,7 +82,7 @@ def main() -> None:
     parser.add_argument("--bpp", type=float, default=0.25)
     parser.add_argument("--tune", choices=TUNES, default="psnr")
     parser.add_argument("--rivals", action="store_true")
-    parser.add_argument("--out", type=Path, default=RESULTS / "version4" / "turns.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "version4" / "turns.json")
     options = parser.parse_args()
     other = Checkout(options.other, str(options.other.resolve() / ".venv" / "bin" / "python"), options.tune)
     this = Checkout(ROOT, sys.executable, options.tune)

@@ -25,7 +25,7 @@ import torch
 from benchmarks.ablation import paper, parts
 from benchmarks.ablation.report import section
 from benchmarks.arguments import some_of
-from benchmarks.machine import RESULTS, Record
+from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import add_options, named_in
 from sgmethod.profiles import RD
 
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=RD.steps, help="of profile rd")
     parser.add_argument("--fit-steps", type=int, default=2000, help="of a float fit of profile paper")
     parser.add_argument("--tune-steps", type=int, default=1000, help="of tuning it for a file")
-    parser.add_argument("--out", type=Path, default=RESULTS / "ablation.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "ablation.json")
     options = parser.parse_args()
     torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
     steps = {name: getattr(options, name) for name in ("steps", "fit_steps", "tune_steps")}

@@ -6,7 +6,8 @@
 Rows are drawn by chance from those that no clock decides: files, and the PSNR and other distances of fits with a fixed
 number of steps. Bytes, Gaussians and figures are compared, times are not. Without --weights, LPIPS and DISTS are left
 out. --seconds: at most for each JSON; what is not there by then, or comes from another command than the JSON's, counts
-as not made. --images must be the folder that the results are of. --folder: with the JSONs; benchmarks/results.
+as not made. --images must be the folder that the results are of. --folder: with the JSONs; benchmarks/results. --out:
+what came of it; what it already holds of the same code, machine and settings is not done again.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.again.report import section
 from benchmarks.arguments import some_of
-from benchmarks.machine import RESULTS, Record, found, origin, write_json
+from benchmarks.machine import RESULTS, RUNS, Record, found, origin, write_json
 from tests.harness.data import ROOT
 
 Row = dict[str, Any]
@@ -138,7 +140,7 @@ def main() -> None:
     parser.add_argument("--results", type=some_of(NAMES, "result"), default=",".join(NAMES), help="JSONs")
     parser.add_argument("--seconds", type=float, default=600)
     parser.add_argument("--folder", type=Path, default=RESULTS)
-    parser.add_argument("--out", type=Path, default=RESULTS / "again.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "again.json")
     options = parser.parse_args()
     if options.rows < 1:
         parser.error("--rows takes a number above 0")
@@ -157,6 +159,7 @@ def main() -> None:
         different = [{**key_of(old, content["rows"]), "figures": figures} for old, figures in both if figures]
         counts = {"of": len(rows), "drawn": len(drawn), "made": len(both)}
         record.add({"result": name, "commit": content["commit"], **counts, "different": different})
+    print(section({**record.content, "rows": record.rows}).text())
 
 
 if __name__ == "__main__":

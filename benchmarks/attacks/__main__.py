@@ -26,7 +26,7 @@ from benchmarks.arguments import some_of
 from benchmarks.attacks.attackers import ATTACKS
 from benchmarks.load.latencies import generated
 from benchmarks.load.service import made_picture, png, resident_bytes
-from benchmarks.machine import RESULTS, Elsewhere, Record
+from benchmarks.machine import RUNS, Elsewhere, Record
 from tests.harness.data import ROOT
 from tests.harness.processes import processes
 from tests.harness.service import Service
@@ -141,7 +141,7 @@ def main() -> int:
         default=",".join(ATTACKS),
         help="attacks, apart by commas (default: all)",
     )
-    parser.add_argument("--out", type=Path, default=RESULTS / "service" / "attacks.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "service" / "attacks.json")
     options = parser.parse_args()
     record = Record(options.out, "benchmarks.attacks", {"seconds": options.seconds, "at_most": AT_MOST})
     for name in options.only:

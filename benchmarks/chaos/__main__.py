@@ -28,7 +28,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.chaos.service import ChaosService
-from benchmarks.machine import RESULTS, Elsewhere, command, origin, write_json
+from benchmarks.machine import RUNS, Elsewhere, command, origin, write_json
 from tests.harness.postgres_server import HINT, PostgresServer, find_binaries
 
 PAUSE_S = 4.0  # between two events, on average: an encode takes about two seconds of one core
@@ -284,9 +284,7 @@ def main() -> int:
         **{"seconds": round(time.monotonic() - began), "cores_elsewhere": elsewhere.cores()},
     }
     settings = {"jobs": arguments.jobs, "seed": arguments.seed, "pause_s": PAUSE_S, "weights": WEIGHTS}
-    write_json(
-        arguments.out or RESULTS / "service" / f"chaos-{kind}.json", {**head, "settings": settings, "rows": [row]}
-    )
+    write_json(arguments.out or RUNS / "service" / f"chaos-{kind}.json", {**head, "settings": settings, "rows": [row]})
     print(json.dumps(row, indent=1))
     if balanced:
         shutil.rmtree(folder)

@@ -23,7 +23,7 @@ from typing import Any
 
 from benchmarks.arguments import numbers, some_of
 from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
-from benchmarks.machine import RESULTS, Record, found
+from benchmarks.machine import RUNS, Record, found
 from benchmarks.pictures import Pixels, add_options, chosen_from, named_in, sized
 from benchmarks.rd.rivals import AvifForEyes, AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
 from sgmethod import Budget, decode, encode
@@ -169,7 +169,7 @@ def main() -> None:
     parser.add_argument("--settings", type=lambda text: text.split(","), help="those of a method, as in the table; all")
     parser.add_argument("--few", action="store_true")
     parser.add_argument("--weights", type=Path)
-    parser.add_argument("--out", type=Path, default=RESULTS / "convergence" / "kodak.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "convergence" / "kodak.json")
     options = parser.parse_args()
     run = Run(options)
     every, wanted = chosen_from(options.images, options.most), named_in(options)

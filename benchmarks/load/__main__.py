@@ -21,7 +21,7 @@ from PIL import Image, ImageOps
 
 from benchmarks.load.latencies import generated
 from benchmarks.load.service import LoadService, made_picture, png, running
-from benchmarks.machine import RESULTS, Elsewhere, Record
+from benchmarks.machine import RUNS, Elsewhere, Record
 from benchmarks.pictures import pictures_in
 
 SIZE, BPP, ENCODE_S = (768, 512), 0.25, 20.0
@@ -90,7 +90,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--images", type=Path, help="folder whose first picture is asked for (default: a made one)")
     parser.add_argument("--seconds", type=float, default=30.0, help="of load in each case (default: 30)")
-    parser.add_argument("--out", type=Path, default=RESULTS / "service" / "load.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "service" / "load.json")
     options = parser.parse_args()
     name, image = picture(options.images)
     settings = {"picture": name, "size": list(SIZE), "seconds": options.seconds, "at_most_ms": AT_MOST_MS}

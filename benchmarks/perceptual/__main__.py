@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.arguments import numbers
-from benchmarks.machine import RESULTS, Record, in_words
+from benchmarks.machine import RUNS, Record, in_words
 from benchmarks.perceptual.means import KINDS, TITLES, lines
 from benchmarks.pictures import Pixels, pictures_in
 from benchmarks.rd.rivals import Avif
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument(
         "--kinds", nargs="+", choices=KINDS, default=KINDS, help="some of them: networks take their time"
     )
-    parser.add_argument("--out", type=Path, default=RESULTS / "perceptual.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "perceptual.json")
     options = parser.parse_args()
     paths = pictures_in(options.images)
     if not paths:

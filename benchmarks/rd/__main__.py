@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.arguments import numbers, some_of
-from benchmarks.machine import RESULTS, Record, in_words
+from benchmarks.machine import RUNS, Record, in_words
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.codecs import FITTED, Codec, Sg
 from benchmarks.rd.coin import Coin
@@ -130,7 +130,7 @@ def main() -> None:
     parser.add_argument("--coin", action="store_true", help="COIN, fitted here")
     parser.add_argument("--coin-seconds", type=float, default=600, help="for each picture and rate")
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
-    parser.add_argument("--out", type=Path, default=RESULTS / "rd" / "kodak.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "rd" / "kodak.json")
     options = checked(parser)
     settings: dict[str, Any] = {"codecs": versions() if options.rivals else [], "seen": options.weights is not None}
     settings |= {"coin_seconds": options.coin_seconds} if options.coin else {}

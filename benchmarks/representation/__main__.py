@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import integers, some_of
-from benchmarks.machine import RESULTS, Record
+from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import add_options, named_in
 from benchmarks.report.fits import representation
 from benchmarks.representation.fits import METHODS, NETWORKS, measured
@@ -64,7 +64,7 @@ def main() -> None:
         "--methods", type=some_of(METHODS, "method"), default=",".join(METHODS), help="those that are measured"
     )
     parser.add_argument("--weights", type=Path)
-    parser.add_argument("--out", type=Path, default=RESULTS / "representation.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "representation.json")
     options = parser.parse_args()
     # Of the fits' processes: torch's threads that spin for each other make a step take ten times as long where anything
     # else runs.

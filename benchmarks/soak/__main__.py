@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.load.service import running
-from benchmarks.machine import RESULTS, Elsewhere, command, origin, write_json
+from benchmarks.machine import RUNS, Elsewhere, command, origin, write_json
 from benchmarks.soak.clients import Client, Encodes, Harms, Looks, Shared, Watches
 from benchmarks.soak.samples import LATE_S, is_empty, sample, verdicts
 from service.worker.sweeping import pause_s
@@ -87,7 +87,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=30.0, help="of work (default: 30)")
     parser.add_argument("--retention", type=float, default=300.0, help="seconds for which jobs are kept (default: 300)")
-    parser.add_argument("--out", type=Path, default=RESULTS / "service" / "soak.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "service" / "soak.json")
     options = parser.parse_args()
     settings = {
         "minutes": options.minutes,

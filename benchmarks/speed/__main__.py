@@ -15,7 +15,7 @@ import argparse
 from pathlib import Path
 
 from benchmarks.arguments import integers, numbers, some_of
-from benchmarks.machine import RESULTS, Record
+from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.rd.rivals import versions
 from benchmarks.speed import kernels, sizes
@@ -64,7 +64,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--steps", type=int, default=300, help="of the fit before kernels are timed")
     parser.add_argument("--rounds", type=int, default=40)
-    parser.add_argument("--out", type=Path, default=RESULTS / "speed.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "speed.json")
     options = parser.parse_args()
     settings = {"bpp": options.bpp, "repeats": options.repeats, "steps": options.steps, "codecs": versions()}
     record = Record(options.out, "benchmarks.speed", settings)

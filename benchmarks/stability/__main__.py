@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.arguments import some_of
-from benchmarks.machine import RESULTS, Record
+from benchmarks.machine import RUNS, Record
 from benchmarks.stability import files, fits, kernels
 from benchmarks.stability.case import Cases
 
@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=fits.Size.generations)
     parser.add_argument("--mutations", type=int, default=files.AT_A_TIME)
     parser.add_argument("--sanitize", action="store_true")
-    parser.add_argument("--out", type=Path, default=RESULTS / "stability.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "stability.json")
     options = parser.parse_args()
     record = Record(options.out, "benchmarks.stability", {"side": options.side})
     for name in options.sets:

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from benchmarks.machine import RESULTS, command, in_words, kept_rows, origin, write_json
+from benchmarks.machine import RUNS, command, in_words, kept_rows, origin, write_json
 from benchmarks.stiff.pictures import PICTURES
 from benchmarks.stiff.report import counted, report, violation
 from benchmarks.stiff.rows import Key, Row, measure
@@ -80,7 +80,7 @@ def main() -> None:
     parser.add_argument("--pictures", default=",".join(PICTURES), help="names, each a picture of its own; all")
     parser.add_argument("--seeds", type=int, default=3, help="encodes of each picture and budget")
     parser.add_argument("--only", default=",".join(BUDGETS), help="kinds of budget")
-    parser.add_argument("--out", type=Path, default=RESULTS / "version4" / "stiff.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "version4" / "stiff.json")
     parser.add_argument("--judge", action="store_true", help="judge the rows of the JSON anew, encode nothing")
     parser.add_argument("--draw", type=Path, metavar="FOLDER", help="write the pictures there, encode nothing")
     options = parser.parse_args()

@@ -132,11 +132,12 @@ def test_figures_that_do_not_come_out_again_are_named(tmp_path: Path) -> None:
     content["rows"][1]["bytes"] += 1
     needs.write_text(json.dumps(content))
     options = ["--images", ".", "--results", "needs", "--folder", str(tmp_path)]
-    run("again", out, *options)
+    said = run("again", out, *options).stdout
     (row,) = json.loads(out.read_text())["rows"]
     assert (row["of"], row["drawn"], row["made"]) == (2, 2, 2)
     was = content["rows"][1]["bytes"]
     assert row["different"] == [{"scene": "photograph", "figures": {"bytes": [was, was - 1]}}]
+    assert f"1 came out with other bytes or another figure (needs: photograph, bytes {was} then, {was - 1} now)" in said
     for changed, said in (
         ({"command": "python -m benchmarks.needs --scenes nothing"}, "failed with status 2"),
         ({"settings": {"quality": 51, "side": 32}}, "other settings"),
