@@ -11,7 +11,7 @@ from scipy.interpolate import PchipInterpolator
 from benchmarks import published
 from benchmarks.rd.report import COSTS, FORMATS, SEEN, TITLES, Means, Row, against, against_means, curve, means, scaled
 from benchmarks.report.plots import style
-from benchmarks.report.section import Content, Draw, Section, number, table
+from benchmarks.report.section import Content, Draw, Section, folded, number, table
 
 NAMES = {
     "rd": "`rd`, tuned for PSNR",
@@ -85,7 +85,7 @@ def section(
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
     if any(row.lpips is not None for row in rows):
         tables += [seen(average), rates_seen(rows, average)]
-        tables += [every_pair(rows, average, figure) for figure in BD_SEEN]
+        tables += [folded(f"BD-rates by {TITLES[name]}", every_pair(rows, average, name)) for name in BD_SEEN]
         panels.append(lambda axes: draw_lpips(axes, average))
     tables += [on_fewer(rows, rows_of(fitted))] if fitted else []
     pictures = len({row.image for row in rows})

@@ -60,6 +60,11 @@ def table(titles: str, rows: Sequence[Sequence[object]]) -> str:
     )
 
 
+def folded(title: str, text: str) -> str:
+    """What few want to see: behind a line that opens it."""
+    return f"<details>\n<summary>{title}</summary>\n\n{text}\n\n</details>"
+
+
 def mean(values: Sequence[float | None]) -> float | None:
     """None where there is none, or one is missing."""
     known = [value for value in values if value is not None]
