@@ -24,6 +24,7 @@ ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
 RESULTS = ROOT / "benchmarks" / "results"  # what the documents show
 RUNS = ROOT / "build" / "bench"  # where the JSON of a run goes that is told nothing else
 PACKAGES = ("numpy", "pillow", "torch", "imagecodecs")
+UNKNOWN = "unknown"  # the commit where git knows none
 CODE = ("sgmethod", "service", "benchmarks", ":!benchmarks/results", ":!benchmarks/report")  # that measures
 
 
@@ -55,8 +56,10 @@ def commit() -> str:
     """The commit checked out; if code that measures differs from it, with a name for the difference."""
     head = _git("rev-parse", "--short=12", "HEAD").strip()
     if not head:
-        return "unknown"
-    difference = _git("diff", "HEAD", "--", *CODE)
+        return UNKNOWN
+    added = _git("ls-files", "--others", "--exclude-standard", "--", *CODE).splitlines()
+    texts = [f"{name}\n{(ROOT / name).read_text(errors='replace')}" for name in added]
+    difference = "".join([_git("diff", "HEAD", "--", *CODE), *texts])
     if not difference:
         return head
     return f"{head}+{hashlib.sha256(difference.encode()).hexdigest()[:8]}"
@@ -65,7 +68,9 @@ def commit() -> str:
 def same_code(one: str, other: str) -> bool:
     """Whether two that commit() named measure with the same code: what else was committed between them is no reason
     to measure again."""
-    return one == other or (_is_commit(one) and _is_commit(other) and not _git("diff", one, other, "--", *CODE))
+    if one == other:
+        return one != UNKNOWN
+    return _is_commit(one) and _is_commit(other) and not _git("diff", one, other, "--", *CODE)
 
 
 def _is_commit(name: str) -> bool:

@@ -83,8 +83,8 @@ def arguments(command: str, images: Path, weights: Path | None) -> tuple[list[st
 
 
 def made_again(content: Row, drawn: Sequence[Row], options: argparse.Namespace) -> list[Row | None]:
-    """The rows that the JSON's command makes in place of those drawn; None for one that it does not. Raises SystemExit
-    if it fails."""
+    """The rows that the JSON's command makes in place of those drawn; None for one that it does not. Raises
+    RuntimeError if it fails."""
     keys = [key_of(row, content["rows"]) for row in drawn]
     made: list[Row | None] = [None] * len(keys)
     words, settings = arguments(content["command"], options.images, options.weights)
@@ -104,10 +104,11 @@ def made_again(content: Row, drawn: Sequence[Row], options: argparse.Namespace) 
                     status = process.poll()
                     written = json.loads(path.read_text())
                     if written["settings"] != kept:
-                        raise SystemExit(f"other settings, or other versions of codecs: {kept}")
+                        now = {name: value for name, value in written["settings"].items() if value != kept.get(name)}
+                        raise RuntimeError(f"other settings, or other versions of codecs: {now}")
                     made = [found(key, written["rows"]) for key in keys]
                     if status:
-                        raise SystemExit(f"this failed with status {status}: {shlex.join(command)}")
+                        raise RuntimeError(f"this failed with status {status}: {shlex.join(command)}")
                     if status == 0:
                         break
                     time.sleep(0.2)
@@ -148,18 +149,26 @@ def main() -> None:
         parser.error(f"{options.folder} has no {', '.join(missing)}")
     settings = {"rows": options.rows, "seed": options.seed, "seconds": options.seconds, "seen": bool(options.weights)}
     record = Record(options.out, "benchmarks.again", settings)
+    failures = []
     for name in options.results:
-        if record.has(result=name):
-            continue
         content = json.loads((options.folder / f"{name}.json").read_text())
+        key = {"result": name, **{what: content[what] for what in ("commit", "date")}}
+        if record.has(**key):
+            continue
         rows = [row for row in content["rows"] if not is_timed(name, row)]
         drawn = random.Random(options.seed).sample(rows, min(options.rows, len(rows)))
-        pairs = zip(drawn, made_again(content, drawn, options), strict=True)
+        try:
+            pairs = zip(drawn, made_again(content, drawn, options), strict=True)
+        except RuntimeError as error:
+            failures.append(f"{name}: {error}")
+            continue
         both = [(old, compared(old, new, bool(options.weights))) for old, new in pairs if new]
         different = [{**key_of(old, content["rows"]), "figures": figures} for old, figures in both if figures]
         counts = {"of": len(rows), "drawn": len(drawn), "made": len(both)}
-        record.add({"result": name, "commit": content["commit"], **counts, "different": different})
+        record.add({**key, **counts, "different": different})
     print(section({**record.content, "rows": record.rows}).text())
+    if failures:
+        raise SystemExit("\n".join(failures))
 
 
 if __name__ == "__main__":

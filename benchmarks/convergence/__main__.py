@@ -117,7 +117,7 @@ class Run:
         """Every method on one picture."""
         o = self.options
         # What the first of a process takes counts nowhere, and of rd what the first of a size takes.
-        encode(pixels, bpp=o.bpp, effort=min(EFFORTS))
+        encode(pixels, bpp=o.bpp, tune="psnr")
         encode(pixels[:WARMED_ON, :WARMED_ON], gaussians=50, profile="paper", time_limit_s=0.1)
         size = int(o.bpp * pixels.shape[0] * pixels.shape[1] / 8)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from benchmarks.perceptual.means import FIGURES, TITLES, lines, rates, worse
+from benchmarks.perceptual.means import FIGURES, TITLES, lines, means, rates, worse
 from benchmarks.rd.report import TITLES as NAMES
 from benchmarks.report.section import Content, Section, table
 
@@ -13,16 +13,19 @@ def section(kodak: Content | None, photographs: Content | None) -> Section:
     """From perceptual/kodak.json and perceptual/photographs.json."""
     sets = [(name, content) for name, content in (("Kodak", kodak), ("Photographs", photographs)) if content]
     said = (
-        "How good do files look, as far as figures can tell? SSIMULACRA 2 (higher is better), LPIPS (AlexNet) and "
-        "DISTS (lower is better) are nearer to what people say of pictures than PSNR. Each picture is encoded tuned "
-        "for PSNR and for the eye (`visual`, the default), and by AVIF (libavif, speed 4, 4:2:0, `tune=iq`) at the "
-        "best quality that takes no more bytes. A picture that AVIF cannot make so small is left out of the means. "
-        "Photographs are those that desktop packages carry, 768 pixels wide; constants of the codec were chosen on "
-        "others of them, but some values for texture were tried on these too, which are not wholly unseen. AVIF leaves "
-        "4 % of the bytes. Nobody was asked: these are metrics. [A sheet of parts at twice their size](seen.webp) "
-        "shows the source, this codec, AVIF and JPEG XL; it is made by `python -m benchmarks.perceptual.sheet`."
+        "How good do files look, as far as figures can tell that are nearer to what people say of pictures than PSNR? "
+        f"{' '.join(result(name, content) for name, content in sets)} Nobody was asked: these are metrics. [A sheet of "
+        "parts at twice their size](seen.webp) shows the source, this codec, AVIF and JPEG XL; it is made by "
+        "`python -m benchmarks.perceptual.sheet`."
     )
-    tables = []
+    how = (
+        "SSIMULACRA 2 is better if higher, LPIPS (AlexNet) and DISTS if lower. Each picture is encoded tuned for PSNR "
+        "and for the eye (`visual`, the default), and by AVIF (libavif of imagecodecs, speed 4, 4:2:0, `tune=iq`) at "
+        "the best quality that takes no more bytes. A picture that AVIF cannot make so small is left out of the means. "
+        "Photographs are those that desktop packages carry, 768 pixels wide; constants of the codec were chosen on "
+        "others of them, but some values for texture were tried on these too, which are not wholly unseen."
+    )
+    tables = [how]
     for name, content in sets:
         brackets = (
             "in brackets the difference from AVIF or, where lower is better, the ratio to it; texture in % of bytes"
@@ -30,6 +33,23 @@ def section(kodak: Content | None, photographs: Content | None) -> Section:
         tables.append(f"{name}, {brackets}:\n\n" + table(TITLES, list(lines(content["rows"]))))
         tables.append(f"{name}, pictures in which `visual` is behind:\n\n" + _behind(content))
     return Section("seen", "What people see", said, tables, [content for _, content in sets])
+
+
+def result(name: str, content: Content) -> str:
+    """What came out beside AVIF at the middle rate, in a sentence."""
+    at = rates(content["rows"])
+    bpp = at[len(at) // 2]
+    average = means(content["rows"], bpp)
+    ours, avif = average["visual"], average["avif"]
+    parts = [f"{ours[figure] / avif[figure]:.2f} times AVIF's {NAMES[figure]}" for figure in ("lpips", "dists")]
+    points = ours["ssimulacra2"] - avif["ssimulacra2"]
+    parts.append(f"{abs(points):.1f} points {'less' if points < 0 else 'more'} of SSIMULACRA 2")
+    behind, of = worse(content["rows"], bpp, "visual", "avif", "ssimulacra2")
+    left = 100 - 100 * avif["bytes"] / ours["bytes"]
+    return (
+        f"{name} at {bpp:g} bpp: files tuned for the eye have {', '.join(parts)}, by which {len(behind)} of {of} are "
+        f"behind; AVIF leaves {left:.0f} % of the bytes."
+    )
 
 
 def _behind(content: Content) -> str:

@@ -44,8 +44,8 @@ NOTES_ON_BOUGHT = {
     "psnr": (
         "PSNR that a method has after so many seconds, and in brackets the dB that each second since the column before "
         "bought. Of rd, paper, baseline and other codecs the best complete file by then, of all settings; of the "
-        "others what the fit has, which may be worse than before. A dash: not yet, on some picture; nothing: no more "
-        "to come."
+        "others what the fit has, which may be worse than before. A dash: on some picture there is none yet. An empty "
+        "cell: the method had ended before."
     ),
     "lpips": "LPIPS, of which less is better, in the same way; where it was looked at seldom, between two looks.",
 }

@@ -44,7 +44,7 @@ TABLES = {30_000: "parts, Kodak, 30,000 Gaussians", 70_000: "representation, Kod
 def representation(content: Content) -> Section:
     """From representation.json; rows without a method are those of rd."""
     rows = [{"method": "rd", **row} for row in content["rows"]]
-    lines, found, beside = [], [], []
+    lines, found, beside, best = [], [], [], []
     for asked in sorted({row["asked"] for row in rows}):
         means = _means([row for row in rows if row["asked"] == asked])
         for method, figures in means.items():
@@ -52,6 +52,7 @@ def representation(content: Content) -> Section:
             lines.append([f"{asked:,}", NAMES[method], figures["pictures"], *cells])
         if "rd" in means:
             found.append(f"{means['rd']['psnr']:.2f} dB with {asked:,}")
+        best += [f"{asked:,} Gaussians: {best_of(means)}"]
         if asked in TABLES:
             ours = by_method({"rows": rows}, asked)
             beside.append(f"{asked:,} Gaussians, by PSNR: {order(ours, quoted_values(TABLES[asked], 'psnr'))}")
@@ -68,8 +69,19 @@ def representation(content: Content) -> Section:
             "`baseline` here; nothing was measured on DIV2K. MiB is the fit's whole process, Python and torch included."
         )
     titles = " | ".join(["Gaussians", "method", "pictures", *(title for title, _ in COLUMNS.values())])
-    tables = [table(titles, lines), *beside, *quoted("representation"), *quoted("parts")]
+    told = f"The best with {'. With '.join(best)}."
+    tables = [table(titles, lines), told, *beside, *quoted("representation"), *quoted("parts")]
     return Section("representation", "A fixed number of Gaussians", said, tables, [content])
+
+
+def best_of(means: Mapping[str, Mapping[str, Any]]) -> str:
+    """Which method is the best by each figure that every method has, in words."""
+    told = []
+    for figure, pick in (("psnr", max), ("ms_ssim", max), ("lpips", min)):
+        if all(figures[figure] is not None for figures in means.values()):
+            ahead = pick(means, key=lambda method: means[method][figure])
+            told.append(f"{NAMES[ahead]} by {COLUMNS[figure][0]}")
+    return ", ".join(told)
 
 
 def by_method(content: Content, asked: int) -> dict[str, float]:

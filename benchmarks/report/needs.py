@@ -60,7 +60,7 @@ def saving(row: dict[str, Any]) -> str:
         return "-"
     seconds, whole = row["seconds"], row["seconds_whole"]
     if max(seconds) >= min(whole) and max(whole) >= min(seconds):
-        return "save nothing beyond the spread"
+        return "save no time beyond the spread"
     saved = statistics.median(whole) - statistics.median(seconds)
     return f"save {100 * saved / statistics.median(whole):.0f} % of the time"
 

@@ -35,10 +35,11 @@ RATES = (0.15, 0.25, 0.4)
 ANCHOR = "GaussianImage"
 BD_SEEN = ("ms_ssim", *SEEN)
 MAX_BPP, SORTED_AT_BPP = 0.5, 0.2  # of the plot, and of its legend
+MUCH_LEFT_PERCENT = 2  # of the bytes, from where on it is said
 AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
 NOTE = (
-    '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. AVIF and '
-    "HEIC have whole numbers for qualities and leave 4 to 6 % of the bytes: BD-rates compare better than lines. "
+    '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. Some '
+    "leave a part of the bytes, as their qualities are whole numbers ({left}): BD-rates compare better than lines. "
     "Seconds of other codecs are those of the last encode, without the search for the quality that fits; those of `rd` "
     "have it in them. Effort 9 was measured in another hour, so that its seconds compare with no other row. `rd` and "
     "JPEG XL are decoded by every thread; AVIF and JPEG 2000 gain nothing from a second."
@@ -73,15 +74,15 @@ def section(
     rows = rows_of(*at_rates)
     average = means(rows)
     told = []
-    for codec, words in (("rd", "tuned for PSNR"), ("rd visual", "tuned for the eye, as it is by default,")):
-        if (rate := first(against(rows, codec, AVIF))) is not None:
-            told.append(f"{words} {fewer(rate)} than AVIF at speed 4")
+    for codec, rival in (("rd", AVIF), ("rd visual", AVIF_FOR_EYES)):
+        if (rate := first(against(rows, codec, rival))) is not None:
+            told.append(f"{name_of(codec)}, needs {fewer(rate)} than {name_of(rival)}")
     said = (
         "How many bits does each codec need for the same PSNR, by the sizes of real files and the pixels decoded from "
-        f"them? Profile `rd` needs {', '.join(told)}. {best_seen(average)}Kodak alone is no statement on other "
+        f"them? Profile {'; '.join(told)}. {best_seen(average)}Kodak alone is no statement on other "
         "pictures, and a figure is none on what an eye sees."
     )
-    tables = [measured(average), NOTE, every_pair(rows, average, "psnr")]
+    tables = [measured(average), NOTE.format(left=left(average)), every_pair(rows, average, "psnr")]
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
     if any(row.lpips is not None for row in rows):
         tables += [seen(average), rates_seen(rows, average)]
@@ -97,15 +98,24 @@ def section(
 
 def best_seen(average: Means) -> str:
     """Who is ahead by each figure that follows the eye, in a sentence; none where there are no such figures."""
-    at = {codec: m for (codec, limit), m in average.items() if limit == RATES[1] and m["lpips"] is not None}
-    if not at:
-        return ""
     told = []
     for figure in SEEN:
         pick = max if figure == "ssimulacra2" else min
-        ahead = pick(at, key=lambda codec: at[codec][figure] or 0)
-        told.append(f"{name_of(ahead)} by {TITLES[figure]}")
-    return f"At {RATES[1]:g} bpp the best for the eye is {', '.join(told)}. "
+        values = [(m[figure], codec) for (codec, limit), m in average.items() if limit == RATES[1]]
+        known = [(value, codec) for value, codec in values if value is not None]
+        if known:
+            told.append(f"{name_of(pick(known)[1])} by {TITLES[figure]}")
+    return f"At {RATES[1]:g} bpp the best for the eye is {'; '.join(told)}. " if told else ""
+
+
+def left(average: Means) -> str:
+    """Which codecs leave bytes that they may have, and how many, in words."""
+    parts: dict[str, list[float]] = {}
+    for (codec, limit), m in average.items():
+        if not m["above"] and m["bpp"] is not None:
+            parts.setdefault(codec, []).append(100 - 100 * m["bpp"] / limit)
+    found = {codec: (min(some), max(some)) for codec, some in parts.items() if max(some) >= MUCH_LEFT_PERCENT}
+    return "; ".join(f"{name_of(codec)}: {least:.0f} to {most:.0f} %" for codec, (least, most) in found.items())
 
 
 def measured(average: Means, more: dict[str, str] | None = None) -> str:
@@ -156,8 +166,8 @@ def seen(average: Means) -> str:
             cells = [number(m[name], form) for name, form in ({"bpp": ".3f"} | SEEN).items()]
             lines.append([f"{limit:g}", name_of(codec), *cells])
     note = (
-        "SSIMULACRA 2 (higher is better), LPIPS (AlexNet) and DISTS (lower is better), the lowest LPIPS first. AVIF is "
-        "best compared with by its row with `tune=iq`, as libavif does where nobody says anything."
+        "SSIMULACRA 2 (higher is better), LPIPS (AlexNet) and DISTS (lower is better), the lowest LPIPS first. AVIF's "
+        "row with `tune=iq`, which libavif takes by default, is the fair one to compare with."
     )
     return f"{note}\n\n" + table("bpp at most | codec | bpp | SSIMULACRA 2 | LPIPS | DISTS", lines)
 

@@ -41,7 +41,9 @@ def origin(content: Content) -> str:
     remark = f" {content['remark']}" if content.get("remark") else ""
     libraries = ", ".join(content.get("settings", {}).get("codecs", ()))
     versions = f" With {libraries}." if libraries else ""
-    return f"`{content['command']}`: {in_words(content)}.{versions}{remark}"
+    packages = content["machine"]["packages"].items()
+    ours = ", ".join([f"Python {content['machine']['python']}", *(f"{name} {has}" for name, has in packages if has)])
+    return f"`{content['command']}`: {in_words(content)}; {ours}.{versions}{remark}"
 
 
 def load(results: Path, name: str) -> Content | None:

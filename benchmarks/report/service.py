@@ -157,10 +157,10 @@ def image(content: Content) -> Section:
     """From image.json."""
     rows = content["rows"]
     said = (
-        "Does the Dockerfile build, and what it builds run? Its own steps were done one after the other in an empty "
-        f"Debian, as there was no container engine: {_build_args(content)}. Then web process and worker of "
-        "compose.yaml ran there, with its commands, environment, user and volume, and without capabilities. The base "
-        "image itself, layers and an engine's network were not tried."
+        "Does the Dockerfile build, and does what it builds run? Yes, as far as was tried: its own steps were done one "
+        f"after the other in an empty Debian, as there was no container engine: {_build_args(content)}. Then web "
+        "process and worker of compose.yaml ran there, with its commands, environment, user and volume, and without "
+        "capabilities. The base image itself, layers and an engine's network were not tried."
     )
     lines = [[row["step"].replace("|", "\\|"), f"{row['seconds']:.1f}", _more(row)] for row in rows]
     tables = [table("step | seconds | what came of it", lines)]

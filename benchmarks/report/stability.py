@@ -74,14 +74,8 @@ def kernels_table(rows: list[dict[str, Any]]) -> str:
         own = {row["rule"]: row for row in rows if row["case"] == case}
         broken = [f"broken: {number(row['worst'], '.3g')}" for row in own.values() if row["verdict"] == "broken"]
         figures = [number(own[rule]["worst"], ".2g") if rule in own else "-" for rule in rules]
-        free = any(row["limit"] is None for row in own.values())
-        lines.append(
-            [
-                case,
-                *figures,
-                ", ".join(broken) or ("kept; gradients have no limit at such a ratio" if free else "kept"),
-            ]
-        )
+        free = "; gradients have no limit at such a ratio" if any(row["limit"] is None for row in own.values()) else ""
+        lines.append([case, *figures, (", ".join(broken) or "kept") + free])
     limits = {row["rule"]: row["limit"] for row in rows if row["limit"] is not None}
     named = [f"{rule}, at most {limits[rule]:g}" if rule in limits else rule for rule in rules]
     return table(" | ".join(["case", *named, "verdict"]), lines)
@@ -137,7 +131,9 @@ def limits(stiff: Content | None, content: Content | None) -> str:
             for row in content["rows"]
             if row["verdict"] == "broken"
         ]
-        told.append(f"- Extreme cases that break their rule: {'; '.join(cases) or 'none that was tried'}.")
+        free = list(dict.fromkeys(row["case"] for row in content["rows"] if row["limit"] is None))
+        none = f" Gradients were held to no limit with {', '.join(free)}." if free else ""
+        told.append(f"- Extreme cases that break their rule: {'; '.join(cases) or 'none that was tried'}.{none}")
     lines = [line for one in told for line in one.split("\n")]
     return "\n".join(_filled(line) for line in lines)
 

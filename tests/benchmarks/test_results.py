@@ -35,7 +35,6 @@ def spoil_origin(content: Any) -> None:
     ("name", "spoil", "documents"),
     [
         ("rd/kodak", spoil_rate, "results.md and README.md"),
-        ("version4/turns", lambda content: content["rows"][0]["this"].update(psnr=1.0), "README.md"),
         ("ablation", spoil_origin, "results.md"),
     ],
 )
@@ -99,6 +98,11 @@ def test_rows_are_kept_as_long_as_the_code_is_the_same(tmp_path: Path) -> None:
     assert same(result, code, text) == "[True, True, True]"
     changed = written("sgmethod/a.py")
     assert changed.startswith(f"{result}+")
+    (tmp_path / "service").mkdir()
+    (tmp_path / "service" / "new.py").write_text("not added yet")
+    assert printed("machine.commit()") not in (result, changed)
+    (tmp_path / "service" / "new.py").unlink()
+    assert printed("machine.same_code('unknown', 'unknown')") == "False"
     assert same(changed, committed("sgmethod/a.py"), "0123456789ab", "unknown") == "[False, False, False, False]"
 
 
