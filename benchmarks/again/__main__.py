@@ -96,9 +96,13 @@ def made_again(content: Row, drawn: Sequence[Row], options: argparse.Namespace) 
         write_json(path, {**content, **origin(), "settings": kept, "rows": others})
         command = [sys.executable, "-m", *words, "--out", str(path)]
         environment = {name: value for name, value in os.environ.items() if name != THREADS}
+        said = Path(folder) / "said"
         quiet: dict[str, Any] = {"env": environment | settings, "stdout": subprocess.DEVNULL}
         began = time.monotonic()
-        with subprocess.Popen(command, cwd=ROOT, start_new_session=True, **quiet) as process:
+        with (
+            said.open("w") as errors,
+            subprocess.Popen(command, cwd=ROOT, start_new_session=True, stderr=errors, **quiet) as process,
+        ):
             try:
                 while None in made and time.monotonic() - began < options.seconds:
                     status = process.poll()
@@ -108,7 +112,8 @@ def made_again(content: Row, drawn: Sequence[Row], options: argparse.Namespace) 
                         raise RuntimeError(f"other settings, or other versions of codecs: {now}")
                     made = [found(key, written["rows"]) for key in keys]
                     if status:
-                        raise RuntimeError(f"this failed with status {status}: {shlex.join(command)}")
+                        last = "".join(said.read_text().splitlines()[-1:])
+                        raise RuntimeError(f"this failed with status {status}: {shlex.join(command)}: {last}")
                     if status == 0:
                         break
                     time.sleep(0.2)

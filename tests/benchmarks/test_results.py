@@ -143,7 +143,7 @@ def test_figures_that_do_not_come_out_again_are_named(tmp_path: Path) -> None:
     assert row["different"] == [{"scene": "photograph", "figures": {"bytes": [was, was - 1]}}]
     assert f"1 came out with other bytes or another figure (needs: photograph, bytes {was} then, {was - 1} now)" in said
     for changed, said in (
-        ({"command": "python -m benchmarks.needs --scenes nothing"}, "failed with status 2"),
+        ({"command": "python -m benchmarks.needs --scenes nothing"}, "nothing: no such scene"),
         ({"settings": {"quality": 51, "side": 32}}, "other settings"),
     ):
         needs.write_text(json.dumps(content | changed))
