@@ -123,7 +123,7 @@ def main() -> None:
     if options.full and not options.weights:
         parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
     if options.full and not has_rivals():
-        parser.error("--full needs the other codecs: pip install '.[benchmark]'")
+        parser.error("--full needs the other codecs: pip install -e '.[benchmark]'")
     wanted = [part for part in PARTS if part.module in options.only and (options.full or part.small)]
     taken = [(part.result, run(part, options)) for part in wanted]
     print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken))

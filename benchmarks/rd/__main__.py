@@ -8,7 +8,7 @@
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
 an interrupted run goes on where it stopped. Each file is the best of at most so many bits per pixel, or the smallest
 that its codec makes where none is. Profile rd comes twice, tuned for PSNR and for the eye. Others come with --rivals
-and --coin (pip install '.[benchmark]'); rivals.py and coin.py say how each is set.
+and --coin (pip install -e '.[benchmark]'); rivals.py and coin.py say how each is set.
 
 --quality: profile rd at one quality for all pictures, as published means over pictures mostly are; they may only be
 compared with such. --weights: a folder as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS too.
@@ -105,7 +105,7 @@ def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
         if folder and not folder.is_dir():
             parser.error(f"{folder} is no folder")
     if options.rivals and not versions():
-        parser.error("--rivals needs the extra: pip install '.[benchmark]'")
+        parser.error("--rivals needs the extra: pip install -e '.[benchmark]'")
     return options
 
 

@@ -220,7 +220,7 @@ def package(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise SystemExit(f"other codecs need the package {name}: pip install '.[benchmark]'") from error
+        raise SystemExit(f"other codecs need the package {name}: pip install -e '.[benchmark]'") from error
 
 
 def imagecodecs() -> Any:

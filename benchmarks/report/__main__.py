@@ -51,8 +51,8 @@ was typed, only remarks on a run. Each section says what was asked and what came
 line below its tables has the command, the machine, the commit and the date. "Quoted" marks figures that others
 published, with their source in [benchmarks/published](../benchmarks/published); nobody measured them here.
 
-To repeat a row, run the command below its table in a checkout, after `pip install '.[encode,benchmark]'`: it writes to
-`build/bench`, or where `--out` says. Most commands take `--pictures` and fewer settings as well, such as
+To repeat a row, run the command below its table in a checkout, after `pip install -e '.[encode,benchmark]'`: it writes
+to `build/bench`, or where `--out` says. Most commands take `--pictures` and fewer settings as well, such as
 `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --profiles rd --rivals`.
 `python -m benchmarks.again --images KODAK` does so for rows drawn by chance, and says which came out otherwise.
 KODAK is a folder with the 24 PNG files of [Kodak's set](https://r0k.us/graphics/kodak/), WEIGHTS what

@@ -23,7 +23,7 @@ class _Missing:
     def __getattr__(self, _name: str) -> NoReturn:
         raise NativeModuleError(
             f"the compiled part of sgmethod cannot be loaded ({self._error}); "
-            "build it with: pip install --force-reinstall ."
+            "build it with: pip install --editable . inside a checkout, or pip install --force-reinstall ."
         ) from self._error
 
 
