@@ -131,8 +131,8 @@ def test_rates_are_compared_with_what_averages_alike(tmp_path: Path) -> None:
     (line,) = re.findall(rf"^\| {rd} \|[^|]*\|[^|]*\|[^|]* % \| ([^|]*) \|[^|]*\|$", made, re.MULTILINE)
     assert line.endswith(" % (1)")  # kodim23 has no point so low
     assert f"| 0.15 | {rd} | 0.150 | 50.0 | 0.250 | 0.125 |" in made
-    assert f"| {rd}, effort 9 | 0.15 | 1 | 0 | 1 | 0.1500 | 22.50 |" in made
-    assert "| COIN | 0.15 | 1 | 0 | 1 | 0.1490 | 20.00 |" in made
-    assert f"| {rd} | 0.15 | 1 | 0 | 1 | 0.1500 | 22.00 |" in made  # on that picture alone, beside it
-    assert "| WebP, method 6 | 0.15 | 1 | 1 | 1 | 0.3000 | 22.00 |" in made  # and above what was allowed
+    assert f"| {rd}, effort 9 | 0.15 | 1 | 0 | 0.1500 | 22.50 |" in made
+    assert "| COIN | 0.15 | 0 | 0.1490 | 20.00 |" in made
+    assert f"| {rd} | 0.15 | 0 | 0.1500 | 22.00 |" in made  # on that picture alone, beside it
+    assert "| WebP, method 6 | 0.15 | 1 | 1 | 0.3000 | 22.00 |" in made  # and above what was allowed
     assert re.search(r"^\| WebP, method 6 \|.*\| \+[2-4]\d\.\d % \|$", made, re.MULTILINE)  # two files, not three
