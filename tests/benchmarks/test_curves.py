@@ -77,7 +77,7 @@ def a_curve(method: str, setting: str = "", **more: object) -> dict[str, object]
 def test_few_rows_make_a_section(rows: list[dict[str, object]], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     content = {"command": "c", "commit": "0", "date": "d", "settings": {"bpp": 0.25, "seconds": 60.0}, "rows": rows}
-    machine = {"processor": "p", "cores": 2, "instruction_set": "AVX2"}
+    machine = {"processor": "p", "cores": 2, "instruction_set": "AVX2", "python": "3", "packages": {"torch": "2"}}
     script = (
         "from pathlib import Path; from benchmarks.report import convergence, plots; "
         f"s = convergence.whole({content | {'machine': machine}!r}); "
