@@ -4,8 +4,8 @@
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; python -m benchmarks.report then makes the documents.
-Each command's own text has its options. Not among them: benchmarks.perceptual, turns and image, which need weights, a
-second checkout and root, the document has their commands; and benchmarks.again, for results of earlier code.
+Each command's own text has its options. Not among them: benchmarks.perceptual and image, which need weights and root,
+the document has their commands; turns, which compares with a second checkout; and again, for results of earlier code.
 """
 
 from __future__ import annotations

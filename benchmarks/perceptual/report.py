@@ -36,10 +36,12 @@ def section(kodak: Content | None, photographs: Content | None) -> Section:
 
 
 def result(name: str, content: Content) -> str:
-    """What came out beside AVIF at the middle rate, in a sentence."""
+    """What came out beside AVIF at the middle rate, in a sentence; none where either was not measured."""
     at = rates(content["rows"])
     bpp = at[len(at) // 2]
     average = means(content["rows"], bpp)
+    if not {"visual", "avif"} <= set(average):
+        return ""
     ours, avif = average["visual"], average["avif"]
     parts = [f"{ours[figure] / avif[figure]:.2f} times AVIF's {NAMES[figure]}" for figure in ("lpips", "dists")]
     points = ours["ssimulacra2"] - avif["ssimulacra2"]

@@ -52,7 +52,7 @@ def representation(content: Content) -> Section:
             lines.append([f"{asked:,}", NAMES[method], figures["pictures"], *cells])
         if "rd" in means:
             found.append(f"{means['rd']['psnr']:.2f} dB with {asked:,}")
-        best += [f"{asked:,} Gaussians: {best_of(means)}"]
+        best.append(f"{asked:,} Gaussians: {best_of(means)}")
         if asked in TABLES:
             ours = by_method({"rows": rows}, asked)
             beside.append(f"{asked:,} Gaussians, by PSNR: {order(ours, quoted_values(TABLES[asked], 'psnr'))}")

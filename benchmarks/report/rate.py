@@ -39,7 +39,7 @@ MUCH_LEFT_PERCENT = 2  # of the bytes, from where on it is said
 AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
 NOTE = (
     '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. Some '
-    "leave a part of the bytes, as their qualities are whole numbers ({left}): BD-rates compare better than lines. "
+    "leave a part of the bytes, as their qualities are whole numbers{left}: BD-rates compare better than lines. "
     "Seconds of other codecs are those of the last encode, without the search for the quality that fits; those of `rd` "
     "have it in them. Effort 9 was measured in another hour, so that its seconds compare with no other row. `rd` and "
     "JPEG XL are decoded by every thread; AVIF and JPEG 2000 gain nothing from a second."
@@ -109,13 +109,14 @@ def best_seen(average: Means) -> str:
 
 
 def left(average: Means) -> str:
-    """Which codecs leave bytes that they may have, and how many, in words."""
+    """Which codecs leave bytes that they may have, and how many, in brackets."""
     parts: dict[str, list[float]] = {}
     for (codec, limit), m in average.items():
         if not m["above"] and m["bpp"] is not None:
             parts.setdefault(codec, []).append(100 - 100 * m["bpp"] / limit)
     found = {codec: (min(some), max(some)) for codec, some in parts.items() if max(some) >= MUCH_LEFT_PERCENT}
-    return "; ".join(f"{name_of(codec)}: {least:.0f} to {most:.0f} %" for codec, (least, most) in found.items())
+    told = "; ".join(f"{name_of(codec)}: {least:.0f} to {most:.0f} %" for codec, (least, most) in found.items())
+    return f" ({told})" if told else ""
 
 
 def measured(average: Means, more: dict[str, str] | None = None) -> str:

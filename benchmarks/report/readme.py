@@ -56,23 +56,23 @@ def codecs(results: Path) -> str:
     forms = {"bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f", **seen, "encode_s": ".3f", "decode_ms": ".2f"}
     lines = [[rate.name_of(c), *(number(m[name], form) for name, form in forms.items())] for c, m in chosen]
     made = table(" | ".join(["codec", *(TITLES.get(name, name) for name in forms)]), lines)
-    above = [f"{rate.name_of(c)}: {m['above']:g}" for c, m in chosen if m["above"]]
-    note = f"Of how many pictures a codec makes no file so small, so that its smallest counts: {'; '.join(above)}."
+    above = [f"{rate.name_of(c)} (pictures: {m['above']:g})" for c, m in chosen if m["above"]]
+    note = f"A codec that makes no file so small of a picture counts with its smallest: {'; '.join(above)}."
     return f"{made}\n\n{paragraph(note)}" if above else made
 
 
 def times(results: Path) -> str:
     """Times beside those of AVIF and libjpeg-turbo, picture by picture."""
-    rows = [row for row in rate.rows_of(load(results, "rd/kodak") or {"rows": []}) if row.max_bpp == 0.25]
+    rows = rate.rows_of(load(results, "rd/kodak") or {"rows": []})
+    timed = {(row.codec, row.image): row for row in rows if row.max_bpp == 0.25 and row.encode_s and row.decode_ms}
+    if not {"rd", "rd visual", rate.AVIF, rate.AVIF_FOR_EYES, "jpeg"} <= {codec for codec, _ in timed}:
+        return ""
 
     def beside(codec: str, rival: str, what: str) -> str:
-        seconds = {(row.codec, row.image): getattr(row, what) for row in rows}
-        images = [image for name, image in seconds if name == codec and (rival, image) in seconds]
-        ratios = sorted(seconds[codec, image] / seconds[rival, image] for image in images)
+        pairs = [(row, timed[rival, image]) for (name, image), row in timed.items() if name == codec]
+        ratios = sorted(getattr(ours, what) / getattr(theirs, what) for ours, theirs in pairs)
         return f"{statistics.median(ratios):.1f} times ({ratios[0]:.1f} to {ratios[-1]:.1f}) that of"
 
-    if not {"rd", "rd visual", rate.AVIF, rate.AVIF_FOR_EYES, "jpeg"} <= {row.codec for row in rows}:
-        return ""
     return paragraph(
         f"Tuned for PSNR, the time of an encode is {beside('rd', rate.AVIF, 'encode_s')} AVIF with `tune=psnr`, and of "
         f"a decode {beside('rd', 'jpeg', 'decode_ms')} libjpeg-turbo: medians over the pictures, the least and the "

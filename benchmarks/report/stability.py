@@ -132,7 +132,7 @@ def limits(stiff: Content | None, content: Content | None) -> str:
             if row["verdict"] == "broken"
         ]
         free = list(dict.fromkeys(row["case"] for row in content["rows"] if row["limit"] is None))
-        none = f" Gradients were held to no limit with {', '.join(free)}." if free else ""
+        none = f" Gradients were held to no limit with {'; '.join(free)}." if free else ""
         told.append(f"- Extreme cases that break their rule: {'; '.join(cases) or 'none that was tried'}.{none}")
     lines = [line for one in told for line in one.split("\n")]
     return "\n".join(_filled(line) for line in lines)
