@@ -38,12 +38,13 @@ OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT) 
 FEW_EFFORTS = (1, 3, 7)
 Start = Callable[[Pixels, float, int], Shown]
 NETWORKS: dict[str, Start] = {"siren": siren, "hash grid": hash_grid}
+# Every setting, and a few: the quickest first, since its quality is where the search of the next one begins.
 RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]]] = {
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
     "jpeg2000": (lambda _: Jpeg2000(), (0,), (0,)),
     "webp": (WebP, tuple(range(7)), (0, 4)),
-    "avif": (AvifForPsnr, tuple(range(11)), (4, 6, 10)),
-    "avif visual": (AvifForEyes, tuple(range(11)), (6, 10)),
+    "avif": (AvifForPsnr, tuple(range(10, -1, -1)), (10, 6, 4)),
+    "avif visual": (AvifForEyes, tuple(range(10, -1, -1)), (10, 6)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
 METHODS = (*OURS, VISUAL, "plain Adam", *NETWORKS, *RIVALS)
@@ -91,11 +92,11 @@ def learned(start: Start, pixels: Pixels, seconds: float, amount: int, size: int
     }
 
 
-def point(make: Callable[[int], Rival], setting: int, pixels: Pixels, bpp: float, lpips: Measure) -> Row:
-    """Another codec's file within the budget; the seconds are those of its last encode."""
-    made = make(setting).run(pixels, bpp)
-    decoded = made.decode(made.data)
-    row: Row = {"bytes": len(made.data), "gaussians": None, "seconds": made.encode_s}
+def point(rival: Rival, near: float | None, pixels: Pixels, bpp: float, lpips: Measure) -> Row:
+    """Another codec's file within the budget; the seconds are those of its encode. near: as Rival.best takes it."""
+    file = rival.best(pixels, bpp, near)
+    decoded = rival.decode(file.data)
+    row: Row = {"bytes": len(file.data), "gaussians": None, "quality": file.quality, "seconds": file.encode_s}
     return row | {"psnr": psnr(decoded, pixels), "lpips": lpips(decoded, pixels), "curve": None}
 
 
@@ -146,12 +147,19 @@ class Run:
             once(method, "", partial(learned, network, pixels, o.seconds, size, size, self.lpips))
         for method, (make, every, few) in RIVALS.items():
             for setting in few if o.few else every:
-                once(method, str(setting), partial(point, make, setting, pixels, o.bpp, self.lpips))
+                near = self._quality(method, picture, megapixels)
+                once(method, str(setting), partial(point, make(setting), near, pixels, o.bpp, self.lpips))
 
     def _gaussians(self, picture: str, megapixels: float) -> int | None:
         """As many as rd's file of the picture has."""
         row = found({"method": "rd", "setting": "", "picture": picture, "megapixels": megapixels}, self.record.rows)
         return row["gaussians"] if row else None
+
+    def _quality(self, method: str, picture: str, megapixels: float) -> float | None:
+        """That of the last setting of another codec."""
+        key = {"method": method, "picture": picture, "megapixels": megapixels}
+        row = found(key, reversed(self.record.rows))
+        return row["quality"] if row else None
 
 
 def main() -> None:

@@ -17,6 +17,7 @@ import io
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,17 @@ from benchmarks.rd.codecs import Run
 from sgmethod.native import native
 
 
+@dataclass(frozen=True)
+class File:
+    """What a codec made at one quality, and how long that took."""
+
+    quality: float
+    data: bytes
+    encode_s: float
+
+
 class Rival:
-    """Its qualities, from the smallest file to the largest, are searched by halving."""
+    """Its qualities are in the order in which files grow."""
 
     name: str
     qualities: Sequence[float]
@@ -42,22 +52,48 @@ class Rival:
         """Its pixels."""
         raise NotImplementedError
 
-    def fitting(self, pixels: Pixels, aim: float) -> float:
-        """The quality of the best file of at most so many bits per pixel."""
-        max_bytes = aim * pixels.shape[0] * pixels.shape[1] / 8
+    def best(self, pixels: Pixels, aim: float, near: float | None = None) -> File:
+        """That of at most so many bits per pixel, or the smallest there is.
+
+        The quality is searched by halving; with `near` only between what lies on both sides of it, found at distances
+        that double. If it is close that saves encodes, and changes nothing.
+        """
+        max_bytes: float = aim * pixels.shape[0] * pixels.shape[1] / 8
+        files: dict[int, File] = {}
+
+        def fits(k: int) -> bool:
+            files[k] = self._file(pixels, self.qualities[k])
+            return len(files[k].data) <= max_bytes
+
         low, high = 0, len(self.qualities)  # what `low` gives is taken, what `high` gives is too large
+        if near is not None:
+            low, high = _around(self.qualities.index(near), high, fits)
         while high - low > 1:
             middle = (low + high) // 2
-            fits = len(self.encode(pixels, self.qualities[middle])) <= max_bytes
-            low, high = (middle, high) if fits else (low, middle)
-        return self.qualities[low]
+            low, high = (middle, high) if fits(middle) else (low, middle)
+        return files.get(low) or self._file(pixels, self.qualities[low])
 
     def run(self, pixels: Pixels, aim: float) -> Run:
-        """As Codec.run; the time is that of the last encode, not of the search."""
-        quality = self.fitting(pixels, aim)
+        """As Codec.run; the time is that of one encode, not of the search."""
+        file = self.best(pixels, aim)
+        return Run(file.data, file.encode_s, self.decode)
+
+    def _file(self, pixels: Pixels, quality: float) -> File:
         began = time.perf_counter()
         data = self.encode(pixels, quality)
-        return Run(data, time.perf_counter() - began, self.decode)
+        return File(quality, data, time.perf_counter() - began)
+
+
+def _around(start: int, count: int, fits: Callable[[int], bool]) -> tuple[int, int]:
+    """The last of 0..count-1 known to fit, or 0, and the first known not to, or count."""
+    offset = 1
+    if fits(start):
+        while start + offset < count and fits(start + offset):
+            offset *= 2
+        return start + offset // 2, min(start + offset, count)
+    while start - offset > 0 and not fits(start - offset):
+        offset *= 2
+    return max(start - offset, 0), start - offset // 2
 
 
 class Jpeg(Rival):

@@ -83,7 +83,7 @@ def beside(paths: Sequence[Path], megapixels: float, repeats: int, data: bytes) 
     bpp = 8 * len(data) / (pixels.shape[0] * pixels.shape[1])
     for name, make in RIVALS.items() if versions() else ():
         rival = make()
-        quality = rival.fitting(pixels, bpp)
+        quality = rival.best(pixels, bpp).quality
         encodes[name] = []
         for _ in range(repeats):
             began = time.perf_counter()

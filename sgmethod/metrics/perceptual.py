@@ -60,7 +60,8 @@ class Networks:
         channels = [3, 64, 128, 256, 512, 512]
         self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))
         self._source: Pixels | None = None
-        self._seen: tuple[list[Tensor], list[Tensor]] = [], []
+        self._alex_seen: list[Tensor] = []
+        self._vgg_seen: list[Tensor] = []
 
     @staticmethod
     def _layer(arrays: dict[str, NDArray[np.float32]], name: str) -> tuple[Tensor, Tensor]:
@@ -69,19 +70,16 @@ class Networks:
     @torch.no_grad()
     def __call__(self, picture: Pixels, source: Pixels) -> dict[str, float]:
         """lpips and dists of pictures [H, W, 3] with sides of MIN_SIDE pixels or more."""
-        if self._source is not source:
-            image = _tensor(source)
-            self._source, self._seen = source, (list(self._alexnet(image)), list(self._vgg16(image)))
-        image = _tensor(picture)
-        return {
-            "lpips": self._lpips(self._seen[0], self._alexnet(image)),
-            "dists": self._dists(self._seen[1], self._vgg16(image)),
-        }
+        lpips = self.lpips(picture, source)
+        self._vgg_seen = self._vgg_seen or list(self._vgg16(_tensor(source)))
+        return {"lpips": lpips, "dists": self._dists(self._vgg_seen, self._vgg16(_tensor(picture)))}
 
     @torch.no_grad()
     def lpips(self, picture: Pixels, source: Pixels) -> float:
         """That alone, which takes less time."""
-        return self._lpips(self._alexnet(_tensor(source)), self._alexnet(_tensor(picture)))
+        if self._source is not source:
+            self._source, self._alex_seen, self._vgg_seen = source, list(self._alexnet(_tensor(source))), []
+        return self._lpips(self._alex_seen, self._alexnet(_tensor(picture)))
 
     def _lpips(self, first: Iterable[Tensor], second: Iterable[Tensor]) -> float:
         found = torch.zeros(())

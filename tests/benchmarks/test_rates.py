@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from benchmarks.pictures import Pixels
+from benchmarks.rd.rivals import Rival
 from tests.benchmarks.commands import RESULTS, report
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
@@ -50,6 +54,28 @@ def test_other_codecs_are_within_the_rate(tmp_path: Path) -> None:
         )
     assert all(name in ran.stdout for name in ("libavif-", "mozjpeg-", "libjxl-", "libheif-", "x265"))
     assert content["settings"]["codecs"]
+
+
+@pytest.mark.parametrize("max_bytes", [0, 1, 4, 40, 99, 100, 500])
+def test_the_search_finds_the_best_file_wherever_it_begins(max_bytes: int) -> None:
+    class Square(Rival):
+        """A file of quality² bytes."""
+
+        qualities = range(1, 11)
+
+        def encode(self, pixels: Pixels, quality: float) -> bytes:
+            assert pixels.shape == (1, 8, 3)
+            tried.append(quality)
+            return bytes(int(quality) ** 2)
+
+    pixels = np.zeros((1, 8, 3), np.uint8)
+    best = max(1, min(10, math.isqrt(max_bytes)))
+    for near in (None, *Square.qualities):
+        tried: list[float] = []
+        file = Square().best(pixels, max_bytes, near)
+        assert (file.quality, len(file.data)) == (best, best**2)
+        assert len(tried) == len({*tried})  # no file is made twice
+        assert near is None or abs(near - best) > 1 or len(tried) <= 3
 
 
 def test_rows_say_how_they_were_made(tmp_path: Path) -> None:
