@@ -156,14 +156,13 @@ def gradients(gaussians: Gaussians, model: Model) -> Found:
     loss = (defined(gaussians, model, tensors) * upstream()).sum()
     loss.backward()  # type: ignore[no-untyped-call]
     worst, where = 0.0, ""
-    for isa in range(native.best_isa() + 1):
-        for name, tensor, found in zip(
-            Gaussians.__annotations__, tensors, backward(gaussians, model, isa), strict=True
-        ):
-            assert tensor.grad is not None
-            exact = tensor.grad.numpy()
-            scale = np.maximum(np.abs(exact).max(axis=0), LEAST)
-            errors = np.abs(found - exact).max(axis=0) / scale
+    every = [backward(gaussians, model, isa) for isa in range(native.best_isa() + 1) for _ in threads()]
+    for name, tensor, *found in zip(Gaussians.__annotations__, tensors, *every, strict=True):
+        assert tensor.grad is not None
+        exact = tensor.grad.numpy()
+        scale = np.maximum(np.abs(exact).max(axis=0), LEAST)
+        for values in found:
+            errors = np.abs(values - exact).max(axis=0) / scale
             if not errors.max() <= worst:
                 worst, where = float(errors.max()), f"{name}, column {int(errors.argmax())}"
     return worst, where
