@@ -62,7 +62,19 @@ PARTS = (
         f"{IMAGES} --most 5 --megapixels 0.4",
     ),
     Part("convergence", "convergence/2-megapixels", "", f"{IMAGES} --most 5 --megapixels 2 --few"),
-    Part("convergence", "convergence/12-megapixels", "", f"{IMAGES} --most 5 --megapixels 12 --few"),
+    Part(
+        "convergence",
+        "convergence/12-megapixels",
+        "",
+        f"{IMAGES} --most 5 --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 --paper-limits 10,30",
+    ),
+    Part(
+        "convergence",
+        "convergence/codecs",
+        "",
+        f"{IMAGES} --most 5 --megapixels 2,12 --methods 'rd,rd visual,jpeg,jpeg2000,webp,avif,jpegxl,avif visual' "
+        "--settings ',effort 1,10,9,8,7,6,5,4,3,2,1,0'",
+    ),
     Part("needs", "needs", "--repeats 1", ""),
     Part("stability", "stability", "--seeds 3 --generations 4 --mutations 2000", "--mutations 1000000 --sanitize"),
     Part("stiff", "version4/stiff", "--pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp", ""),

@@ -249,7 +249,9 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--database-url", default="sqlite")
-    parser.add_argument("--out", type=Path, help="default: chaos-sqlite.json or chaos-postgresql.json of the results")
+    parser.add_argument(
+        "--out", type=Path, help="default: chaos-sqlite.json or chaos-postgresql.json of build/bench/service"
+    )
     arguments = parser.parse_args()
     head = {"command": command("benchmarks.chaos"), **origin(), "remark": ""}
     elsewhere = Elsewhere()

@@ -20,8 +20,9 @@ def section(kodak: Content | None, photographs: Content | None) -> Section:
     )
     how = (
         "SSIMULACRA 2 is better if higher, LPIPS (AlexNet) and DISTS if lower. Each picture is encoded tuned for PSNR "
-        "and for the eye (`visual`, the default), and by AVIF (libavif of imagecodecs, speed 4, 4:2:0, `tune=iq`) at "
-        "the best quality that takes no more bytes. A picture that AVIF cannot make so small is left out of the means. "
+        "and for the eye (`visual`, the default), and by AVIF (libavif of imagecodecs, where tables of rate have "
+        "Pillow's, speed 4, 4:2:0, `tune=iq`) at the best quality that takes no more bytes. A picture that AVIF cannot "
+        "make so small is left out of the means. "
         "Photographs are those that desktop packages carry, 768 pixels wide; constants of the codec were chosen on "
         "others of them, but some values for texture were tried on these too, which are not wholly unseen."
     )

@@ -31,6 +31,7 @@ MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.whole, ("convergence/kodak",)),
     (convergence.large, ("convergence/2-megapixels", "convergence/12-megapixels")),
+    (convergence.codecs, ("convergence/codecs",)),
     (needs.section, ("needs",)),
     (stability.section, ("version4/stiff", "stability")),
     (speed.section, ("speed",)),
@@ -51,8 +52,15 @@ was typed, only remarks on a run. Each section says what was asked and what came
 line below its tables has the command, the machine, the commit and the date. "Quoted" marks figures that others
 published, with their source in [benchmarks/published](../benchmarks/published); nobody measured them here.
 
-To repeat a row, run the command below its table in a checkout, after `pip install -e '.[encode,benchmark]'`: it writes
-to `build/bench`, or where `--out` says. Most commands take `--pictures` and fewer settings as well, such as
+bpp are bits per pixel: 8 times the bytes of a file, over its pixels. PSNR (dB), MS-SSIM and SSIMULACRA 2 are better if
+higher, LPIPS and DISTS if lower. A BD-rate, Bjøntegaard's, says how many bits one codec takes more or less than another
+for the same quality, a mean over the qualities that both reach: of each picture and then over pictures, or of one curve
+of means. p50 and p99 are times that half of all requests, or 99 of 100, do not exceed.
+
+To repeat a row, run the command below its table in a checkout, after `pip install -e '.[encode,benchmark]'`, or
+`'.[test,benchmark]'` for those of the service and `--sanitize`: it writes to `build/bench`, or where `--out` says. Not
+all rows are of one commit: the line and the remark below a table say of which. Most commands take `--pictures` and
+fewer settings as well, such as
 `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --profiles rd --rivals`.
 `python -m benchmarks.again --images KODAK` does so for rows drawn by chance, and says which came out otherwise.
 KODAK is a folder with the 24 PNG files of [Kodak's set](https://r0k.us/graphics/kodak/), WEIGHTS what

@@ -6,6 +6,7 @@ import math
 import statistics
 from collections.abc import Sequence
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,10 @@ COMPLETE = {
     "paper, time limits": ("paper", " s"),
     "baseline, time limits": ("baseline", " s"),
 }
-OURS = ("rd", "rd visual", "paper", "baseline")
+VISUAL = "rd visual"
+OURS = ("rd", VISUAL, "paper", "baseline")
+NETWORKS = ("siren", "hash grid")
+WORSE_DB = 0.1
 DEFAULT = "effort 5"  # of rd with nothing set
 # In every plot, so that a method looks the same in each.
 DRAWN = (
@@ -56,10 +60,7 @@ def whole(content: Content | None) -> Section:
     assert content
     note = (
         "Pictures of one folder and one rate say nothing on others, plain Adam makes no file, and networks are fitted "
-        "by torch without kernels of their own. On its way a fit has more bytes than its file, or numbers that are not "
-        "rounded, and gives that up at its end: of rd, paper and baseline there are complete files alone, each of an "
-        "encode of its own. Each time is that of one encode, which may be a third longer in another hour. Other "
-        "codecs' are without the search for the quality that fits."
+        "by torch without kernels of their own."
     )
     return section("convergence", "Error against run time", [content], note)
 
@@ -67,40 +68,94 @@ def whole(content: Content | None) -> Section:
 def large(*contents: Content | None) -> Section:
     """From 2-megapixels.json and 12-megapixels.json, as far as there are."""
     note = (
-        "Pictures larger than the folder's are mosaics of the same ones, so that those of 12 megapixels differ little. "
-        "There are fewer settings than at 0.4 megapixels: of rd, of AVIF below speed 2, and at 12 megapixels of every "
-        "other codec. Of networks at 12 megapixels, which take a minute to draw, there is the LPIPS of their end alone."
+        "Pictures larger than the folder's are mosaics of the same ones, so that those of 12 megapixels differ little, "
+        "and there are fewer settings than at 0.4 megapixels: the next section has every one of other codecs."
     )
     return section("convergence_large", "Error against run time of larger pictures", list(filter(None, contents)), note)
+
+
+def codecs(content: Content | None) -> Section:
+    """From codecs.json: every setting of other codecs on larger pictures."""
+    assert content
+    note = "Pictures are mosaics of photographs, and a codec that is built in another way may be quicker."
+    return section("convergence_codecs", "Every setting of other codecs on larger pictures", [content], note)
 
 
 def section(name: str, title: str, contents: Sequence[Content], note: str) -> Section:
     """Tables of every size, and a plot of the largest. contents: with the same settings."""
     rows, settings = [row for content in contents for row in content["rows"]], contents[0]["settings"]
+    is_of_fits = any(row["method"] not in ("rd", VISUAL, *UNITS) for row in rows)
     tables = []
     sizes = sorted({row["megapixels"] for row in rows})
     for megapixels in sizes:
         mine = [row for row in rows if row["megapixels"] == megapixels]
         bought = [bought_table(mine, figure) for figure in BETTER if has(mine, figure)]
-        tables += [f"### {megapixels:g} megapixels", *bought, curves_table(mine)]
+        tables += [f"### {megapixels:g} megapixels", *bought]
+        tables += [curves_table(mine)] if is_of_fits else []
         tables.append(points_table(mine, f"{settings['seconds']:g} s at most"))
     by_size = {size: [row for row in rows if row["megapixels"] == size] for size in sizes}
     shown = by_size[sizes[-1]]
     pictures = list(dict.fromkeys(row["picture"] for row in shown))
-    said = (
-        f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? At {sizes[-1]:g} "
-        f"megapixels, which the plot shows: {result(shown)} {' '.join(soonest(size, by_size[size]) for size in sizes)} "
-        f"All but rd and other codecs had {settings['seconds']:g} s at most. {note} Pictures: {', '.join(pictures)}."
-    )
+    came = f"At {sizes[-1]:g} megapixels, which the plot shows: {result(shown)} " if is_of_fits else ""
+    came += " ".join((soonest if is_of_fits else best_of_others)(size, by_size[size]) for size in sizes)
+    said = f"How fast does the error fall, at {settings['bpp']:g} bpp on the same cores and clock? {came} {note}"
     panels: list[Draw] = [partial(draw, rows=shown, figure=figure) for figure in BETTER if has(shown, figure)]
     of = f"{sizes[-1]:g} megapixels, {settings['bpp']:g} bpp, means of {len(pictures)} pictures"
-    return Section(name, title, said, tables, contents, panels, of)
+    return Section(name, title, said, tables, contents, panels, of, how(rows, settings["seconds"]))
+
+
+def how(rows: Sequence[dict[str, Any]], most_s: float) -> str:
+    """Of the methods that there are, what all sizes have in common."""
+    names = {row["method"] for row in rows}
+    told = [f"pictures are {', '.join(dict.fromkeys(row['picture'] for row in rows))}."]
+    if names - {"rd", VISUAL, *UNITS}:
+        told.append(f"All but rd and other codecs had {most_s:g} s at most.")
+    if names & {"paper", "baseline"}:
+        told.append(
+            "On its way a fit has more bytes than its file, or numbers that are not rounded, and gives that up at its "
+            "end: of rd, paper and baseline there are complete files alone, each of an encode of its own."
+        )
+    told += filter(None, [worse_for_more(rows)])
+    told.append("Each time is that of one encode, which may be a third longer in another hour.")
+    if names & {*UNITS}:
+        told.append("Other codecs' are without the search for the quality that fits.")
+    fitted = [row for row in rows if row["method"] in NETWORKS and row["lpips"] is not None]
+    for megapixels in sorted({row["megapixels"] for row in fitted if not row.get("lpips_curve")}):
+        told.append(f"Networks of {megapixels:g} megapixels take a minute to draw: their LPIPS is of the end alone.")
+    return " ".join(told)
+
+
+def worse_for_more(rows: Sequence[dict[str, Any]]) -> str:
+    """How often the next effort or time limit of rd tuned for PSNR, paper and baseline made a worse file, and the worst
+    of it, in a sentence; none where it never did."""
+    told = []
+    for name in (name for name, (method, _) in COMPLETE.items() if method != VISUAL):
+        found = sorted(files_of(rows, name), key=lambda row: amount(row["setting"], name))
+        steps, falls = 0, []
+        for megapixels, picture in dict.fromkeys((row["megapixels"], row["picture"]) for row in found):
+            mine = [row for row in found if (row["megapixels"], row["picture"]) == (megapixels, picture)]
+            for less, more in pairwise(mine):
+                steps += 1
+                settings = " to ".join(row["setting"] or "nothing set" for row in (less, more))
+                falls.append((less["psnr"] - more["psnr"], f"{picture}, {megapixels:g} megapixels, {settings}"))
+        falls = [one for one in falls if one[0] > WORSE_DB]
+        if falls:
+            fall, where = max(falls)
+            told.append(f"{name}, {len(falls)} of {steps} times, by {fall:.2f} dB at most ({where})")
+    return f"More time or effort made a file worse by more than {WORSE_DB:g} dB: {'; '.join(told)}." if told else ""
+
+
+def amount(setting: str, name: str) -> float:
+    """What a setting of one of COMPLETE allows: seconds or an effort. Nothing set is effort 5, or no limit."""
+    if not setting:
+        return 5 if "efforts" in name else math.inf
+    return float(setting.removeprefix("effort ").removesuffix(" s"))
 
 
 def result(rows: Sequence[dict[str, Any]]) -> str:
     """What came out, in one sentence."""
     found = []
-    for method in ("rd", "paper", "baseline", "plain Adam", "siren", "hash grid"):
+    for method in ("rd", "paper", "baseline", "plain Adam", *NETWORKS):
         mine = at_rest(rows, method)
         if mine:
             db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("psnr", "seconds"))
@@ -121,6 +176,26 @@ def soonest(megapixels: float, rows: Sequence[dict[str, Any]]) -> str:
     return f"Whoever is in a hurry at {megapixels:g} megapixels has {ours} by rd's effort 1, {avif} by AVIF's speed 6."
 
 
+def best_of_others(megapixels: float, rows: Sequence[dict[str, Any]]) -> str:
+    """Of other codecs at any setting, beside rd with nothing set, in a sentence; none where one was not measured."""
+    groups: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault((row["method"], row["setting"]), []).append(row)
+    others = [key for key in groups if key[0] in UNITS]
+    told = []
+    for figure, method, form in (("psnr", "rd", "{:.2f} dB"), ("lpips", VISUAL, "LPIPS {:.3f}")):
+        if has(rows, figure) and (method, "") in groups and others:
+            values = {key: statistics.fmean(row[figure] for row in mine) for key, mine in groups.items()}
+            best = BETTER[figure](others, key=values.__getitem__)
+            ours, theirs = (
+                f"{form.format(values[key])} after {statistics.fmean(row['seconds'] for row in groups[key]):.1f} s"
+                for key in ((method, ""), best)
+            )
+            of = f"{name_of(best[0])} {UNITS[best[0]]} {best[1]}"
+            told.append(f"{name_of(method)}, has {ours}, the best of other codecs {theirs} ({of})")
+    return f"At {megapixels:g} megapixels {'; '.join(told)}." if told else ""
+
+
 def has(rows: Sequence[dict[str, Any]], figure: str) -> bool:
     """Whether it was measured."""
     return all(row[figure] is not None for row in rows)
@@ -132,8 +207,9 @@ def curves(rows: Sequence[dict[str, Any]], figure: str = "psnr") -> list[tuple[s
     name_of_curve = {"psnr": "curve", "lpips": "lpips_curve"}[figure]
     fitted = [row for row in rows if row["method"] not in OURS and row.get(name_of_curve)]
     found = [(row["method"], [(at, value) for at, value in row[name_of_curve]]) for row in fitted]
+    lines = [name for name in COMPLETE if any(row["setting"] for row in files_of(rows, name))]
     for picture in dict.fromkeys(row["picture"] for row in rows):
-        for name in COMPLETE:
+        for name in lines or COMPLETE:
             mine = [row for row in files_of(rows, name) if row["picture"] == picture]
             if mine:
                 found.append((name, sorted((row["seconds"], row[figure]) for row in mine)))

@@ -44,7 +44,7 @@ TABLES = {30_000: "parts, Kodak, 30,000 Gaussians", 70_000: "representation, Kod
 def representation(content: Content) -> Section:
     """From representation.json; rows without a method are those of rd."""
     rows = [{"method": "rd", **row} for row in content["rows"]]
-    lines, found, beside, best = [], [], [], []
+    lines, found, beside, best, every = [], [], [], [], []
     for asked in sorted({row["asked"] for row in rows}):
         means = _means([row for row in rows if row["asked"] == asked])
         for method, figures in means.items():
@@ -53,35 +53,44 @@ def representation(content: Content) -> Section:
         if "rd" in means:
             found.append(f"{means['rd']['psnr']:.2f} dB with {asked:,}")
         best.append(f"{asked:,} Gaussians: {best_of(means)}")
+        every.append(means)
         if asked in TABLES:
             ours = by_method({"rows": rows}, asked)
             beside.append(f"{asked:,} Gaussians, by PSNR: {order(ours, quoted_values(TABLES[asked], 'psnr'))}")
-    told = f"{' and '.join(found)} Gaussians by profile `rd`, " if found else "See the table: "
+    told = f"{', '.join(found)} Gaussians by profile `rd`, " if found else "See the table: "
+    by_figure = {COLUMNS[figure][0] for means in every for figure, method in best_by_figure(means) if method != "rd"}
+    behind = f"; others are ahead somewhere by {' and '.join(sorted(by_figure))}" if found and by_figure else ""
     said = (
         f"How well do N Gaussians show a picture before any number is rounded? {told}after "
-        f"{content['settings']['steps']:,} steps. No file holds them, and the paper's figures, which are quoted, are "
-        "of all 24 pictures, more steps and a GPU."
+        f"{content['settings']['steps']:,} steps{behind}. No file holds them, and the paper's figures, which are "
+        "quoted, are of all 24 pictures, more steps and a GPU."
     )
+    how = ""
     if any(row["method"] in QUOTED for row in rows):
-        said += (
-            " `paper` and what is left out of it are fitted by our optimiser and kernels, and a network for as many "
-            "seconds as `rd` took in that run, which are few for it on processor cores. The paper's GSImage is "
-            "`baseline` here; nothing was measured on DIV2K. MiB is the fit's whole process, Python and torch included."
+        how = (
+            "`paper` and what is left out of it are fitted by our optimiser and kernels, and a network for as many "
+            "seconds as `rd` took in that run, which are few for it on processor cores. What the paper calls GSImage "
+            "is GaussianImage, `baseline` here; nothing was measured on DIV2K. MiB is the fit's whole process, Python "
+            "and torch included."
         )
     titles = " | ".join(["Gaussians", "method", "pictures", *(title for title, _ in COLUMNS.values())])
     told = f"The best with {'. With '.join(best)}."
     tables = [table(titles, lines), told, *beside, *quoted("representation"), *quoted("parts")]
-    return Section("representation", "A fixed number of Gaussians", said, tables, [content])
+    return Section("representation", "A fixed number of Gaussians", said, tables, [content], how=how)
 
 
 def best_of(means: Mapping[str, Mapping[str, Any]]) -> str:
     """Which method is the best by each figure that every method has, in words."""
-    told = []
+    return ", ".join(f"{NAMES[ahead]} by {COLUMNS[figure][0]}" for figure, ahead in best_by_figure(means))
+
+
+def best_by_figure(means: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """Each figure that every method has, and the method that is the best by it."""
+    found = []
     for figure, pick in (("psnr", max), ("ms_ssim", max), ("lpips", min)):
         if all(figures[figure] is not None for figures in means.values()):
-            ahead = pick(means, key=lambda method: means[method][figure])
-            told.append(f"{NAMES[ahead]} by {COLUMNS[figure][0]}")
-    return ", ".join(told)
+            found.append((figure, pick(means, key=lambda method: means[method][figure])))
+    return found
 
 
 def by_method(content: Content, asked: int) -> dict[str, float]:
@@ -121,8 +130,9 @@ def order(ours: Mapping[str, float], theirs: Mapping[str, float], spreads: Mappi
             told.append(f"the paper has {ahead} ahead of {behind}, here {behind} is ahead by {difference:.2f} dB")
     if not told and not near:
         return "our rows come in the paper's order."
+    by = f"less than {NOTHING_DB:g} dB" + (", or than the spread of seeds" if spreads else "")
     found = [f"our order differs: {'; '.join(told)}"] if told else []
-    found += [f"too near to tell, by seeds or rounding: {'; '.join(near)}"] if near else []
+    found += [f"too near to tell ({by}): {'; '.join(near)}"] if near else []
     return ". ".join(found).replace(". too", ". Too") + "."
 
 

@@ -19,7 +19,8 @@ MISSING = "-"
 @dataclass(frozen=True)
 class Section:
     """One question. said: what was asked, what came out, what it does not show; contents: the JSON of each table and
-    plot; panels: of its plot, if there is one, from the top; of: which pictures and files the plot is of."""
+    plot; panels: of its plot, if there is one, from the top; of: which pictures and files the plot is of; how: what
+    else a reader of the tables must know of the way in which they were measured."""
 
     name: str
     title: str
@@ -28,12 +29,14 @@ class Section:
     contents: Sequence[Content]
     panels: Sequence[Draw] = ()
     of: str = ""
+    how: str = ""
 
     def text(self) -> str:
         """Markdown."""
         name = ": ".join(filter(None, [self.title, self.of]))
         plot = [f"![{name}](plots/{self.name}.svg)"] if self.panels else []
-        return "\n\n".join([f"## {self.title}", self.said, *plot, *self.tables, *map(origin, self.contents)])
+        how = [f"How it was measured: {self.how}"] if self.how else []
+        return "\n\n".join([f"## {self.title}", self.said, *plot, *self.tables, *how, *map(origin, self.contents)])
 
 
 def origin(content: Content) -> str:

@@ -35,12 +35,14 @@ def under_load(content: Content) -> Section:
         for request, most_ms in settings["at_most_ms"].items()
     )
     said = (
-        f"How fast does the service answer while it encodes? A picture of {settings['size'][0]}x{settings['size'][1]} "
-        f"({rows[0]['bpp']:.3f} bpp, {rows[0]['gaussians']:,} Gaussians, a PNG of {rows[0]['png_bytes']:,} bytes) is "
-        f"asked for at fixed moments for {settings['seconds']:g} s, beside 20 requests a second of `/livez` and an "
-        "encode of 3072x2048 that takes every core it gets; a latency counts from the moment the request was due. At "
-        f"most: {limits}. {sum(row['met'] for row in rows)} of {len(rows)} cases meet that. {elsewhere(rows)} Client "
-        "and service share the cores, which no network does."
+        f"How fast does the service answer while it encodes? At most {limits}, which {sum(row['met'] for row in rows)} "
+        f"of {len(rows)} cases meet. Client and service share the cores, which no network does."
+    )
+    how = (
+        f"a picture of {settings['size'][0]}x{settings['size'][1]} ({rows[0]['bpp']:.3f} bpp, "
+        f"{rows[0]['gaussians']:,} Gaussians, a PNG of {rows[0]['png_bytes']:,} bytes) is asked for at fixed moments "
+        f"for {settings['seconds']:g} s, beside 20 requests a second of `/livez` and an encode of 3072x2048 that takes "
+        f"every core it gets; a latency counts from the moment the request was due. {elsewhere(rows)}"
     )
     lines = [
         [
@@ -54,7 +56,7 @@ def under_load(content: Content) -> Section:
         for request, found in row["spreads"].items()
     ]
     titles = "picture | a second | request | requests | failed | p50 ms | p99 ms | longest ms | case"
-    return Section("load", "The service under load", said, [table(titles, lines)], [content])
+    return Section("load", "The service under load", said, [table(titles, lines)], [content], how=how)
 
 
 def attacked(content: Content) -> Section:
@@ -62,12 +64,15 @@ def attacked(content: Content) -> Section:
     settings, rows = content["settings"], content["rows"]
     most = settings["at_most"]
     said = (
-        f"What do others notice while some mean harm? Each attack lasts {settings['seconds']:g} s and meets a fresh "
-        "web process with default settings and no API keys. Attackers ask again as soon as they are answered; somebody "
-        "else, from another address, asks for seven things 37 times a second in all. At most: a p99 of "
-        f"{most['p99_ms']:,} ms for each of these, none of them failed, and {most['web_mb']} MB of the web process. "
-        f"{sum(row['met'] for row in rows)} of {len(rows)} rows meet that. {elsewhere(rows)} Attackers run on the same "
-        "machine, with the least priority: more of them, from more addresses, are not tried."
+        f"What do others notice while some mean harm? At most a p99 of {most['p99_ms']:,} ms for each thing that they "
+        f"ask for, none of it failed, and {most['web_mb']} MB of the web process, which "
+        f"{sum(row['met'] for row in rows)} of {len(rows)} rows meet. Attackers run on the same machine with the "
+        "least priority: more of them, from more addresses, are not tried."
+    )
+    how = (
+        f"each attack lasts {settings['seconds']:g} s and meets a fresh web process with default settings and no API "
+        "keys. Attackers ask again as soon as they are answered; somebody else, from another address, asks for seven "
+        f"things 37 times a second in all. {elsewhere(rows)}"
     )
     lines = [
         [
@@ -86,7 +91,7 @@ def attacked(content: Content) -> Section:
     requests = list(rows[0]["others"])
     slow = [[row["words"], *(row["others"][request]["p99_ms"] for request in requests)] for row in rows]
     by_request = "p99 in ms of others' requests:\n\n" + table(" | ".join(["attack", *requests]), slow)
-    return Section("attacks", "The service attacked", said, [table(titles, lines), by_request], [content])
+    return Section("attacks", "The service attacked", said, [table(titles, lines), by_request], [content], how=how)
 
 
 def _answers(answers: dict[str, int]) -> str:

@@ -17,8 +17,9 @@ SETS = {
     "files": "(d) Files",
 }
 NOTES = {
-    "fits": ". A Gaussian of a spoiled start is dropped or mended, and growth places what is missing. On so small a "
-    "picture that can end ahead of the start as it is, which says that the start is worth little there."
+    "fits": ", of {side}x{side}, tuned for PSNR. A Gaussian of a spoiled start is dropped or mended, and growth "
+    "places what is missing. On so small a picture that can end ahead of the start as it is, which says that the start "
+    "is worth little there."
 }
 
 
@@ -37,7 +38,8 @@ def section(stiff: Content | None, content: Content | None) -> Section:
     for name, title in SETS.items():
         if own := [row for row in rows if row["set"] == name]:
             make = kernels_table if name == "kernels" else cases_table
-            tables.append(f"{title}{NOTES.get(name, '')}\n\n{make(own)}")
+            note = NOTES.get(name, "").format_map(content["settings"] if content else {})
+            tables.append(f"{title}{note}\n\n{make(own)}")
     return Section("stability", "Stiff and extreme cases", said, tables, [one for one in (stiff, content) if one])
 
 
@@ -63,7 +65,7 @@ def stiff_table(content: Content) -> str:
             [rule["rule"], says.rstrip("."), f"{rule['tolerance']:g} {rule['unit']}", rule["checked"], where, verdict]
         )
     made = table("rule | what it says | allowed | checked | the worst | verdict", lines)
-    return f"(a) Pictures that are hard to code\n\n{made}"
+    return f"(a) Pictures that are hard to code; [every file](../benchmarks/results/version4/stiff.json)\n\n{made}"
 
 
 def kernels_table(rows: list[dict[str, Any]]) -> str:
@@ -100,7 +102,9 @@ def joined(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     last = parts[-1]["case"].rsplit(" ", 1)[-1]
     notes = "; ".join(row["note"] for row in parts if row["verdict"] == "broken")
     whole = {**parts[0], "case": f"mutations 0 to {last}", "worst": max(row["worst"] or 0 for row in parts)}
-    whole |= {"verdict": "broken" if verdicts["broken"] else "kept", "note": notes or f"{len(parts)} parts"}
+    counts = (sum(int(row["note"].split()[k].replace(",", "")) for row in parts) for k in (0, 2))
+    told = "{:,} drawn, {:,} refused".format(*counts)
+    whole |= {"verdict": "broken" if verdicts["broken"] else "kept", "note": notes or told}
     return [whole, *(row for row in rows if row not in parts)]
 
 
@@ -123,11 +127,11 @@ def limits(stiff: Content | None, content: Content | None) -> str:
         told.append(
             "- Small pictures of that kind are fitted and searched many times: 256 x 256 pixels take up to "
             f"{max(means):.0f} s on average by picture, and {max(map(max, seconds.values())):.0f} s at most, on one "
-            "core."
+            "core of a machine that had other work as well."
         )
     if content:
         cases = [
-            f"{row['case']} ({row['rule']}: {number(row['worst'], '.2g')}, allowed {row['limit']:g})"
+            f"{row['case']}, {number(row['worst'], '.2g')} where {row['limit']:g} is allowed ({row['rule']})"
             for row in content["rows"]
             if row["verdict"] == "broken"
         ]
@@ -152,7 +156,8 @@ def _broken(rule: dict[str, Any], stiff: Content) -> str:
     says, worst = (RULES[rule["rule"]].find.__doc__ or "").rstrip("."), rule["worst"]
     part = 100 * rule["broken"] / rule["checked"]
     percent = f" ({part:.0f} %)" if part >= 1 else ""
-    small = f", {few} of them below {FEW_BYTES} bytes" if few else ""
+    of_them = "" if few == rule["broken"] else f"{few} of them "
+    small = f", {of_them}below {FEW_BYTES} bytes" if few else ""
     return (
         f'"{says}": {rule["broken"]} of {rule["checked"]}{percent}{small}, by {worst["by"]:.2g} {rule["unit"]} at most '
         f"({worst['picture']})."
