@@ -35,7 +35,7 @@ from tests.harness.data import ROOT
 Row = dict[str, Any]
 NAMES = (
     *("rd/kodak", "rd/effort", "rd/effort-quality", "rd/quality", "rd/paper", "rd/settings"),
-    *("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels"),
+    *("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs"),
     *("needs", "representation", "ablation"),
 )
 # Methods that are fitted for so many seconds, by command.

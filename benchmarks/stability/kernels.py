@@ -20,7 +20,6 @@ from sgmethod.scene import FloatArray, Gaussians
 SIZE = (96, 64)
 FEW = 40  # Gaussians of a case
 CROWD = 3000
-MOST_FOR_GRADIENTS = 500  # autograd keeps every Gaussian's picture, and a crowd has one of so many for gradients
 VALUE_LIMIT, GRADIENT_LIMIT = 1e-5, 1e-3
 HELD_UP_TO = 1e3  # the ratio of axes up to which gradients have a limit
 NEAR = 0.3  # scales from the middle of a pixel, which a Gaussian smaller than a pixel may miss
@@ -53,10 +52,9 @@ def cases() -> Cases:
             case, both = f"{name}, {model.name}", (gaussians, model)
             yield Case(case, VALUE_RULE, VALUE_LIMIT, partial(values, *both))
             yield Case(case, SAME_RULE, 0, partial(differing, *both))
-            if len(gaussians) <= MOST_FOR_GRADIENTS:
-                limit = GRADIENT_LIMIT if limited else None
-                yield Case(case, GRADIENT_RULE, limit, partial(gradients, *both))
-                yield Case(case, DIFFERENCE_RULE, limit, partial(differences, *both))
+            limit = GRADIENT_LIMIT if limited else None
+            yield Case(case, GRADIENT_RULE, limit, partial(gradients, *both))
+            yield Case(case, DIFFERENCE_RULE, limit, partial(differences, *both))
 
 
 def extremes() -> dict[str, tuple[Gaussians, bool]]:
@@ -69,10 +67,9 @@ def extremes() -> dict[str, tuple[Gaussians, bool]]:
     for power in range(2, 7):
         found[f"centres 1e{power} pixels outside"] = outside(10.0**power), True
     one = scattered()
-    for crowd in (MOST_FOR_GRADIENTS, CROWD):
-        point, shape = np.full((crowd, 2), 32.25, np.float32), np.tile(one.factors[:1], (crowd, 1))
-        colors = np.random.default_rng(1).normal(0, 0.1, (crowd, 3)).astype(np.float32)
-        found[f"{crowd:,} on one point"] = Gaussians(point, shape, colors), True
+    point, shape = np.full((CROWD, 2), 32.25, np.float32), np.tile(one.factors[:1], (CROWD, 1))
+    colors = np.random.default_rng(1).normal(0, 0.1, (CROWD, 3)).astype(np.float32)
+    found[f"{CROWD:,} on one point"] = Gaussians(point, shape, colors), True
     means, factors = (np.concatenate([values, values]) for values in (one.means, one.factors))
     cancelled = np.concatenate([one.colors, np.float32(1e-6) - one.colors])
     found["colours that cancel to 1e-6"] = Gaussians(means, factors, cancelled), True
