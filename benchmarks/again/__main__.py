@@ -34,7 +34,7 @@ from tests.harness.data import ROOT
 
 Row = dict[str, Any]
 NAMES = (
-    *("rd/kodak", "rd/effort", "rd/effort-quality", "rd/quality", "rd/paper", "rd/settings"),
+    *("rd/kodak", "rd/effort", "rd/effort-quality", "rd/quality", "rd/paper", "rd/settings", "rd/patient"),
     *("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs"),
     *("needs", "representation", "ablation"),
 )

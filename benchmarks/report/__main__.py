@@ -26,7 +26,7 @@ from tests.harness.data import ROOT
 
 # Each section, and the JSON that it is made from.
 MAKERS: tuple[tuple[Callable[..., Section], tuple[str, ...]], ...] = (
-    (rate.section, ("rd/kodak", "rd/effort", "rd/paper", "rd/fitted", "rd/settings")),
+    (rate.section, ("rd/kodak", "rd/effort", "rd/paper", "rd/fitted", "rd/settings", "rd/patient")),
     (published.section, ("rd/kodak", "rd/effort", "rd/paper", "rd/quality", "rd/effort-quality")),
     (perceptual.section, ("perceptual/kodak", "perceptual/photographs")),
     (convergence.whole, ("convergence/kodak",)),

@@ -37,6 +37,8 @@ BD_SEEN = ("ms_ssim", *SEEN)
 MAX_BPP, SORTED_AT_BPP = 0.5, 0.2  # of the plot, and of its legend
 MUCH_LEFT_PERCENT = 2  # of the bytes, from where on it is said
 AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
+PATIENT = "rd effort 9", "avif tune=psnr speed 0"  # whatever it takes
+UNTIMED = {"encode_s": None, "decode_ms": None}
 NOTE = (
     '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. Some '
     "leave a part of the bytes, as their qualities are whole numbers{left}: BD-rates compare better than lines. "
@@ -47,12 +49,20 @@ NOTE = (
 
 
 def rows_of(*contents: Content) -> list[Row]:
-    """All of them; without times where the command had some of the threads alone, as beside another one."""
+    """All of them; without times where the command had some of the threads alone, as beside another one, or another
+    processor than the first of them."""
     found = []
     for content in contents:
-        untimed = {"encode_s": None, "decode_ms": None} if content.get("command", "").startswith("SG_THREADS=") else {}
-        found += [Row(**(row | untimed)) for row in content["rows"]]
+        is_alone = not content.get("command", "").startswith("SG_THREADS=")
+        is_timed = is_alone and processor(content) == processor(contents[0])
+        found += [Row(**(row | ({} if is_timed else UNTIMED))) for row in content["rows"]]
     return found
+
+
+def processor(content: Content) -> str | None:
+    """That it was measured on."""
+    name: str | None = content.get("machine", {}).get("processor")
+    return name
 
 
 def name_of(codec: str) -> str:
@@ -67,14 +77,15 @@ def section(
     paper: Content | None,
     fitted: Content | None = None,
     settings: Content | None = None,
+    patient: Content | None = None,
 ) -> Section:
-    """From rd/kodak.json, rd/effort.json, rd/paper.json, rd/fitted.json and rd/settings.json, as far as
-    there are."""
-    at_rates = [content for content in (main, effort, paper, settings) if content]
+    """From rd/kodak.json, rd/effort.json, rd/paper.json, rd/fitted.json, rd/settings.json and rd/patient.json, as far
+    as there are."""
+    at_rates = [content for content in (main, effort, paper, settings, patient) if content]
     rows = rows_of(*at_rates)
     average = means(rows)
     told = []
-    for codec, rival in (("rd", AVIF), ("rd visual", AVIF_FOR_EYES)):
+    for codec, rival in (("rd", AVIF), ("rd visual", AVIF_FOR_EYES), PATIENT):
         if (rate := first(against(rows, codec, rival))) is not None:
             told.append(f"{name_of(codec)}, needs {fewer(rate)} than {name_of(rival)}")
     said = (
