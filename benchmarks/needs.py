@@ -3,13 +3,15 @@
     python -m benchmarks.needs [--scenes flat,text] [--quality 50] [--side 256] [--repeats 5] [--out FILE]
 
 Each scene is encoded at one quality, which asks all for the same fineness, so that bytes show what each needed. Beside
-it stands an encode with the same steps, all of them on the whole picture, in turns: the time that smaller pictures
-saved. Small pictures of lines or noise take for a quality the best of several sizes of file (sgmethod/rd/ladder.py).
+it stand an encode with the same steps, all of them on the whole picture, in turns, for the time that smaller pictures
+saved; and the bytes of WebP without loss, as sharp lines of few colours need no Gaussians at all. Small pictures of
+lines or noise take for a quality the best of several sizes of file (sgmethod/rd/ladder.py).
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,6 +22,7 @@ from unittest.mock import patch
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from benchmarks.arguments import some_of
 from benchmarks.bits import by_kind
@@ -129,6 +132,7 @@ def measure(pixels: Pixels, quality: float, repeats: int) -> dict[str, Any]:
     del bits["payload"]
     return {
         "bytes": stats.bytes,
+        "lossless_bytes": lossless_bytes(pixels),
         "psnr": stats.to_dict()["psnr"],
         "gaussians": stats.gaussians,
         "bits": bits | {kind: round(count) for kind, count in by_kind(encoded.data).items()},
@@ -140,6 +144,13 @@ def measure(pixels: Pixels, quality: float, repeats: int) -> dict[str, Any]:
         "seconds": seconds,
         "seconds_whole": whole,
     }
+
+
+def lossless_bytes(pixels: Pixels) -> int:
+    """Of WebP, at its slowest."""
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "WEBP", lossless=True, quality=100, method=6)
+    return len(file.getvalue())
 
 
 def scheduled(encoded: Encoded) -> int:

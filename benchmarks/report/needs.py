@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import statistics
+from collections.abc import Sequence
 from typing import Any
 
 from benchmarks.report.section import Content, Section, number, table
@@ -33,7 +35,7 @@ def section(content: Content) -> Section:
         f"What does profile `rd` leave out where a scene of {content['settings']['side']} pixels a side does not need "
         f"it, at one quality ({content['settings']['quality']:g}) for all{ladder}? From {least['bytes']:,} bytes "
         f"({least['scene']}) to {most['bytes']:,} ({most['scene']}){saved}; {len(whole)} of "
-        f"{len(rows)} take all steps of their schedule. One picture of each kind is no average of "
+        f"{len(rows)} take all steps of their schedule{lossless(rows)}. One picture of each kind is no average of "
         "its kind, and parts that no count shows (a Gaussian that could have been wider) are not seen."
     )
     note = (
@@ -44,7 +46,7 @@ def section(content: Content) -> Section:
     )
     titles = " | ".join(
         [
-            *("scene", "bytes", *(f"bits of {kind}" for kind in KINDS), "PSNR", "Gaussians"),
+            *("scene", "bytes", "WebP's without loss", *(f"bits of {kind}" for kind in KINDS), "PSNR", "Gaussians"),
             *("left out of the file", "steps, of those scheduled"),
             *("steps at full size, 1/2, 1/4, 1/8, with those after the fit", "seconds", "of the photograph's"),
             "by smaller pictures",
@@ -52,6 +54,12 @@ def section(content: Content) -> Section:
     )
     made = table(titles, [line(row, reference) for row in rows])
     return Section("needs", "What a scene did not need", said, [made, note], [content])
+
+
+def lossless(rows: Sequence[dict[str, Any]]) -> str:
+    """Which scenes did not need this codec."""
+    fewer = [row["scene"] for row in rows if row.get("lossless_bytes", math.inf) < row["bytes"]]
+    return f"; WebP takes fewer bytes without any loss for {', '.join(fewer)}" if fewer else ""
 
 
 def saving(row: dict[str, Any]) -> str:
@@ -72,6 +80,7 @@ def line(row: dict[str, Any], reference: dict[str, Any] | None) -> list[object]:
     return [
         row["scene"],
         f"{row['bytes']:,}",
+        number(row.get("lossless_bytes"), ","),
         *(f"{row['bits'][kind]:,}" for kind in KINDS),
         number(row["psnr"], ".2f"),
         f"{row['gaussians']:,}",

@@ -1,6 +1,7 @@
 """Stiff and extreme cases: what was tried, the rule, the worst figure seen, the verdict.
 
-    python -m benchmarks.stability [--sets kernels,fits,files] [--mutations 1000000] [--sanitize] [--out FILE]
+    python -m benchmarks.stability [--sets kernels,fits,files] [--cases "aspect ratio"] [--mutations 1000000]
+                                   [--sanitize] [--out FILE]
 
 kernels: extreme Gaussians against the definition in float64. fits: bad starts, rates, budgets; seeds and generations.
 files: mutations, a second decoder and, with --sanitize, the native code under sanitizers. python -m benchmarks.stiff
@@ -29,6 +30,7 @@ def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", type=some_of(SETS, "set"), default=",".join(SETS))
+    parser.add_argument("--cases", default="", help="those whose name begins so; all")
     parser.add_argument("--side", type=int, default=fits.Size.side, help="pixels along the picture that is fitted")
     parser.add_argument("--seeds", type=int, default=fits.Size.seeds)
     parser.add_argument("--generations", type=int, default=fits.Size.generations)
@@ -39,7 +41,8 @@ def main() -> None:
     record = Record(options.out, "benchmarks.stability", {"side": options.side})
     for name in options.sets:
         for case in SETS[name](options):
-            if not record.has(set=name, case=case.name, rule=case.rule):
+            wanted = case.name.startswith(options.cases)
+            if wanted and not record.has(set=name, case=case.name, rule=case.rule):
                 record.add({"set": name, **case.row()})
 
 

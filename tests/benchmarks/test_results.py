@@ -129,6 +129,7 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert rows()[:1] == first
     grey = rows()[1]
     assert "chroma" in grey["left_out_of_the_file"]
+    assert 12 < first[0]["lossless_bytes"] < 100 < grey["bytes"] < grey["lossless_bytes"] < 32 * 32
     assert all(grey["bits"][kind] > 100 for kind in ("colour", "shape", "place"))
     assert 0 < grey["bits"]["begin and end"] < 100
     assert sum(grey["bits"].values()) == pytest.approx(8 * grey["bytes"], abs=2)  # each is rounded
