@@ -76,7 +76,7 @@ def ahead(rows: Sequence[Row]) -> dict[str, float | None]:
 
 def differences(rows: Sequence[Row], average: Means) -> str:
     """BD-rates, each against what averages in the same way."""
-    titles = "codec | against GaussianImage, quoted, of means | over so many dB | "
+    titles = "codec | against GaussianImage, quoted, of means | from and to, dB | "
     titles += f"against Cool-Chic 5.0, quoted, mean of pictures | the same below {LOW_DB} dB | "
     titles += "against AVIF, speed 4, `tune=psnr`, mean of pictures"
     lines = []

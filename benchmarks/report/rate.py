@@ -87,7 +87,9 @@ def section(
     told = []
     for codec, rival in (("rd", AVIF), ("rd visual", AVIF_FOR_EYES), PATIENT):
         if (rate := first(against(rows, codec, rival))) is not None:
-            told.append(f"{name_of(codec)}, needs {fewer(rate)} than {name_of(rival)}")
+            least, most = by_picture(rows, codec, rival)
+            spread = f"(by picture {least:+.0f} to {most:+.0f} %)"
+            told.append(f"{name_of(codec)}, needs {fewer(rate)} {spread} than {name_of(rival)}")
     said = (
         "How many bits does each codec need for the same PSNR, by the sizes of real files and the pixels decoded from "
         f"them? Profile {'; '.join(told)}. {best_seen(average)}Kodak alone is no statement on other "
@@ -105,6 +107,14 @@ def section(
     return Section(
         "rate", "Rate against quality", said, tables, contents, panels, f"means of {pictures} pictures of Kodak"
     )
+
+
+def by_picture(rows: Sequence[Row], codec: str, anchor: str) -> tuple[float, float]:
+    """The least and the most of a codec's BD-rates for the same PSNR over the pictures that both have."""
+    images = dict.fromkeys(row.image for row in rows if row.codec == codec)
+    found = (against([row for row in rows if row.image == image], codec, anchor) for image in images)
+    rates = [rate for rate, _ in filter(None, found)]
+    return min(rates), max(rates)
 
 
 def best_seen(average: Means) -> str:

@@ -167,5 +167,5 @@ def profiles(results: Path) -> str:
         shared = shared_db(average, profile, rate.ANCHOR), shared_bpp(average, profile, rate.ANCHOR)
         lines.append([rate.name_of(profile), *psnrs, fewer, *shared])
     titles = "profile | at 0.147 or 0.15 bpp | at 0.40 or 0.43 bpp | rate against GaussianImage (quoted, read off its "
-    titles += "figure) for the same PSNR | over so many dB | for which GaussianImage takes so many bpp"
+    titles += "figure) for the same PSNR | from and to, dB | where GaussianImage takes, bpp"
     return table(titles, lines)

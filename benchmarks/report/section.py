@@ -77,5 +77,8 @@ def mean(values: Sequence[float | None]) -> float | None:
 
 
 def number(value: float | None, form: str) -> str:
-    """With so many digits, or a dash."""
-    return MISSING if value is None else format(value, form)
+    """With so many digits, or a dash. What rounds to nothing has no sign of a loss."""
+    if value is None:
+        return MISSING
+    rounded = format(value, form)
+    return rounded if set(rounded) - set("+-0.,") else format(abs(value), form)
