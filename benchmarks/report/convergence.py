@@ -69,16 +69,16 @@ def large(*contents: Content | None) -> Section:
     """From 2-megapixels.json and 12-megapixels.json, as far as there are."""
     note = (
         "Pictures larger than the folder's are mosaics of the same ones, so that those of 12 megapixels differ little, "
-        "and there are fewer settings than at 0.4 megapixels: the next section has every one of other codecs."
+        "and there are fewer settings than at 0.4 megapixels: the next section has those of other codecs."
     )
     return section("convergence_large", "Error against run time of larger pictures", list(filter(None, contents)), note)
 
 
 def codecs(content: Content | None) -> Section:
-    """From codecs.json: every setting of other codecs on larger pictures."""
+    """From codecs.json: other codecs on larger pictures, at each setting that was measured."""
     assert content
     note = "Pictures are mosaics of photographs, and a codec that is built in another way may be quicker."
-    return section("convergence_codecs", "Every setting of other codecs on larger pictures", [content], note)
+    return section("convergence_codecs", "Other codecs on larger pictures, at each of their settings", [content], note)
 
 
 def section(name: str, title: str, contents: Sequence[Content], note: str) -> Section:
