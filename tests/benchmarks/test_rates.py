@@ -10,11 +10,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from benchmarks.pictures import Pixels
-from benchmarks.rd.rivals import Rival
 from tests.benchmarks.commands import RESULTS, report
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
@@ -56,24 +53,35 @@ def test_other_codecs_are_within_the_rate(tmp_path: Path) -> None:
     assert content["settings"]["codecs"]
 
 
+# A codec with files of quality² bytes, and what its search finds from everywhere: quality, bytes, and what was tried.
+SQUARE = (
+    "import json, sys\n"
+    "import numpy as np\n"
+    "from benchmarks.rd.rivals import Rival\n"
+    "class Square(Rival):\n"
+    "    qualities = range(1, 11)\n"
+    "    def encode(self, pixels, quality):\n"
+    "        assert pixels.shape == (1, 8, 3)\n"
+    "        tried.append(quality)\n"
+    "        return bytes(int(quality) ** 2)\n"
+    "found = []\n"
+    "for near in (None, *Square.qualities):\n"
+    "    tried = []\n"
+    "    file = Square().best(np.zeros((1, 8, 3), np.uint8), int(sys.argv[1]), near)\n"
+    "    found.append([near, file.quality, len(file.data), tried])\n"
+    "print(json.dumps(found))\n"
+)
+
+
 @pytest.mark.parametrize("max_bytes", [0, 1, 4, 40, 99, 100, 500])
 def test_the_search_finds_the_best_file_wherever_it_begins(max_bytes: int) -> None:
-    class Square(Rival):
-        """A file of quality² bytes."""
-
-        qualities = range(1, 11)
-
-        def encode(self, pixels: Pixels, quality: float) -> bytes:
-            assert pixels.shape == (1, 8, 3)
-            tried.append(quality)
-            return bytes(int(quality) ** 2)
-
-    pixels = np.zeros((1, 8, 3), np.uint8)
+    command = [sys.executable, "-c", SQUARE, str(max_bytes)]
+    ran = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     best = max(1, min(10, math.isqrt(max_bytes)))
-    for near in (None, *Square.qualities):
-        tried: list[float] = []
-        file = Square().best(pixels, max_bytes, near)
-        assert (file.quality, len(file.data)) == (best, best**2)
+    found = json.loads(ran.stdout)
+    assert [near for near, *_ in found] == [None, *range(1, 11)]
+    for near, quality, size, tried in found:
+        assert (quality, size) == (best, best**2)
         assert len(tried) == len({*tried})  # no file is made twice
         assert near is None or abs(near - best) > 1 or len(tried) <= 3
 
