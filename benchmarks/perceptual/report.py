@@ -19,21 +19,20 @@ def section(kodak: Content | None, photographs: Content | None) -> Section:
         "`python -m benchmarks.perceptual.sheet`."
     )
     how = (
-        "SSIMULACRA 2 is better if higher, LPIPS (AlexNet) and DISTS if lower. Each picture is encoded tuned for PSNR "
-        "and for the eye (`visual`, the default), and by AVIF (libavif of imagecodecs, where tables of rate have "
-        "Pillow's, speed 4, 4:2:0, `tune=iq`) at the best quality that takes no more bytes. A picture that AVIF cannot "
-        "make so small is left out of the means. "
+        "each picture is encoded tuned for PSNR and for the eye (`visual`, the default), and by AVIF (libavif of "
+        "imagecodecs, where tables of rate have Pillow's, speed 4, 4:2:0, `tune=iq`) at the best quality that takes no "
+        "more bytes. A picture that AVIF cannot make so small is left out of the means. LPIPS is that of AlexNet. "
         "Photographs are those that desktop packages carry, 768 pixels wide; constants of the codec were chosen on "
         "others of them, but some values for texture were tried on these too, which are not wholly unseen."
     )
-    tables = [how]
+    tables = []
     for name, content in sets:
         brackets = (
             "in brackets the difference from AVIF or, where lower is better, the ratio to it; texture in % of bytes"
         )
         tables.append(f"{name}, {brackets}:\n\n" + table(TITLES, list(lines(content["rows"]))))
         tables.append(f"{name}, pictures in which `visual` is behind:\n\n" + _behind(content))
-    return Section("seen", "What people see", said, tables, [content for _, content in sets])
+    return Section("seen", "What people see", said, tables, [content for _, content in sets], how=how)
 
 
 def result(name: str, content: Content) -> str:

@@ -191,7 +191,7 @@ def best_of_others(megapixels: float, rows: Sequence[dict[str, Any]]) -> str:
                 f"{form.format(values[key])} after {statistics.fmean(row['seconds'] for row in groups[key]):.1f} s"
                 for key in ((method, ""), best)
             )
-            of = f"{name_of(best[0])} {UNITS[best[0]]} {best[1]}"
+            of = " ".join(filter(None, [name_of(best[0]), setting_of(*best)]))
             told.append(f"{name_of(method)}, has {ours}, the best of other codecs {theirs} ({of})")
     return f"At {megapixels:g} megapixels {'; '.join(told)}." if told else ""
 
@@ -225,6 +225,11 @@ def files_of(rows: Sequence[dict[str, Any]], name: str) -> list[dict[str, Any]]:
 def name_of(method: str) -> str:
     """As a reader sees it."""
     return NAMES.get(method, method)
+
+
+def setting_of(codec: str, setting: str) -> str:
+    """Another codec's, with its unit; empty where the codec has but one."""
+    return f"{UNITS[codec]} {setting}" if UNITS[codec] else ""
 
 
 def until(curve: Curve, db: float) -> float:
@@ -323,7 +328,7 @@ def points_table(rows: Sequence[dict[str, Any]], limit: str) -> str:
         mine = [row for row in complete if (row["method"], row["setting"]) == (method, setting)]
         lpips = [row["lpips"] for row in mine if row["lpips"] is not None]
         if method in UNITS:
-            unit = f"{UNITS[method]} {setting}" if UNITS[method] else "-"
+            unit = setting_of(method, setting) or "-"
         else:
             unit = setting or (DEFAULT if method.startswith("rd") else limit)
         size, db, seconds = (statistics.fmean(row[name] for row in mine) for name in ("bytes", "psnr", "seconds"))

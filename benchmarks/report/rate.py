@@ -42,9 +42,10 @@ UNTIMED = {"encode_s": None, "decode_ms": None}
 NOTE = (
     '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. Some '
     "leave a part of the bytes, as their qualities are whole numbers{left}: BD-rates compare better than lines. "
-    "Seconds of other codecs are those of the last encode, without the search for the quality that fits; those of `rd` "
-    "have it in them. Effort 9 was measured in another hour, so that its seconds compare with no other row. `rd` and "
-    "JPEG XL are decoded by every thread; AVIF and JPEG 2000 gain nothing from a second."
+    "Seconds of other codecs are those of one encode, without the search for the quality that fits; those of `rd` have "
+    "it in them. A row that was measured beside other work or on another processor has none. Effort 9 was measured in "
+    "another hour, so that its seconds compare with no other row. `rd` and JPEG XL are decoded by every thread; AVIF "
+    "and JPEG 2000 gain nothing from a second."
 )
 
 
