@@ -101,7 +101,6 @@ class Times:
 
     # While Gaussians are few, half the size or less serves as well.
     halved_until: float = 0.6
-    whole_from: float = 0.8  # if the time limit is too short to fit the whole picture before
 
 
 # For a first look: few growths, none too many, and smaller pictures for longer.
@@ -121,7 +120,6 @@ ROUND = Times(
     excess_from=0.0,
     excess_until=0.6,
     halved_until=0.0,
-    whole_from=0.0,
 )
 
 
@@ -165,6 +163,7 @@ class RdSettings(OptimiserSettings):
     start_share: float = 0.1  # of the expected number of Gaussians; structure places so many, the others grow
     growth: float = 1.0  # new Gaussians at one time are at most this part of those that there are
     most: float = 5.0  # under a budget of bytes there are never more Gaussians than so many times the expected number
+    most_hurried: float = 1.3  # the same where there is no time for the lowest effort, nor to fit any more
     # A new Gaussian's place is hidden by wider ones that gain more, of so many coarser sizes of the picture.
     hidden_by: int = 8  # all that there are
     hidden_by_visual: int = 2  # coarse errors then move the target, and are left for long
@@ -277,11 +276,12 @@ def with_size(settings: RdSettings, pixels: int) -> RdSettings:
 
 def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
     """The settings for a picture of so many pixels where there is time for so many steps: as they are if they need no
-    more, or those of the highest effort below that needs no more, or of the lowest."""
+    more, or those of the highest effort below that needs no more, or of the lowest with few Gaussians."""
     lower = [replace(settings, **changes) for changes in reversed(EFFORTS.values()) if "steps" in changes]
     fewer = [sized for sized in (with_size(one, pixels) for one in lower) if sized.steps < settings.steps]
     choices = [settings, *fewer]
-    return next((one for one in choices if one.steps <= steps), choices[-1])
+    lowest = replace(choices[-1], most=settings.most_hurried)
+    return next((one for one in choices if one.steps <= steps), lowest)
 
 
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:

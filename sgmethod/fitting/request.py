@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from sgmethod.budget import Budget
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.recorder import Recorder
+from sgmethod.native import native
 from sgmethod.profiles import Tune
 
-# Kept back of a time limit, for writing and measuring the file.
+# Kept back of a time limit, for writing and measuring the file; what is shared, all threads do together.
 RESERVE_S = 0.02
-RESERVE_S_PER_MEGAPIXEL = 0.2
+RESERVE_S_PER_MEGAPIXEL, SHARED_S_PER_MEGAPIXEL = 0.1, 0.1
 # Of the time so far, what an encode that is to stop takes to its end.
 WINDING_DOWN = 0.25
 
@@ -45,7 +46,8 @@ class Request:
         clock, found = self.recorder.clock, []
         if clock.limit_s is not None:
             megapixels = float(self.pixels.shape[0] * self.pixels.shape[1]) / 1e6
-            found.append(share * self.part * (clock.limit_s - RESERVE_S - RESERVE_S_PER_MEGAPIXEL * megapixels))
+            reserve_s = RESERVE_S_PER_MEGAPIXEL + SHARED_S_PER_MEGAPIXEL / native.thread_count()
+            found.append(share * self.part * (clock.limit_s - RESERVE_S - reserve_s * megapixels))
         stopped_s = clock.stopped_s()
         if stopped_s is not None:
             found.append(stopped_s * (1 + share * WINDING_DOWN))

@@ -35,6 +35,7 @@ START = replace(PAPER, shared_by_area=False)
 MANY_VALUES = 1 << 23  # of a picture; a smaller one's growth leaves little memory, and asking for it anew takes time
 FEW = 0.001  # new Gaussians, as a part of those that there are
 GRADIENTS_PER_STEP = 4.0  # at the start: the time of a step of the schedule, on average
+SHORT = 4.0  # times what the pictures took: where less is left, places are looked for on few pixels
 GRID_REACH = 1.6  # scales of a Gaussian; two cells are at least 1.68
 
 
@@ -49,9 +50,12 @@ class RdFit:
         clock: Clock,
         preview: Preview = shown_to_nobody,
         alpha: NDArray[np.uint8] | None = None,
+        left_s: float = math.inf,
     ) -> None:
         """pixels [H, W, 3]; preview: is given the file as it would be now, whenever its size is looked at; alpha:
-        [H, W], what shows of the pixels, where they are not opaque."""
+        [H, W], what shows of the pixels, where they are not opaque; left_s: seconds that there are for the fit, with
+        all that is done here, which made_s then says."""
+        began = clock.seconds()
         self.control, self.clock, self.preview = control, clock, preview
         self.settings = settings = control.settings
         self.pixels = pixels
@@ -72,14 +76,17 @@ class RdFit:
         self.steps = 0
         self.due = _all_due(settings.times)
         self.price_of_none = math.inf  # at which growth found next to nothing
-        self.p = self._place(np.random.default_rng(seed))
+        took = clock.seconds() - began
+        self.p = self._place(np.random.default_rng(seed), left_s - took < SHORT * took)
         self.adam = FrameAdam(len(self.p.means), settings, self.picture.values)
+        self.made_s = clock.seconds() - began
 
-    def _place(self, rng: np.random.Generator) -> Parameters:
-        """A part of the expected Gaussians, where the structure is. They are few, so a small picture shows enough."""
+    def _place(self, rng: np.random.Generator, is_short: bool) -> Parameters:
+        """A part of the expected Gaussians, where the structure is. They are few, so a small picture shows enough; a
+        smaller one has to do if time is short."""
         share = int(self.control.expected_gaussians() * self.settings.start_share)
         n = min(max(share, FEWEST_AT_START), self.control.most_gaussians(1.0))
-        picture = self.pyramid.smallest(n)
+        picture = self.pyramid.smallest(n // 4 if is_short else n)
         image = picture.rows(0, picture.height).transpose(1, 2, 0) + np.array(self.coder.background, np.float32) / 255
         placed = Parameters.of(place(np.ascontiguousarray(image), n, START, rng))
         means, factors = placed.means * picture.spacing, placed.factors * picture.spacing
@@ -87,22 +94,27 @@ class RdFit:
 
     def hurry(self, seconds: float) -> None:
         """Where so many seconds are too few, take the settings of a lower effort; where they are too few for that as
-        well, fit a smaller picture, most of the time.
+        well, fit a smaller picture.
 
-        Three gradients are timed at the start. Too few for the whole picture are less seconds than all steps would
-        take at the fastest of them; a step of the schedule takes some times as long, as there are more Gaussians later.
+        Gradients are timed at the start. Too few for a picture are less seconds than all steps would take at the
+        fastest of them; a step of the schedule takes some times as long, as there are more Gaussians later.
         """
-        times = []
-        for _ in range(3):  # the first one also touches new memory
-            began = self.clock.seconds()
-            self.picture.gradients(self.p)
-            times.append(self.clock.seconds() - began)
-        part = seconds / (GRADIENTS_PER_STEP * min(times) * self.control.steps())  # of the schedule, in that time
+        whole_s = self._gradient_s(self.picture)
+        part = seconds / (GRADIENTS_PER_STEP * whole_s * self.control.steps())  # of the schedule, in that time
         self._go_by(hurried(self.settings, self.control.pixels, part * self.settings.steps))
-        self.pyramid.choose_finest(seconds, self.control.steps() * min(times))
+        self.pyramid.choose_finest(seconds / self.control.steps(), whole_s, self._gradient_s)
         # What is narrower falls between the pixels.
         narrowest = self.settings.min_scale_px * self.pyramid.finest.spacing
         self.adam = FrameAdam(len(self.p.means), replace(self.settings, min_scale_px=narrowest), self.picture.values)
+
+    def _gradient_s(self, picture: Picture) -> float:
+        """Seconds that a gradient takes, the fastest of three: the first one also touches new memory."""
+        times = []
+        for _ in range(3):
+            began = self.clock.seconds()
+            picture.gradients(self.p)
+            times.append(self.clock.seconds() - began)
+        return min(times)
 
     def _go_by(self, settings: RdSettings) -> None:
         self.settings = settings
@@ -151,7 +163,9 @@ class RdFit:
         if at in s.times.growth_at:
             self._grow(most, at)
         lead = self.picture.lead
-        if at >= s.times.excess_until and isinstance(lead, leads.CoarseError) and lead.grain is None:
+        if at < s.times.excess_until or self.pyramid.finest is not self.picture:
+            return
+        if isinstance(lead, leads.CoarseError) and lead.grain is None:
             # The fit leaves about what it will leave in the end.
             lead.grain = texture.grain(self.pixels, self.picture.left(self.p), s)
             self.picture.follow(self.p)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import takewhile
 
 import cv2
@@ -16,9 +17,9 @@ SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
 class Pyramid:
     """The levels of one picture, each half the size of the one before.
 
-    whole: the picture itself; finest: the level that Gaussians are fitted to for most of the schedule. That is the
-    whole picture, unless there is too little time for it. detailed: the levels that keep most of its contrast. On the
-    others, thin lines and checkerboards have gone, and Gaussians would unlearn them.
+    whole: the picture itself; finest: the finest level that Gaussians are fitted to. That is the whole picture, unless
+    there is too little time for it. detailed: the levels that keep most of its contrast. On the others, thin lines and
+    checkerboards have gone, and Gaussians would unlearn them.
     """
 
     def __init__(self, whole: Picture, settings: RdSettings) -> None:
@@ -31,13 +32,19 @@ class Pyramid:
         least = settings.contrast_kept * _contrast(whole.target)
         self.detailed = list(takewhile(lambda level: _contrast(level.target) >= least, self.levels))
 
-    def choose_finest(self, seconds: float, needed: float) -> None:
-        """Take a smaller level for the finest where all steps would need more seconds than there are. Each level takes
-        a quarter of the time of the one before."""
-        level = 0
-        while seconds < needed and level < len(self.levels) - 1:
-            needed, level = needed / 4, level + 1
-        self.finest = self.levels[level]
+    def choose_finest(self, step_s: float, whole_s: float, gradient_s: Callable[[Picture], float]) -> None:
+        """Take a smaller level for the finest where a gradient takes more seconds than there are for a step: the first
+        that takes no more. A level is worth the detail it lacks if it takes at most half as long as the one before.
+
+        whole_s: what a gradient of the whole picture takes; gradient_s: measures that of another level."""
+        took_s = whole_s
+        for level in self.levels[1:]:
+            if took_s <= step_s:
+                break
+            took_s, before_s = gradient_s(level), took_s
+            if took_s > before_s / 2:
+                break
+            self.finest = level
 
     def smallest(self, gaussians: int) -> Picture:
         """The smallest level that tells so many Gaussians what they need; none finer than the finest."""
@@ -46,9 +53,7 @@ class Pyramid:
         return [self.finest, *coarser][-1]
 
     def at(self, progress: float, times: Times, gaussians: int) -> Picture:
-        """The level for a part of the schedule: the smallest that will do, the whole picture in the end."""
-        if progress >= times.whole_from:
-            return self.whole
+        """The level for a part of the schedule: the smallest that will do, the finest in the end."""
         if progress >= times.halved_until:
             return self.finest
         return self.smallest(gaussians)

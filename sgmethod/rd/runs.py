@@ -10,10 +10,13 @@ from sgmethod.rd.fit import RdFit
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.trace import Preview
 
+LEAST_PART = 1 / 3  # of the time that it took to make a fit, for its first run, however late that is
+
 
 def place(request: Request, control: RateControl, preview: Preview) -> RdFit:
     """Few Gaussians, ready to be fitted."""
-    return RdFit(request.pixels, control, request.seed, request.recorder.clock, preview, request.alpha)
+    left_s = request.left_s(control.settings.fit_share)
+    return RdFit(request.pixels, control, request.seed, request.recorder.clock, preview, request.alpha, left_s)
 
 
 def steps_of_round(control: RateControl) -> int:
@@ -36,12 +39,15 @@ class Runs:
         self.fit, self.request = fit, request
         self.in_all, self.before = in_all, before
         self.steps, self.rounds, self.took_s = 0, 0, 0.0
+        self.least_until_s = 0.0
 
     def first(self) -> None:
-        """Fit and grow; a time limit or a stop shortens the schedule."""
+        """Fit and grow; a time limit or a stop shortens the schedule, but not to nothing: Gaussians as they are placed
+        make a poor file, and a little more time a much better one."""
         left_s = self.request.left_s(self.fit.settings.fit_share)
         if math.isfinite(left_s):
             self.fit.hurry(left_s)
+            self.least_until_s = self.request.recorder.clock.seconds() + LEAST_PART * self.fit.made_s
         length = self.fit.control.steps()
         self._run(length)
         self.took_s *= steps_of_round(self.fit.control) / length
@@ -66,4 +72,5 @@ class Runs:
         self.fit.settle()
 
     def _until(self) -> float | None:
-        return self.request.until_s(self.fit.settings.fit_share)
+        until_s = self.request.until_s(self.fit.settings.fit_share)
+        return None if until_s is None else max(until_s, self.least_until_s)

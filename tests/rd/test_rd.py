@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.fitting.recorder import Clock
+from sgmethod.fitting.leads import CoarseError
+from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.fitting.request import Request
 from sgmethod.io.image import read_image
 from sgmethod.io.levels import to_8_bit
 from sgmethod.native import native
@@ -24,6 +27,7 @@ from sgmethod.profiles import EFFORTS, RD, hurried, with_size
 from sgmethod.rd.fit import RdFit
 from sgmethod.rd.growth import ALL_COARSER, BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.rd.rate_control import SMALLEST_FILE, RateControl, quality_quantum
+from sgmethod.rd.runs import Runs, place
 from tests.harness.data import PHOTOGRAPHS
 from tests.rd.clocks import SlowClock
 
@@ -348,20 +352,25 @@ def test_previews_are_files_that_come_nearer() -> None:
     assert errors[0] > 1.5 * errors[-1]
 
 
-def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
-    def fit_with(seconds: float) -> RdFit:
-        control = RateControl(RD, 128 * 160, 0.1, max_bytes=2000)
-        fit = RdFit(to_8_bit(noise(128, 160)), control, 0, Clock())
-        with torch.no_grad():
-            fit.hurry(seconds)
-        return fit
+def hurried_fit(seconds: float, monkeypatch: pytest.MonkeyPatch, pixel_s: float = 1e-6, any_s: float = 0.0) -> RdFit:
+    """Of 160 x 128 pixels, on a machine whose gradients take so long for each pixel, and for any picture."""
 
-    short, unhurried = fit_with(0.0), fit_with(math.inf)
-    assert (short.settings, unhurried.settings) == (replace(RD, **EFFORTS[1]), RD)
+    def gradient_s(_: RdFit, picture: Picture) -> float:
+        return any_s + pixel_s * picture.height * picture.width
+
+    monkeypatch.setattr(RdFit, "_gradient_s", gradient_s)
+    fit = RdFit(to_8_bit(noise(128, 160)), RateControl(RD, 128 * 160, 0.1, max_bytes=2000), 0, Clock())
+    with torch.no_grad():
+        fit.hurry(seconds)
+    return fit
+
+
+def test_a_short_time_limit_is_for_a_smaller_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    short, unhurried = (hurried_fit(seconds, monkeypatch) for seconds in (0.0, math.inf))
+    assert (short.settings, unhurried.settings) == (replace(RD, **EFFORTS[1], most=RD.most_hurried), RD)
     assert short.control.settings == short.settings
     assert (short.pyramid.finest.width, unhurried.pyramid.finest.width) == (20, 160)
-    assert short.pyramid.at(RD.times.halved_until, RD.times, 1000) is short.pyramid.finest
-    assert short.pyramid.at(RD.times.whole_from, RD.times, 1000) is short.picture is short.pyramid.levels[0]
+    assert short.pyramid.at(1.0, RD.times, 1000) is short.pyramid.finest
     with torch.no_grad():
         before = len(short.p.means)
         short._grow(before + 10, RD.times.halved_until)
@@ -370,6 +379,44 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     assert added[:, 0].max() > 80
     assert added[:, 1].max() > 64
     assert short.p.factors[:, 0].min() > 8 * 0.3
+
+
+def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    pixels = 128 * 160
+    steps = hurried_fit(0.0, monkeypatch).control.steps()
+    for in_time, halvings in ((1.1, 0), (0.3, 1), (0.1, 2), (0.01, 3)):
+        fit = hurried_fit(in_time * steps * pixels * 1e-6, monkeypatch)
+        assert fit.pyramid.finest is fit.pyramid.levels[halvings]
+    for any_s, halvings in ((pixels * 1e-6, 0), (pixels * 1e-7, 2)):  # as much as for all pixels, or a tenth of it
+        fit = hurried_fit(0.0, monkeypatch, any_s=any_s)
+        assert fit.pyramid.finest is fit.pyramid.levels[halvings]
+
+
+def test_no_grain_is_sought_where_a_smaller_picture_is_fitted() -> None:
+    control = RateControl(replace(RD, tune="visual"), 64 * 48, 0.1, max_bytes=2000)
+    for halvings in (0, 1):
+        fit = RdFit(to_8_bit(crop()), control, 0, Clock())
+        fit.pyramid.finest = fit.pyramid.levels[halvings]
+        with torch.no_grad():
+            fit.step(1.0, 0.9)
+        assert isinstance(fit.picture.lead, CoarseError)
+        assert (fit.picture.lead.grain is None) == (halvings > 0)
+
+
+def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
+    """Where making it took long, as that of a large picture does."""
+    steps = []
+    for made_s in (0.0, 6.0):
+        recorder = Recorder(SlowClock(limit_s=1e-9), None)
+        request = Request(to_8_bit(crop()), Budget("bytes", 400), "rd", "psnr", 5, 0, recorder)
+        with torch.no_grad():
+            fit = place(request, RateControl.of(request, RD), recorder.preview)
+            fit.made_s = made_s
+            runs = Runs(fit, request, 1000)
+            runs.first()
+        steps.append(runs.steps)
+    assert steps[0] < 3
+    assert 20 < steps[1] < 150
 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:
@@ -401,9 +448,10 @@ def test_the_size_grows_with_the_gaussians() -> None:
 def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> None:
     one, two, three, five = (with_size(replace(RD, **EFFORTS[effort]), pixels) for effort in (1, 2, 3, 5))
     assert [hurried(five, pixels, steps) for steps in (math.inf, five.steps, five.steps - 1)] == [five, five, three]
-    assert [hurried(five, pixels, steps) for steps in (three.steps - 1, two.steps - 1, 0)] == [two, one, one]
+    assert [hurried(five, pixels, steps) for steps in (three.steps - 1, two.steps - 1)] == [two, one]
     assert hurried(two, pixels, three.steps) == two
-    assert hurried(one, pixels, 0) == one
+    with_few = replace(one, most=RD.most_hurried)
+    assert [hurried(fit, pixels, one.steps - 1) for fit in (five, one)] == [with_few, with_few]
 
 
 def test_large_pictures_are_spared_steps() -> None:
