@@ -103,10 +103,11 @@ def encode(
     profile: one of sgmethod.profiles.PROFILE_NAMES; tune: what the file is to be good for, "psnr" (squared error) or
     "visual" (the eye; with profile rd, and no budget in dB), which is the default where it can be had; effort: from 1,
     the fastest, to 9, the best, with profile rd; seed: of everything random, so that the same call gives the same file
-    on the same machine unless time_limit_s (seconds, whole encode) cuts it short, which ends a search with its best;
-    on_progress: called with each point of the trace, and may raise to abandon the encode; stop: asked all the time, and
-    once it says True the encode ends early with what it has, within the budget, in about a quarter of the time so far;
-    on_preview: called now and then by profile rd with a file of what there is, which is not held to the budget.
+    on the same machine unless time_limit_s cuts it short, which ends a search with its best (seconds, whole encode, of
+    which about 0.2 a megapixel are never cut); on_progress: called with each point of the trace, and may raise to
+    abandon the encode; stop: asked all the time, and once it says True the encode ends early with what it has, within
+    the budget, in about a quarter of the time so far; on_preview: called now and then by profile rd with a file of what
+    there is, which is not held to the budget.
 
     Warns with ImageWarning of what of the picture is left out. Raises ImageError for what is no such picture,
     BudgetError for a budget no file can meet, OSError for a path that cannot be read, MemoryError.

@@ -17,9 +17,9 @@ SETS = {
     "files": "(d) Files",
 }
 NOTES = {
-    "fits": ", of {side}x{side}, tuned for PSNR. A Gaussian of a spoiled start is dropped or mended, and growth "
-    "places what is missing. On so small a picture that can end ahead of the start as it is, which says that the start "
-    "is worth little there."
+    "fits": ", of {side}x{side}, tuned for PSNR where nothing else is said. A Gaussian of a spoiled start is dropped "
+    "or mended, and growth places what is missing. On so small a picture that can end ahead of the start as it is, "
+    "which says that the start is worth little there."
 }
 
 

@@ -1,4 +1,5 @@
-"""Fits from bad starts, at rates that are too high, with too few and too many Gaussians, under impossible budgets."""
+"""Fits from bad starts, at rates that are too high, with too few Gaussians and too many, under impossible budgets and
+time limits."""
 
 from __future__ import annotations
 
@@ -19,18 +20,24 @@ from benchmarks.stiff.drawings import text
 from sgmethod import Budget, BudgetError, Encoded, decode, encode, open
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
-from sgmethod.profiles import PROFILES
+from sgmethod.profiles import PROFILES, Tune
 from sgmethod.rd import fit
 from sgmethod.scene import Gaussians
 from sgmethod.start.placement import place
 
 BPP = 1.0
 RATES = (0.25, 1.0, 4.0)  # bpp
+LIMITS_S = (1e-9, 0.01, 0.1)
 RULE = "dB that the file is worse than the first error of its trace, or than one colour"
 SIZE_RULE = "bytes above the budget, or an error that is no BudgetError"
 SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB, CONDITION_LIMIT = 0.5, 1.0, 1e7
 WEIGHT_LEAST = 1e-6  # a Gaussian with no weight on any pixel has no say in the system
 Patch = Callable[[], AbstractContextManager[Any]]
+KINDS: dict[str, tuple[str, Tune]] = {
+    "profile rd": ("rd", "psnr"),
+    "profile rd for the eye": ("rd", "visual"),
+    "profile paper": ("paper", "psnr"),
+}
 
 
 @dataclass(frozen=True)
@@ -53,15 +60,19 @@ PICTURES: dict[str, Callable[[int], Pixels]] = {"photograph": photograph, "text"
 
 
 def cases(size: Size) -> Cases:
-    """Bad starts on every picture, the rest on the photograph."""
-    for profile, names in (("rd", tuple(PICTURES)), ("paper", ("photograph",))):
-        for name in names:
+    """Bad starts of profile rd on every picture, the rest on the photograph."""
+    budget, pixels = Budget("bpp", BPP), photograph(size.side)
+    for kind, (profile, tune) in KINDS.items():
+        for name in PICTURES if profile == "rd" else ("photograph",):
+            picture = PICTURES[name](size.side)
             for start, patched in starts(profile).items():
-                case, budget = f"{name}, profile {profile}, {start}", Budget("bpp", BPP)
-                yield Case(case, RULE, 0.0, partial(worse, PICTURES[name](size.side), budget, profile, patched))
-    pixels = photograph(size.side)
+                measure = partial(worse, picture, budget, profile, tune, patched)
+                yield Case(f"{name}, {kind}, {start}", RULE, 0.0, measure)
+        for limit_s in LIMITS_S:
+            measure = partial(worse, pixels, budget, profile, tune, limit_s=limit_s)
+            yield Case(f"photograph, {kind}, a time limit of {limit_s:g} s", RULE, 0.0, measure)
     for n in (1, 2, pixels.shape[0] * pixels.shape[1]):
-        yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n), "rd"))
+        yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n), "rd", "psnr"))
     for count in (1, 17, 18, 19, 30, 100, pixels.size, 10 * pixels.size):
         yield Case(f"{count:,} bytes", SIZE_RULE, 0, partial(beyond, pixels, count))
     yield Case(
@@ -124,10 +135,17 @@ def starts(profile: str) -> dict[str, Patch]:
     }
 
 
-def worse(pixels: Pixels, budget: Budget, profile: str, patched: Patch = nullcontext) -> Found:
+def worse(
+    pixels: Pixels,
+    budget: Budget,
+    profile: str,
+    tune: Tune,
+    patched: Patch = nullcontext,
+    limit_s: float | None = None,
+) -> Found:
     """How far the file is below the start of its own fit, and below a picture of one colour."""
     with patched():
-        encoded = encode(pixels, budget, profile=profile, tune="psnr" if profile == "rd" else None)
+        encoded = encode(pixels, budget, profile=profile, tune=tune, time_limit_s=limit_s)
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
     least = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
     return max(least - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"
