@@ -107,12 +107,14 @@ class Seen:
             visibility = visibility.halved()
             self.levels.append(visibility.values)
 
+    @np.errstate(invalid="ignore")
     def of(self, p: Parameters) -> FloatArray:
-        """The factor [N], by colour and by the mean visibility over about its size."""
+        """The factor [N], by colour and by the mean visibility over about its size. A Gaussian whose centre is no
+        number is seen as any place is, one whose size is none not at all."""
         means, factors, colors = p.arrays()
         size = 2 * np.sqrt(factors[:, 0] * factors[:, 2])
         level_of = np.clip(np.log2(np.maximum(size, 1)), 0, len(self.levels) - 1).astype(np.intp)
-        seen = np.empty(len(means), np.float32)
+        seen = np.zeros(len(means), np.float32)
         for level, values in enumerate(self.levels):
             here = level_of == level
             x, y = (means[here] / 2**level).astype(np.intp).T

@@ -101,6 +101,17 @@ def test_squares_of_amplitudes_are_what_is_seen() -> None:
     )
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_is_no_number_has_a_factor_all_the_same() -> None:
+    """As after a start that was spoiled: what is dropped is decided by it."""
+    means = torch.tensor([[20.0, 10.0], [math.nan, 10.0], [math.inf, 10.0], [20.0, 10.0], [20.0, 10.0]])
+    widths = torch.tensor([3.0, 3.0, 3.0, math.nan, math.inf])
+    factors = torch.stack([widths, torch.zeros(5), torch.full((5,), 3.0)], 1)
+    found = eye.Seen(visibility(40, 30)).of(Parameters(means, factors, torch.ones(5, 3)))
+    assert np.isfinite(found).all()
+    assert (found > 0).tolist() == [True, True, True, False, True]
+
+
 def test_detail_hides_errors() -> None:
     pixels = np.full((96, 128, 3), 128, np.uint8)
     pixels[:, 64:] = np.random.default_rng(8).integers(0, 256, (12, 8, 3), np.uint8).repeat(8, 0).repeat(8, 1)
