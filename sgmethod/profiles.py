@@ -175,6 +175,7 @@ class RdSettings(OptimiserSettings):
     missed_db: float = 0.1  # nothing is dropped that would take a PSNR so far below the one asked for
     rate_weight: float = 1.7  # price of a bit in the fit, in multiples of its theoretical price
 
+    with_shear: bool = False  # shear is coded even where no Gaussian has any; of alpha a file does not say whether
     overshoot: float = 0.0  # how far beyond black and white the fit may be, which decoding clamps; for alpha
 
     # Size of the picture that is fitted

@@ -81,11 +81,17 @@ class StreamV3:
 
     @classmethod
     def of(
-        cls, gaussians: Gaussians, size: tuple[int, int], quantum: float, background: tuple[int, int, int], grey: bool
+        cls,
+        gaussians: Gaussians,
+        size: tuple[int, int],
+        quantum: float,
+        background: tuple[int, int, int],
+        grey: bool,
+        with_shear: bool = False,
     ) -> Self:
-        """Quantise and code Gaussians over a picture of size (width, height)."""
+        """Quantise and code Gaussians over a picture of size (width, height). with_shear: even where none has any."""
         quantum = quantum_of(quantum_code(quantum))
-        upright = not gaussians.factors[:, 1].any()
+        upright = not with_shear and not gaussians.factors[:, 1].any()
         parameters = native.RdParameters(*size, quantum, grey, upright, cls.VERSION)
         payload = native.rd_encode(parameters, gaussians.means, gaussians.factors, gaussians.colors)
         return cls(*size, quantum, background, grey, upright, payload)

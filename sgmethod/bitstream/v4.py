@@ -93,7 +93,8 @@ class StreamV4(StreamV3):
 
 
 def _pack_alpha(alpha: StreamV4) -> bytes:
-    """The alpha part's bytes: what is not the same as in the picture."""
+    """The alpha part's bytes: what is not the same as in the picture. It has no flags: alpha is grey, and has shear."""
+    assert not alpha.payload or (alpha.grey and not alpha.upright)
     return ALPHA_HEADER.pack(quantum_code(alpha.quantum), alpha.background[0], len(alpha.payload)) + alpha.payload
 
 

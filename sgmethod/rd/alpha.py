@@ -192,7 +192,9 @@ class _Layers:
         grey = np.repeat(self.source[..., None], 3, axis=2)
         recorder = Recorder(self.request.recorder.clock, None)
         layer = replace(self.request, pixels=grey, alpha=None, budget=budget, recorder=recorder, part=part)
-        settings = replace(self.settings, tune="psnr", overshoot=OVERSHOOT, rounds=(0,), ladder_pixels=0)
+        settings = replace(
+            self.settings, tune="psnr", overshoot=OVERSHOOT, with_shear=True, rounds=(0,), ladder_pixels=0
+        )
         stream, steps = self.encode_layer(layer, settings)
         self.steps += steps
         return stream

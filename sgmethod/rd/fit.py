@@ -60,7 +60,7 @@ class RdFit:
         self.settings = settings = control.settings
         self.pixels = pixels
         self.height, self.width = int(pixels.shape[0]), int(pixels.shape[1])
-        self.coder = Coder.of(pixels, control.quantum)
+        self.coder = Coder.of(pixels, control.quantum, settings.with_shear)
         shown = None if alpha is None else eye.shown_by(alpha)
         seen = eye.visibility_of(pixels, shown) if settings.tune == "visual" else shown
         self.seen = None if seen is None else eye.Seen(seen)

@@ -49,21 +49,29 @@ def energies(p: Parameters) -> Tensor:
 class Coder:
     """Exact rounding and exact sizes for one picture and quantum."""
 
-    def __init__(self, size: tuple[int, int], quantum: float, background: tuple[int, int, int], grey: bool) -> None:
-        self.size, self.background, self.grey = size, background, grey
+    def __init__(
+        self,
+        size: tuple[int, int],
+        quantum: float,
+        background: tuple[int, int, int],
+        grey: bool,
+        with_shear: bool = False,
+    ) -> None:
+        """with_shear: shear is coded even where no Gaussian has any."""
+        self.size, self.background, self.grey, self.with_shear = size, background, grey, with_shear
         self.quantum = quantum_of(quantum_code(quantum))
         self._parameters = native.RdParameters(*size, self.quantum, grey)
 
     @classmethod
-    def of(cls, pixels: NDArray[np.uint8], quantum: float) -> Coder:
+    def of(cls, pixels: NDArray[np.uint8], quantum: float, with_shear: bool = False) -> Coder:
         """For a picture [H, W, 3], with its background."""
         background = background_of(pixels)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
-        return cls((pixels.shape[1], pixels.shape[0]), quantum, background, grey)
+        return cls((pixels.shape[1], pixels.shape[0]), quantum, background, grey, with_shear)
 
     def with_quantum(self, quantum: float) -> Coder:
         """The same with another quantum."""
-        return Coder(self.size, quantum, self.background, self.grey)
+        return Coder(self.size, quantum, self.background, self.grey, self.with_shear)
 
     def rounded(self, p: Parameters) -> Parameters:
         """What the decoder will see; colour 0 where nothing of a Gaussian is left."""
@@ -73,7 +81,7 @@ class Coder:
 
     def stream(self, p: Parameters) -> StreamV4:
         """The coded picture."""
-        return StreamV4.of(p.numpy(), self.size, self.quantum, self.background, self.grey)
+        return StreamV4.of(p.numpy(), self.size, self.quantum, self.background, self.grey, self.with_shear)
 
     def refined(
         self,
@@ -91,7 +99,7 @@ class Coder:
         target: of the picture; price: squared error summed over the picture, as it is seen if there is a visibility;
         sweeps over all Gaussians, at most, and no longer than seconds.
         """
-        upright = not bool(p.factors[:, 1].any())
+        upright = not self.with_shear and not bool(p.factors[:, 1].any())
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
         arrays = *p.arrays(), target
         limits = price, sweeps, seconds, max_payload

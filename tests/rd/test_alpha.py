@@ -22,6 +22,7 @@ from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.profiles import RD
 from sgmethod.rd.alpha import SMALLEST, continued
+from sgmethod.rd.fit import RdFit
 from tests.harness.data import PHOTOGRAPHS
 from tests.rd.clocks import SlowClock
 
@@ -140,6 +141,21 @@ def test_a_time_limit_spoils_no_alpha(soft: bool, monkeypatch: pytest.MonkeyPatc
         some, more = (encode(seen_through(soft), bytes=size, time_limit_s=limit_s).stats for limit_s in (3.0, 20.0))
         assert 30 < some.psnr < more.psnr
         assert max(some.bytes, more.bytes) <= size
+
+
+def test_alpha_of_gaussians_without_shear_is_read_as_it_was_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a fit that is cut short can leave them: its part of the file has no flag that would say so."""
+
+    def without_shear(fit: RdFit) -> None:
+        fit.p.factors[:, 1] = 0
+
+    monkeypatch.setattr(RdFit, "settle", without_shear)
+    for budget in (Budget("bytes", 1500), Budget("psnr", 25)):
+        encoded = encode(seen_through(), budget)
+        alpha = stream_of(encoded.data).alpha
+        assert alpha is not None
+        assert alpha.payload
+        assert encoded.stats.psnr > 20
 
 
 def test_previews_have_alpha() -> None:
