@@ -91,7 +91,7 @@ class StreamV3:
     ) -> Self:
         """Quantise and code Gaussians over a picture of size (width, height). with_shear: even where none has any."""
         quantum = quantum_of(quantum_code(quantum))
-        upright = not with_shear and not gaussians.factors[:, 1].any()
+        upright = is_upright(gaussians.factors, with_shear)
         parameters = native.RdParameters(*size, quantum, grey, upright, cls.VERSION)
         payload = native.rd_encode(parameters, gaussians.means, gaussians.factors, gaussians.colors)
         return cls(*size, quantum, background, grey, upright, payload)
@@ -179,6 +179,11 @@ class StreamV3:
     def size_bits(self) -> dict[str, int]:
         """Bits spent on the header and on the payload, which mixes all attributes."""
         return {"headers": 8 * HEADER_BYTES, "payload": 8 * len(self.payload)}
+
+
+def is_upright(factors: FloatArray, with_shear: bool) -> bool:
+    """Whether a payload is without shear: where no factors [N, 3] have any, unless it is coded all the same."""
+    return not with_shear and not bool(factors[:, 1].any())
 
 
 def background_of(pixels: NDArray[np.uint8]) -> tuple[int, int, int]:

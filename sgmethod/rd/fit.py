@@ -163,9 +163,8 @@ class RdFit:
         if at in s.times.growth_at:
             self._grow(most, at)
         lead = self.picture.lead
-        if at < s.times.excess_until or self.pyramid.finest is not self.picture:
-            return
-        if isinstance(lead, leads.CoarseError) and lead.grain is None:
+        whole = self.pyramid.finest is self.picture
+        if whole and at >= s.times.excess_until and isinstance(lead, leads.CoarseError) and lead.grain is None:
             # The fit leaves about what it will leave in the end.
             lead.grain = texture.grain(self.pixels, self.picture.left(self.p), s)
             self.picture.follow(self.p)

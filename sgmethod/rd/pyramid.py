@@ -17,14 +17,14 @@ SMALLEST_SIDE = 32  # pixels; smaller pictures are not halved
 class Pyramid:
     """The levels of one picture, each half the size of the one before.
 
-    whole: the picture itself; finest: the finest level that Gaussians are fitted to. That is the whole picture, unless
-    there is too little time for it. detailed: the levels that keep most of its contrast. On the others, thin lines and
-    checkerboards have gone, and Gaussians would unlearn them.
+    finest: the finest level that Gaussians are fitted to. That is the whole picture, unless there is too little time
+    for it. detailed: the levels that keep most of its contrast. On the others, thin lines and checkerboards have gone,
+    and Gaussians would unlearn them.
     """
 
     def __init__(self, whole: Picture, settings: RdSettings) -> None:
         self.settings = settings
-        self.whole = self.finest = whole
+        self.finest = whole
         self.levels = [whole]
         for _ in range(settings.halvings):
             if min(self.levels[-1].height, self.levels[-1].width) >= SMALLEST_SIDE:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sgmethod.bitstream.v3 import background_of, quantum_code, quantum_of
+from sgmethod.bitstream.v3 import background_of, is_upright, quantum_code, quantum_of
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.eye import Visibility
 from sgmethod.fitting.parameters import Parameters
@@ -99,7 +99,7 @@ class Coder:
         target: of the picture; price: squared error summed over the picture, as it is seen if there is a visibility;
         sweeps over all Gaussians, at most, and no longer than seconds.
         """
-        upright = not self.with_shear and not bool(p.factors[:, 1].any())
+        upright = is_upright(p.factors.numpy(), self.with_shear)
         parameters = native.RdParameters(*self.size, self.quantum, self.grey, upright)
         arrays = *p.arrays(), target
         limits = price, sweeps, seconds, max_payload

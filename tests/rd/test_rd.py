@@ -35,6 +35,7 @@ CUTOFF = native.CUTOFF_V3
 
 FloatArray = NDArray[np.float32]
 STEPS = 240
+PIXEL_S = 1e-6
 
 
 @pytest.fixture(autouse=True)
@@ -352,11 +353,11 @@ def test_previews_are_files_that_come_nearer() -> None:
     assert errors[0] > 1.5 * errors[-1]
 
 
-def hurried_fit(seconds: float, monkeypatch: pytest.MonkeyPatch, pixel_s: float = 1e-6, any_s: float = 0.0) -> RdFit:
-    """Of 160 x 128 pixels, on a machine whose gradients take so long for each pixel, and for any picture."""
+def hurried_fit(seconds: float, monkeypatch: pytest.MonkeyPatch, any_s: float = 0.0) -> RdFit:
+    """Of 160 x 128 pixels, on a machine whose gradients take PIXEL_S for each pixel, and any_s for any picture."""
 
     def gradient_s(_: RdFit, picture: Picture) -> float:
-        return any_s + pixel_s * picture.height * picture.width
+        return any_s + PIXEL_S * picture.height * picture.width
 
     monkeypatch.setattr(RdFit, "_gradient_s", gradient_s)
     fit = RdFit(to_8_bit(noise(128, 160)), RateControl(RD, 128 * 160, 0.1, max_bytes=2000), 0, Clock())
@@ -385,10 +386,10 @@ def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time(monkeypatch: p
     pixels = 128 * 160
     steps = hurried_fit(0.0, monkeypatch).control.steps()
     for in_time, halvings in ((1.1, 0), (0.3, 1), (0.1, 2), (0.01, 3)):
-        fit = hurried_fit(in_time * steps * pixels * 1e-6, monkeypatch)
+        fit = hurried_fit(in_time * steps * pixels * PIXEL_S, monkeypatch)
         assert fit.pyramid.finest is fit.pyramid.levels[halvings]
-    for any_s, halvings in ((pixels * 1e-6, 0), (pixels * 1e-7, 2)):  # as much as for all pixels, or a tenth of it
-        fit = hurried_fit(0.0, monkeypatch, any_s=any_s)
+    for part, halvings in ((1.0, 0), (0.1, 2)):  # of what all pixels take, for any picture
+        fit = hurried_fit(0.0, monkeypatch, part * pixels * PIXEL_S)
         assert fit.pyramid.finest is fit.pyramid.levels[halvings]
 
 
