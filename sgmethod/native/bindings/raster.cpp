@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "bindings/arrays.h"
+#include "fit/gradients.h"
 #include "texture/texture.h"
 
 using namespace nb::literals;
@@ -60,7 +61,7 @@ void missing(const sg::Rasterization& r, Rows<3> colors, Target target, ImageOut
   require_size(target, r.width(), r.height());
   require_size(image, r.width(), r.height());
   nb::gil_scoped_release release;
-  r.missing(colors.data(), target.data(), image.data());
+  sg::missing(r, colors.data(), target.data(), image.data());
 }
 
 void render_bytes(const sg::Rasterization& r, Rows<3> colors, BytesOut image, Color background) {
@@ -78,21 +79,21 @@ double squared_error(const sg::Rasterization& r, Rows<3> colors, Target target, 
   require_size(target, r.width(), r.height());
   const int16_t* seen = values_of(visibility, r.width(), r.height());
   nb::gil_scoped_release release;
-  return r.squared_error(colors.data(), target.data(), out, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike);
+  return sg::squared_error(r, colors.data(), target.data(), out, seen, by_eye ? sg::kSeenByEye : sg::kSeenAlike);
 }
 
 double error(const sg::Rasterization& r, Rows<3> colors, Target target) {
   require_colors(r, colors);
   require_size(target, r.width(), r.height());
   nb::gil_scoped_release release;
-  return r.squared_error(colors.data(), target.data());
+  return sg::squared_error(r, colors.data(), target.data());
 }
 
 void gram(const sg::Rasterization& r, Rows<3> colors, RowsOut<3> out_colors, std::optional<Visibility> visibility) {
   require(gaussians(colors, out_colors) == r.gaussians(), "one row per Gaussian");
   const int16_t* seen = values_of(visibility, r.width(), r.height());
   nb::gil_scoped_release release;
-  r.gram(colors.data(), out_colors.data(), seen);
+  sg::gram(r, colors.data(), out_colors.data(), seen);
 }
 
 void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2> means, RowsOut<3> factors,
@@ -100,7 +101,7 @@ void backward(const sg::Rasterization& r, Rows<3> colors, Image grad, RowsOut<2>
   const sg::Gradients out = gradients(r, colors, means, factors, out_colors);
   require_size(grad, r.width(), r.height());
   nb::gil_scoped_release release;
-  r.backward(colors.data(), grad.data(), out);
+  sg::backward(r, colors.data(), grad.data(), out);
 }
 
 }  // namespace

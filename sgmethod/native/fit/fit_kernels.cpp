@@ -2,8 +2,8 @@
 // instruction where there is one (see CMakeLists.txt).
 #include <algorithm>
 
+#include "fit/fit_kernels.h"
 #include "raster/columns.h"
-#include "raster/kernels.h"
 
 namespace sg {
 namespace {

@@ -1,22 +1,6 @@
 #include "raster/levels.h"
 
 namespace sg {
-// With a = p1^2, b = p1 p2, c = p2^2 + p3^2: q1 = sqrt(a - v), q2 = b / q1, q3 = sqrt(c - v - q2^2), and the gain is
-// p1 p3 / (q1 q3). Here d_x is the gradient by x.
-void to_pixels(const float* factor, int level, float by_gain, float* by_mean, float* by_factor) {
-  if (level == 0) return;
-  const double scale = power_of_two(-level);
-  const auto [p1, p2, p3, q1, q2, q3] = Narrowed(factor, level);
-  const double d_log_gain = by_gain * (p1 * p3 / (q1 * q3));
-  const double d_q3 = by_factor[2] - d_log_gain / q3;
-  const double d_c = d_q3 / (2 * q3), d_q2 = by_factor[1] - d_q3 * q2 / q3, d_b = d_q2 / q1;
-  const double d_q1 = by_factor[0] - d_log_gain / q1 - d_q2 * q2 / q1, d_a = d_q1 / (2 * q1);
-  by_mean[0] = static_cast<float>(by_mean[0] * scale);
-  by_mean[1] = static_cast<float>(by_mean[1] * scale);
-  by_factor[0] = static_cast<float>((2 * d_a * p1 + d_b * p2 + d_log_gain / p1) * scale);
-  by_factor[1] = static_cast<float>((d_b * p1 + 2 * d_c * p2) * scale);
-  by_factor[2] = static_cast<float>((2 * d_c * p3 + d_log_gain / p3) * scale);
-}
 
 std::vector<Grid> grids_of(int x, int y, int width, int height, int top) {
   const auto floor_to = [](int place, int multiple) { return place / multiple * multiple; };

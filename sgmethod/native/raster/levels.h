@@ -80,10 +80,6 @@ SG_INLINE Levelled::Levelled(const float* m, const float* l, int level) {
   gain = on_level(1.0f, n.p1 * n.p3 / (n.q1 * n.q3));
 }
 
-// The gradients by a Gaussian's mean [2] and factor [3] in pixels, from those by its mean, factor and gain in samples of
-// its level. In place.
-void to_pixels(const float* factor, int level, float by_gain, float* by_mean, float* by_factor);
-
 // The grids of levels 0 to top that drawing pixels from (x, y) needs. Level 0 begins with the tile of the first pixel.
 std::vector<Grid> grids_of(int x, int y, int width, int height, int top);
 

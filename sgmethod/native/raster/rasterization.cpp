@@ -227,27 +227,4 @@ Rasterization::Corner Rasterization::corner(int tile) const {
   return {grid.x + within % grid.strips() * kTileWidth, grid.y + within / grid.strips() * kTileHeight};
 }
 
-// In the order of each Gaussian's pairs, so that the sums are the same for every number of threads.
-void Rasterization::sum_pairs(const float* colors, const float* pair_gradients, const Gradients& out) const {
-  parallel_chunks(n_, chunk_, [&](int first, int last, int k) {
-    const int32_t* place = bins_[k].places.data();
-    for (int64_t i = first; i < last; ++i) {
-      float sum[kPairGradients] = {};
-      for (const int32_t* end = place + bins_[k].counts[i - first]; place < end; ++place) {
-        const float* gradient = pair_gradients + static_cast<int64_t>(*place) * kPairGradients;
-        for (int j = 0; j < kPairGradients; ++j) sum[j] += gradient[j];
-      }
-      if (levels_[i] != 0) {
-        const float* color = colors + 3 * i;
-        const float by_gain = color[0] * sum[5] + color[1] * sum[6] + color[2] * sum[7];
-        to_pixels(&factors_[3 * i], levels_[i], by_gain, sum, sum + 2);
-        for (int j = 5; j < kPairGradients; ++j) sum[j] *= footprints_[i].gain;
-      }
-      std::copy_n(sum, 2, out.means + 2 * i);
-      std::copy_n(sum + 2, 3, out.factors + 3 * i);
-      std::copy_n(sum + 5, 3, out.colors + 3 * i);
-    }
-  });
-}
-
 }  // namespace sg

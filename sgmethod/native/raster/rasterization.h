@@ -1,5 +1,5 @@
 // The geometry of a set of Gaussians laid over a picture: which of them touch which tile, and in which rows. Built once
-// per geometry; rendering with any colours, and the gradients, start from it.
+// per geometry; rendering with any colours, and the gradients (fit/gradients.h), start from it.
 //
 // A tile is one strip of kTileWidth columns and kTileHeight rows. A lane of a vector owns a column, so a Gaussian's value
 // down a column is a recurrence of two multiplications (see columns.h). In a pyramid the coarse levels (levels.h) have
@@ -11,12 +11,14 @@
 #include <memory>
 #include <vector>
 
+#include "core/thread_pool.h"
 #include "raster/placed.h"
+#include "raster/planes.h"
 #include "texture/texture.h"
 
 namespace sg {
 
-constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // of a picture
+constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // of a tile's picture [kTileHeight][3][kTileWidth]
 constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory ends long before
 
 // The most pairs that n Gaussians over a picture need. Fitted ones come to at most a fifth of this (six pictures from 0.03
@@ -27,12 +29,6 @@ struct Pair {
   int32_t gaussian;
   uint8_t first_row, last_row;    // within the tile, inclusive
   uint8_t first_lane, last_lane;  // likewise
-};
-
-struct Gradients {
-  float* means;    // [n, 2]
-  float* factors;  // [n, 3]
-  float* colors;   // [n, 3]
 };
 
 // What is drawn of a picture, and by which rules.
@@ -52,10 +48,6 @@ struct Arrivals {
   std::function<void(int first, int last, float* means, float* factors)> values;
 };
 
-class Planes;
-struct Strips;
-struct TileTarget;
-
 class Rasterization {
  public:
   // means [n, 2] in pixels, factors [n, 3] = (l1, l2, l3) in pixels. Gaussians that are not finite or have
@@ -68,27 +60,8 @@ class Rasterization {
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;
-  // image [3, height, width] = target, in which white is kTargetWhite, less the picture, in which it is 1.
-  void missing(const float* colors, const int16_t* target, float* image) const;
   // image [height, width, 3]: background [3] plus the Gaussians, clamped to [0, 1] and rounded to 8 bits.
   void render_bytes(const float* colors, const float* background, uint8_t* image) const;
-  // Gradients of a loss whose gradient by the image is image_grad [3, height, width].
-  void backward(const float* colors, const float* image_grad, const Gradients& out) const;
-  // What A^T A makes of colours, with A the weights of the Gaussians: each one's product with the picture that all draw.
-  // visibility: as below, of the picture's pixels; colours count alike.
-  void gram(const float* colors, float* out_colors, const int16_t* visibility = nullptr) const;
-  // The mean squared error against target [3, height, width], in which white is kTargetWhite, and its gradients: render, loss and backward at once, so
-  // that no picture goes through memory.
-  // visibility [height, width]: then errors count as they are seen (constants.h).
-  double squared_error(const float* colors, const int16_t* target, const Gradients& out,
-                       const int16_t* visibility = nullptr, const Seen& seen = kSeenByEye) const;
-  // The mean squared error alone.
-  double squared_error(const float* colors, const int16_t* target) const;
-
-  // left = target [3, height, width] less the picture; reduced: what that comes to on the coarse levels of grids().
-  // With a visibility, what is reduced is times that.
-  void leave(const float* colors, const int16_t* target, const Strips& left, Planes& reduced,
-             const int16_t* visibility = nullptr) const;
 
   int gaussians() const { return n_; }
   int width() const { return canvas_.width; }
@@ -99,9 +72,41 @@ class Rasterization {
   const Footprint& footprint(int gaussian) const { return footprints_[gaussian]; }
   const Pair* tile_begin(int tile) const { return pairs_.get() + tile_start_[tile]; }
   const Pair* tile_end(int tile) const { return pairs_.get() + tile_start_[tile + 1]; }
-  // A tile's first sample.
+  // Of a tile: its first sample, and its rows, as far as its level goes.
   int tile_x(int tile) const { return corner(tile).x; }
   int tile_y(int tile) const { return corner(tile).y; }
+  int rows_of(int tile) const;
+
+  // Tile by tile, for gradients (fit/).
+  const Canvas& canvas() const { return canvas_; }
+  int isa() const { return isa_; }
+  int level(int gaussian) const { return levels_[gaussian]; }
+  const float* factor(int gaussian) const { return &factors_[3 * static_cast<int64_t>(gaussian)]; }
+  int first_tile(int level) const { return first_tile_[level]; }
+  int tiles(int level) const { return first_tile_[level + 1] - first_tile_[level]; }
+  int64_t first_pair(int tile) const { return tile_start_[tile]; }  // among those of all tiles
+  int64_t pairs() const { return tile_start_.back(); }
+
+  // A tile's place in the picture, as far as the picture goes. Rows and columns before `skip` are not asked for.
+  struct Area {
+    int x, y, columns, rows, skip_columns, skip_rows;
+  };
+  Area area(int tile) const;
+  // Draws the levels from the top down to `last`, each with all above it.
+  void draw_coarse(const float* colors, int last, Planes& planes) const;
+  // A tile of the picture [kTileHeight][3][kTileWidth], first without its own Gaussians, then with them. coarse: drawn down
+  // to level 1.
+  void begin_tile(int tile, Planes& coarse, float* values) const;
+  void draw_tile(int tile, Planes& coarse, const float* colors, float* values) const;
+  // Calls take(tile, its values) for each tile of the picture.
+  template <typename Take>
+  void draw_tiles(const float* colors, const Take& take) const;
+  // Calls take(values, place in an image [3, height, width], columns) for the rows of a tile.
+  template <typename Value, typename Take>
+  void for_rows(int tile, Value* values, const Take& take) const;
+  // Calls take(gaussian, begin, end) for each Gaussian, with the places of its pairs among those of all tiles.
+  template <typename Take>
+  void for_places(const Take& take) const;
 
  private:
   struct Corner {
@@ -116,10 +121,6 @@ class Rasterization {
     const float* first = nullptr;
     int64_t stride = 0;
   };
-  // A tile's place in the picture, as far as the picture goes. Rows and columns before `skip` are not asked for.
-  struct Area {
-    int x, y, columns, rows, skip_columns, skip_rows;
-  };
   // Some consecutive Gaussians, and their pairs, strip by strip.
   struct Bin {
     Bin() = default;
@@ -131,11 +132,9 @@ class Rasterization {
     std::vector<int32_t> next;    // [tiles] until then: the number of pairs in each tile, later the place of the next
   };
   int top() const { return static_cast<int>(grids_.size()) - 1; }
-  int tiles(int level) const { return first_tile_[level + 1] - first_tile_[level]; }
   int tiles() const { return first_tile_.back(); }
   int level_of_tile(int tile) const;
   Corner corner(int tile) const;
-  Area area(int tile) const;
   void set_levels(int top);
   using Chunk = std::function<void(int first, int last, int chunk)>;
   using EachChunk = std::function<void(const Chunk& body)>;  // of chunk_ Gaussians
@@ -146,33 +145,14 @@ class Rasterization {
   void bin(const Crossings& crossings, int64_t pairs, Bin& bin) const;
   void sort_pairs();
 
-  int rows_of(int tile) const;
   Samples below(Planes& planes, int tile) const;
-  void draw_coarse(const float* colors, int last, Planes& planes) const;
   void draw_coarse_tile(int tile, Rows rows, Samples coarse, const float* colors, float* to, int64_t stride) const;
   Samples draw_part(Planes& planes, int strip, int block, const float* colors, float* samples) const;
   void begin_tile(Rows rows, Samples coarse, const float* background, float* accumulators) const;
   void add_texture(int tile, Rows rows, float* accumulators) const;
   void draw_tile(int tile, Rows rows, Samples coarse, const float* background, const float* colors,
                  float* accumulators) const;
-  template <typename Take>
-  void draw_tiles(const float* colors, const Take& take) const;
-  template <typename Value, typename Take>
-  void for_rows(int tile, Value* values, const Take& take) const;
   void write_bytes(int tile, const float* accumulators, uint8_t* image) const;
-  template <typename Fill>
-  void gradients(const float* colors, const Fill& fill, const Gradients& out) const;
-  int64_t samples() const;  // of the picture, in all channels
-  TileTarget part(const int16_t* target, int tile, int64_t ahead, float scale, const int16_t* visibility,
-                  const Seen& seen) const;
-  void weigh(const int16_t* visibility, int tile, float* values) const;
-  double mean(const std::vector<double>& errors) const;
-  void load(Planes& planes, int tile, float* values) const;
-  template <typename Each>
-  void reduce_all(const Each& each, Planes& planes) const;
-  template <typename Load>
-  void reduce(int level, Planes& planes, const Load& load_tile) const;
-  void sum_pairs(const float* colors, const float* pair_gradients, const Gradients& out) const;
 
   const Canvas canvas_;
   int n_, isa_;
@@ -188,5 +168,37 @@ class Rasterization {
   std::unique_ptr<Pair[]> pairs_;    // sorted by tile, then by Gaussian
   std::vector<int64_t> tile_start_;  // [tiles + 1]
 };
+
+template <typename Take>
+void Rasterization::draw_tiles(const float* colors, const Take& take) const {
+  Planes coarse(grids_, Planes::Rows::kWhole);
+  draw_coarse(colors, 1, coarse);
+  parallel_for(tiles(0), [&](int tile) {
+    alignas(64) float values[kTileFloats];
+    draw_tile(tile, coarse, colors, values);
+    take(tile, values);
+  });
+}
+
+template <typename Value, typename Take>
+void Rasterization::for_rows(int tile, Value* values, const Take& take) const {
+  const Area a = area(tile);
+  for (int row = 0; row < a.rows; ++row)
+    for (int k = 0; k < 3; ++k)
+      take(values + ((a.skip_rows + row) * 3 + k) * kTileWidth + a.skip_columns,
+           (static_cast<int64_t>(k) * height() + a.y + row) * width() + a.x, std::max(a.columns, 0));
+}
+
+template <typename Take>
+void Rasterization::for_places(const Take& take) const {
+  parallel_chunks(n_, chunk_, [&](int first, int last, int k) {
+    const int32_t* place = bins_[k].places.data();
+    for (int i = first; i < last; ++i) {
+      const int32_t* const end = place + bins_[k].counts[i - first];
+      take(i, place, end);
+      place = end;
+    }
+  });
+}
 
 }  // namespace sg

@@ -10,7 +10,7 @@
 #include <algorithm>
 #include <vector>
 
-#include "raster/kernels.h"
+#include "fit/fit_kernels.h"
 #include "raster/planes.h"
 
 namespace sg {

@@ -21,6 +21,7 @@
 
 #include "core/errors.h"
 #include "core/thread_pool.h"
+#include "fit/gradients.h"
 #include "refine/visitor.h"
 
 namespace sg {
@@ -92,7 +93,7 @@ class Refinement {
     reduced_.reset();  // before the next: they are a third of a picture
     reduced_ = std::make_unique<Planes>(raster.grids());
     state_.reduced = reduced_.get();
-    raster.leave(g.colors.data(), target_, state_.left, *reduced_, state_.settings.visibility);
+    leave(raster, g.colors.data(), target_, state_.left, *reduced_, state_.settings.visibility);
   }
 
   // Visits all Gaussians once, level by level from the top, and returns how many have changed. A level's changes reach

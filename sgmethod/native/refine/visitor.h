@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "core/isa.h"
-#include "raster/kernels.h"
+#include "fit/fit_kernels.h"
 #include "raster/levels.h"
 #include "rd/models.h"
 #include "refine/gram.h"

@@ -11,6 +11,7 @@
 #include "core/constants.h"
 #include "core/isa.h"
 #include "core/thread_pool.h"
+#include "fit/gradients.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
 #include "raster/rasterization.h"
@@ -114,9 +115,9 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
         const sg::Gradients out{by.means.data(), by.factors.data(), by.colors.data()};
         raster.render(g.colors.data(), image.data());
         loss(image.data(), grad.data());
-        raster.backward(g.colors.data(), grad.data(), out);
-        raster.squared_error(g.colors.data(), levels.data(), out);
-        raster.gram(g.colors.data(), by.colors.data());
+        sg::backward(raster, g.colors.data(), grad.data(), out);
+        sg::squared_error(raster, g.colors.data(), levels.data(), out);
+        sg::gram(raster, g.colors.data(), by.colors.data());
       }
     sg::rd_rate_gradient(0.1f, 1.0f, 300, g.factors.data(), g.colors.data(), by.factors.data(), by.colors.data());
     const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f, 2.0f, 1000.0f);
@@ -150,7 +151,7 @@ TEST(kernels_refuse_what_cannot_be) {
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, 3.0f, -1, -1)));
   CHECK(check::throws<std::invalid_argument>(raster(1, 1, 3.0f, -1, INT32_MAX)));
   CHECK(check::throws<std::invalid_argument>([&] {
-    rasterized({{0, 0}, {1, 0, 1}, {1, 1, 1}}, {1, 0, 1, 1, 3.0f, true}, -1).squared_error(nullptr, nullptr, {});
+    sg::squared_error(rasterized({{0, 0}, {1, 0, 1}, {1, 1, 1}}, {1, 0, 1, 1, 3.0f, true}, -1), nullptr, nullptr, {});
   }));
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false, 4); }));
   CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false, 4); }));

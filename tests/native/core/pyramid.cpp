@@ -7,7 +7,7 @@
 
 #include "check.h"
 #include "core/constants.h"
-#include "raster/kernels.h"
+#include "fit/gradients.h"
 #include "raster/levels.h"
 #include "raster/planes.h"
 #include "raster/rasterization.h"
@@ -55,7 +55,7 @@ struct Residual {
         strips(static_cast<size_t>(raster.grids()[0].strips() * height * 3 * sg::kTileWidth)),
         left{strips.data(), width, height}, reduced(raster.grids()) {
     const std::vector<int16_t> target(static_cast<size_t>(3 * width * height), sg::kTargetWhite / 2);
-    raster.leave(g.colors.data(), target.data(), left, reduced);
+    sg::leave(raster, g.colors.data(), target.data(), left, reduced);
   }
   sg::Rasterization raster;
   std::vector<float> strips;
