@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -33,6 +34,7 @@ RIVALS: dict[RivalFormat, tuple[str, dict[str, Any]]] = {
 # A search takes seven files: at these speeds 3.3, 0.9 or 0.2 s of a core for 0.37 megapixels. The last loses 0.6 dB.
 AVIF_SPEEDS = ((600_000, 6), (3_000_000, 8))
 FASTEST_AVIF = 9
+NEAR = 0.03  # files whose sizes differ by no more than this share count as equally large
 PNG_LEVEL = 1
 
 Pixels = NDArray[np.uint8]
@@ -46,24 +48,33 @@ def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = No
     )
 
 
+def as_large(encoded: Callable[[int], bytes], size: int) -> bytes:
+    """Of the files of qualities 1 to 100, the finest of at most `size` bytes; the next larger if that is not near."""
+    under = over = None
+    low, high = 0, 101
+    while high - low > 1:
+        quality = (low + high) // 2
+        file = encoded(quality)
+        if len(file) <= size:
+            under, low = file, quality
+        else:
+            over, high = file, quality
+    if under is not None and (over is None or len(under) >= (1 - NEAR) * size):
+        return under
+    assert over is not None  # one of them is there
+    return over
+
+
 @dataclass(frozen=True)
 class Rival:
-    """The picture file that a bitstream is compared with: the finest of its kind of at most max_bytes."""
+    """The picture file that a bitstream of `size` bytes is compared with."""
 
     kind: RivalFormat
-    max_bytes: int
+    size: int
 
     def made_of(self, pixels: Pixels) -> bytes:
-        """The file of pixels, uint8 [H, W, 3]; if none is as small, the smallest."""
-        best, low, high = self._encoded(pixels, 1), 1, 101
-        while high - low > 1 and len(best) <= self.max_bytes:
-            quality = (low + high) // 2
-            file = self._encoded(pixels, quality)
-            if len(file) <= self.max_bytes:
-                best, low = file, quality
-            else:
-                high = quality
-        return best
+        """The file of pixels, uint8 [H, W, 3]."""
+        return as_large(lambda quality: self._encoded(pixels, quality), self.size)
 
     def _encoded(self, pixels: Pixels, quality: int) -> bytes:
         from PIL import Image  # not before a rival is asked for

@@ -1,4 +1,4 @@
-"""Finished jobs as pictures and as bitstreams, what running ones have so far, what other codecs make of the same bytes,
+"""Finished jobs as pictures and as bitstreams, what running ones have so far, what other codecs make of as many bytes,
 and pictures of bitstreams that nobody keeps.
 """
 
@@ -293,12 +293,12 @@ def open_image(parts: Parts, job: Job) -> BinaryIO:
         **PARTIAL,
         **problems(404, 409, 410, 422, 429, 503),
     },
-    summary="What another codec makes of the same bytes",
+    summary="What another codec makes of as many bytes",
     openapi_extra=curl("HOST/jobs/ID/rival.avif -o rival.avif"),
 )
 async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Request) -> Response:
-    """The image of a job as JPEG, WebP or AVIF, as fine as the bytes of its bitstream allow; the smallest file, if it
-    takes more. 410 once the image is no longer kept.
+    """The image of a job as JPEG, WebP or AVIF of as many bytes as its bitstream, or up to 3 % fewer. Where no quality
+    gives such a file, the next larger one. 410 once the image is no longer kept.
     """
     result = result_of(job)
     size = int(result.stats["bytes"])

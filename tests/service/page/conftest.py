@@ -11,7 +11,8 @@ from tests.harness.browser import Chromium
 
 @pytest.fixture
 def page(browser: Chromium) -> Iterator[Chromium]:
-    """The browser, which has nothing to complain of yet, and is elsewhere afterwards."""
+    """The browser, which has nothing to complain of yet, and is elsewhere afterwards, in a window of its usual size."""
     browser.complaints()
     yield browser
+    browser.tell("Emulation.clearDeviceMetricsOverride")
     browser.open("about:blank")

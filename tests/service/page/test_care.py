@@ -11,7 +11,7 @@ from tests.harness.browser import Chromium
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import COFFEE_SAYS, complaints, give, hold_back, open_page, says, settled, text64
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, complaints, give, hold_back, open_page, says, settled, text64
 
 
 def see_through() -> bytes:
@@ -176,3 +176,65 @@ def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Ser
     wait_until(lambda: page.run("return document.querySelector('#rows li:last-child .pick').ariaPressed") == "true")
     for job in web.client.get("/jobs").json()["jobs"]:
         web.client.delete(f"/jobs/{job['id']}")
+
+
+def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    give(page, "drop", COFFEE, "my coffee.sg")
+    says(page, COFFEE_SAYS, "#figures")
+    address = page.run("return location.href")
+    time.sleep(0.5)  # the browser keeps it
+    page.open("about:blank")
+    page.open(address)
+    says(page, COFFEE_SAYS, "#figures")
+    assert page.run("return location.href") == address
+    page.open("about:blank")
+    page.open(f"{web.url}/#file-unknown")
+    says(page, "no longer has the file", "#work")
+    assert complaints(page) == []
+
+
+def test_nothing_is_offered_for_what_is_no_picture(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    assert page.is_seen("#overlays")
+    give(page, "drop", b"this is text\n", "words.txt")
+    says(page, "not a PNG", "#work")
+    assert [part for part in ("#stage", "#tools", "#overlays", "#again") if page.is_seen(part)] == []
+    page.click("#sample-cat")
+    says(page, "5.4 kB", "#right-label")
+    assert [page.is_seen(part) for part in ("#stage", "#tools", "#overlays")] == [True] * 3
+    settled(page)
+
+
+def test_on_a_phone(page: Chromium, web: Service) -> None:
+    """What ends an encode is on the first screen, and nothing covers the picture."""
+    screen = {"width": 390, "height": 664, "deviceScaleFactor": 1, "mobile": True}
+    page.tell("Emulation.setDeviceMetricsOverride", **screen)
+    open_page(page, web)
+    give(page, "drop", see_through(), "clear.png")
+    says(page, "in the queue")
+    low, stage, *words = page.run("""
+        const box = (id) => document.getElementById(id).getBoundingClientRect();
+        const words = ["left-label", "right-label", "note", "work"].map(box).filter(({ height }) => height);
+        return [box("cancel").bottom, box("stage").bottom, ...words.map(({ top }) => top)];
+    """)
+    assert low <= screen["height"]
+    assert len(words) == 3  # there is nothing of ours yet
+    assert min(words) >= stage
+    assert page.run("return document.documentElement.scrollWidth") == screen["width"]
+    page.click("#cancel")
+    says(page, "Cancelled", "#work")
+
+
+def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    page.run("HTMLAnchorElement.prototype.click = function () { window.saved = this.download; }")
+    page.click("#link")
+    says(page, "The link is in the clipboard", "#taken")
+    page.click("#save-sg")
+    says(page, "Downloaded astronaut.sg, 4.7 kB.", "#taken")
+    page.click("#save-picture")
+    says(page, "Downloaded astronaut.png", "#taken")
+    assert page.run("return window.saved") == "astronaut.png"
+    page.click("#sample-cat")
+    assert page.text("#taken") == ""

@@ -299,15 +299,23 @@ def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path)
         return (async () => {
             const { snippetOf } = await import("/static/page/taking.js");
             const sg = new Uint8Array(await (await fetch("/static/samples/coffee.sg")).arrayBuffer());
-            return snippetOf({ sg, size: [432, 288] });
+            return snippetOf({ sg, size: [432, 288], name: 'my "cup" & <b>.webp' });
         })();
     """)
     assert len(html) < SNIPPET_BYTES
     alone = tmp_path / "alone.html"
     alone.write_text(html)
     page.complaints()
+    page.tell("Emulation.setDeviceMetricsOverride", width=300, height=600, deviceScaleFactor=1, mobile=False)
     page.open(alone.as_uri())
     pixel = "return [...document.querySelector('canvas').getContext('2d').getImageData(200, 100, 1, 1).data]"
     wait_until(lambda: page.run(pixel)[3] == 255)
     assert np.abs(np.array(page.run(pixel)[:3]) - sgmethod.decode(COFFEE)[100, 200]).max() <= 1
+    assert page.run("return document.querySelector('canvas').getAttribute('aria-label')") == 'my "cup" & <b>'
+    width, height, scrolled = page.run("""
+        const { width, height } = document.querySelector("canvas").getBoundingClientRect();
+        return [width, height, document.documentElement.scrollWidth];
+    """)
+    assert scrolled <= 300
+    assert width / height == pytest.approx(1.5, rel=0.01)
     assert complaints(page) == []

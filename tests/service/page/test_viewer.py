@@ -21,6 +21,11 @@ FIRST_LOOK_BYTES = 150_000
 TEXTURED = golden(4)["v4-texture"]
 
 
+def largest_step(page: Chromium) -> int:
+    """Of levels, from one pixel on the screen to the next."""
+    return int(np.abs(np.diff(settled(page).astype(int), axis=0)).max())
+
+
 def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     page.open("about:blank")
     open_page(page, web)
@@ -29,6 +34,7 @@ def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     before_sample = [size for name, size in sizes if not name.endswith(("webp", "avif"))]
     assert sum(before_sample) < FIRST_LOOK_BYTES
     assert all(name.startswith(web.url) for name, _ in sizes)
+    assert "times" not in page.text("header")  # by how much a file is smaller depends on the picture
     assert "Original" in page.text("#left-label")
     assert "4.7 kB" in page.text("#right-label")
     assert [name in page.text("#rivals") for name in ("Original", "Gaussians", "JPEG", "WebP", "AVIF")] == [True] * 5
@@ -45,12 +51,10 @@ def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
 
     wheel = "document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', { deltaY: -2000, clientX: 300, "
     page.run(wheel + "clientY: 300, cancelable: true }))")
-    blocks = settled(page)
     assert page.text("#zoom") == "6400 %"
-    steps = np.abs(np.diff(blocks.astype(int), axis=0)).sum(1)
-    assert (steps > 0).sum() <= len(blocks) // 64 + 2  # whole pixels of the original
+    wait_until(lambda: largest_step(page) <= 6)  # 1 here; 42 with hard pixels
     page.run("document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' }))")
-    wait_until(lambda: np.abs(np.diff(settled(page).astype(int), axis=0)).max() <= 6)  # 1 here; 42 in the original
+    wait_until(lambda: largest_step(page) <= 6)
     page.click("#zoom-fit")
 
     page.run(
@@ -101,7 +105,7 @@ def test_rivals_that_the_service_makes(page: Chromium, start_service: StartServi
     job = page.run("return location.hash").removeprefix("#")
     web.publish(job, COFFEE)
     says(page, "AVIF", "#verdict")
-    assert re.search(r"AVIF 4\.\d kB \d\d\.\d dB 0\.\d{3}", page.text("#rivals"))
+    assert re.search(r"AVIF 4\.[5-9] kB \d\d\.\d dB 0\.\d{3}", page.text("#rivals"))
     row = "#rivals tbody tr:last-child"
     page.click(f"{row} button")
     says(page, "AVIF", "#left-label")
@@ -142,15 +146,15 @@ def test_texture_on_and_off(page: Chromium, web: Service) -> None:
     assert complaints(page) == []
 
 
-def test_what_is_in_a_file_and_what_was_left_out(page: Chromium, web: Service) -> None:
+def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     open_page(page, web)
-    for name, left_out in (("grey", "Tint"), ("upright", "Slant"), ("color", "Texture"), ("texture", "Code tables")):
+    for name, lacking in (("grey", "Colour"), ("upright", "Slants"), ("color", "Texture"), ("texture", "Transparency")):
         data = golden(4)[f"v4-{name}"]
         give(page, "drop", data, f"{name}.sg")
         says(page, f"{len(data)} B", "#right-label")
         rows = page.run("return [...document.querySelectorAll('#contents tbody tr')].map((row) => row.innerText)")
-        (row,) = (row for row in rows if row.startswith(left_out))
-        assert "left out" in row
+        assert rows[0].startswith("Positions")
+        assert not any(row.startswith(lacking) for row in rows)
         sizes = [int(found[1]) for row in rows if (found := re.search(r"(\d+) B", row))]
         assert abs(sum(sizes) - len(data)) <= len(sizes) / 2
     give(page, "drop", OLD, "old.sg")

@@ -13,7 +13,7 @@ from PIL import Image
 
 import sgmethod
 from service.web.app import STATIC
-from service.web.helpers.picture_files import Rival
+from service.web.helpers.picture_files import Rival, as_large
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, golden_path
 from tests.harness.pictures import SMALL
@@ -83,7 +83,7 @@ def test_texture_can_be_left_out(web: Service) -> None:
     assert_problem(web.client.get(f"/decode/{job}.png?texture=some"), 422)
 
 
-def test_rivals_of_the_same_bytes(start_service: StartService) -> None:
+def test_rivals_are_as_large(start_service: StartService) -> None:
     web = start_service("web", source_retention_s=1000)
     coffee, image = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))
     job, waiting = web.accepted(image), web.accepted(image)
@@ -93,7 +93,7 @@ def test_rivals_of_the_same_bytes(start_service: StartService) -> None:
         answer = web.client.get(f"/jobs/{job}/rival.{kind}")
         assert Image.open(io.BytesIO(answer.content)).format == name
         assert pixels_of(answer).shape == original.shape
-        assert 0.9 * len(coffee) < len(answer.content) <= len(coffee)
+        assert 0.97 < len(answer.content) / len(coffee) < 1.1
         assert 20 < np.square(pixels_of(answer) - original).mean() < 300  # 23 to 35 dB
         assert answer.headers["expires"] == web.client.get(f"/decode/{job}.png").headers["expires"]
         again = web.client.get(f"/jobs/{job}/rival.{kind}", headers={"If-None-Match": answer.headers["etag"]})
@@ -104,13 +104,15 @@ def test_rivals_of_the_same_bytes(start_service: StartService) -> None:
     assert_problem(web.client.post(f"/jobs/{waiting}/stop"), 409, "nothing to keep")
 
 
-def test_a_rival_is_as_fine_as_its_bytes_allow() -> None:
+def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
+    def size(wanted: int) -> int:
+        return len(as_large(lambda quality: bytes(100 * quality), wanted))
+
+    assert [size(wanted) for wanted in (10, 100, 5099, 9999, 10**9)] == [100, 100, 5000, 9900, 10_000]
+    assert [size(wanted) for wanted in (199, 1099)] == [200, 1100]  # the one below is not near
     pixels = np.asarray(Image.open(io.BytesIO(PHOTOGRAPH)).convert("RGB"))
-    sizes = [len(Rival("jpg", most).made_of(pixels)) for most in (10, 3000, 3100, 10**9)]
-    assert sizes[0] > 10
-    assert 2500 < sizes[1] <= 3000
-    assert sizes[1] <= sizes[2] <= 3100
-    assert sizes[3] > 10_000
+    for wanted in range(2000, 6000, 250):
+        assert len(Rival("jpg", wanted).made_of(pixels)) >= 0.97 * wanted
 
 
 def test_the_older_version_of_the_file(web: Service) -> None:

@@ -46,15 +46,14 @@ export function budget() {
 /** Say what the slider means for a picture, or for any. */
 export function sayRate(item) {
   const bpp = rate();
-  const words = [expected(bpp)];
+  const words = [`${bpp.toFixed(2)} bits per pixel`];
   if (item?.size && item.originalBytes) {
-    const bytes = (bpp * item.size[0] * item.size[1]) / 8;
-    $("rate").textContent = `about ${size(Math.round(bytes))}`;
-    words.unshift(smaller(item.originalBytes, bytes));
+    const bytes = Math.round((bpp * item.size[0] * item.size[1]) / 8);
+    $("rate").textContent = `about ${size(bytes)}`;
+    words.push(smaller(item.originalBytes, bytes), expected(bytes));
   } else $("rate").textContent = `${size(Math.round((bpp / 8) * 1e6))} a megapixel`;
-  const sentence = words.join(", ");
   $("bpp").setAttribute("aria-valuetext", $("rate").textContent);
-  $("rate-words").textContent = `${sentence[0].toUpperCase()}${sentence.slice(1)} (${bpp.toFixed(2)} bits per pixel)`;
+  $("rate-words").textContent = `${words.join(", ")}.`;
 }
 
 export function rememberBudget(changed) {

@@ -12,7 +12,7 @@ const RETRIES = 30;
 const unread = (format) => `This is a ${format} picture, which this service cannot read. Save or share it as JPEG first.`;
 
 const decoder = new Remote("/static/decoder/worker.js");
-let [keys, made] = [0, 0];
+let keys = 0;
 
 /** A view of an opened file, from the worker. */
 export const draw = (file, { scale, region = null, count = file.count, texture = true }) =>
@@ -45,9 +45,8 @@ export class Item {
   /** changed: called with the item whenever anything of it is new. */
   constructor(name, changed) {
     Object.assign(this, { name, changed, state: "new", words: "", done: null, trace: [], watched: false, grown: false });
-    this.number = made++;
     this.original = this.decoded = this.sg = this.file = this.id = this.budget = this.job = null;
-    this.size = this.soFar = null; // soFar: { image, bytes } of what a running job has
+    this.size = this.opened = this.soFar = null; // soFar: { image, bytes } of what a running job has
   }
 
   tell(change = {}) {
@@ -85,6 +84,23 @@ export class Item {
     this.tell({ sg, file, decoded, size, note, measured: null, rivals: {}, smooth: null, soFar: null, state: "done", words: "" });
   }
 
+  /** Open an .sg file that was given, and keep it under a place in the address, where a reload finds it. */
+  async open(file, place = `file-${Math.random().toString(36).slice(2)}`) {
+    this.opened = place;
+    await this.setFile(new Uint8Array(await file.arrayBuffer()));
+    await keep(place, file, this.name);
+  }
+
+  /** Open the .sg file of an address, as after a reload. */
+  async reopen(place) {
+    await this.#working(async () => {
+      const before = await kept(place);
+      if (!before) throw new Error("This browser no longer has the file of this address: open it again.");
+      this.name = before.name;
+      await this.open(before.file, place);
+    });
+  }
+
   /** Encode the original within a budget. */
   async encode(budget) {
     await this.#working(async () => {
@@ -120,7 +136,7 @@ export class Item {
       await task();
     } catch (error) {
       const words = error.message.includes("to read it") ? unread(this.format) : error.message;
-      this.tell({ state: "failed", words, done: null, soFar: null });
+      this.tell({ state: "failed", words, done: null, soFar: null, refused: error.status === 415 });
     }
   }
 
@@ -176,7 +192,7 @@ export class Item {
 
   /** What names it in the address: what a reload, or the button for going back, finds again. */
   get place() {
-    return this.id ?? this.sample ?? (this.sg ? `file-${this.number}` : null);
+    return this.id ?? this.sample ?? (this.sg ? this.opened : null);
   }
 
   /** Whether there is something to keep if it is stopped. */

@@ -1,4 +1,4 @@
-// What a reload finds again: the originals of jobs in the browser's own database, the budget and the key.
+// What a reload finds again: originals of jobs and opened files in the browser's own database, the budget and the key.
 
 const MOST = 12;
 const NAME = "sgmethod";
@@ -19,7 +19,7 @@ function finished(request) {
   });
 }
 
-/** Keep the original of a job; the oldest go. A browser that keeps nothing is no error. */
+/** Keep the original of a job, or an .sg file; the oldest go. A browser that keeps nothing is no error. */
 export async function keep(id, file, name) {
   try {
     const store = (await opened()).transaction("originals", "readwrite").objectStore("originals");
@@ -32,7 +32,7 @@ export async function keep(id, file, name) {
   }
 }
 
-/** { file, name } of a job, or undefined. */
+/** What was kept under an id: { file, name }, or undefined. */
 export async function kept(id) {
   try {
     return await finished((await opened()).transaction("originals").objectStore("originals").get(id));

@@ -29,6 +29,7 @@ function show(item) {
   current = item;
   onLeft = "Original";
   item.drawn = null;
+  $("taken").textContent = "";
   refresh(item);
 }
 
@@ -64,6 +65,8 @@ function refresh(item) {
     if (item.watched && !item.grown) tools.unfold(file);
     item.watched = false;
   }
+  const hasNothing = !viewer.left && !viewer.right && ["failed", "cancelled"].includes(item.state);
+  $("stage").hidden = $("tools").hidden = hasNothing;
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
   fillContents(file);
@@ -74,7 +77,7 @@ function refresh(item) {
   $("take-card").hidden = !decoded;
   $("snippet").hidden = !file;
   $("link").hidden = !item.id && !item.sample;
-  $("again").hidden = !item.source || item.busy || Boolean(item.sample && !decoded);
+  $("again").hidden = !item.source || item.busy || item.refused || Boolean(item.sample && !decoded);
   $("again").textContent = item.sample ? "Encode this one" : "Encode again";
   sayRate(item);
 }
@@ -152,7 +155,7 @@ async function give(files) {
     if (!shown || !items.includes(current)) show(item);
     shown = true;
     try {
-      if (kind === "sg") await item.setFile(new Uint8Array(await file.arrayBuffer()));
+      if (kind === "sg") await item.open(file);
       else {
         await item.setOriginal(file);
         if (items.includes(item)) item.encode(budget());
@@ -188,6 +191,10 @@ async function begin() {
     item.id = wanted;
     show(item);
     item.resume(wanted);
+  } else if (wanted.startsWith("file-")) {
+    const item = added("file.sg");
+    show(item);
+    item.reopen(wanted);
   } else await sample(SAMPLES.includes(wanted) ? wanted : SAMPLES[0]);
 }
 
@@ -202,14 +209,23 @@ async function copy(text) {
   if (!isDone) throw new Error("this browser lets no page copy.");
 }
 
-async function copied(making, words) {
-  try {
-    const text = await making();
-    await copy(text);
-    $("taken").textContent = `${words} (${size(text.length)}) is in the clipboard.`;
-  } catch (error) {
-    $("taken").textContent = `That did not work: ${error.message}`;
-  }
+/** Hand out something of the picture that is shown, and say what came of it. */
+async function take(task) {
+  $("taken").textContent = "";
+  const item = current;
+  const words = await task(item).catch((error) => `That did not work: ${error.message}`);
+  if (item === current) $("taken").textContent = words;
+}
+
+async function copyLink(item) {
+  await copy(await linkOf(item));
+  return "The link is in the clipboard.";
+}
+
+async function copyHtml(item) {
+  const html = await snippetOf(item);
+  await copy(html);
+  return `The HTML (${size(html.length)}) is in the clipboard. In its aria-label, say what the picture shows.`;
 }
 
 listen(give);
@@ -223,18 +239,12 @@ $("key-field").addEventListener("submit", (event) => {
 });
 $("stop").addEventListener("click", () => current.stop());
 $("cancel").addEventListener("click", () => current.cancel());
-$("save-sg").addEventListener("click", () => saveFile(current));
-$("save-picture").addEventListener("click", async () => {
-  $("taken").textContent = "Drawing";
-  try {
-    await savePicture(current, $("kind").value, Number($("width").value) || current.size[0], draw);
-    $("taken").textContent = "";
-  } catch (error) {
-    $("taken").textContent = `That did not work: ${error.message}`;
-  }
-});
-$("link").addEventListener("click", () => copied(() => linkOf(current), "The link"));
-$("snippet").addEventListener("click", () => copied(() => snippetOf(current), "The HTML"));
+$("save-sg").addEventListener("click", () => take(saveFile));
+$("save-picture").addEventListener("click", () =>
+  take((item) => savePicture(item, $("kind").value, Number($("width").value) || item.size[0], draw)),
+);
+$("link").addEventListener("click", () => take(copyLink));
+$("snippet").addEventListener("click", () => take(copyHtml));
 addEventListener("hashchange", begin);
 
 /** Once the empty page has been painted, which WebGL and workers would hold up. */

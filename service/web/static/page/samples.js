@@ -1,4 +1,4 @@
-// The pictures that come with the page: an original, its .sg file, and an AVIF of the same bytes.
+// The pictures that come with the page: an original, its .sg file, and an AVIF that is as large.
 
 import { $, element } from "./parts.js";
 import { size } from "./words.js";

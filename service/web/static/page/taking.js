@@ -3,20 +3,22 @@
 import { MOST_PIXELS, MOST_SCALE } from "../decoder/drawing.js";
 import { choices, drawn, hasKey, json } from "./api.js";
 import { $ } from "./parts.js";
-import { withoutSuffix } from "./words.js";
+import { size, withoutSuffix } from "./words.js";
 
 const IN_BROWSER = { png: "image/png", jpg: "image/jpeg", webp: "image/webp" };
 const SOURCES = ["models.js", "coder.js", "file.js", "drawing.js", "decoder.js"];
 
-export function save(blob, name) {
+/** Let the browser download a file; what to say of it. */
+function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
   link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
+  return `Downloaded ${name}, ${size(blob.size)}.`;
 }
 
-export const saveFile = (item) => save(new Blob([item.sg]), `${withoutSuffix(item.name)}.sg`);
+export const saveFile = async (item) => save(new Blob([item.sg]), `${withoutSuffix(item.name)}.sg`);
 
 const widths = ([width, height]) => [
   Math.ceil(width / MOST_SCALE),
@@ -72,7 +74,8 @@ export async function linkOf(item) {
   return location.origin + (await json(`/jobs/${item.id}/links`, { method: "POST" })).decode_url;
 }
 
-/** HTML that shows the picture from its .sg file, with the decoder in it: no other file is needed. */
+/** HTML that shows the picture from its .sg file, with the decoder in it: no other file is needed. The picture's name is
+ * the text for those who do not see it. */
 export async function snippetOf(item) {
   const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`/static/decoder/${name}`)).text()));
   const decoder = sources
@@ -84,12 +87,15 @@ export async function snippetOf(item) {
   let binary = "";
   for (const byte of item.sg) binary += String.fromCharCode(byte);
   const [width, height] = item.size;
-  return `<canvas id="sg-picture" width="${width}" height="${height}" role="img" aria-label="A photograph"></canvas>
+  const id = `sg-${Math.random().toString(36).slice(2)}`; // one page may hold several
+  const name = withoutSuffix(item.name).replace(/[&<>"]/g, (letter) => `&#${letter.charCodeAt(0)};`);
+  const looks = `width="${width}" height="${height}" style="max-width: 100%; height: auto"`;
+  return `<canvas id="${id}" ${looks} role="img" aria-label="${name}"></canvas>
 <script type="module">
 ${decoder}
 const file = Uint8Array.from(atob("${btoa(binary)}"), (letter) => letter.charCodeAt(0));
 const { data } = decode(file);
-document.getElementById("sg-picture").getContext("2d").putImageData(new ImageData(data, ${width}), 0, 0);
+document.getElementById("${id}").getContext("2d").putImageData(new ImageData(data, ${width}), 0, 0);
 </script>
 `;
 }

@@ -2,7 +2,7 @@
 
 import { $, element, refill } from "./parts.js";
 import { drawTrace } from "./watching.js";
-import { count, decibels, size, smaller } from "./words.js";
+import { closeness, count, decibels, size, smaller } from "./words.js";
 
 const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
 
@@ -34,17 +34,15 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
   else if (part) label("right-label", item.decoded, "Gaussians", `the first ${size(part)} of ${bytes}`);
   else if (smooth) label("right-label", item.decoded, "Gaussians", bytes, "without texture");
   else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
-  const said = item.state === "failed" ? sentence(item.words) : item.words;
-  const unseen = item.source && !item.original && "This browser cannot show the original.";
+  const unseen = item.source && !item.original && item.state !== "failed" && "This browser cannot show the original.";
   const laid = item.wasTransparent && "What can be seen through is shown on white here, and stays transparent in the file.";
-  const note = item.busy || item.state === "failed" ? said : item.note || unseen || laid;
-  $("note").hidden = !note;
-  $("note").textContent = note || "";
+  $("note").textContent = item.note || unseen || laid || "";
+  $("note").hidden = !$("note").textContent;
 }
 
 const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$/.test(words) ? "" : "."}`;
 
-/** How far its job is, and how the fit went. */
+/** How far its job is, and how the fit went: in PSNR, which says something only of one that is tuned for it. */
 export function showWork(item) {
   $("work").hidden = !item.busy && item.state !== "failed" && item.state !== "cancelled";
   $("work").classList.toggle("bad", item.state === "failed");
@@ -58,20 +56,22 @@ export function showWork(item) {
   if (item.busy) say(item.state === "running" ? "Encoding" : item.words);
   else if (item.state === "done") say(`${item.name} is done: ${size(item.sg.length)}`);
   else say(item.words);
-  drawTrace(item.trace, item.state === "done" ? (item.job?.result?.psnr ?? null) : null);
+  const trace = item.job?.tune === "psnr" ? item.trace : [];
+  drawTrace(trace, item.state === "done" ? (item.job?.result?.psnr ?? null) : null);
   const isTraced = !$("chart").hasAttribute("hidden");
   $("chart-card").hidden = !isTraced;
   $("figures").hidden = !item.decoded;
   $("figures").textContent = item.decoded ? figuresOf(item) : "";
 }
 
-function figuresOf({ sg, file, size: [width, height], originalBytes, job }) {
+function figuresOf({ sg, file, size: [width, height], originalBytes, job, measured }) {
   const gaussians = file?.count ?? job?.result?.gaussians;
   const parts = [`${width} × ${height} pixels`];
   if (gaussians) parts.push(`${count(gaussians)} Gaussians`);
   parts.push(`${size(sg.length)}, ${((8 * sg.length) / (width * height)).toFixed(2)} bits per pixel`);
   if (originalBytes) parts.push(smaller(originalBytes, sg.length));
-  return `${parts.join(" · ")}.`;
+  const close = measured?.ssim ? ` SSIM ${measured.ssim.toFixed(2)}: ${closeness(measured.ssim)}.` : "";
+  return `${parts.join(" · ")}.${close}`;
 }
 
 function stateInShort({ state, sg, done }) {

@@ -6,11 +6,14 @@ import { count, decibels, seconds, size } from "./words.js";
 const [WIDTH, HEIGHT] = [560, 240];
 const [LEFT, RIGHT, TOP, BOTTOM] = [62, 14, 14, 60];
 
-/** About `most` round numbers from low to high. */
-function ticks(low, high, most) {
-  const rough = (high - low) / most || 1;
+/** A round step, of which about `most` fit into a range. */
+function stepOf(range, most) {
+  const rough = range / most || 1;
   const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough);
+  return [1, 2, 5, 10].map((n) => n * power).find((n) => n >= rough);
+}
+
+function ticks(low, high, step) {
   const found = [];
   for (let at = Math.ceil(low / step) * step; at <= high + 1e-9; at += step) found.push(Number(at.toFixed(6)));
   return found;
@@ -26,16 +29,18 @@ export function drawTrace(trace, end = null) {
   if (points.length < 2) return;
   const all = [...points.map((point) => point.psnr), ...(end === null ? [] : [end])];
   const last = Math.max(trace.at(-1).seconds, 0.1);
-  const low = Math.floor(Math.min(...all));
-  const high = Math.max(Math.ceil(Math.max(...all)), low + 1);
+  const [least, most] = [Math.min(...all), Math.max(...all)];
+  const step = stepOf(most - least, 4);
+  const low = step * Math.floor(least / step);
+  const high = Math.max(step * Math.ceil(most / step), low + step); // the curve stays between the outer ticks
   const x = (s) => LEFT + ((WIDTH - LEFT - RIGHT) * s) / last;
   const y = (psnr) => TOP + ((HEIGHT - TOP - BOTTOM) * (high - psnr)) / (high - low);
   const parts = [];
-  for (const psnr of ticks(low, high, 4)) {
+  for (const psnr of ticks(low, high, step)) {
     parts.push(shape("line", { x1: LEFT, x2: WIDTH - RIGHT, y1: y(psnr), y2: y(psnr), class: "grid" }));
     parts.push(shape("text", { x: LEFT - 8, y: y(psnr) + 6, "text-anchor": "end" }, psnr));
   }
-  for (const at of ticks(0, last, 5)) {
+  for (const at of ticks(0, last, stepOf(last, 5))) {
     parts.push(shape("text", { x: x(at), y: HEIGHT - BOTTOM + 24, "text-anchor": "middle" }, at));
   }
   parts.push(shape("text", { x: (LEFT + WIDTH - RIGHT) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, "seconds"));
@@ -44,12 +49,8 @@ export function drawTrace(trace, end = null) {
   parts.push(shape("text", side, "PSNR, dB"));
   const places = points.map((point) => `${x(point.seconds).toFixed(1)},${y(point.psnr).toFixed(1)}`);
   parts.push(shape("polyline", { points: places.join(" ") }));
-  if (end !== null) {
-    parts.push(shape("circle", { cx: x(last), cy: y(end), r: 4 }));
-    const label = { x: x(last) - 8, y: y(end) + (y(end) > middle ? -10 : 24), "text-anchor": "end", class: "end" };
-    parts.push(shape("text", label, `the file: ${decibels(end)}`));
-  }
-  $("chart-words").textContent = wordsOf(points);
+  if (end !== null) parts.push(shape("circle", { cx: x(last), cy: y(end), r: 4 }));
+  $("chart-words").textContent = `${wordsOf(points)}${end === null ? "" : ` The dot is the file: ${decibels(end)}.`}`;
   chart.setAttribute("aria-label", `Quality against time: ${decibels(points.at(-1).psnr)} after ${seconds(last)}`);
   chart.replaceChildren(...parts);
 }
@@ -77,5 +78,5 @@ export function stateOf(job, stopping) {
   if (stopping) return { words: "Finishing with what is there", done: null };
   const left = job.progress > 0.05 ? (last.seconds * (1 - job.progress)) / job.progress : null;
   const rest = left === null ? "" : `, about ${seconds(left)} left`;
-  return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians, ${decibels(last.psnr)}${rest}`, done: job.progress };
+  return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians${rest}`, done: job.progress };
 }

@@ -21,14 +21,17 @@ export function seconds(s) {
   return `${Math.floor(s / 60)} min ${Math.round(s % 60)} s`;
 }
 
-/** What to expect of so many bits per pixel. */
-export function expected(bpp) {
-  if (bpp < 0.08) return "a rough idea of the picture";
-  if (bpp < 0.16) return "good enough for a preview";
-  if (bpp < 0.35) return "good at a glance";
-  if (bpp < 0.7) return "good when looked at closely";
-  if (bpp < 1.3) return "hardly different";
-  return "as close as it gets";
+/** About how many Gaussians a file of so many bytes holds: 2.4 to 4 bytes each were seen. How good the picture will be
+ * depends on what it shows, and is not promised. */
+export function expected(bytes) {
+  const gaussians = Math.max(1, Number(Math.max(bytes / 3.3 - 5, 1).toPrecision(2)));
+  return `about ${count(gaussians)} Gaussians${gaussians < 50 ? ", too few for more than a rough idea of it" : ""}`;
+}
+
+/** How close a file has come, by its SSIM. Bounds from photographs, thumbnails and text at 0.05 to 2 bits per pixel. */
+export function closeness(ssim) {
+  if (ssim < 0.72) return "a rough idea of the original";
+  return ssim < 0.97 ? "fine detail is lost" : "hardly different from the original";
 }
 
 export const withoutSuffix = (name) => name.replace(/\.[^.]*$/, "") || "picture";

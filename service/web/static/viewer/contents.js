@@ -1,25 +1,23 @@
-// What a file holds, part by part, and what was left out of it.
+// How the bytes of a file are divided among its parts.
 
 import { $, element } from "../page/parts.js";
 import { size } from "../page/words.js";
 
-/** [name, bytes, or null for what was left out, words] for each part. The bytes add up to the file's. */
-export function contentsOf({ bytes, start, textureBytes, alphaBytes, spent, grey, upright, texture }) {
+/** [name, bytes, words] for each part that the file has. The bytes add up to the file's. */
+export function contentsOf({ bytes, start, textureBytes, alphaBytes, spent }) {
   const { place, shape, slant, light, tint } = spent;
   const rest = 8 * (bytes - start) - place - shape - slant - light - tint;
   return [
-    ["Places", place / 8, "where each is"],
-    ["Sizes", shape / 8, "width and height"],
-    upright ? ["Slant", null, "nothing leans"] : ["Slant", slant / 8, "how far it leans"],
-    ["Light", light / 8, "brighter or darker"],
-    grey ? ["Tint", null, "the picture is grey"] : ["Tint", tint / 8, "rest of the colour"],
-    texture ? ["Texture", textureBytes, "how strong its noise is"] : ["Texture", null, "if tuned for the eye"],
-    alphaBytes ? ["Alpha", alphaBytes, "what can be seen through"] : ["Alpha", null, "if it can be seen through"],
-    ["Header", start - textureBytes - alphaBytes, "size and fineness"],
-    ["Counts", rest / 8, "of each size"],
-    ["Code tables", null, "learnt on the way"],
-    ["Opacity", null, "it is a plain sum"],
-  ];
+    ["Positions", place / 8, "centres of the ellipses"],
+    ["Sizes", shape / 8, "widths and heights"],
+    ["Slants", slant / 8, "how far they lean"],
+    ["Brightness", light / 8, "lighter or darker"],
+    ["Colour", tint / 8, "hue and saturation"],
+    ["Texture", textureBytes, "strength of the noise"],
+    ["Transparency", alphaBytes, "the alpha channel"],
+    ["Header", start - textureBytes - alphaBytes, "picture size, precision"],
+    ["Counts", rest / 8, "ellipses of each size"],
+  ].filter(([, part]) => part > 0);
 }
 
 /** Fill the table for a file; without one it is not shown. */
@@ -30,13 +28,8 @@ export function fillContents(file) {
   const share = (bytes) => `${((100 * bytes) / file.bytes).toFixed(bytes < file.bytes / 100 ? 1 : 0)} %`;
   const rows = contentsOf(file).map(([name, bytes, words]) => {
     const told = [`${name} `, element("span", { className: "quiet small" }, words)];
-    const figures =
-      bytes === null
-        ? [element("td", { colSpan: 2 }, "left out")]
-        : [element("td", {}, size(Math.round(bytes))), element("td", {}, share(bytes))];
-    const row = element("tr", {}, element("th", { scope: "row" }, ...told), ...figures);
-    row.classList.toggle("out", bytes === null);
-    return row;
+    const figures = [element("td", {}, size(Math.round(bytes))), element("td", {}, share(bytes))];
+    return element("tr", {}, element("th", { scope: "row" }, ...told), ...figures);
   });
   $("contents").querySelector("tbody").replaceChildren(...rows);
 }

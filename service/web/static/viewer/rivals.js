@@ -1,4 +1,4 @@
-// The table of the same bytes: the Gaussians beside JPEG, WebP and AVIF, each with its size and its distance.
+// The table of other codecs: the Gaussians beside JPEG, WebP and AVIF, each with its size and its distance.
 
 import { ask, jobPath } from "../page/api.js";
 import { $, element, refill, Remote } from "../page/parts.js";
@@ -9,6 +9,9 @@ const CODECS = [
   ["WebP", "image/webp", "webp"],
   ["AVIF", "image/avif", "avif"],
 ];
+const NEAR = 0.03; // sizes that differ by no more than this share count as equal
+const EQUAL_DB = 0.1;
+const BETTER_SSIM = 0.002;
 
 const worker = new Remote("/static/viewer/rivals_worker.js");
 let last = Promise.resolve();
@@ -28,7 +31,7 @@ async function measureNow(item, told) {
   item.measured = await worker.ask("measure", { image: item.decoded });
   told();
   for (const [name, type, suffix] of CODECS) {
-    const rival = (await worker.ask("encode", { type, bytes })) ?? (await fetched(item, suffix));
+    const rival = (await worker.ask("encode", { type, bytes, least: (1 - NEAR) * bytes })) ?? (await fetched(item, suffix));
     item.rivals = { ...item.rivals, [name]: rival };
     told();
   }
@@ -55,7 +58,7 @@ const figures = (bytes, { psnr, ssim }) => [
   cell(ssim === null ? "" : ssim.toFixed(3)),
 ];
 
-/** Fill the table for a picture; `chosen` names what is on the left, `choose` changes it. */
+/** Fill the table for a picture; `chosen` is the name of the one on the left, `choose` changes it. */
 export function fillTable(item, chosen, choose) {
   const pick = (name) => {
     const button = element("button", { type: "button", className: "pick", ariaPressed: String(name === chosen) }, name);
@@ -79,24 +82,32 @@ export function fillTable(item, chosen, choose) {
     }
   }
   refill($("rivals").querySelector("tbody"), rows);
-  $("verdict").textContent = verdict(item);
+  const made = Object.entries(item.rivals ?? {}).filter(([, rival]) => rival.image);
+  $("verdict").textContent = item.measured ? verdict(item.sg.length, item.measured, Object.fromEntries(made)) : "";
   $("rivals-card").hidden = !item.measured;
 }
 
-/** Who is closer at the same bytes, in a sentence or two; also where it is not us. */
-function verdict({ sg, measured, rivals = {} }) {
-  if (!measured) return "";
-  const sentences = [];
-  for (const [name, rival] of Object.entries(rivals)) {
-    if (!rival.image) continue;
-    const ahead = measured.psnr - rival.psnr;
-    if (rival.bytes > 1.03 * sg.length) {
-      const more = (rival.bytes / sg.length).toFixed(1);
-      sentences.push(`${name} cannot get this small: at its coarsest it takes ${more} times the bytes.`);
-    } else if (Math.abs(ahead) < 0.1) sentences.push(`${name} is as close to the original.`);
-    else if (ahead > 0) sentences.push(`${name} is ${ahead.toFixed(1)} dB further from the original.`);
-    else sentences.push(`${name} is ${(-ahead).toFixed(1)} dB closer: here the Gaussians lose.`);
-    if (ahead > 0.1 && rival.ssim > measured.ssim + 0.002) sentences.push(`By SSIM, ${name} is better.`);
-  }
+/** How the bytes of a rival differ from ours; empty where they hardly do. */
+function differing(bytes, ours) {
+  const ratio = bytes / ours;
+  if (Math.abs(ratio - 1) <= NEAR) return "";
+  if (ratio >= 2) return `, with ${ratio.toFixed(1)} times the bytes (${size(bytes)}),`;
+  return `, with ${Math.round(100 * Math.abs(ratio - 1))} % ${ratio > 1 ? "more" : "fewer"} bytes (${size(bytes)}),`;
+}
+
+function distance(ahead) {
+  if (ahead === Infinity) return "is further from the original, which the Gaussians match exactly";
+  if (ahead === -Infinity) return "matches the original exactly";
+  return `is ${Math.abs(ahead).toFixed(1)} dB ${ahead > 0 ? "further from" : "closer to"} the original`;
+}
+
+/** A sentence for each rival, with its bytes where they are not ours. */
+export function verdict(bytes, measured, rivals) {
+  const sentences = Object.entries(rivals).map(([name, rival]) => {
+    const ahead = rival.psnr === measured.psnr ? 0 : measured.psnr - rival.psnr;
+    const isEqual = Math.abs(ahead) < EQUAL_DB;
+    const but = ahead >= EQUAL_DB && rival.ssim > measured.ssim + BETTER_SSIM ? ", but closer by SSIM" : "";
+    return `${name}${differing(rival.bytes, bytes)} ${isEqual ? "is as close to the original" : distance(ahead)}${but}.`;
+  });
   return sentences.join(" ");
 }

@@ -46,8 +46,7 @@ export class Tools {
   /** Bring the tools up to date with a file, or with none. */
   refresh(file) {
     this.#file = this.#viewer.file = file;
-    for (const input of [$("smooth"), $("prefix"), ...overlays()]) input.disabled = !file;
-    $("prefix-field").hidden = !file;
+    $("overlays").hidden = $("prefix-field").hidden = !file;
     $("texture-field").hidden = !file?.texture;
     this.#showOverlay();
     this.#showPrefix();
@@ -87,7 +86,7 @@ export class Tools {
   #showOverlay() {
     const [file, viewer] = [this.#file, this.#viewer];
     const overlay = overlays().find((input) => input.checked).value;
-    Object.assign(viewer, { overlay, smooth: $("smooth").checked, textured: this.textured });
+    Object.assign(viewer, { overlay, smooth: !$("pixels").checked, textured: this.textured });
     if (overlay === "heat" && file && !file.heat) file.heat = heatOf(file);
     viewer.heat = file?.heat ? (file.heat.picture ??= heatPicture(file.heat)) : null;
     $("legend").textContent = {
@@ -104,7 +103,7 @@ export class Tools {
     $("zoom-in").addEventListener("click", () => viewer.zoomTo(viewer.zoom * 2));
     $("zoom-out").addEventListener("click", () => viewer.zoomTo(viewer.zoom / 2));
     $("zoom-fit").addEventListener("click", () => viewer.fit());
-    for (const input of [$("smooth"), ...overlays()]) input.addEventListener("change", () => this.#showOverlay());
+    for (const input of [$("pixels"), ...overlays()]) input.addEventListener("change", () => this.#showOverlay());
     $("texture").addEventListener("change", () => this.changed());
     $("prefix").addEventListener("input", () => {
       this.#showPrefix();

@@ -146,8 +146,7 @@ export class Viewer {
     }
     if (this.left && seam > 0) {
       this.#clipped(0, seam, () => {
-        context.imageSmoothingEnabled = zoom < 1.5;
-        context.imageSmoothingQuality = "high";
+        this.#smoothen();
         context.drawImage(this.left, x, y, w, h);
       });
     }
@@ -155,6 +154,12 @@ export class Viewer {
     this.divider.hidden = !both;
     this.divider.style.left = `${100 * split}%`;
     this.divider.setAttribute("aria-valuenow", Math.round(100 * split));
+  }
+
+  /** Enlarge both sides alike: smoothly, as browsers do, or with hard pixels. */
+  #smoothen() {
+    this.context.imageSmoothingEnabled = this.smooth || this.zoom < 1;
+    this.context.imageSmoothingQuality = "high";
   }
 
   #clipped(from, to, draw) {
@@ -174,13 +179,13 @@ export class Viewer {
     context.beginPath();
     context.rect(x, y, w, h);
     context.clip();
-    if (fromGaussians && this.gpu && !this.gpu.lost && !file.alpha) {
+    const hard = !this.smooth && zoom > 1; // enlarged from the picture's own pixels, also where only a part is drawn
+    if (fromGaussians && this.gpu && !this.gpu.lost && !file.alpha && !hard) {
       const corner = [-x / zoom, -y / zoom];
       const drawn = this.gpu.draw(file, count, corner, zoom, canvas.width, canvas.height, this.textured);
       context.drawImage(drawn, 0, 0);
     } else {
-      context.imageSmoothingEnabled = zoom < 1.5 || Boolean(fromGaussians);
-      context.imageSmoothingQuality = "high";
+      this.#smoothen();
       const part = this.#part;
       if (!partial) context.drawImage(this.right, x, y, w, h);
       if (fromGaussians) {
@@ -206,7 +211,7 @@ export class Viewer {
     const h = Math.min(Math.ceil((this.canvas.height - y) / this.zoom), height) - top;
     if (w < 1 || h < 1) return;
     const { file, count, textured: texture } = this;
-    const scale = Math.min(this.zoom, MOST_ZOOM);
+    const scale = Math.min(this.zoom, this.smooth ? MOST_ZOOM : 1);
     const wanted = { file, count, texture, scale, x: left, y: top, w, h, region: [left, top, w, h] };
     const old = this.#part;
     if (old && ["count", "texture", "scale", "x", "y", "w", "h"].every((name) => old[name] === wanted[name])) return;

@@ -1,0 +1,150 @@
+"""What the page says of a file and how it shows it beside others: nothing that flatters, or frightens."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.web.app import STATIC
+from tests.harness.browser import Chromium
+from tests.harness.pictures import SLOW, SMALL
+from tests.harness.processes import wait_until
+from tests.harness.service import Service
+from tests.service.page.steps import COFFEE, complaints, give, open_page, says, settled, text64
+
+PHOTOGRAPH = (STATIC / "samples" / "coffee.webp").read_bytes()
+JOB = {"state": "running", "progress": 0.5, "trace": [{"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}]}
+
+
+def imported(page: Chromium, module: str, expression: str) -> Any:
+    """The value of an expression of what a module of the page exports, as `it`."""
+    return page.run(f"return import('/static/{module}').then((it) => {expression})")
+
+
+@pytest.mark.parametrize(("codec", "nearest"), [("image/webp", 1.03), ("image/jpeg", 1.2)])
+def test_a_rival_has_the_bytes_or_the_next_larger_size(
+    page: Chromium, web: Service, codec: str, nearest: float
+) -> None:
+    """The steps of JPEG's quality are large in small files, those of WebP from 0 to 1 even more."""
+    open_page(page, web)
+    wanted = list(range(2400, 7000, 350))
+    sizes = page.run(f"""
+        return (async () => {{
+            const {{ Remote }} = await import("/static/page/parts.js");
+            const worker = new Remote("/static/viewer/rivals_worker.js");
+            const bytes = Uint8Array.from(atob("{text64(PHOTOGRAPH)}"), (letter) => letter.charCodeAt(0));
+            await worker.ask("original", {{ image: await createImageBitmap(new Blob([bytes])) }});
+            const sizes = [];
+            for (const bytes of {wanted}) {{
+                sizes.push((await worker.ask("encode", {{ type: "{codec}", bytes, least: 0.97 * bytes }})).bytes);
+            }}
+            return sizes;
+        }})();
+    """)
+    floor = min(sizes)  # no file is smaller
+    assert all(size == floor or 0.97 < size / want < nearest for size, want in zip(sizes, wanted, strict=True))
+    assert sizes[-1] > 6000
+
+
+def test_a_verdict_says_the_bytes_where_they_differ(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    verdicts = {
+        (1020, 28.0, 0.8): "A is 2.0 dB further from the original.",
+        (980, 31.5, 0.8): "A is 1.5 dB closer to the original.",
+        (1000, 30.05, 0.95): "A is as close to the original.",
+        (1000, 29.0, 0.95): "A is 1.0 dB further from the original, but closer by SSIM.",
+        (1090, 31.0, 0.8): "A, with 9 % more bytes (1.1 kB), is 1.0 dB closer to the original.",
+        (670, 26.8, 0.8): "A, with 33 % fewer bytes (670 B), is 3.2 dB further from the original.",
+        (5200, 30.0, 0.9): "A, with 5.2 times the bytes (5.2 kB), is as close to the original.",
+    }
+    for (size, psnr, ssim), sentence in verdicts.items():
+        rivals = json.dumps({"A": {"bytes": size, "psnr": psnr, "ssim": ssim}})
+        said = imported(page, "viewer/rivals.js", f"it.verdict(1000, {{ psnr: 30, ssim: 0.9 }}, {rivals})")
+        assert said == sentence
+    exact = "it.verdict(1000, { psnr: 30, ssim: 0.9 }, { A: { bytes: 1000, psnr: Infinity, ssim: 1 } })"
+    assert imported(page, "viewer/rivals.js", exact) == "A matches the original exactly."
+
+
+def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service) -> None:
+    """Of a part of the file as well."""
+
+    def steps() -> int:
+        return int((np.abs(np.diff(settled(page).astype(int), axis=0)).sum(1) > 0).sum())
+
+    def show(key: str) -> None:
+        page.run(f"document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}' }}))")
+
+    open_page(page, web)
+    page.run(
+        "document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', "
+        "{ deltaY: -2000, clientX: 300, clientY: 300, cancelable: true }))"
+    )
+    width = len(settled(page))
+    most = width // 64 + 2  # whole pixels of 64 each
+    page.click("#pixels")
+    for side in ("Home", "End"):
+        show(side)
+        wait_until(lambda: steps() <= most)
+    show("Home")
+    page.run("const at = document.getElementById('prefix'); at.value = 50; at.dispatchEvent(new Event('input'))")
+    wait_until(lambda: steps() <= most)
+    page.click("#pixels")
+    for side in ("Home", "End"):
+        show(side)
+        wait_until(lambda: steps() > 2 * most)
+    assert complaints(page) == []
+
+
+def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Service) -> None:
+    """How good 0.3 bits per pixel are depends on the picture: some 30 Gaussians draw none."""
+    open_page(page, web)
+    give(page, "drop", SMALL, "small.png")
+    says(page, "in the queue")
+    assert "too few for more than a rough idea" in page.text("#rate-words")
+    assert "SSIM" not in page.text("#figures")
+    give(page, "drop", PHOTOGRAPH, "coffee.webp")
+    says(page, "about 1,400 Gaussians.", "#rate-words")
+    says(page, "in the queue")
+    web.publish(page.run("return location.hash").removeprefix("#"), COFFEE)
+    says(page, "SSIM 0.", "#figures")
+    for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):
+        assert words in imported(page, "page/words.js", f"it.closeness({ssim})")
+    for job in web.client.get("/jobs").json()["jobs"]:
+        web.client.delete(f"/jobs/{job['id']}")
+
+
+def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -> None:
+    """It falls while the picture gets better."""
+    open_page(page, service)
+    give(page, "drop", SLOW, "slow.png")
+    says(page, "Fitting")
+    assert "dB" not in page.text("#status")
+    assert not page.is_seen("#chart-card")
+    page.click("#cancel")
+    says(page, "Cancelled", "#work")
+    said = imported(page, "page/watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
+    assert said == "Fitting 250 Gaussians, about 2 s left"
+
+
+@pytest.mark.parametrize("psnrs", [[15.9, 30.4, 26.0], [26.02, 26.05, 26.04], [7, 12, 44.9], [30, 30, 30]])
+def test_the_curve_stays_within_its_axes(page: Chromium, web: Service, psnrs: list[float]) -> None:
+    open_page(page, web)
+    trace = [{"seconds": at, "psnr": psnr, "bytes": 900, "phase": "joint"} for at, psnr in enumerate(psnrs)]
+    imported(page, "page/watching.js", f"it.drawTrace({json.dumps(trace)}, {psnrs[-1]})")
+    lines, points, labels = page.run("""
+        const all = (kind) => [...document.querySelectorAll(`#chart ${kind}`)];
+        return [
+            all("line").map((line) => Number(line.getAttribute("y1"))),
+            all("polyline")[0].getAttribute("points").split(" ").map((point) => Number(point.split(",")[1])),
+            all("text").map((text) => [Number(text.getAttribute("x")), Number(text.getAttribute("y"))]),
+        ];
+    """)
+    assert min(lines) <= min(points)
+    assert max(points) <= max(lines)
+    assert not any(62 < x < 546 and min(lines) < y < max(lines) for x, y in labels)  # no words in the curve's way
+    assert f"The dot is the file: {psnrs[-1]:.1f} dB" in page.run(
+        "return document.getElementById('chart-words').textContent"
+    )
