@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
-from typing import BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 import obstore
 from obstore.exceptions import BaseError
@@ -16,9 +16,15 @@ from obstore.store import from_url
 
 from service.storage.files import check_key
 
+if TYPE_CHECKING:
+    from obstore.store import ClientConfig, RetryConfig
+
 ENDPOINT = "AWS_ENDPOINT_URL"
+# A store that accepts a connection and never answers is out of reach after so long, since clients wait meanwhile.
+SILENCE = timedelta(seconds=5)
+SMALL_BYTES = 1 << 20  # are written within that time
 TIMEOUT = timedelta(seconds=60)  # of one request; the largest image fits in at 1 MB a second
-RETRIES_END_AFTER = timedelta(seconds=20)
+RETRIES_END_AFTER = timedelta(seconds=3)  # so that a request that was met with silence is not repeated
 
 
 @contextmanager
@@ -42,18 +48,22 @@ class BucketStorage:
         endpoint = os.environ.get(ENDPOINT, "")
         if endpoint and not endpoint.startswith(("http://", "https://")):  # obstore would panic later
             raise OSError(errno.EINVAL, f"{ENDPOINT} must begin with http:// or https://, got {endpoint!r}")
+        # Plain HTTP only where the endpoint says so: a store within the same network.
+        options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
+        retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}
         with _as_os_errors():
-            self._store = from_url(
-                url,
-                # Plain HTTP only where the endpoint says so: a store within the same network.
-                client_options={"allow_http": True, "timeout": TIMEOUT, "connect_timeout": timedelta(seconds=5)},
-                retry_config={"max_retries": 5, "retry_timeout": RETRIES_END_AFTER},
-            )
+            self._store = from_url(url, client_options={**options, "read_timeout": SILENCE}, retry_config=retries)
+            # The library takes for silence too that nothing is read while much is written.
+            self._patient = from_url(url, client_options=options, retry_config=retries)
 
     def put(self, key: str, data: bytes) -> None:
+        store = self._store
+        if len(data) > SMALL_BYTES:
+            self.check()  # the request itself may take long
+            store = self._patient
         with _as_os_errors():
             # One request for the whole object: an upload that breaks off leaves no parts behind.
-            obstore.put(self._store, check_key(key), data, use_multipart=False)
+            obstore.put(store, check_key(key), data, use_multipart=False)
 
     def get(self, key: str) -> bytes:
         with _as_os_errors():

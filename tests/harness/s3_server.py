@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import subprocess
 import sys
@@ -45,6 +46,10 @@ class S3Server:
         request = urllib.request.Request(f"http://127.0.0.1:{self._port}/{bucket}", method="PUT")
         urllib.request.urlopen(request, timeout=PATIENCE_S).close()
         return f"s3://{bucket}/sgmethod"
+
+    def freeze(self) -> None:
+        """From now on connections are accepted, by the system, and nothing is ever answered."""
+        self._process.send_signal(signal.SIGSTOP)
 
     def stop(self) -> None:
         """End it."""

@@ -10,10 +10,13 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
+import numpy as np
 import psycopg
 import pytest
 from PIL import Image
 
+from service.storage.bucket import SILENCE, SMALL_BYTES
 from tests.harness.data import ROOT, golden_path
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, wait_until
@@ -22,6 +25,7 @@ from tests.harness.service import STAND_IN, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
+SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
 
 
 @pytest.fixture
@@ -146,6 +150,38 @@ def test_a_storage_that_breaks(start_service: StartService) -> None:
     assert web.client.delete(f"/jobs/{unreachable}").status_code == 204
     assert web.client.get(f"/jobs/{unreachable}").status_code == 404
     assert "Traceback" not in web.log.read_text()
+
+
+@pytest.fixture
+def own_s3() -> Iterator[S3Server]:
+    """An S3 server that a test may spoil."""
+    server = S3Server()
+    yield server
+    server.stop()
+
+
+def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> None:
+    """It accepts and never answers. Clients hear so within seconds, whatever the size of what they send or fetch."""
+    settings = {"storage_url": own_s3.new_storage(), "source_retention_s": 1000}
+    service = start_service(**settings, extra={**own_s3.environment, **STAND_IN})
+    done = service.wait(service.accepted())
+    own_s3.freeze()
+    service.client.timeout = httpx.Timeout(SOON_S)
+    noise = np.random.default_rng(1).integers(0, 256, (700, 700, 3), np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(noise).save(file, "PNG")
+    assert len(file.getvalue()) > SMALL_BYTES
+    for ask in (
+        lambda: service.client.get(done["bitstream_url"]),
+        lambda: service.client.get(done["decode_url"]),
+        service.post,
+        lambda: service.post(file.getvalue()),
+        lambda: service.client.post(f"{done['status_url']}/encode"),
+    ):
+        answer = ask()
+        assert_problem(answer, 503, "just now")
+        assert answer.headers["retry-after"]
+    assert service.client.get(done["status_url"]).status_code == 200
 
 
 def test_workers_that_share_only_a_database_and_a_bucket(
