@@ -33,6 +33,7 @@ from service.jobs.statements import (
     SELECT_JOB,
     SELECT_JOBS,
     SERVED,
+    SIGN,
     TRACE_POINT,
     Database,
 )
@@ -52,6 +53,7 @@ WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
 # When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
 WATCHED = 1 / 2
+FORGOTTEN_S = 900.0  # after which a worker that fell silent is no longer told of
 
 T = TypeVar("T")
 
@@ -190,13 +192,14 @@ class SqlJobTable(ABC):
                 " epoch() - (SELECT max(lease_until) FROM jobs) AS lease_over"
             ).fetchone()
             stored_bytes = _stored_bytes(db)
+            seen = db.execute("SELECT name, epoch() - seen_at AS seconds FROM workers").fetchall()
         counts = {row["state"]: row["jobs"] for row in rows}
         jobs = {state: counts.get(state, 0) for state in JOB_STATES}
         # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
         lease_over = ages["lease_over"]
         alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
         silent_s = min((age for age in alive if age is not None), default=None)
-        return Census(jobs, ages["waiting"], silent_s, stored_bytes)
+        return Census(jobs, ages["waiting"], silent_s, stored_bytes, {row["name"]: row["seconds"] for row in seen})
 
     def page(
         self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
@@ -263,6 +266,15 @@ class SqlJobTable(ABC):
             except TypeError:  # without a field that is not understood, this would encode something else
                 self._crash(db, row["id"], row["attempt"], NOT_UNDERSTOOD)
                 return None
+
+    def sign(self, worker: str) -> None:
+        with self._transaction() as db:
+            db.execute(SIGN, (worker,))
+            db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
+
+    def sign_off(self, worker: str) -> None:
+        with self._transaction() as db:
+            db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
         with self._transaction() as db:

@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+WORKERS = """
+CREATE TABLE workers (
+    name    TEXT PRIMARY KEY,
+    seen_at DOUBLE PRECISION NOT NULL
+);
+"""
 # In place of {number} stands how each database counts rows up.
-SCHEMA = """
+SCHEMA = f"""{WORKERS}
 CREATE TABLE jobs (
-    number          {number},
+    number          {{number}},
     id              TEXT NOT NULL UNIQUE,
     owner           TEXT NOT NULL DEFAULT '',
     priority        TEXT NOT NULL DEFAULT 'interactive' CHECK (priority IN ('interactive', 'bulk')),
@@ -68,6 +74,9 @@ WHERE state = 'queued' AND number = (
     WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?)
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
 ) RETURNING number, id, attempt, request
+"""
+SIGN = """
+INSERT INTO workers VALUES (?, epoch()) ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at
 """
 SERVED = """
 INSERT INTO served SELECT owner, started_at FROM jobs WHERE number = ?

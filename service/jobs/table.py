@@ -12,7 +12,7 @@ its token stale, so a job may run twice but is never published twice.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, JobState, JsonObject, NewJob
@@ -86,13 +86,14 @@ class Census:
 
     jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
     any worker was last heard from, None if none ever was. Seconds, by the table's own clock. stored_bytes: of images
-    and bitstreams.
+    and bitstreams; workers: seconds since the last sign of life of each, by name.
     """
 
     jobs: Mapping[JobState, int]
     waiting_s: float | None
     silent_s: float | None
     stored_bytes: int
+    workers: Mapping[str, float] = field(default_factory=dict)
 
 
 class JobTable(Protocol):
@@ -159,6 +160,14 @@ class JobTable(Protocol):
         Interactive jobs come before bulk ones; among equals the owner with the fewest running jobs, then
         the owner served longest ago, then the oldest job. An owner at the limit of running jobs waits.
         """
+        ...
+
+    def sign(self, worker: str) -> None:
+        """The worker lives, whether or not it has a job."""
+        ...
+
+    def sign_off(self, worker: str) -> None:
+        """The worker has ended as it was told to."""
         ...
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:

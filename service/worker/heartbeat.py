@@ -2,16 +2,42 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import threading
 import time
 
 from service.jobs.job import JsonObject
 from service.jobs.table import Claim, JobTable, JobTableError
+from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
 
 HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
+SIGN_S = 5.0
 PAUSE_AFTER_TROUBLE_S = 1.0  # with the job table or the storage
+
+
+class SignsOfLife(threading.Thread):
+    """Tells the job table from time to time that a worker lives, until it is to stop.
+
+    Beside the worker's own thread, which may wait for the storage, or for a job.
+    """
+
+    def __init__(self, table: JobTable, worker: str, until: StopSignal) -> None:
+        super().__init__(name="signs", daemon=True)
+        self._table = table
+        self._worker = worker
+        self._until = until
+
+    def run(self) -> None:
+        with contextlib.suppress(JobTableError):  # what is out of reach hears of it later, or notices the silence
+            self._table.sign(self._worker)
+        while not self._until.wait(SIGN_S):
+            with contextlib.suppress(JobTableError):
+                self._table.sign(self._worker)
+        with contextlib.suppress(JobTableError):
+            self._table.sign_off(self._worker)
 
 
 class ClaimLostError(Exception):

@@ -18,14 +18,14 @@ from service.settings import Settings
 from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.encoder import Spec
 from service.worker.encoder_process import Crashed, EncoderProcess, Outcome, Preview, TimedOut, TracePoint
-from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
+from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat, SignsOfLife
 from service.worker.publishing import Publisher, StoppedError
 from service.worker.sweeping import Sweeper
 
 log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
-SWEEP_ENDS_S = 1.0  # within the grace time; a sweep may be cut short anywhere
+SWEEP_ENDS_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
 THREAD_VARIABLES = ("SG_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -50,9 +50,12 @@ class Worker:
         log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
         sweeper = Sweeper(self._settings, self._table, self._storage, self._stop)
         sweeper.start()
+        signs = SignsOfLife(self._table, self._name, self._stop)
+        signs.start()
         try:
             self._table.deliver(self._run_next, self._stop)
             sweeper.join(SWEEP_ENDS_S)
+            signs.join(SWEEP_ENDS_S)
         finally:
             self._lifeline.close()
 

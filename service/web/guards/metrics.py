@@ -50,6 +50,8 @@ class Metrics:
         self._jobs = Gauge("sgmethod_jobs", "Jobs in the table.", ("state",), registry=registry)
         self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
+        seen = "Since the last sign of life of a worker, which gives one every 5 s."
+        self._workers = Gauge("sgmethod_worker_seen_seconds", seen, ("worker",), registry=registry)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
 
     def watch(self, shares: Shares) -> None:
@@ -67,6 +69,9 @@ class Metrics:
         self._table.set(census is not None)
         if census is None:
             return
+        self._workers.clear()
+        for worker, seconds in census.workers.items():
+            self._workers.labels(worker).set(max(0.0, seconds))
         for state, count in census.jobs.items():
             self._jobs.labels(state).set(count)
         self._stored.set(census.stored_bytes)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from service.jobs import sql
 from service.jobs.job import EncodeResult, JobError, new_job_id
 from service.jobs.sql import SqlJobTable
 from service.jobs.table import Census, JobTable, KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
@@ -63,6 +64,19 @@ def test_one_owner_cannot_fill_the_queue(table: JobTable) -> None:
     table.remove(first)
     table.submit(new(owner="ann"), Room(100, 1))
     table.submit(new(owner="ann"), Room(100, 0))  # no limit
+
+
+def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
+    for worker in ("one", "two", "one"):
+        table.sign(worker)
+    workers = table.census().workers
+    assert sorted(workers) == ["one", "two"]
+    assert all(-1 < seconds < 60 for seconds in workers.values())
+    table.sign_off("two")
+    assert list(table.census().workers) == ["one"]
+    monkeypatch.setattr(sql, "FORGOTTEN_S", -60)
+    table.sign("three")  # and whoever has been silent for too long is forgotten
+    assert table.census().workers == {}
 
 
 def test_census(table: JobTable) -> None:

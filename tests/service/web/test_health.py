@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import re
 import shutil
+import signal
 
 import httpx
 import pytest
@@ -71,6 +73,26 @@ def test_a_job_table_out_of_reach(start_service: StartService) -> None:
     assert_problem(web.client.get("/readyz"), 503, "job table")
     assert web.client.get("/livez").status_code == 200
     assert web.figures()["sgmethod_job_table_up"] == 0
+
+
+def test_workers_are_known_by_name(start_service: StartService) -> None:
+    """Idle ones too, and one that was killed as long as its age is of interest."""
+    service = start_service(workers=2, extra=STAND_IN)
+
+    def seen() -> dict[str, float]:
+        figures = {name: age for name, age in service.figures().items() if "worker_seen_seconds" in name}
+        return {re.findall(r'worker="[^"]*:(\d+)"', name)[0]: age for name, age in figures.items()}
+
+    both = {str(number) for number in service.ours("worker")}
+    wait_until(lambda: seen().keys() == both)
+    assert max(seen().values()) < 60
+    victim = service.ours("worker")[0]
+    os.kill(victim, signal.SIGKILL)
+    wait_until(lambda: len(seen()) == 3)  # it, and who came in its place
+    assert str(victim) in seen()
+    stopped = service.ours("worker")[-1]
+    os.kill(stopped, signal.SIGTERM)
+    wait_until(lambda: str(stopped) not in seen())
 
 
 def test_figures(start_service: StartService) -> None:
