@@ -58,6 +58,8 @@ check: $(STAMP)
 	  echo "Chromium is missing, so the page will not be tested: sudo apt install chromium chromium-driver" >&2
 	@command -v firefox-esr >/dev/null || \
 	  echo "Firefox is missing, so the page will not be tested in it: sudo apt install firefox-esr" >&2
+	@command -v nginx >/dev/null || \
+	  echo "nginx is missing, so nothing will be tested behind it: sudo apt install nginx-light" >&2
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy

@@ -138,11 +138,18 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
 def _announce(settings: Settings) -> socket.socket:
     """Listen, and say where."""
     listener = listen(settings)
-    print(f"sgmethod service on {url(listener)}, data in {settings.data_dir.resolve()}", flush=True)
+    print(f"sgmethod service on {url(listener)}, {_where(settings)}", flush=True)
     if not is_loopback(listener) and not settings.key_names:
         warning = "anyone who reaches this address can post, list and delete jobs: set SG_API_KEYS"
         print(warning, file=sys.stderr, flush=True)
     return listener
+
+
+def _where(settings: Settings) -> str:
+    """Where everything is kept, without the database's address: it may hold a password."""
+    folder = str(settings.data_dir.resolve())
+    jobs, files = "PostgreSQL" if settings.uses_postgres else folder, settings.storage_url or folder
+    return f"data in {folder}" if jobs == files else f"jobs in {jobs}, images and bitstreams in {files}"
 
 
 _COMMANDS: dict[str, Callable[[Settings, argparse.Namespace], int | None]] = {

@@ -120,6 +120,11 @@ class Settings(BaseSettings):
         default="",
         description="addresses and networks, apart by commas, whose X-Forwarded-For names the client; no limit on them",
     )
+    path_prefix: str = Field(
+        default="",
+        pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$",
+        description="path under which a proxy shows the service, such as /sg, whether or not it cuts it off",
+    )
     cors_origins: str = Field(
         default="",
         pattern=r"^(|\*|https?://[^/,\s*]+(,\s*https?://[^/,\s*]+)*)$",

@@ -23,7 +23,14 @@ from service.settings import Settings
 from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
 from service.web.guards.metrics import Metrics, RequestMetrics
-from service.web.guards.middleware import AnswerGuard, BodyGuard, BodyLimits, HeadAsGet, ResponseHeaders
+from service.web.guards.middleware import (
+    AnswerGuard,
+    BodyGuard,
+    BodyLimits,
+    HeadAsGet,
+    ResponseHeaders,
+    WithoutPrefix,
+)
 from service.web.guards.pace import PacedRequests
 from service.web.guards.problems import install_problem_handlers, problems
 from service.web.guards.shares import Shares
@@ -35,7 +42,7 @@ from service.web.routes import jobs as job_routes
 from service.web.routes import pictures as picture_routes
 from service.web.routes.decoding import PictureCache
 from service.web.routes.health import VERSION
-from service.web.routes.parts import Parts, known_query
+from service.web.routes.parts import Parts, known_query, no_stray_body
 from service.web.submitting.submission import MULTIPART_OVERHEAD_BYTES
 
 STATIC = Path(__file__).with_name("static")
@@ -117,6 +124,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         version=VERSION,
         description="Photographs to small sets of 2D Gaussians and back.",
         lifespan=_lifespan,
+        servers=[{"url": settings.path_prefix}] if settings.path_prefix else None,
         docs_url=None,  # both pages load scripts from elsewhere, and break the policy of ours
         redoc_url=None,
         redirect_slashes=False,  # it would repeat whatever host the client named
@@ -137,12 +145,13 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
     metrics.watch(parts.streams)
     metrics.watch(parts.outflow)
     install_problem_handlers(app)
-    app.include_router(health_routes.router, dependencies=[Depends(known_query)])
     # The gate does the work; this is how the document says so.
     security = [Security(HTTPBearer(auto_error=False))] if settings.key_names else []
     refusals = problems(401, 429) if settings.key_names else {}
     for routes in (job_routes, event_routes, picture_routes):
-        app.include_router(routes.router, dependencies=[Depends(known_query), *security], responses=refusals)
+        dependencies = [Depends(known_query), Depends(no_stray_body), *security]
+        app.include_router(routes.router, dependencies=dependencies, responses=refusals)
+    app.include_router(health_routes.router, dependencies=[Depends(known_query)])
     app.mount("/static", PageFiles(directory=STATIC))
 
     @app.get("/", include_in_schema=False)
@@ -176,4 +185,5 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
             allow_headers=["Authorization", "Idempotency-Key", "Prefer", "Range", "X-Request-Id"],
             expose_headers=["ETag", "Location", "Content-Range", "Preference-Applied", "Retry-After", "X-Request-Id"],
         )
-    return AccessLog(AnswerGuard(ResponseHeaders(RequestMetrics(guarded, parts.metrics)), parts.outflow))
+    told = AccessLog(AnswerGuard(ResponseHeaders(RequestMetrics(guarded, parts.metrics)), parts.outflow))
+    return WithoutPrefix(told, settings.path_prefix) if settings.path_prefix else told

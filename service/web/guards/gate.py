@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.keys import KeyRing, Link, RateLimit
 from service.web.guards.addresses import address_of
+from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError, refused
 
 # A page must load before a person can give it a key, and probes have none.
@@ -68,7 +69,7 @@ class Gate:
         path, address = scope["path"], address_of(scope["client"])
         if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
             return Caller(address)
-        scheme, _, key = Headers(scope=scope).get("authorization", "").partition(" ")
+        scheme, _, key = (joined(Headers(scope=scope), "authorization") or "").partition(" ")
         # A key that comes with a link stands for itself: if it is not known, the link does not help.
         caller = self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
         wait_s = self._rate.wait_s(caller.owner or f"link to {caller.linked_job}")

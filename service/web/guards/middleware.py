@@ -157,7 +157,25 @@ class HeadAsGet:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and scope["method"] == "HEAD" and not scope["path"].endswith("/events"):
-            scope = {**scope, "method": "GET"}
+            # A range is of GET alone (RFC 9110, 14.2).
+            headers = [header for header in scope["headers"] if header[0] != b"range"]
+            scope = {**scope, "method": "GET", "headers": headers}
+        await self._app(scope, receive, send)
+
+
+class WithoutPrefix:
+    """Middleware: the path of a request without the prefix under which a proxy shows the service, if it is still there.
+
+    All within know the paths that the service has by itself; answers alone name the prefix.
+    """
+
+    def __init__(self, app: ASGIApp, prefix: str) -> None:
+        self._app = app
+        self._prefix = prefix
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["path"].startswith(f"{self._prefix}/"):
+            scope = {**scope, "path": scope["path"].removeprefix(self._prefix)}
         await self._app(scope, receive, send)
 
 

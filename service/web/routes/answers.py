@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.jobs.job import Job, JobState, JsonObject, Priority
+from service.settings import Settings
 
 # Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
 PHASES = {
@@ -161,31 +162,32 @@ def _time(seconds: float | None) -> datetime | None:
     return None if seconds is None else datetime.fromtimestamp(seconds, UTC)
 
 
-def urls(job_id: str) -> dict[str, str]:
-    """Where a job's resources are, relative to the service."""
+def urls(job_id: str, settings: Settings) -> dict[str, str]:
+    """Where a job's resources are, on this host."""
     return {
-        "status_url": f"/jobs/{job_id}",
-        "decode_url": f"/decode/{job_id}.png",
-        "bitstream_url": f"/bitstreams/{job_id}.sg",
+        "status_url": f"{settings.path_prefix}/jobs/{job_id}",
+        "decode_url": f"{settings.path_prefix}/decode/{job_id}.png",
+        "bitstream_url": f"{settings.path_prefix}/bitstreams/{job_id}.sg",
     }
 
 
-def accepted(job: Job) -> AcceptedView:
+def accepted(job: Job, settings: Settings) -> AcceptedView:
     """The answer to an accepted job."""
-    return AcceptedView(id=job.id, **urls(job.id))
+    return AcceptedView(id=job.id, **urls(job.id, settings))
 
 
-def expires_at(job: Job, retention_s: float) -> datetime | None:
+def expires_at(job: Job, settings: Settings) -> datetime | None:
     """When the job is removed; None while that is not known, or never."""
-    return _time(job.finished_at + retention_s) if job.finished_at is not None and retention_s else None
+    kept_s = settings.retention_s
+    return _time(job.finished_at + kept_s) if job.finished_at is not None and kept_s else None
 
 
-def summary(job: Job, retention_s: float, source_retention_s: float) -> JobSummary:
-    """The job without its trace. retention_s: for how long jobs are kept, 0 for ever; source_retention_s: images."""
+def summary(job: Job, settings: Settings) -> JobSummary:
+    """The job without its trace."""
     request, image, stats = job.request, job.image, job.result.stats if job.result else {}
     return JobSummary(
         id=job.id,
-        **urls(job.id),
+        **urls(job.id, settings),
         state=job.state,
         position=job.position,
         budget=BudgetView(kind=request.budget_kind, value=request.budget_value),
@@ -199,8 +201,8 @@ def summary(job: Job, retention_s: float, source_retention_s: float) -> JobSumma
         created_at=datetime.fromtimestamp(job.created_at, UTC),
         started_at=_time(job.started_at),
         finished_at=_time(job.finished_at),
-        expires_at=expires_at(job, retention_s),
-        image_expires_at=None if job.finished_at is None else _time(job.finished_at + source_retention_s),
+        expires_at=expires_at(job, settings),
+        image_expires_at=None if job.finished_at is None else _time(job.finished_at + settings.source_retention_s),
         result={name: value for name, value in stats.items() if name != "notes"} if job.result else None,
         notes=stats.get("notes", []),
         # A queued job can carry the error of its last crash, which is no concern of the client's yet.
@@ -208,9 +210,9 @@ def summary(job: Job, retention_s: float, source_retention_s: float) -> JobSumma
     )
 
 
-def links(job: Job, decode_query: str, bitstream_query: str, expires: int) -> LinksView:
+def links(job: Job, decode_query: str, bitstream_query: str, expires: int, settings: Settings) -> LinksView:
     """The job's URLs with the queries that make them links, until a time in seconds since 1970."""
-    where = urls(job.id)
+    where = urls(job.id, settings)
     return LinksView(
         decode_url=f"{where['decode_url']}?{decode_query}",
         bitstream_url=f"{where['bitstream_url']}?{bitstream_query}",
@@ -218,10 +220,10 @@ def links(job: Job, decode_query: str, bitstream_query: str, expires: int) -> Li
     )
 
 
-def with_trace(job: Job, trace: Sequence[JsonObject], retention_s: float, source_retention_s: float) -> JobView:
+def with_trace(job: Job, trace: Sequence[JsonObject], settings: Settings) -> JobView:
     """The job and how its fit went so far."""
     return JobView(
-        **summary(job, retention_s, source_retention_s).model_dump(),
+        **summary(job, settings).model_dump(),
         progress=1.0 if job.state == "done" else progress(trace),
         trace=[dict(point) for point in _thinned(trace)],
     )

@@ -56,7 +56,7 @@ async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:
     last: answers.JobSummary | None = None
     attempt, sent, progress = 0, 0, 0.0
     while True:
-        summary = answers.summary(job, parts.settings.retention_s, parts.settings.source_retention_s)
+        summary = answers.summary(job, parts.settings)
         if summary != last:
             yield ServerSentEvent(event="state", data=summary)
             last = summary

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from fastapi import Request, Response
 
+from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError
 from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
 
@@ -14,12 +15,12 @@ from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
 IMMUTABLE = "private, max-age=31536000, immutable"
 VARIES = {"Vary": "Accept"}
 
-_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})", re.ASCII)
+_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})", re.ASCII | re.IGNORECASE)
 
 
 def accepted_format(request: Request) -> PictureFormat:
     """The format that the Accept header wants most; PNG if it is all the same. Raises ProblemError 406."""
-    accept = request.headers.get("accept", "*/*")
+    accept = joined(request.headers, "accept") or "*/*"
     weights: dict[str, float] = {}
     for entry in accept.split(","):
         name, *parameters = (part.strip().lower() for part in entry.split(";"))
@@ -36,12 +37,22 @@ def accepted_format(request: Request) -> PictureFormat:
     return best
 
 
-def has_already(request: Request, etag: str) -> bool:
-    """Whether If-None-Match names the tag (RFC 9110, 13.1.2)."""
-    if request.method != "GET":
+def has_already(request: Request, etag: str | None) -> bool:
+    """Whether If-None-Match names the tag of a file that is asked for (RFC 9110, 13.1); etag: None for what has none.
+
+    Raises ProblemError 412 if a condition fails, or holds only for what the client has. There are no dates to compare.
+    """
+    if request.method == "POST":  # conditions are on what lies at the address: its answer is something else
         return False
-    tags = [tag.strip().removeprefix("W/") for tag in request.headers.get("if-none-match", "").split(",")]
-    return etag in tags or tags == ["*"]
+    wanted, known = (_tags(request, name) for name in ("if-match", "if-none-match"))
+    has = known == ["*"] or (etag is not None and etag in [tag.removeprefix("W/") for tag in known])
+    if (wanted not in ([], ["*"]) and etag not in wanted) or (has and request.method != "GET"):
+        raise ProblemError(412, "what lies here is not what the request makes its condition")
+    return has
+
+
+def _tags(request: Request, header: str) -> list[str]:
+    return [tag for tag in map(str.strip, (joined(request.headers, header) or "").split(",")) if tag]
 
 
 def not_modified(headers: Mapping[str, str]) -> Response:
@@ -55,10 +66,10 @@ def file_answer(request: Request, file: bytes, media_type: str, headers: Mapping
     Raises ProblemError 416. Several parts at once are answered with the whole file, as is a range of another version.
     """
     headers = {**headers, "Accept-Ranges": "bytes"}
-    match = _RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
+    match = _RANGE.fullmatch((joined(request.headers, "range") or "").replace(" ", ""))
     if match is None or match.group() == "bytes=-" or request.method != "GET":
         return Response(file, headers=headers, media_type=media_type)
-    if request.headers.get("if-range", headers.get("ETag")) != headers.get("ETag"):
+    if joined(request.headers, "if-range") not in (None, headers.get("ETag")):
         return Response(file, headers=headers, media_type=media_type)
     first, last = match[1], match[2]
     begin = int(first) if first else max(len(file) - int(last), 0)

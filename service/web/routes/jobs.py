@@ -16,15 +16,16 @@ from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
 from service.web.routes.examples import curl
+from service.web.routes.file_answers import has_already
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts, no_such_job
 from service.web.routes.pictures import open_image
 from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
 from service.web.submitting.feasible import check_feasible
-from service.web.submitting.fields import FIELD_SCHEMAS, IMAGE_FIELD, read_fields
+from service.web.submitting.fields import FIELD_SCHEMAS, IMAGE_FIELD
 from service.web.submitting.submission import (
     FORM_TYPE,
     check_content_type,
-    fields_of_query,
+    fields_without_image,
     idempotency_key,
     new_job,
     read_header,
@@ -64,6 +65,15 @@ ENCODE_EXTRA: dict[str, Any] = {
     },
     "parameters": ENCODE_PARAMETERS,
 }
+AGAIN_FORM: dict[str, Any] = {"type": "object", "additionalProperties": False, "properties": FIELD_SCHEMAS}
+AGAIN_EXTRA: dict[str, Any] = {
+    "requestBody": {
+        "required": False,
+        "description": "the fields, unless they are in the query",
+        "content": {FORM_TYPE: {"schema": AGAIN_FORM}},
+    },
+    "parameters": ENCODE_PARAMETERS,
+}
 
 
 def _queue_full() -> ProblemError:
@@ -83,13 +93,13 @@ def _own_queue_full(limit: int) -> ProblemError:
     response_model=answers.AcceptedView,
     responses={**ENCODED, **problems(400, 406, 408, 409, 413, 415, 422, 429, 500, 503)},
     summary="Encode an image",
-    openapi_extra={**ENCODE_EXTRA, **curl("-F image=@photo.jpg -F bpp=0.3 'HOST/encode?wait=60' -o photo.sg")},
+    openapi_extra={**ENCODE_EXTRA, **curl("--fail -F image=@photo.jpg -F bpp=0.3 'HOST/encode?wait=50' -o photo.sg")},
 )
 async def encode(
     request: Request, response: Response, parts: UseParts, caller: UseCaller
 ) -> answers.AcceptedView | Response:
     """Accept an image to be encoded, within one budget at most. With `wait` the answer is the file itself, or the
-    decoded picture if the Accept header wants one, when the job is done in time.
+    decoded picture if the Accept header wants one, when the job is done in time; else 202, and the job in JSON.
     """
     check_content_type(request)
     wait_s, key = wished_wait_s(request), idempotency_key(request)
@@ -108,18 +118,18 @@ async def encode(
     "/jobs/{job_id}/encode",
     status_code=202,
     response_model=answers.AcceptedView,
-    responses={**ENCODED, **problems(400, 404, 406, 409, 410, 422, 429, 500, 503)},
+    responses={**ENCODED, **problems(400, 404, 406, 408, 409, 410, 413, 415, 422, 429, 500, 503)},
     summary="Encode the image of a job again",
-    openapi_extra={"parameters": ENCODE_PARAMETERS, **curl("-X POST 'HOST/jobs/ID/encode?bpp=0.5'")},
+    openapi_extra={**AGAIN_EXTRA, **curl("-X POST 'HOST/jobs/ID/encode?bpp=0.5'")},
 )
 async def encode_again(
     job: KnownJob, request: Request, response: Response, parts: UseParts, caller: UseCaller
 ) -> answers.AcceptedView | Response:
     """A new job with the image of another, which is not sent a second time: 410 once it is no longer kept. The fields
-    are in the query, and as those of `POST /encode` where they are not given.
+    are in the query or in a form, and as those of `POST /encode` where they are not given.
     """
     wait_s, key = wished_wait_s(request), idempotency_key(request)
-    asked = read_fields(fields_of_query(request)).asked(parts.settings.max_time_limit_s)
+    asked = (await fields_without_image(request)).asked(parts.settings.max_time_limit_s)
     check_feasible(asked.request, job.image)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)
     async with parts.accepting.turn(caller.client):
@@ -139,7 +149,7 @@ async def _accepted(
     request: Request, response: Response, parts: Parts, job: Job, wait_s: int
 ) -> answers.AcceptedView | Response:
     """The answer to an accepted job, or what came of it if that is waited for."""
-    view = answers.accepted(job)
+    view = answers.accepted(job, parts.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     if wait_s:
         headers["Preference-Applied"] = f"wait={wait_s}"
@@ -236,8 +246,7 @@ def _make_room(parts: Parts, new: NewJob, of_owner: bool) -> None:
 def status(job: KnownJob, parts: UseParts, response: Response) -> answers.JobView:
     """State, place in the queue, progress, trace so far, and result or error."""
     response.headers.update(NEVER_STORED)
-    kept_s = parts.settings.retention_s, parts.settings.source_retention_s
-    return answers.with_trace(job, parts.table.trace(job.id), *kept_s)
+    return answers.with_trace(job, parts.table.trace(job.id), parts.settings)
 
 
 @router.get(
@@ -258,9 +267,9 @@ def jobs(
     response.headers.update(NEVER_STORED)
     page = parts.table.page(limit + 1, before, caller.owner, state)
     chosen = "" if state is None else f"&state={state}"
-    older = f"/jobs?limit={limit}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
-    kept_s = parts.settings.retention_s, parts.settings.source_retention_s
-    return answers.JobPage(jobs=[answers.summary(job, *kept_s) for job in page[:limit]], next=older)
+    where = f"{parts.settings.path_prefix}/jobs?limit={limit}"
+    older = f"{where}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
+    return answers.JobPage(jobs=[answers.summary(job, parts.settings) for job in page[:limit]], next=older)
 
 
 @router.post(
@@ -284,13 +293,13 @@ def links(
         raise ProblemError(422, f"expires_s must be at most {parts.settings.link_max_age_s}")
     expires = int(time.time()) + expires_s
     picture, bitstream = (Link(resource, job.id, expires).query(secret) for resource in ("decode", "bitstreams"))
-    return answers.links(job, picture, bitstream, expires)
+    return answers.links(job, picture, bitstream, expires, parts.settings)
 
 
 @router.post(
     "/jobs/{job_id}/stop",
     status_code=202,
-    responses=problems(404, 409, 503),
+    responses=problems(404, 409, 422, 503),
     summary="End an encode early, and keep what is there",
     openapi_extra=curl("-X POST HOST/jobs/ID/stop"),
 )
@@ -298,7 +307,7 @@ def stop(job: KnownJob, parts: UseParts, response: Response) -> answers.Accepted
     """The fit of a running job ends, within its budget, after about a quarter of the time that it has taken; then the
     job is done. One that is done stays as it is; 409 for one that waits or has failed, as there is nothing to keep.
     """
-    view = answers.accepted(job)
+    view = answers.accepted(job, parts.settings)
     response.headers.update({"Location": view.status_url, **NEVER_STORED})
     if job.state != "done" and not parts.table.stop(job.id):
         now = parts.table.get(job.id)
@@ -312,12 +321,13 @@ def stop(job: KnownJob, parts: UseParts, response: Response) -> answers.Accepted
 @router.delete(
     "/jobs/{job_id}",
     status_code=204,
-    responses=problems(404, 503),
+    responses=problems(404, 412, 422, 503),
     summary="Cancel and remove a job",
     openapi_extra=curl("-X DELETE HOST/jobs/ID"),
 )
-def remove(job: KnownJob, parts: UseParts) -> None:
+def remove(job: KnownJob, parts: UseParts, request: Request) -> None:
     """Cancel the job if it is not done, and remove all that is kept of it."""
+    has_already(request, None)  # which refuses a condition that fails
     _forget(parts, job.id)
 
 

@@ -22,6 +22,7 @@ from service.web.guards.shares import Shares
 from service.web.helpers.turns import Turns
 from service.web.helpers.work import Work
 from service.web.routes.decoding import PictureCache
+from service.web.submitting.bodies import refuse_body
 
 PROBE_THREADS = 4
 JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", examples=["0123456789abcdef" * 2])]
@@ -78,6 +79,13 @@ def known_query(request: Request) -> None:
             raise ProblemError(422, f"unknown query parameter {name!r}; {takes}")
         if len(request.query_params.getlist(name)) > 1:
             raise ProblemError(422, f"the query parameter {name} is given twice")
+
+
+async def no_stray_body(request: Request) -> None:
+    """Fields in a body that is not read would be ignored. Raises ProblemError 422."""
+    operation = request.app.openapi()["paths"].get(request.scope["route"].path, {}).get(request.method.lower(), {})
+    if request.method != "GET" and "requestBody" not in operation:
+        await refuse_body(request, ProblemError(422, "this request takes no body; its parameters are in the query"))
 
 
 UseParts = Annotated[Parts, Depends(_parts)]

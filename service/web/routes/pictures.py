@@ -54,7 +54,7 @@ def _files(*media_types: str) -> dict[int | str, dict[str, Any]]:
 
 
 NOT_MODIFIED: dict[int | str, dict[str, Any]] = {304: {"description": "the client has it already"}}
-PARTIAL: dict[int | str, dict[str, Any]] = {206: {"description": "the part that Range names"}, **problems(416)}
+PARTIAL: dict[int | str, dict[str, Any]] = {206: {"description": "the part that Range names"}, **problems(412, 416)}
 PICTURES = {**_files(*MEDIA_TYPES.values()), **NOT_MODIFIED, **PARTIAL}
 
 
@@ -84,7 +84,7 @@ def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
 
 def _kept(job: Job, parts: Parts) -> dict[str, str]:
     """For how long the file may be kept by whoever has it, and is kept here."""
-    expires = answers.expires_at(job, parts.settings.retention_s)
+    expires = answers.expires_at(job, parts.settings)
     return {"Cache-Control": IMMUTABLE, **({} if expires is None else {"Expires": format_datetime(expires, True)})}
 
 
@@ -238,7 +238,7 @@ async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Respons
         **_files(BITSTREAM_TYPE),
         204: {"description": "there is nothing yet"},
         **NOT_MODIFIED,
-        **problems(404, 503),
+        **problems(404, 412, 503),
     },
     summary="The bitstream of what a running job has so far",
     openapi_extra=curl("HOST/jobs/ID/preview.sg -o preview.sg"),

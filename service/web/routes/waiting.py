@@ -11,6 +11,7 @@ from anyio import to_thread
 from fastapi import Request, Response
 
 from service.jobs.job import FINAL_STATES, Job
+from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError
 from service.web.helpers.picture_files import MEDIA_TYPES
 from service.web.routes.decoding import ViewQuery
@@ -20,8 +21,8 @@ from service.web.routes.parts import Parts
 from service.web.routes.pictures import BITSTREAM_TYPE, bitstream_answer, picture_answer
 from service.web.submitting.submission import WAIT_FIELD
 
-POLL_S = 0.2
-MAX_WAIT_S = 300
+FIRST_POLL_S, POLL_S = 0.05, 0.2  # a small picture takes less than the latter; it is for those who wait for long
+MAX_WAIT_S = 50  # proxies give up on an answer that has not begun after 60 s, unless told otherwise
 
 _PREFER = re.compile(r"(?:^|[,;])\s*wait\s*=\s*([0-9]{1,6})\s*(?=[,;]|$)", re.IGNORECASE)
 
@@ -33,13 +34,13 @@ WAIT_PARAMETERS: list[dict[str, Any]] = [
     {
         "name": WAIT_FIELD,
         "in": "query",
-        "description": "seconds to wait for the file; 202 after that",
-        "schema": {"type": "integer", "minimum": 0, "maximum": MAX_WAIT_S},
+        "description": f"seconds to wait for the file; 202 after that, and after {MAX_WAIT_S} seconds at the latest",
+        "schema": {"type": "integer", "minimum": 0, "maximum": 999_999},
     },
     {
         "name": "Prefer",
         "in": "header",
-        "description": "`wait=30` is the same as the query parameter, and only a wish: more than the longest is cut",
+        "description": "`wait=30` is the same as the query parameter; what cannot be read is ignored",
         "schema": {"type": "string"},
     },
 ]
@@ -51,10 +52,10 @@ def wished_wait_s(request: Request) -> int:
     if len(given) > 1:
         raise ProblemError(422, f"the query parameter {WAIT_FIELD} is given twice")
     if given:
-        if not re.fullmatch(r"[0-9]{1,6}", given[0], re.ASCII) or int(given[0]) > MAX_WAIT_S:
-            raise ProblemError(422, f"{WAIT_FIELD} must be a whole number of seconds, at most {MAX_WAIT_S}")
-        return int(given[0])
-    preferred = _PREFER.search(",".join(request.headers.getlist("prefer")))  # RFC 7240
+        if not re.fullmatch(r"[0-9]{1,6}", given[0], re.ASCII):
+            raise ProblemError(422, f"{WAIT_FIELD} must be a whole number of seconds; at most {MAX_WAIT_S} count")
+        return min(int(given[0]), MAX_WAIT_S)
+    preferred = _PREFER.search(joined(request.headers, "prefer") or "")  # RFC 7240
     return min(int(preferred[1]), MAX_WAIT_S) if preferred else 0
 
 
@@ -68,8 +69,10 @@ async def job_within(request: Request, job: Job, seconds: int, parts: Parts) -> 
 
 
 async def _ended(job: Job, deadline: float, parts: Parts) -> Job | None:
+    pause_s = FIRST_POLL_S
     while job.state not in FINAL_STATES:
-        if time.monotonic() >= deadline or await set_within(parts.stopping, POLL_S):
+        pause_s = min(1.1 * pause_s, POLL_S)
+        if time.monotonic() >= deadline or await set_within(parts.stopping, pause_s):
             return None
         seen = await to_thread.run_sync(parts.table.get, job.id)
         if seen is None:
@@ -83,7 +86,7 @@ async def outcome(request: Request, job: Job, parts: Parts, headers: Mapping[str
     if job.error is not None and job.state == "failed":
         status = 422 if job.error.code == "refused" else 500
         raise ProblemError(status, job.error.detail, headers=headers, code=job.error.code, id=job.id)
-    accept = request.headers.get("accept", "*/*").lower()
+    accept = (joined(request.headers, "accept") or "*/*").lower()
     if BITSTREAM_TYPE in accept or "image/" not in accept:
         answer = await bitstream_answer(request, job, parts)
     else:

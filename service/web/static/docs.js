@@ -83,8 +83,8 @@ function examples(schemas) {
 async function show() {
   const main = document.getElementById("operations");
   try {
-    const api = await (await fetch("/openapi.json")).json();
-    const local = (source) => source.replaceAll("http://127.0.0.1:8000", location.origin);
+    const api = await (await fetch("openapi.json")).json();
+    const local = (source) => source.replaceAll("http://127.0.0.1:8000/", new URL(".", location).href);
     for (const [path, methods] of Object.entries(api.paths)) {
       for (const [method, operation] of Object.entries(methods)) {
         for (const sample of operation["x-codeSamples"] ?? []) sample.source = local(sample.source);

@@ -1,4 +1,4 @@
-"""Request bodies that are one file, not a form."""
+"""Request bodies that are one file, not a form, and requests that take none."""
 
 from __future__ import annotations
 
@@ -32,6 +32,18 @@ async def body_as_file(request: Request, max_bytes: int) -> AsyncIterator[Upload
         yield upload
     finally:
         await upload.close()
+
+
+def has_body(request: Request) -> bool:
+    """Whether a body is announced, though it may be empty."""
+    return request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
+
+
+async def refuse_body(request: Request, refusal: ProblemError) -> None:
+    """Raises the refusal if the request brings a byte: what would be ignored must not look as if it were used."""
+    async for chunk in request.stream():
+        if chunk:
+            raise refusal
 
 
 def _too_large(max_bytes: int) -> ProblemError:

@@ -141,7 +141,7 @@ def read_fields(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeFields:
     texts: dict[str, str] = {}
     for name, value in given:
         if name == IMAGE_FIELD:
-            continue
+            raise ProblemError(422, f"no {IMAGE_FIELD} is taken here: send it in the body of POST /encode")
         if name in texts:
             raise ProblemError(422, f"the field {name} is given twice")
         if name in FIELDS and not isinstance(value, str):

@@ -14,11 +14,12 @@ from starlette.requests import Request
 
 from service.jobs.job import NewJob, SourceImage, new_job_id
 from service.settings import Settings
+from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.helpers.work import Work
-from service.web.submitting.bodies import body_as_file
-from service.web.submitting.fields import FIELDS, IMAGE_FIELD, Asked, read_fields
+from service.web.submitting.bodies import body_as_file, has_body, refuse_body
+from service.web.submitting.fields import FIELDS, IMAGE_FIELD, Asked, EncodeFields, read_fields
 from sgmethod.io.formats import is_read
 
 FORMAT_BYTES = 256  # of a file, which tell its format
@@ -34,7 +35,7 @@ _IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
 
 def idempotency_key(request: Request) -> str | None:
     """The Idempotency-Key header. Raises ProblemError 400 if it is not 1 to 255 visible ASCII characters."""
-    key = request.headers.get("idempotency-key")
+    key = joined(request.headers, "idempotency-key")
     if key is not None and _IDEMPOTENCY_KEY.fullmatch(key) is None:
         raise ProblemError(400, "Idempotency-Key must be 1 to 255 visible ASCII characters")
     return key
@@ -58,13 +59,35 @@ def fields_of_query(request: Request) -> list[tuple[str, str]]:
     return [(name, value) for name, value in request.query_params.multi_items() if name != WAIT_FIELD]
 
 
+def _media_type(request: Request) -> str:
+    """The body's media type, empty if none is given. Raises ProblemError 415 if several are."""
+    given = set(request.headers.getlist("content-type"))
+    if len(given) > 1:
+        raise ProblemError(415, "the request names several types of its body; give one Content-Type")
+    return "".join(given).partition(";")[0].strip().lower()
+
+
 def check_content_type(request: Request) -> str:
     """The body's media type. Raises ProblemError 415 unless it is a form or an image."""
-    media_type = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    media_type = _media_type(request)
     if media_type != FORM_TYPE and not media_type.startswith(IMAGE_TYPES):
         accepted = f"{FORM_TYPE}, {IMAGE_TYPES}*"
         raise ProblemError(415, f"the body must be {FORM_TYPE} or an image", headers={"Accept": accepted})
     return media_type
+
+
+async def fields_without_image(request: Request) -> EncodeFields:
+    """The fields of a request that brings no image: in the query, in a form, or in both.
+
+    Raises ProblemError 415 or 422, or HTTPException 400 on what is no form.
+    """
+    query = fields_of_query(request)
+    if _media_type(request) == FORM_TYPE and has_body(request):
+        async with request.form(max_files=0, max_fields=len(FIELDS), max_part_size=MAX_FIELD_BYTES) as form:
+            return read_fields([*query, *form.multi_items()])
+    refusal = f"the fields belong in the query, or in a body of type {FORM_TYPE}"
+    await refuse_body(request, ProblemError(415, refusal, headers={"Accept": FORM_TYPE}))
+    return read_fields(query)
 
 
 @asynccontextmanager
@@ -77,11 +100,12 @@ async def submission(request: Request, settings: Settings) -> AsyncIterator[Subm
     if check_content_type(request) == FORM_TYPE:
         limits = {"max_files": 1, "max_fields": len(FIELDS), "max_part_size": MAX_FIELD_BYTES}
         async with request.form(**limits) as form:
-            asked = read_fields([*query, *form.multi_items()]).asked(longest_s)
-            image = form.get(IMAGE_FIELD)
-            if not isinstance(image, UploadFile):
-                raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, or is not a file")
-            yield Submission(asked, image)
+            given = form.multi_items()
+            asked = read_fields([*query, *(one for one in given if one[0] != IMAGE_FIELD)]).asked(longest_s)
+            images = form.getlist(IMAGE_FIELD)
+            if len(images) != 1 or not isinstance(images[0], UploadFile):
+                raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, is not a file, or is given twice")
+            yield Submission(asked, images[0])
     else:
         asked = read_fields(query).asked(longest_s)
         async with body_as_file(request, settings.max_upload_bytes) as image:

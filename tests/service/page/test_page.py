@@ -288,8 +288,8 @@ def test_requests_for_people(page: Chromium, web: Service) -> None:
     first = next(iter(operations))
     assert not page.is_seen(f"#{first} pre")
     page.click(f"#{first} summary")
-    assert f"curl {web.url}/livez" in page.text(f"#{first} pre")
-    assert "200" in page.text(f"#{first} table")
+    assert f"'{web.url}/encode?wait=50'" in page.text(f"#{first} pre")
+    assert "202" in page.text(f"#{first} table:last-of-type")
     assert page.complaints() == []
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from service.__main__ import _where
 from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
 from service.jobs.table import Room
 from service.opening import open_job_table, open_storage
@@ -47,6 +48,23 @@ def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> N
     }
     assert result.status == 1
     assert "secret" not in result.stdout + result.stderr
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({}, "data in {}"),
+        ({"database_url": "postgresql://u:secret@db/x"}, "jobs in PostgreSQL, images and bitstreams in {}"),
+        ({"storage_url": "s3://pictures/sg"}, "jobs in {}, images and bitstreams in s3://pictures/sg"),
+        (
+            {"database_url": "postgres://u:secret@db/x", "storage_url": "s3://pictures"},
+            "jobs in PostgreSQL, images and bitstreams in s3://pictures",
+        ),
+    ],
+)
+def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], words: str) -> None:
+    """It said that data were in a folder, where a database and a bucket held them all."""
+    assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
 
 
 def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:

@@ -30,48 +30,6 @@ def done(web: Service) -> str:
 
 
 @pytest.mark.parametrize(
-    ("asked", "part"),
-    [
-        ("bytes=0-3", slice(0, 4)),
-        ("bytes=4-", slice(4, None)),
-        ("bytes=-5", slice(-5, None)),
-        ("bytes=-99999", slice(None)),
-        ("bytes=10-99999", slice(10, None)),
-        ("bytes = 1 - 2", slice(1, 3)),
-    ],
-)
-@pytest.mark.parametrize("path", ["/bitstreams/{}.sg", "/decode/{}.png"])
-def test_parts_of_files(web: Service, done: str, path: str, asked: str, part: slice) -> None:
-    url = path.format(done)
-    whole = web.client.get(url)
-    assert whole.headers["accept-ranges"] == "bytes"
-    answer = web.client.get(url, headers={"Range": asked})
-    assert answer.status_code == 206
-    assert answer.content == whole.content[part]
-    first, last, size = map(int, re.fullmatch(r"bytes (\d+)-(\d+)/(\d+)", answer.headers["content-range"]).groups())  # type: ignore[union-attr]
-    assert whole.content[first : last + 1] == answer.content
-    assert size == len(whole.content)
-    assert answer.headers["etag"] == whole.headers["etag"]
-
-
-@pytest.mark.parametrize("asked", ["bytes=5-2", "bytes=-", "bytes=a-b", "lines=1-2", "bytes=0-1,3-4", "bytes=²-3"])
-def test_ranges_that_are_none_are_ignored(web: Service, done: str, asked: str) -> None:
-    answer = web.client.get(f"/bitstreams/{done}.sg", headers={"Range": asked.encode()})
-    assert (answer.status_code, answer.content) == (200, PICTURE)
-
-
-def test_ranges_beyond_the_file_or_of_another_version(web: Service, done: str) -> None:
-    url = f"/bitstreams/{done}.sg"
-    for asked in (f"bytes={len(PICTURE)}-", "bytes=-0"):
-        answer = web.client.get(url, headers={"Range": asked})
-        assert_problem(answer, 416)
-        assert answer.headers["content-range"] == f"bytes */{len(PICTURE)}"
-    assert web.client.get(url, headers={"Range": "bytes=0-3", "If-Range": '"other"'}).status_code == 200
-    etag = web.client.head(url).headers["etag"]
-    assert web.client.get(url, headers={"Range": "bytes=0-3", "If-Range": etag}).status_code == 206
-
-
-@pytest.mark.parametrize(
     ("accept", "kind"),
     [
         ("*/*", "png"),

@@ -69,6 +69,7 @@ def curl(command: str, folder: Path) -> httpx.Response:
     parser.add_argument("--data-binary", dest="body")
     parser.add_argument("-o", dest="output")
     parser.add_argument("-N", action="store_true")
+    parser.add_argument("--fail", action="store_true")
     program, *arguments = shlex.split(command)
     assert program == "curl"
     given = parser.parse_args(arguments)

@@ -7,7 +7,10 @@ from typing import Any
 import pytest
 
 from service.jobs.job import EncodeRequest, Job, JobError, JobState, SourceImage
+from service.settings import Settings
 from service.web.routes.answers import MAX_TRACE_POINTS, summary, with_trace
+
+SETTINGS = Settings()
 
 
 def job(state: JobState, error: JobError | None = None) -> Job:
@@ -26,18 +29,18 @@ def test_progress_never_falls() -> None:
         *(point("tune", step, 30) for step in range(31)),
         *(point("fit", step, 50) for step in range(51)),  # a second try at a PSNR
     ]
-    seen = [with_trace(job("running"), trace[:length], 0, 0).progress for length in range(len(trace) + 1)]
+    seen = [with_trace(job("running"), trace[:length], SETTINGS).progress for length in range(len(trace) + 1)]
     assert seen == sorted(seen)
     assert seen[0] == 0
     assert seen[26] == pytest.approx(0.3, abs=0.02)
     assert seen[52] == pytest.approx(0.6)
-    assert with_trace(job("done"), [], 0, 0).progress == 1
+    assert with_trace(job("done"), [], SETTINGS).progress == 1
 
 
 @pytest.mark.parametrize("length", [0, 1, MAX_TRACE_POINTS, MAX_TRACE_POINTS + 1, 10 * MAX_TRACE_POINTS + 7])
 def test_a_long_trace_is_thinned(length: int) -> None:
     trace = [point("fit", step, length) for step in range(length)]
-    steps = [int(shown["step"] or 0) for shown in with_trace(job("running"), trace, 0, 0).trace]
+    steps = [int(shown["step"] or 0) for shown in with_trace(job("running"), trace, SETTINGS).trace]
     assert len(steps) == min(length, MAX_TRACE_POINTS)
     assert steps == sorted(set(steps))
     if length:
@@ -46,7 +49,7 @@ def test_a_long_trace_is_thinned(length: int) -> None:
 
 def test_the_error_of_a_crash_is_shown_once_the_job_has_failed() -> None:
     error = JobError("crashed", "it crashed")
-    assert summary(job("queued", error), 0, 0).error is None
-    shown = summary(job("failed", error), 0, 0).error
+    assert summary(job("queued", error), SETTINGS).error is None
+    shown = summary(job("failed", error), SETTINGS).error
     assert shown is not None
     assert (shown.code, shown.detail) == ("crashed", "it crashed")

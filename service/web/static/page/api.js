@@ -21,7 +21,7 @@ const WORDS = {
 export async function ask(path, options = {}) {
   const key = $("key").value.trim();
   if (key) options = { ...options, headers: { ...options.headers, Authorization: `Bearer ${key}` } };
-  const response = await fetch(path, options).catch(() => {
+  const response = await fetch(new URL(path, location), options).catch(() => {
     throw new Refusal(503, "The service cannot be reached.");
   });
   if (response.ok) return response;
@@ -41,7 +41,7 @@ export const json = async (path, options) => (await ask(path, options)).json();
 export const bytesOf = async (path, options) => new Uint8Array(await (await ask(path, options)).arrayBuffer());
 export const hasKey = () => $("key").value.trim() !== "";
 
-export const jobPath = (id) => `/jobs/${id}`;
+export const jobPath = (id) => `jobs/${id}`;
 
 /** The fields of a budget, beside its value, that the service would not choose by itself; timeLimit: in seconds. */
 export function choices({ kind, tune, effort, timeLimit }) {
@@ -58,7 +58,7 @@ export function submit(file, budget) {
   form.append("image", file);
   form.append(budget.kind, budget.value);
   for (const [name, text] of choices(budget)) form.append(name, text);
-  return json("/encode", { method: "POST", body: form });
+  return json("encode", { method: "POST", body: form });
 }
 
 /** The picture in a file, drawn by the service. */
@@ -66,6 +66,6 @@ export async function drawn(sg, kind, { width, prefix } = {}) {
   const query = new URLSearchParams();
   if (width) query.set("width", width);
   if (prefix && prefix < 1) query.set("prefix", prefix);
-  const answer = await ask(`/decode.${kind}?${query}`, { method: "POST", body: sg });
+  const answer = await ask(`decode.${kind}?${query}`, { method: "POST", body: sg });
   return answer.blob();
 }

@@ -251,7 +251,7 @@ addEventListener("hashchange", begin);
 requestAnimationFrame(() =>
   setTimeout(() => {
     begin();
-    const thumbnails = new Remote("/static/decoder/worker.js");
+    const thumbnails = new Remote("static/decoder/worker.js");
     showSamples(sample, async (bytes) => {
       await thumbnails.ask("open", { key: 0, bytes });
       return thumbnails.ask("draw", { key: 0, scale: 0.5 });

@@ -4,7 +4,7 @@ import { $, element } from "./parts.js";
 import { size } from "./words.js";
 
 export const SAMPLES = ["astronaut", "coffee", "cat"];
-const at = (name, suffix) => `/static/samples/${name}.${suffix}`;
+const at = (name, suffix) => `static/samples/${name}.${suffix}`;
 
 /** Fill an item with a sample: first the .sg file, which is the smallest. */
 export async function openSample(item, sample) {

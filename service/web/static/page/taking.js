@@ -48,7 +48,7 @@ export async function savePicture(item, kind, width, draw) {
 
 /** Lines that make exactly this file again, or fetch it. */
 export function fillLines(item) {
-  const { origin } = location;
+  const { href: service } = new URL(".", location);
   const file = `${withoutSuffix(item.name)}.sg`.replace(/[^\w.-]/g, "_");
   const source = item.name.replace(/[^\w.-]/g, "_");
   const key = hasKey() ? "-H 'Authorization: Bearer KEY' " : "";
@@ -56,28 +56,28 @@ export function fillLines(item) {
     const fields = [[item.budget.kind, item.budget.value], ...choices(item.budget)];
     const form = fields.map(([name, text]) => `-F ${name}=${text}`).join(" ");
     const named = fields.map(([name, text]) => `${name}=${name === "tune" ? `"${text}"` : text}`).join(", ");
-    $("curl").textContent = `curl ${key}-F image=@${source} ${form} '${origin}/encode?wait=60' -o ${file}`;
+    $("curl").textContent = `curl ${key}-F image=@${source} ${form} '${service}encode?wait=50' -o ${file}`;
     $("python").textContent = `import sgmethod\nsgmethod.encode("${source}", ${named}).save("${file}")`;
   } else {
-    const from = item.id ? `/bitstreams/${item.id}.sg` : item.url;
+    const from = item.id ? `bitstreams/${item.id}.sg` : item.url;
     $("curl").textContent = from
-      ? `curl ${key}${origin}${from} -o ${file}`
-      : `curl ${key}--data-binary @${file} ${origin}/decode.png -o ${withoutSuffix(file)}.png`;
+      ? `curl ${key}${service}${from} -o ${file}`
+      : `curl ${key}--data-binary @${file} ${service}decode.png -o ${withoutSuffix(file)}.png`;
     $("python").textContent = `import sgmethod\npixels = sgmethod.decode("${file}")`;
   }
 }
 
 /** A link to the page with this picture; with keys, one to its PNG that lasts an hour. */
 export async function linkOf(item) {
-  if (!item.id) return item.url ? `${location.origin}/#${item.sample}` : null;
-  if (!hasKey()) return `${location.origin}/#${item.id}`;
-  return location.origin + (await json(`/jobs/${item.id}/links`, { method: "POST" })).decode_url;
+  if (!item.id) return item.url ? new URL(`#${item.sample}`, location).href : null;
+  if (!hasKey()) return new URL(`#${item.id}`, location).href;
+  return location.origin + (await json(`jobs/${item.id}/links`, { method: "POST" })).decode_url;
 }
 
 /** HTML that shows the picture from its .sg file, with the decoder in it: no other file is needed. The picture's name is
  * the text for those who do not see it. */
 export async function snippetOf(item) {
-  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`/static/decoder/${name}`)).text()));
+  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/decoder/${name}`)).text()));
   const decoder = sources
     .join("\n")
     .replace(/^(import|export) \{.*$/gm, "")

@@ -13,7 +13,7 @@ const NEAR = 0.03; // sizes that differ by no more than this share count as equa
 const EQUAL_DB = 0.1;
 const BETTER_SSIM = 0.002;
 
-const worker = new Remote("/static/viewer/rivals_worker.js");
+const worker = new Remote("static/viewer/rivals_worker.js");
 let last = Promise.resolve();
 
 /** Measures a picture's file and makes its rivals; `told` is called after each. One picture at a time. */
