@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
-from sgmethod.bitstream.v3 import StreamV3
-from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.errors import BitstreamError
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Scene
@@ -79,7 +77,7 @@ class SgFile:
     @property
     def has_alpha(self) -> bool:
         """Whether the picture can be seen through: then pixels() gives four channels."""
-        return isinstance(self._stream, StreamV4) and self._stream.alpha is not None
+        return self._stream.alpha is not None
 
     @property
     def info(self) -> Info:
@@ -121,11 +119,11 @@ def _bytes_of(file: File) -> bytes:
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:
     """What draw() makes of the stream's scene, in less time. Raises as scene() and draw() do."""
-    if not isinstance(stream, StreamV3):
+    laid_out = stream.lay_out(prefix, texture)
+    if laid_out is None:
         return draw(stream.scene(prefix))
-    pixels = _picture(*stream.lay_out(prefix, texture), stream.background)
-    alpha = stream.alpha if isinstance(stream, StreamV4) else None
-    return pixels if alpha is None else _with_alpha(pixels, draw_whole(alpha))
+    pixels = _picture(*laid_out, stream.background)
+    return pixels if stream.alpha is None else _with_alpha(pixels, draw_whole(stream.alpha))
 
 
 def draw(scene: Scene) -> NDArray[np.uint8]:

@@ -19,7 +19,7 @@ from benchmarks import networks
 from benchmarks.networks import Network, Training
 from benchmarks.pictures import Pixels
 from benchmarks.speed.sizes import peak_mib
-from sgmethod.bitstream import v3
+from sgmethod.bitstream.payload import MIN_QUANTUM
 from sgmethod.fitting.parameters import Parameters
 from sgmethod.fitting.picture import Picture, target_of
 from sgmethod.fitting.recorder import Clock, Recorder
@@ -119,7 +119,7 @@ def by_rd(pixels: Pixels, gaussians: int, settings: RdSettings) -> Fitted:
 
     def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
         if progress >= FREE_FROM:
-            fitting.coder = fitting.coder.with_quantum(v3.MIN_QUANTUM)
+            fitting.coder = fitting.coder.with_quantum(MIN_QUANTUM)
         return fitting.step(rate, progress)
 
     Schedule("fit", settings.steps, settings.final_rate, patience=1.0).run(recorder, step)

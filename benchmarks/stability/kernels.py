@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.stability.case import Case, Cases, Found
-from sgmethod.bitstream.v3 import MAX_QUANTUM
+from sgmethod.bitstream.payload import MAX_QUANTUM
 from sgmethod.native import native, reference
 from sgmethod.scene import FloatArray, Gaussians
 

@@ -6,11 +6,13 @@ from dataclasses import asdict, dataclass
 from typing import ClassVar, Protocol
 
 from sgmethod.errors import BitstreamError
-from sgmethod.scene import Scene
+from sgmethod.native import native
+from sgmethod.scene import FloatArray, Scene
 
 MAGIC = b"SGM"
 OVERLAP = "the file's Gaussians overlap beyond what a picture needs"
 PREFIX_BYTES = len(MAGIC) + 1 + 4  # magic, version, CRC-32 of all that follows
+LaidOut = tuple[native.Rasterization, FloatArray]  # Gaussians as they are drawn, and their colours
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,16 @@ class Stream(Protocol):
         """Of the picture, pixels."""
         ...
 
+    @property
+    def background(self) -> tuple[int, int, int]:
+        """Of the picture, 8-bit RGB."""
+        ...
+
+    @property
+    def alpha(self) -> Stream | None:
+        """A grey picture of the same size, white where this one is opaque; None where it is opaque everywhere."""
+        ...
+
     @classmethod
     def parse(cls, body: memoryview, limits: Limits) -> Stream:
         """From what follows the checksum. Raises BitstreamError."""
@@ -81,6 +93,13 @@ class Stream(Protocol):
         """What is to be drawn; with prefix < 1 as far as that part of the file tells.
 
         Raises BitstreamError, and ViewError where there is no prefix.
+        """
+        ...
+
+    def lay_out(self, prefix: float = 1.0, texture: bool = True) -> LaidOut | None:
+        """The whole picture without alpha as it is drawn, sooner than from scene(); None where that is the only way.
+
+        texture: whether it is drawn, where there is any. Raises BitstreamError.
         """
         ...
 

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.bitstream.fields import Field, Header
 from sgmethod.bitstream.stream import NO_LIMITS, PREFIX_BYTES, Info, Limits
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.native import native
@@ -24,32 +25,23 @@ from sgmethod.scene import FloatArray, Gaussians, Scene
 PROFILE_CODES = {"baseline": 0, "paper": 1}
 CODEBOOK_STAGES, CODEBOOK_ENTRIES, COLOR_INDEX_BITS = 2, 8, 3
 MIN_BITWIDTH, MAX_BITWIDTH = 1, 16
-BACKGROUND = (0, 0, 0)
 
 
-@dataclass(frozen=True)
-class Field:
-    """One unsigned header field, big-endian, with the values it may take."""
-
-    name: str
-    bytes: int
-    low: int
-    high: int
-
-
-HEADER = (
-    Field("profile", 1, 0, 1),
-    Field("width", 2, 1, 2**16 - 1),
-    Field("height", 2, 1, 2**16 - 1),
-    Field("position_bits", 1, MIN_BITWIDTH, MAX_BITWIDTH),
-    Field("groups", 1, 0, MAX_BITWIDTH),
+HEADER = Header(
+    (
+        Field("profile", 1, 0, 1),
+        Field("width", 2, 1, native.MAX_SIDE),
+        Field("height", 2, 1, native.MAX_SIDE),
+        Field("position_bits", 1, MIN_BITWIDTH, MAX_BITWIDTH),
+        Field("groups", 1, 0, MAX_BITWIDTH),
+    )
 )
-GROUP = (Field("bitwidth", 1, MIN_BITWIDTH, MAX_BITWIDTH), Field("gaussians", 3, 1, 2**24 - 1))
-HEADER_BYTES = PREFIX_BYTES + sum(f.bytes for f in HEADER)
+GROUP = Header((Field("bitwidth", 1, MIN_BITWIDTH, MAX_BITWIDTH), Field("gaussians", 3, 1, 2**24 - 1)))
+HEADER_BYTES = PREFIX_BYTES + HEADER.size
 POSITION_TABLE_BYTES, FACTOR_TABLE_BYTES = 2 * 2 * 4, 3 * 2 * 4
 CODEBOOK_BYTES = CODEBOOK_STAGES * CODEBOOK_ENTRIES * 3 * 2
 TABLE_BYTES = POSITION_TABLE_BYTES + FACTOR_TABLE_BYTES + CODEBOOK_BYTES
-GROUP_BYTES = sum(f.bytes for f in GROUP)
+GROUP_BYTES = GROUP.size
 BLOCK_RECORDS = 1 << 16  # unpacked at a time: a bit takes a byte then
 
 
@@ -87,6 +79,8 @@ class StreamV1:
 
     VERSION: ClassVar[int] = 1
     MIN_BYTES: ClassVar[int] = HEADER_BYTES
+    background: ClassVar[tuple[int, int, int]] = (0, 0, 0)
+    alpha: ClassVar[None] = None
 
     profile: str
     width: int
@@ -103,8 +97,8 @@ class StreamV1:
 
         Raises BitstreamError for anything but a whole body, and beyond the limits before the records are read.
         """
-        header = _read_fields(HEADER, body)
-        at = sum(f.bytes for f in HEADER)
+        header = HEADER.read(body)
+        at = HEADER.size
         profile = next(name for name, code in PROFILE_CODES.items() if code == header["profile"])
         size = header["width"], header["height"], header["position_bits"]
         limits.check_size(header["width"], header["height"])
@@ -117,7 +111,7 @@ class StreamV1:
         at += TABLE_BYTES
         counts = []
         for _ in range(header["groups"]):
-            group = _read_fields(GROUP, body[at : at + GROUP_BYTES])
+            group = GROUP.read(body[at:])
             counts.append((group["bitwidth"], group["gaussians"]))
             at += GROUP_BYTES
         _check_count(sum(n for _, n in counts), header["width"] * header["height"], limits)
@@ -132,13 +126,13 @@ class StreamV1:
             "position_bits": self.position_bits,
             "groups": len(self.groups),
         }
-        body = bytearray(_write_fields(HEADER, values))
+        body = bytearray(HEADER.write(values))
         if self.groups:
             body += self.position_range.astype(">f4").tobytes()
             body += self.factor_range.astype(">f4").tobytes()
             body += self.codebooks.astype(">f2").tobytes()
             for group in self.groups:
-                body += _write_fields(GROUP, {"bitwidth": group.bitwidth, "gaussians": len(group.positions)})
+                body += GROUP.write({"bitwidth": group.bitwidth, "gaussians": len(group.positions)})
             bits = [_records_to_bits(group, self.position_bits) for group in self.groups]
             body += np.packbits(np.concatenate(bits)).tobytes()
         return bytes(body)
@@ -159,11 +153,14 @@ class StreamV1:
         colors = first[indices[:, 0]] + second[indices[:, 1]]
         return Gaussians(np.concatenate(means), np.concatenate(factors), colors)
 
+    def lay_out(self, prefix: float = 1.0, texture: bool = True) -> None:
+        """Only scene() is drawn."""
+
     def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn. Raises ViewError for a prefix below 1."""
         if prefix < 1:
             raise ViewError(f"profile {self.profile} has no order that a prefix could follow")
-        return Scene(self.dequantised(), self.width, self.height, BACKGROUND, native.CUTOFF_V1)
+        return Scene(self.dequantised(), self.width, self.height, self.background, native.CUTOFF_V1)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
         """The description of the file."""
@@ -229,26 +226,6 @@ def _levels(codes: NDArray[Any], value_range: FloatArray, bits: int) -> FloatArr
     """low + code (high - low) / (2^bits - 1), computed in float64 and rounded once to float32."""
     low, high = value_range.astype(np.float64).T
     values: FloatArray = (low + codes * ((high - low) / (2**bits - 1))).astype(np.float32)
-    return values
-
-
-def _write_fields(fields: tuple[Field, ...], values: dict[str, int]) -> bytes:
-    for f in fields:
-        if not f.low <= values[f.name] <= f.high:
-            raise ValueError(f"{f.name} = {values[f.name]} is outside {f.low} .. {f.high}")
-    return b"".join(values[f.name].to_bytes(f.bytes, "big") for f in fields)
-
-
-def _read_fields(fields: tuple[Field, ...], data: memoryview) -> dict[str, int]:
-    values, at = {}, 0
-    for f in fields:
-        if len(data) < at + f.bytes:
-            raise BitstreamError("the file ends within its header")
-        value = int.from_bytes(data[at : at + f.bytes], "big")
-        if not f.low <= value <= f.high:
-            raise BitstreamError(f"header field {f.name} is {value}, outside {f.low} .. {f.high}")
-        values[f.name] = value
-        at += f.bytes
     return values
 
 

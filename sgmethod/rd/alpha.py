@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.bitstream.payload import HEADER_BYTES
 from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
 from sgmethod.budget import MAX_PSNR_DB, Budget
 from sgmethod.decoder import draw_whole

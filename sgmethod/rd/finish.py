@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sgmethod.bitstream import container
+from sgmethod.bitstream.payload import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.texture import Codes, pack
-from sgmethod.bitstream.v3 import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting import eye

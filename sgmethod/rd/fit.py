@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.bitstream.payload import HEADER_BYTES
 from sgmethod.fitting import eye, leads
 from sgmethod.fitting.adam import FrameAdam
 from sgmethod.fitting.parameters import Parameters

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from sgmethod.bitstream.v3 import background_of, is_upright, quantum_code, quantum_of
+from sgmethod.bitstream.payload import background_of, is_upright, quantum_code, quantum_of
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.eye import Visibility
 from sgmethod.fitting.parameters import Parameters

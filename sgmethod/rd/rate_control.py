@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.bitstream.payload import HEADER_BYTES
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.request import Request
 from sgmethod.profiles import RdSettings

@@ -1,7 +1,7 @@
 """Golden files of the versions that are written: python -m tests.bitstream.make_golden [NAME ...]
 
 Writes tests/data/v1/*.sg with the pictures that they decode to, and tests/data/v4/*.sg with the hashes of both in
-hashes.json. No encoder writes version 3 any more: tests/data/v3/ stays as it is.
+hashes.json. Nothing writes version 3 any more: tests/data/v3/ stays as it is.
 
 They pin the versions of the format and the decoder's pixels, so they are made anew only when the format gets another
 version or a stream cannot show something that it should. An encoder that has changed is no reason.

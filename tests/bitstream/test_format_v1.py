@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from sgmethod import BitstreamError, decode
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.stream import MAGIC, PREFIX_BYTES
-from sgmethod.bitstream.v1 import GROUP, HEADER, Field, StreamV1
+from sgmethod.bitstream.v1 import StreamV1
 from sgmethod.decoder import MAX_PIXELS
 from sgmethod.native import native
 from tests.bitstream import plain_decoder
@@ -33,17 +33,6 @@ def table(section: str) -> list[dict[str, str]]:
     lines = [line for line in after.split("\n#", 1)[0].splitlines() if line.startswith("|")]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     return [dict(zip(rows[0], row, strict=True)) for row in rows[2:]]
-
-
-@pytest.mark.parametrize(("section", "fields", "offset"), [("Header", HEADER, PREFIX_BYTES), ("Group list", GROUP, 0)])
-def test_field_tables(section: str, fields: tuple[Field, ...], offset: int) -> None:
-    rows = table(section)
-    assert [row["field"] for row in rows] == [field.name for field in fields]
-    for row, field in zip(rows, fields, strict=True):
-        assert int(row["offset"]) == offset
-        assert int(row["size"]) == field.bytes
-        assert row["range"] == f"{field.low}..{field.high}"
-        offset += field.bytes
 
 
 def test_what_every_version_begins_with() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
-from sgmethod.bitstream import container, v3
-from sgmethod.bitstream.stream import PREFIX_BYTES
-from sgmethod.bitstream.v3 import HEADER, StreamV3
-from sgmethod.native import native
+from sgmethod.bitstream import container
+from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.scene import Gaussians
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View
 from tests.bitstream import plain_decoder_v3 as plain_decoder_rd
@@ -46,22 +43,9 @@ def assert_same_pixels(plain: tuple[int, int, bytes], pixels: np.ndarray) -> Non
     assert np.mean(difference > 0) < MAX_SHARE
 
 
-def test_header_table() -> None:
-    fields = table("Header of version 3")
-    assert [row["field"] for row in fields] == ["flags", "width", "height", "quantum", "background"]
-    at = PREFIX_BYTES
-    for row, size in zip(fields, (struct.calcsize(f) for f in (">B", ">H", ">H", ">H", ">3B")), strict=True):
-        assert (int(row["offset"]), int(row["size"])) == (at, size)
-        at += size
-    assert at == v3.HEADER_BYTES
-    assert HEADER.format == ">BHHH3B"
-    flags = fields[0]
-    assert flags["range"] == f"0..{v3.FLAG_GREY | v3.FLAG_UPRIGHT}"
-    assert f"{v3.FLAG_GREY}: grey" in flags["meaning"]
-    assert f"{v3.FLAG_UPRIGHT}: upright" in flags["meaning"]
-    assert [row["range"] for row in fields[1:3]] == [f"1..{native.MAX_SIDE}"] * 2
+def test_the_version_in_the_text() -> None:
     assert f"# Version {StreamV3.VERSION}\n" in TEXT
-    assert f"fewer than {v3.HEADER_BYTES} bytes" in TEXT
+    assert f"fewer than {StreamV3.MIN_BYTES} bytes" in TEXT
 
 
 def test_every_quantum_code() -> None:

@@ -10,8 +10,7 @@ import numpy as np
 from PIL import Image
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import StreamV3
-from sgmethod.scene import Gaussians
+from sgmethod.bitstream.v1 import Group, StreamV1
 from tests.harness.pictures import SMALL
 
 
@@ -43,8 +42,8 @@ def jpeg_of_many_markers(markers: int) -> bytes:
 
 def crowded_bitstream(gaussians: int = 400_000, side: int = 7000) -> bytes:
     """An .sg file of equal Gaussians that lie on each other, which take seconds to draw."""
-    shapes = np.tile(np.array([40, 0, 40], np.float32), (gaussians, 1))
-    means = np.full((gaussians, 2), side / 2, np.float32)
-    colors = np.full((gaussians, 3), 0.3, np.float32)
-    scene = Gaussians(means, shapes, colors)
-    return container.serialise(StreamV3.of(scene, (side, side), 0.5, (0, 0, 0), False))
+    places, shapes = np.zeros((gaussians, 2), np.uint16), np.zeros((gaussians, 3), np.uint16)
+    group = Group(1, places, shapes, np.zeros((gaussians, 2), np.uint8))
+    middle, shape = np.full((2, 2), side / 2, np.float32), np.array([[30], [0], [30]], np.float32).repeat(2, 1)
+    codebooks = np.full((2, 8, 3), 0.15, np.float16)
+    return container.serialise(StreamV1("paper", side, side, 1, middle, shape, codebooks, (group,)))

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from sgmethod.bitstream.v3 import MAX_QUANTUM, MIN_QUANTUM
+from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 

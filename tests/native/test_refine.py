@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sgmethod.bitstream import v3
+from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.fitting.picture import Target
 from sgmethod.native import native, reference
 from sgmethod.scene import FloatArray, Gaussians
@@ -155,7 +155,7 @@ def test_the_same_for_every_number_of_threads(size: tuple[int, int], n: int) -> 
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 1), (1, 40), (17, 65)])
-@pytest.mark.parametrize("quantum", [v3.MIN_QUANTUM, 0.2, v3.MAX_QUANTUM])
+@pytest.mark.parametrize("quantum", [MIN_QUANTUM, 0.2, MAX_QUANTUM])
 def test_odd_sizes_and_steps(size: tuple[int, int], quantum: float) -> None:
     values = scattered(size[0] * size[1] // 2 + 1, size)
     target = target_of(picture(values, size))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sgmethod import Budget, Encoded, decode, encode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v3 import HEADER_BYTES
+from sgmethod.bitstream.payload import HEADER_BYTES
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.budget import BudgetKind
 from sgmethod.fitting.recorder import Clock, Recorder

@@ -1,6 +1,7 @@
 #include "file/file.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 
@@ -11,10 +12,51 @@
 namespace sg {
 namespace {
 
-constexpr size_t kPrefixBytes = 8, kHeaderBytesV1 = 15, kHeaderBytesV3 = 18, kAlphaBytes = 7;
-constexpr size_t kTableBytes = 136, kGroupBytes = 4;
-constexpr int kMostBits = 16, kColorBits = 3, kCodebook = 48;  // of a code; of an entry; values of both codebooks
-constexpr double kMinQuantum = 1.0 / 1024, kMaxQuantum = 16.0;
+constexpr size_t kPrefixBytes = 8, kTableBytes = 136;
+constexpr int kColorBits = 3, kCodebook = 48;  // of an entry; values of both codebooks
+
+// Headers as sgmethod/bitstream/ has them: tests/native/decoder/test_fields.py compares.
+struct Field {
+  int bytes;
+  uint32_t low, high;  // of the value
+  uint32_t also = low;  // one value more
+};
+constexpr std::array kHeaderV1 = {
+    Field{1, 0, 1},      // profile
+    Field{2, 1, 65535},  // width
+    Field{2, 1, 65535},  // height
+    Field{1, 1, 16},     // position_bits
+    Field{1, 0, 16},     // groups
+};
+constexpr std::array kGroup = {
+    Field{1, 1, 16},        // bitwidth
+    Field{3, 1, 16777215},  // gaussians
+};
+constexpr auto header_of(uint32_t most_flags) {
+  return std::array{
+      Field{1, 0, most_flags},  // flags
+      Field{2, 1, 65535},       // width
+      Field{2, 1, 65535},       // height
+      Field{2, 256, 3839, 0},   // quantum
+      Field{1, 0, 255},         // red
+      Field{1, 0, 255},         // green
+      Field{1, 0, 255},         // blue
+  };
+}
+constexpr auto kHeaderV3 = header_of(3), kHeaderV4 = header_of(15);
+constexpr std::array kAlphaHeader = {
+    Field{2, 256, 3839, 0},   // quantum
+    Field{1, 0, 255},         // background
+    Field{4, 0, 4294967295},  // bytes
+};
+
+template <size_t N>
+constexpr size_t bytes_of(const std::array<Field, N>& fields) {
+  size_t bytes = 0;
+  for (const Field& field : fields) bytes += static_cast<size_t>(field.bytes);
+  return bytes;
+}
+constexpr size_t kGroupBytes = bytes_of(kGroup), kAlphaBytes = bytes_of(kAlphaHeader);
 
 void require(bool condition, const char* message) {
   if (!condition) refuse<std::runtime_error>(message);
@@ -24,6 +66,18 @@ uint32_t number(const uint8_t* p, int bytes) {
   uint32_t value = 0;
   for (int i = 0; i < bytes; ++i) value = value << 8 | p[i];
   return value;
+}
+
+// The values of a header's fields, which are all there.
+template <size_t N>
+std::array<uint32_t, N> values_of(const std::array<Field, N>& fields, const uint8_t* p) {
+  std::array<uint32_t, N> values;
+  for (size_t i = 0; i < N; p += fields[i++].bytes) {
+    const auto& [bytes, low, high, also] = fields[i];
+    const uint32_t value = values[i] = number(p, bytes);
+    require((low <= value && value <= high) || value == also, "a header field is out of range");
+  }
+  return values;
 }
 
 // CRC-32 of zlib, four bits at a time.
@@ -83,36 +137,32 @@ struct Range {
 int record_bits(int position_bits, int bitwidth) { return 2 * position_bits + 3 * bitwidth + 2 * kColorBits; }
 
 void read_v1(Header& h, const uint8_t* p) {
-  h.profile = p[8];
-  h.width = static_cast<int>(number(p + 9, 2));
-  h.height = static_cast<int>(number(p + 11, 2));
-  h.position_bits = p[13];
-  h.groups = p[14];
+  const auto [profile, width, height, position_bits, groups] = values_of(kHeaderV1, p);
+  h.profile = static_cast<int>(profile);
+  h.width = static_cast<int>(width);
+  h.height = static_cast<int>(height);
+  h.position_bits = static_cast<int>(position_bits);
+  h.groups = static_cast<int>(groups);
   h.cutoff = kCutoffV1;
-  require(h.profile <= 1 && h.position_bits >= 1 && h.position_bits <= kMostBits && h.groups <= kMostBits,
-          "a header field is out of range");
 }
 
-double quantum_of(int code) {
-  const double quantum = std::ldexp(1.0 + (code & 0xFF) / 256.0, 4 - (code >> 8));
-  require(quantum >= kMinQuantum && quantum <= kMaxQuantum, "a header field is out of range");
-  return quantum;
-}
+double quantum_of(uint32_t code) { return std::ldexp(1.0 + (code & 0xFF) / 256.0, 4 - static_cast<int>(code >> 8)); }
 
 void read_v3(Header& h, const uint8_t* p) {
-  const int flags = p[8], code = static_cast<int>(number(p + 13, 2));
+  const auto [flags, width, height, quantum, red, green, blue] = values_of(h.version == 3 ? kHeaderV3 : kHeaderV4, p);
   h.profile = 2;
-  h.width = static_cast<int>(number(p + 9, 2));
-  h.height = static_cast<int>(number(p + 11, 2));
-  h.quantum = quantum_of(code);
-  std::copy_n(p + 15, 3, h.background);
+  h.width = static_cast<int>(width);
+  h.height = static_cast<int>(height);
+  h.quantum = quantum_of(quantum);
+  h.background[0] = static_cast<uint8_t>(red);
+  h.background[1] = static_cast<uint8_t>(green);
+  h.background[2] = static_cast<uint8_t>(blue);
   h.grey = flags & 1;
   h.upright = flags & 2;
   h.cutoff = kCutoffV3;
   h.pyramid = h.version == 4;
   h.textured = flags & 4;
   h.with_alpha = flags & 8;
-  require(flags <= (h.version == 4 ? 15 : 3), "the header has flags that this version does not know");
 }
 
 // The groups of version 1, their records checked to be all there.
@@ -120,14 +170,13 @@ void check_v1(const Header& h, const uint8_t* p, size_t size) {
   const size_t lists = kTableBytes + kGroupBytes * static_cast<size_t>(h.groups);
   require(h.groups == 0 ? size == 0 : size >= lists, "the file's size is not what its header says");
   if (h.groups == 0) return;
-  uint64_t gaussians = 0, bits = 0;
+  uint64_t total = 0, bits = 0;
   for (const uint8_t* group = p + kTableBytes; group != p + lists; group += kGroupBytes) {
-    const uint64_t n = number(group + 1, 3);
-    require(group[0] >= 1 && group[0] <= kMostBits && n != 0, "a group of the file is out of range");
-    gaussians += n;
-    bits += n * static_cast<uint64_t>(record_bits(h.position_bits, group[0]));
+    const auto [bitwidth, gaussians] = values_of(kGroup, group);
+    total += gaussians;
+    bits += uint64_t{gaussians} * static_cast<uint64_t>(record_bits(h.position_bits, static_cast<int>(bitwidth)));
   }
-  require(gaussians <= static_cast<uint64_t>(h.width) * static_cast<uint64_t>(h.height), "more Gaussians than pixels");
+  require(total <= static_cast<uint64_t>(h.width) * static_cast<uint64_t>(h.height), "more Gaussians than pixels");
   require(size - lists == (bits + 7) / 8, "the file's size is not what its header says");
   require(bits % 8 == 0 || (p[size - 1] & 0xFF >> bits % 8) == 0, "the file's padding is not zero");
   for (int i = 0; i < 10; ++i)
@@ -142,18 +191,17 @@ File::File(const uint8_t* data, size_t size) {
   require(std::memcmp(data, "SGM", 3) == 0, "this is not an .sg file");
   const int version = data[3];
   require(version == 1 || version == 3 || version == 4, "this version of the format is not known to this decoder");
-  const size_t header_bytes = version == 1 ? kHeaderBytesV1 : kHeaderBytesV3;
-  require(size >= header_bytes, "the file is too short");
+  const size_t begin = kPrefixBytes + (version == 1 ? bytes_of(kHeaderV1) : bytes_of(kHeaderV4));
+  require(size >= begin, "the file is too short");
   header_.version = version;
   header_.checksum = number(data + 4, 4);
   require(checksum_of(data + kPrefixBytes, size - kPrefixBytes) == header_.checksum,
           "the file is damaged: its checksum does not match");
-  if (version == 1) read_v1(header_, data);
-  else read_v3(header_, data);
-  require(header_.width > 0 && header_.height > 0, "the picture has no pixels");
+  if (version == 1) read_v1(header_, data + kPrefixBytes);
+  else read_v3(header_, data + kPrefixBytes);
   require(int64_t{header_.width} * header_.height <= kMaxPixels, "the picture has too many pixels");
   const Header& h = header_;
-  picture_ = {data + header_bytes, size - header_bytes, h.quantum, h.grey, h.upright, {}};
+  picture_ = {data + begin, size - begin, h.quantum, h.grey, h.upright, {}};
   std::copy_n(h.background, 3, picture_.background);
   if (version == 1) check_v1(h, picture_.begin, picture_.size);
   if (h.textured) {
@@ -169,9 +217,10 @@ File::File(const uint8_t* data, size_t size) {
 void File::read_alpha() {
   const uint8_t* p = picture_.begin;
   require(picture_.size >= kAlphaBytes, "the file is damaged: its alpha is cut short");
-  const size_t bytes = number(p + 3, 4);
+  const auto [quantum, background, bytes] = values_of(kAlphaHeader, p);
   require(picture_.size - kAlphaBytes >= bytes, "the file is damaged: its alpha is cut short");
-  alpha_ = {p + kAlphaBytes, bytes, quantum_of(static_cast<int>(number(p, 2))), true, false, {p[2], p[2], p[2]}};
+  const auto level = static_cast<uint8_t>(background);
+  alpha_ = {p + kAlphaBytes, bytes, quantum_of(quantum), true, false, {level, level, level}};
   picture_.begin += kAlphaBytes + bytes;
   picture_.size -= kAlphaBytes + bytes;
 }
@@ -201,16 +250,18 @@ GaussianArrays File::gaussians_v1() const {
   for (int i = 0; i < kCodebook; ++i) entries[i] = half_of(picture_.begin + 40 + 2 * i);
   const uint8_t *group = picture_.begin + kTableBytes, *const end = group + kGroupBytes * static_cast<size_t>(header_.groups);
   Bits bits(end);
-  for (; group != end; group += kGroupBytes)
-    for (uint32_t n = number(group + 1, 3); n > 0; --n) {
+  for (; group != end; group += kGroupBytes) {
+    const auto [bitwidth, gaussians] = values_of(kGroup, group);
+    for (uint32_t n = 0; n < gaussians; ++n) {
       for (int i = 0; i < 5; ++i) {
-        const int width = i < 2 ? header_.position_bits : group[0];
+        const int width = i < 2 ? header_.position_bits : static_cast<int>(bitwidth);
         (i < 2 ? out.means : out.factors).push_back(ranges[i].value(bits.take(width), width));
       }
       const float* first = entries + 3 * bits.take(kColorBits);
       const float* second = entries + kCodebook / 2 + 3 * bits.take(kColorBits);
       for (int k = 0; k < 3; ++k) out.colors.push_back(first[k] + second[k]);
     }
+  }
   return out;
 }
 

@@ -3,12 +3,29 @@
 import { COLOUR, Coder, NONE, SHAPE } from "./coder.js";
 import { newModels } from "./models.js";
 
-const HEADER_BYTES = 18;
+const PREFIX_BYTES = 8; // magic, version, checksum
+// Headers as sgmethod/bitstream/ has them: name, bytes, least and largest value, one value more. A test compares.
+const HEADER = [
+  ["flags", 1, 0, 15],
+  ["width", 2, 1, 65535],
+  ["height", 2, 1, 65535],
+  ["quantum", 2, 256, 3839, 0],
+  ["red", 1, 0, 255],
+  ["green", 1, 0, 255],
+  ["blue", 1, 0, 255],
+];
+const ALPHA_HEADER = [
+  ["quantum", 2, 256, 3839, 0],
+  ["background", 1, 0, 255],
+  ["bytes", 4, 0, 4294967295],
+];
+const bytesOf = (fields) => fields.reduce((sum, [, bytes]) => sum + bytes, 0);
+const HEADER_BYTES = PREFIX_BYTES + bytesOf(HEADER);
+const ALPHA_BYTES = bytesOf(ALPHA_HEADER);
 const MOST = { colour: 2 ** 22, exponent: 18, uBits: 12, partBits: 16, rawBits: 24, v: 8, r: 4096 };
 const LEAST_COLOUR_STEP = 2 ** -16;
 const LEAST_WIDTH = Math.fround(0.3);
 const [GREY, UPRIGHT, TEXTURE, ALPHA] = [1, 2, 4, 8];
-const ALPHA_BYTES = 7;
 export const OCTAVES = 2;
 export const CELL = 64; // pixels along a side of a cell of texture
 const MOST_STRENGTH = 15;
@@ -37,23 +54,29 @@ function crc32(bytes) {
   return ~crc >>> 0;
 }
 
-function quantumOf(code) {
-  refuseUnless(code === 0 || (code >= 256 && code <= 3839), "its quantum is out of range");
-  return (1 + (code & 255) / 256) * 2 ** (4 - (code >> 8));
+const number = (bytes, at, size) => bytes.subarray(at, at + size).reduce((sum, byte) => 256 * sum + byte, 0);
+
+/** The values of a header's fields, which are all there. Throws SgError. */
+function readFields(fields, bytes, at) {
+  const values = {};
+  for (const [name, size, low, high, also] of fields) {
+    const value = (values[name] = number(bytes, at, size));
+    refuseUnless((value >= low && value <= high) || value === also, `its ${name} is out of range`);
+    at += size;
+  }
+  return values;
 }
 
-/** What the first 18 bytes say. Throws SgError. */
+const quantumOf = (code) => (1 + (code & 255) / 256) * 2 ** (4 - (code >> 8));
+
+/** What the header says. Throws SgError. */
 function readHeader(bytes) {
   if (!isSg(bytes)) throw new SgError("this is no .sg file");
   if (bytes[3] !== 4) throw new SgError(`version ${bytes[3]} of the file is not known here`, true);
   refuseUnless(bytes.length >= HEADER_BYTES, "it is too short");
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  refuseUnless(view.getUint32(4) === crc32(bytes.subarray(8)), "its checksum is wrong");
-  const flags = view.getUint8(8);
-  if (flags > 15) throw new SgError("the file has a part that is not known here", true);
-  const code = view.getUint16(13);
-  const [width, height] = [view.getUint16(9), view.getUint16(11)];
-  refuseUnless(width > 0 && height > 0, "it has no size");
+  refuseUnless(number(bytes, 4, 4) === crc32(bytes.subarray(PREFIX_BYTES)), "its checksum is wrong");
+  if (bytes[PREFIX_BYTES] > HEADER[0][3]) throw new SgError("the file has a part that is not known here", true);
+  const { flags, width, height, quantum, red, green, blue } = readFields(HEADER, bytes, PREFIX_BYTES);
   return {
     width,
     height,
@@ -61,8 +84,8 @@ function readHeader(bytes) {
     upright: Boolean(flags & UPRIGHT),
     textured: Boolean(flags & TEXTURE),
     hasAlpha: Boolean(flags & ALPHA),
-    quantum: quantumOf(code),
-    background: [view.getUint8(15), view.getUint8(16), view.getUint8(17)],
+    quantum: quantumOf(quantum),
+    background: [red, green, blue],
   };
 }
 
@@ -141,15 +164,14 @@ export function readFile(bytes) {
 
 /** Alpha: a grey picture of the same size, which can be drawn as a file can, and where it ends. */
 function readAlpha(bytes, start, { width, height }) {
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   const begin = start + ALPHA_BYTES;
   refuseUnless(begin <= bytes.length, "its alpha is cut short");
-  const end = begin + view.getUint32(start + 3);
+  const said = readFields(ALPHA_HEADER, bytes, start);
+  const end = begin + said.bytes;
   refuseUnless(end <= bytes.length, "its alpha is cut short");
-  const level = view.getUint8(start + 2);
-  const header = { width, height, grey: true, upright: false, quantum: quantumOf(view.getUint16(start)) };
+  const header = { width, height, grey: true, upright: false, quantum: quantumOf(said.quantum) };
   const read = readPayload(header, bytes.subarray(begin, end));
-  return { ...header, ...read, background: [level, level, level], texture: null, end };
+  return { ...header, ...read, background: Array(3).fill(said.background), texture: null, end };
 }
 
 function readPayload(header, payload) {
