@@ -12,8 +12,7 @@ from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 
-VERSIONS = (3, 4)
-U_BITS = {3: 8, 4: 12}  # by which a class is divided at most
+U_BITS = 12  # by which a class is divided at most
 CLASS_WIDTH = math.log(2) / 2
 BASIS = np.array([[3**-0.5] * 3, [2**-0.5, 0, -(2**-0.5)], [6**-0.5, -2 * 6**-0.5, 6**-0.5]])
 MIN_SCALE = np.float32(0.3)
@@ -72,8 +71,13 @@ def test_decoding_gives_what_rounding_gives(seed: int) -> None:
     values = scattered(int(rng.integers(0, 1500)), size, seed)
     if upright:
         values.factors[:, 1] = 0
-    for version in VERSIONS:
-        assert_round_trip(native.RdParameters(*size, 0.003 * 4.0 ** (seed % 5), grey, upright, version), values)
+    assert_round_trip(native.RdParameters(*size, 0.003 * 4.0 ** (seed % 5), grey, upright), values)
+
+
+def test_version_3_is_only_read() -> None:
+    for write in (encoded, quantised):
+        with pytest.raises(ValueError, match="only version 4 is written"):
+            write(native.RdParameters(40, 30, 0.05, version=3), scattered(3, (40, 30)))
 
 
 @pytest.mark.parametrize("n", range(12))
@@ -102,15 +106,14 @@ def hostile(size: tuple[int, int], n: int = 900) -> Gaussians:
         return gaussians(means, factors, colors)
 
 
-@pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("quantum", [MIN_QUANTUM, 0.1, MAX_QUANTUM])
 @pytest.mark.parametrize("size", [(1, 1), (30, 30), (1, 65535), (65535, 65535)])
-def test_extreme_values(size: tuple[int, int], quantum: float, version: int) -> None:
+def test_extreme_values(size: tuple[int, int], quantum: float) -> None:
     """Everything finite with positive scales is coded, and lands in or near the picture."""
     values = hostile(size)
     if size == (1, 1):
         values = Gaussians(*(a[:1] for a in (values.means, values.factors, values.colors)))
-    parameters = native.RdParameters(*size, quantum, version=version)
+    parameters = native.RdParameters(*size, quantum)
     found = assert_round_trip(parameters, values)
     assert (found.means > -3 * 2**14).all()
     assert (found.means < np.array(size) + 4 * 2**14).all()
@@ -134,13 +137,13 @@ def test_what_rounds_to_no_colour_is_left_out() -> None:
     assert len(assert_round_trip(native.RdParameters(100, 100, 16.0), values)) < 30
 
 
-@pytest.mark.parametrize(("version", "quantum"), [(3, 0.02), (4, 0.02), (4, 0.002)])
-def test_errors_stay_within_the_steps(version: int, quantum: float) -> None:
+@pytest.mark.parametrize("quantum", [0.02, 0.002])
+def test_errors_stay_within_the_steps(quantum: float) -> None:
     """Half a step of each parameter, from the formulas in docs/format.md."""
     size = (300, 200)
     values = scattered(2000, size)
     values.means[:] = np.random.default_rng(1).uniform(0, 1, (2000, 2)) * size
-    rounded = quantised(native.RdParameters(*size, quantum, version=version), values)
+    rounded = quantised(native.RdParameters(*size, quantum), values)
     kept = rounded.colors.any(1) & (values.factors[:, [0, 2]] > 1).all(1)  # no scale at its minimum
     assert kept.sum() > 800
     before, after = (
@@ -161,13 +164,13 @@ def test_errors_stay_within_the_steps(version: int, quantum: float) -> None:
     (u0, v0, _), (u1, v1, r1) = frame(before[1]), frame(after[1])
     # The slope l2 / l1 is what is kept, in the scales that are decoded.
     r0 = before[1][:, 1] / before[1][:, 0] * after[1][:, 0] / after[1][:, 2]
-    assert (np.abs(u1 - u0) <= slack * 0.5 * CLASS_WIDTH / 2 ** np.clip(h - 1, 0, U_BITS[version])).all()
+    assert (np.abs(u1 - u0) <= slack * 0.5 * CLASS_WIDTH / 2 ** np.clip(h - 1, 0, U_BITS)).all()
     assert (np.abs(v1 - v0) <= slack * 0.5 * 2**-h + 1e-6).all()
     assert (np.abs(r1 - r0) <= slack * 2**-h + 1e-6).all()
     l1, _, l3 = after[1].T
-    # Version 4 counts the parts of a cell by logarithms in sixteenths. So they may be a little wider than a step:
-    # 1.08 times is the worst seen.
-    step = math.sqrt(2) / m * (1.13 if version == 4 else 1)
+    # The parts of a cell are counted by logarithms in sixteenths. So they may be a little wider than a step: 1.08 times
+    # is the worst seen.
+    step = math.sqrt(2) / m * 1.13
     moved = np.abs(after[0] - before[0])
     assert (moved[:, 0] <= slack * 0.5 * step * l1 / np.sqrt(1 + r1**2) + 1e-5).all()
     assert (moved[:, 1] <= slack * 0.5 * step * l3 + 1e-5).all()
@@ -297,10 +300,8 @@ def test_a_needle_keeps_its_shape_in_a_fine_file() -> None:
     """In version 3 its slope went from 1 to 0.16."""
     factor, color = CORNERS["needle"]
     needle = gaussians([[150, 100]], [factor], [color])
-    old, new = (quantised(native.RdParameters(300, 200, MIN_QUANTUM, version=v), needle).factors[0] for v in VERSIONS)
-    assert new == pytest.approx(factor, rel=2e-4)  # worst seen 9.5e-5: half a step of u
-    assert old[1] / old[0] < 0.2
-    assert clipped(native.RdParameters(300, 200, MIN_QUANTUM, version=3), needle) == 1
+    found = quantised(native.RdParameters(300, 200, MIN_QUANTUM), needle).factors[0]
+    assert found == pytest.approx(factor, rel=2e-4)  # worst seen 9.5e-5: half a step of u
 
 
 BEYOND = {

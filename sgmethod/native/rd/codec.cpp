@@ -54,6 +54,7 @@ uint64_t most_in(const RdParameters& p, size_t bytes) {
 template <typename Visit>
 void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
                         const Visit& visit) {
+  if (p.version != 4) refuse<std::invalid_argument>("only version 4 is written");
   parallel_each(n, kQuantiseChunk, [&](int64_t i) {
     Symbols s{};
     int moved = 0;
@@ -62,31 +63,16 @@ void for_each_quantised(const RdParameters& p, const float* means, const float* 
   });
 }
 
-// Version 3 as decoded() and encoded() need it.
+// Version 3 as decode_payload() needs it: it is read and not written.
 struct Version3 {
-  using Encoder = EncoderV3;
   using Decoder = DecoderV3;
   using Models = ModelsV3;
 
-  template <typename Coder>
-  static uint32_t class_number(Coder& coder, uint32_t value) {
-    return coder.raw(value, kClassBits);
-  }
-  template <typename Coder>
-  static uint32_t count(Coder& coder, Models& models, uint32_t value) {
-    return code_number_v3(coder, models.count, value);
-  }
-  static void encode(Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
-    const int raw_bits = raw_distance_bits(p, size_class, static_cast<uint32_t>(end - s));
-    for (uint32_t previous = 0; s < end; ++s) {
-      previous = models.cell(coder, raw_bits, previous, s->cell);
-      models.gaussian(coder, p, *s);
-    }
-  }
+  static uint32_t class_number(Decoder& coder, uint32_t) { return coder.raw(kClassBits); }
+  static uint32_t count(Decoder& coder, Models& models, uint32_t) { return number_v3(coder, models.count); }
 };
 
 struct Version4 {
-  using Encoder = sg::Encoder;
   using Decoder = sg::Decoder;
   using Models = sg::Models;
 
@@ -99,7 +85,7 @@ struct Version4 {
   static uint32_t count(Coder& coder, Models& models, uint32_t value) {
     return code_whole(coder, kColorLane, models.count, value);
   }
-  static void encode(Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
+  static void encode(sg::Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
     if (s == end) return;
     const SizeClass c = class_of(p, size_class, static_cast<uint32_t>(end - s));
     ColorSize size;
@@ -289,19 +275,18 @@ void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool p
 
 auto decode_into(const RdParameters& p) { return p.version == 3 ? decode_into<Version3> : decode_into<Version4>; }
 
-template <typename Version>
-std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, typename Version::Models& models) {
-  typename Version::Encoder coder;
+std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
+  Encoder coder;
   const int first = all.front().size_class, last = all.back().size_class;
-  Version::class_number(coder, static_cast<uint32_t>(kMaxClass - first));
-  Version::class_number(coder, static_cast<uint32_t>(first - last));
+  Version4::class_number(coder, static_cast<uint32_t>(kMaxClass - first));
+  Version4::class_number(coder, static_cast<uint32_t>(first - last));
   Symbols* at = all.data();
   Symbols* const behind = at + all.size();
   for (int c = first; c >= last; --c) {
     Symbols* end = at;
     while (end < behind && end->size_class == c) ++end;
-    Version::count(coder, models, static_cast<uint32_t>(end - at));
-    Version::encode(coder, models, p, c, at, end);
+    Version4::count(coder, models, static_cast<uint32_t>(end - at));
+    Version4::encode(coder, models, p, c, at, end);
     at = end;
   }
   return coder.finish();
@@ -347,13 +332,7 @@ std::vector<uint8_t> encode_symbols(const RdParameters& p, std::vector<Symbols>&
   std::stable_sort(all.begin(), all.end(), [](const Symbols& a, const Symbols& b) {
     return a.size_class != b.size_class ? a.size_class > b.size_class : a.cell < b.cell;
   });
-  std::vector<uint8_t> bytes;
-  if (p.version == 3) {
-    ModelsV3 old;
-    bytes = encoded<Version3>(p, all, old);
-  } else {
-    bytes = encoded<Version4>(p, all, models);
-  }
+  std::vector<uint8_t> bytes = encoded(p, all, models);
   // Thousands of equal Gaussians take less than a bit each, and may be more than the payload may hold. Zeros behind the
   // last of them mean nothing.
   while (all.size() > most_in(p, bytes.size())) bytes.push_back(0);

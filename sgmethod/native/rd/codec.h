@@ -1,4 +1,5 @@
 // Profile rd: Gaussians <-> bytes. The model of the stream is written once, for both directions (codec.cpp, models.h).
+// Version 3 is only read: rd_quantise() and rd_encode() throw std::invalid_argument for it.
 #pragma once
 
 #include <cstddef>

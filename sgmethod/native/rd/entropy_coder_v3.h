@@ -1,4 +1,4 @@
-// Version 3: adaptive models of 16 symbols, and rANS over them (J. Duda, "Asymmetric numeral systems", 2013; state and
+// Version 3, which is only read: adaptive models of 16 symbols, and rANS over them (J. Duda, "Asymmetric numeral systems", 2013; state and
 // words as in F. Giesen's public-domain rans_word_sse41). Integers only, so that every machine decodes the same. Decoding a
 // symbol has no division and no branch that depends on the data.
 #pragma once
@@ -7,7 +7,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <vector>
 
 #include "rd/entropy_coder.h"
 
@@ -68,52 +67,6 @@ class alignas(16) ModelV3 {
   int seen_ = 0;
 };
 
-// Records what is to be coded; rANS codes backwards, so the bytes come at the end.
-class EncoderV3 {
- public:
-  int symbol(ModelV3& model, int symbol) {
-    const uint32_t low = model.edge(symbol);
-    steps_.push_back({low, model.edge(symbol + 1) - low, 0});
-    model.update(symbol);
-    return symbol;
-  }
-
-  // `count` bits, at most 16, of equal probability.
-  uint32_t raw(uint32_t value, int count) {
-    steps_.push_back({value, 0, count});
-    return value;
-  }
-
-  std::vector<uint8_t> finish() const {
-    std::vector<uint8_t> reversed;
-    const auto put = [&](uint32_t word) {
-      reversed.push_back(static_cast<uint8_t>(word));
-      reversed.push_back(static_cast<uint8_t>(word >> 8));
-    };
-    uint32_t state = kStateLow;
-    for (auto step = steps_.rbegin(); step != steps_.rend(); ++step) {
-      const uint64_t room = step->share ? static_cast<uint64_t>(step->share) << (32 - kProbabilityBits)
-                                        : uint64_t{1} << (32 - step->bits);
-      if (state >= room) {
-        put(state & 0xFFFF);
-        state >>= 16;
-      }
-      state = step->share ? (state / step->share << kProbabilityBits) + state % step->share + step->low
-                          : state << step->bits | step->low;
-    }
-    put(state & 0xFFFF);
-    put(state >> 16);
-    return {reversed.rbegin(), reversed.rend()};
-  }
-
- private:
-  struct Step {
-    uint32_t low, share;  // of a symbol; share 0: raw bits
-    int bits;
-  };
-  std::vector<Step> steps_;
-};
-
 // Does not look for the end of the data, which kSlack zeros must follow. Whoever decodes compares read() with the size
 // before these are used up.
 class DecoderV3 {
@@ -125,7 +78,7 @@ class DecoderV3 {
     for (size_t i = 0; i < kStateBytes; ++i) state_ = state_ << 8 | data[i];
   }
 
-  int symbol(ModelV3& model, int = 0) {
+  int symbol(ModelV3& model) {
     const uint32_t place = state_ & (kProbabilityOne - 1);
     const int symbol = model.find(place);
     const uint32_t low = model.edge(symbol);
@@ -135,7 +88,8 @@ class DecoderV3 {
     return symbol;
   }
 
-  uint32_t raw(uint32_t, int count) {
+  // `count` bits, at most 16, of equal probability.
+  uint32_t raw(int count) {
     const uint32_t value = state_ & ((1u << count) - 1);
     state_ >>= count;
     refill();

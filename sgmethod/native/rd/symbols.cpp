@@ -138,13 +138,12 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   const Steps steps(p, s);
   const double levels = static_cast<double>(1u << steps.u_bits());
   s.u = static_cast<uint32_t>(std::clamp(std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels), 0.0, levels - 1));
-  const auto most = [&](double value, double of_step) { return std::min(std::floor(value / of_step), limits.shape_steps); };
-  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), most(limits.v, steps.v()));
+  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::floor(limits.v / steps.v()));
   // r is chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded. If r = l2 / l3 were rounded instead,
   // the rounding error of v would turn a slanted needle, and count 1 + r^2 times.
   s.r = 0;
   const Geometry flat(s, steps);
-  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), most(limits.r, steps.r()));
+  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), std::floor(limits.r / steps.r()));
   const Geometry g(s, steps);
   const int cell = cell_bits(s.size_class);
   const auto place = [&](double position, int side, int refine, uint32_t& part) {
