@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 import os
+import stat
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:
     """Write data to path, which then holds all of it or, after any failure, what it held before.
 
-    The bytes go to a new file and to the disk, and only then take the target's name. The new file lies beside the
-    target, or in the folder `unfinished` of the same file system, where a power cut may leave it to be swept up. A
-    link is followed; a device or pipe is written directly. Raises OSError, having removed the new file; only if the
-    disk fails to take the new name at the very end, the target holds the data all the same.
+    The bytes go to a new file and to the disk, and only then take the target's name, with the permissions and, if we
+    may, the owner of the file that they replace. The new file lies beside the target, or in the folder `unfinished` of
+    the same file system, where a power cut may leave it to be swept up. A link is followed; a device or pipe is written
+    directly. Raises OSError, having removed the new file; only if the disk fails to take the new name at the very end,
+    the target holds the data all the same.
     """
-    target = Path(os.path.realpath(path))  # Path.resolve raises RuntimeError on a loop of links
-    if target.exists() and not target.is_file():
-        target.write_bytes(data)
+    # Before links are resolved: /dev/stdout and >(...) are links to pipes that have no path.
+    if Path(path).exists() and not Path(path).is_file():
+        Path(path).write_bytes(data)
         return
+    target = Path(os.path.realpath(path))  # Path.resolve raises RuntimeError on a loop of links
     if unfinished is None:
         temporary = target.with_name(f".{target.name[:40]}.{os.urandom(8).hex()}.tmp")
     else:
         temporary = unfinished / os.urandom(16).hex()
+    before = target.stat() if target.exists() else None
+    mode = 0o666 if before is None else stat.S_IMODE(before.st_mode)
     try:
-        with temporary.open("xb") as file:
+        # Nobody may read the new file who may not read the old one, not even while it is empty.
+        with open(temporary, "xb", opener=partial(os.open, mode=mode)) as file:
+            if before is not None:
+                _take_over(temporary, before)
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
@@ -32,6 +42,14 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(target.parent)
+
+
+def _take_over(file: Path, before: os.stat_result) -> None:
+    """Owner and permissions of the file that it replaces, as far as the system and its disk have them."""
+    with suppress(PermissionError, AttributeError):  # Windows has no owners
+        os.chown(file, before.st_uid, before.st_gid)
+    with suppress(PermissionError):
+        file.chmod(stat.S_IMODE(before.st_mode))
 
 
 def sync_folder(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import zlib
 from pathlib import Path
 
@@ -43,6 +44,55 @@ def test_write_atomically(tmp_path: Path) -> None:
     write_atomically(os.devnull, b"gone")
     assert not Path(os.devnull).is_file()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["link.png", "out.png"]
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o644, 0o400, 0o660])
+def test_a_file_that_is_replaced_keeps_its_mode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int) -> None:
+    """And nobody else may read the new one before it has the name."""
+    target, real, seen = tmp_path / "out.sg", os.open, []
+
+    def spy(path: str, flags: int, *more: int, **named: int) -> int:
+        descriptor = real(path, flags, *more, **named)
+        seen.append(stat.S_IMODE(os.fstat(descriptor).st_mode))
+        return descriptor
+
+    target.write_bytes(b"before")
+    target.chmod(mode)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", spy)
+        write_atomically(target, b"after")
+    assert seen[0] & ~mode == 0
+    assert target.read_bytes() == b"after"
+    assert stat.S_IMODE(target.stat().st_mode) == mode
+
+
+def test_a_new_file_has_the_mode_that_the_process_gives(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_atomically(tmp_path / "out.sg", b"new")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "out.sg").stat().st_mode) == 0o640
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_a_file_that_is_replaced_keeps_its_owner(tmp_path: Path) -> None:
+    target = tmp_path / "out.sg"
+    target.write_bytes(b"before")
+    os.chown(target, 12345, 54321)
+    target.chmod(0o640)
+    write_atomically(target, b"after")
+    found = target.stat()
+    assert (found.st_uid, found.st_gid, stat.S_IMODE(found.st_mode)) == (12345, 54321, 0o640)
+
+
+@pytest.mark.skipif(not Path("/dev/fd").exists(), reason="pipes have no names here")
+def test_a_pipe_is_written_by_its_name() -> None:
+    reader, writer = os.pipe()
+    write_atomically(f"/dev/fd/{writer}", b"through")
+    os.close(writer)
+    with os.fdopen(reader, "rb") as pipe:
+        assert pipe.read() == b"through"
 
 
 def test_a_failed_write_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
