@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from numbers import Real
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -31,11 +32,14 @@ from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, PROFILES, RdSetti
 from sgmethod.rd import encode as rd
 from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
+SEEN_DB = 0.005  # a smaller miss is none in two decimals
+
 
 @dataclass(frozen=True)
 class Stats:
     """What an encode came to. psnr and ms_ssim are of the decoded file; ms_ssim is None for small pictures. With alpha
-    they are of the picture on black and on white, both together."""
+    they are of the picture on black and on white, both together. source_bytes: of the image file, None where the image
+    was none; psnr_missed_db: how far below the PSNR asked for the file is, None where none was asked for."""
 
     bytes: int
     bpp: float
@@ -49,10 +53,26 @@ class Stats:
     profile: str
     tune: str
     effort: int
+    source_bytes: int | None = None
+    psnr_missed_db: float | None = None
+
+    @property
+    def warnings(self) -> list[str]:
+        """What the caller may not expect of the file, in a sentence each."""
+        found = []
+        if self.psnr_missed_db is not None and self.psnr_missed_db >= SEEN_DB:
+            missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
+            found.append(f"the PSNR asked for is missed by {missed}")
+        if self.psnr_missed_db is None and self.gaussians == 0 and math.isfinite(self.psnr):
+            found.append("the file holds no Gaussian, only a background: it may take a larger budget")
+        if self.source_bytes is not None and self.bytes > self.source_bytes:
+            found.append(f"the file is larger than its source: {self.bytes:,} bytes in place of {self.source_bytes:,}")
+        return found
 
     def to_dict(self) -> dict[str, object]:
-        """Plain JSON types; a lossless result has psnr None."""
-        return {**asdict(self), "psnr": self.psnr if math.isfinite(self.psnr) else None}
+        """Plain JSON types, warnings included; a lossless result has psnr None."""
+        psnr = self.psnr if math.isfinite(self.psnr) else None
+        return {**asdict(self), "psnr": psnr, "warnings": self.warnings}
 
 
 @dataclass(frozen=True)
@@ -127,6 +147,7 @@ def encode(
     effort = checked_effort(effort)
     settings = with_effort(PROFILES[profile], effort)
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
+    source_bytes = _file_bytes(image)
     alpha = np.ascontiguousarray(pixels[..., 3]) if pixels.shape[2] == 4 else None
     colours = np.ascontiguousarray(pixels[..., :3])
     request = Request(colours, budget, profile, tuned_for, effort, seed, recorder, alpha)
@@ -135,7 +156,15 @@ def encode(
             data, steps = rd.encode(request, replace(settings, tune=tuned_for))
         else:
             data, steps = paper.encode(request, settings)
-    return _measured(request, pixels, data, steps)
+    encoded = _measured(request, pixels, data, steps)
+    return replace(encoded, stats=replace(encoded.stats, source_bytes=source_bytes))
+
+
+def _file_bytes(image: Input) -> int | None:
+    """The size of the image file, if it is one."""
+    if isinstance(image, str | os.PathLike):
+        return Path(image).stat().st_size or None  # a pipe has none
+    return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
 
 
 def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
@@ -193,6 +222,7 @@ def _measured(request: Request, pixels: NDArray[np.uint8], data: bytes, steps: i
         profile=request.profile,
         tune=request.tune,
         effort=request.effort,
+        psnr_missed_db=max(request.budget.value - db, 0.0) if request.budget.kind == "psnr" else None,
     )
     return Encoded(data, stats, request.recorder.points)
 

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from typing import ClassVar
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from sgmethod import Budget, BudgetError, Encoded, ImageError, TracePoint, codec, decode, encode, info
+from sgmethod import Budget, BudgetError, Encoded, ImageError, Stats, TracePoint, codec, decode, encode, info
 from sgmethod.budget import BudgetKind
 from sgmethod.fitting.recorder import Clock
 from sgmethod.metrics import ms_ssim, psnr
@@ -228,6 +229,42 @@ def test_black_is_black() -> None:
     assert not decode(encoded.data).any()
     assert encoded.stats.psnr == math.inf
     assert json.loads(json.dumps(encoded.stats.to_dict(), allow_nan=False))["psnr"] is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"source_bytes": 1000}, []),
+        ({"source_bytes": 999}, ["the file is larger than its source: 1,000 bytes in place of 999"]),
+        ({"psnr_missed_db": 0.004}, []),
+        ({"psnr_missed_db": 18.77}, ["the PSNR asked for is missed by 18.77 dB: the file has 31.23 dB"]),
+        ({"gaussians": 0}, ["the file holds no Gaussian, only a background: it may take a larger budget"]),
+        ({"gaussians": 0, "psnr_missed_db": 0.0}, []),  # which is what was asked for
+        ({"gaussians": 0, "psnr": math.inf}, []),  # a picture of one colour
+    ],
+)
+def test_what_may_not_be_expected_of_a_file_is_said(changes: dict[str, Any], said: list[str]) -> None:
+    stats = replace(Stats(1000, 0.5, 31.234, None, 9, 60, 1.0, 128, 96, "rd", "psnr", 5), **changes)
+    assert stats.warnings == said
+    figures = stats.to_dict()
+    assert json.loads(json.dumps(figures, allow_nan=False)) == figures
+    assert figures["warnings"] == said
+
+
+def test_the_figures_know_the_source_and_the_miss(tmp_path: Path) -> None:
+    path, levels = tmp_path / "photo.png", source(photo())
+    Image.fromarray(levels).save(path)
+    data = path.read_bytes()
+    for image, size in ((path, len(data)), (str(path), len(data)), (bytearray(data), len(data)), (levels, None)):
+        assert encode(image, bytes=400).stats.source_bytes == size
+    missed = encode(levels, psnr=60, time_limit_s=0.05).stats
+    assert missed.psnr_missed_db == pytest.approx(60 - missed.psnr)
+    assert missed.warnings[0].startswith("the PSNR asked for is missed by")
+    met = encode(levels, psnr=20).stats
+    assert (met.psnr_missed_db, met.warnings) == (0.0, [])
+    assert [text.partition(",")[0] for text in encode(levels, bytes=20).stats.warnings] == [
+        "the file holds no Gaussian"
+    ]
 
 
 def test_ms_ssim_is_that_of_the_file_where_it_is_defined() -> None:

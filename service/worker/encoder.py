@@ -118,13 +118,12 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     from sgmethod.budget import Budget
     from sgmethod.codec import encode
     from sgmethod.errors import ImageWarning, SgError
-    from sgmethod.io.image import read_image_8_bit
 
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ImageWarning)
             encoded = encode(
-                read_image_8_bit(source, keep_alpha=True),
+                source,
                 Budget(request.budget_kind, request.budget_value),
                 request.profile,
                 tune=request.tune,

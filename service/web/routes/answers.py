@@ -113,7 +113,10 @@ class JobSummary(AcceptedView):
     finished_at: datetime | None
     expires_at: datetime | None = Field(description="when all that is kept of it is removed, once finished")
     image_expires_at: datetime | None = Field(description="until when its image can be encoded again, once finished")
-    result: dict[str, Figure] | None = Field(description="the codec's figures, once done")
+    result: dict[str, Figure | list[str]] | None = Field(
+        description="the codec's figures, once done; warnings: a missed target, a file larger than the image's, "
+        "a file without a Gaussian, in a sentence each"
+    )
     notes: list[str] = Field(description="what is left out of the image, once done")
     error: ErrorView | None = Field(description="once failed")
 

@@ -22,7 +22,7 @@ POLL_S = 0.05  # how soon it ends when it is to end early
 
 
 def encode(
-    pixels: Any,
+    image: bytes,
     _budget: Any,
     profile: str,
     *,
@@ -36,9 +36,11 @@ def encode(
 
     from sgmethod.bitstream import container
     from sgmethod.bitstream.v4 import StreamV4
+    from sgmethod.io.image import read_image_8_bit
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
 
+    pixels = read_image_8_bit(image, keep_alpha=True)
     for step in range(STEPS + 1):
         seconds = time_limit_s * step / STEPS
         on_progress(TracePoint(seconds, step, STEPS, 20.0 + step, 0, 1, "joint"))
