@@ -1,32 +1,35 @@
 """A client of the service: the same encode, on another machine.
 
     with Client("http://127.0.0.1:8000") as client:
-        encoded = client.encode(Path("photo.jpg").read_bytes(), Budget("bpp", 0.3))
+        encoded = client.encode("photo.jpg", Budget("bpp", 0.3))
 
-Needs httpx (pip install 'sgmethod[client]'). Whatever goes wrong is a ServerError with one clear sentence.
+Needs httpx (pip install 'sgmethod[client]'). Whatever goes wrong is a ServerError with one clear sentence, but for a
+path that cannot be read, which is an OSError.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import secrets
-import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
 import httpx
 
 from sgmethod.budget import DEFAULT_BUDGET, Budget
-from sgmethod.client.connection import PAUSE_S, Connection, Json, RefusedError
+from sgmethod.client.connection import Connection, Json, RefusedError, Say, log
 from sgmethod.errors import ServerError
 from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE
 from sgmethod.trace import Progress, TracePoint
 
 Priority = Literal["interactive", "bulk"]
 JobState = Literal["queued", "running", "done", "failed"]
+File = str | os.PathLike[str] | bytes
 WAIT_S = 50  # of one request: less than what proxies, and this client, take for a connection that has died
 
 
@@ -42,10 +45,13 @@ class RemoteEncoded:
 
 
 class Client:
-    """One service. patience_s: how long to go on trying while it is busy or out of reach, in seconds."""
+    """One service. patience_s: how long to go on trying while it is busy or, once it has answered, out of reach, in
+    seconds; on_retry: is told each time, in a sentence, and logs a warning unless you give another."""
 
-    def __init__(self, server: str, api_key: str | None = None, *, patience_s: float = 60.0) -> None:
-        self._connection = Connection(server, api_key, patience_s)
+    def __init__(
+        self, server: str, api_key: str | None = None, *, patience_s: float = 60.0, on_retry: Say = log.warning
+    ) -> None:
+        self._connection = Connection(server, api_key, patience_s, on_retry)
 
     def __enter__(self) -> Client:
         return self
@@ -61,7 +67,7 @@ class Client:
 
     def encode(
         self,
-        image: bytes,
+        image: File,
         budget: Budget = DEFAULT_BUDGET,
         profile: str = DEFAULT_PROFILE,
         *,
@@ -72,19 +78,20 @@ class Client:
         on_progress: Progress | None = None,
     ) -> RemoteEncoded:
         """The bitstream of an image file, with its figures and its trace; its job is removed, whatever happens.
+        image: the path of the file, or its bytes.
 
         Without on_progress one request brings the bitstream, if the server has it soon enough. Whoever interrupts that
         request leaves the job behind.
         """
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         try:
-            answer = self._submit("/encode", query, image, wait_s=WAIT_S if on_progress is None else 0)
+            answer = self._submit("/encode", query, _bytes_of(image), wait_s=WAIT_S if on_progress is None else 0)
         except RefusedError as refusal:
             if "id" not in refusal.problem:
                 raise
             self._remove_if_there(refusal.problem["id"])
             raise ServerError(refusal.problem["detail"]) from None
-        job_id = answer.headers["Location"].rpartition("/")[2]
+        job_id = _id_of(answer)
         try:
             if answer.status_code == httpx.codes.OK:
                 data, job = answer.content, self.job(job_id)
@@ -98,7 +105,7 @@ class Client:
 
     def submit(
         self,
-        image: bytes,
+        image: File,
         budget: Budget = DEFAULT_BUDGET,
         profile: str = DEFAULT_PROFILE,
         *,
@@ -107,9 +114,10 @@ class Client:
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
     ) -> str:
-        """The id of a new job. Tried again where that helps; the image is never accepted twice."""
+        """The id of a new job. image: the path of the file, or its bytes. Tried again where that helps; the image is
+        never accepted twice."""
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
-        return str(self._submit("/encode", query, image).json()["id"])
+        return _id_of(self._submit("/encode", query, _bytes_of(image)))
 
     def submit_again(
         self,
@@ -126,7 +134,7 @@ class Client:
         server keeps it no longer.
         """
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
-        return str(self._submit(f"/jobs/{job_id}/encode", query).json()["id"])
+        return _id_of(self._submit(f"/jobs/{job_id}/encode", query))
 
     def _submit(self, path: str, query: Json, image: bytes = b"", wait_s: int = 0) -> httpx.Response:
         headers = {"Content-Type": "image/*", "Idempotency-Key": secrets.token_hex(16)}
@@ -136,24 +144,24 @@ class Client:
 
     def job(self, job_id: str) -> Json:
         """State, progress, trace, result and error of a job."""
-        job: Json = self._connection.ask("GET", f"/jobs/{job_id}").json()
-        return job
+        return self._connection.ask_json("GET", f"/jobs/{job_id}")
 
     def jobs(self, state: JobState | None = None) -> Iterator[Json]:
         """All jobs that this client may see, or those in one state, newest first, without their traces."""
         path: str | None = "/jobs?limit=200" + ("" if state is None else f"&state={state}")
         while path is not None:
-            page: Json = self._connection.ask("GET", path).json()
+            page: Json = self._connection.ask_json("GET", path)
             yield from page["jobs"]
             path = page["next"]
 
     def wait(self, job_id: str, on_progress: Progress | None = None) -> Json:
         """The job once it is done, with its trace. Raises ServerError if it fails or is removed."""
-        deadline = time.monotonic() + self._connection.patience_s
+        patience = self._connection.patience()
         while True:
+            why, least_s = ServerError("the stream of the job's events has ended"), 0.0
             try:
                 for name, data in self._connection.events(job_id):
-                    deadline = time.monotonic() + self._connection.patience_s
+                    patience.renew()
                     if name == "trace" and on_progress is not None:
                         for point in data["trace"]:
                             on_progress(_point(point))
@@ -164,9 +172,12 @@ class Client:
                     if name == "removed":
                         raise ServerError("the job was removed before it was done")
             except httpx.TransportError as error:
-                if time.monotonic() > deadline:
-                    raise self._connection.out_of_reach(error) from error
-            time.sleep(PAUSE_S)  # the stream broke, or the service restarts
+                why = self._connection.out_of_reach(error)
+            except RefusedError as refusal:
+                if refusal.again_s is None:
+                    raise
+                why, least_s = refusal, refusal.again_s
+            patience.pause(why, least_s)
 
     def bitstream(self, job_id: str) -> bytes:
         """The .sg file of a job that is done."""
@@ -183,14 +194,13 @@ class Client:
         """End the fit of a running job early: it is done soon, with what is there. Raises ServerError if it waits."""
         self._connection.ask("POST", f"/jobs/{job_id}/stop")
 
-    def decode(self, bitstream: bytes, kind: str = "png", **view: float | str) -> bytes:
-        """A picture of an .sg file, which the server does not keep; otherwise as `picture`."""
-        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=bitstream).content
+    def decode(self, bitstream: File, kind: str = "png", **view: float | str) -> bytes:
+        """A picture of an .sg file (path or bytes), which the server does not keep; otherwise as `picture`."""
+        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=_bytes_of(bitstream)).content
 
     def links(self, job_id: str, expires_s: int = 3600) -> Json:
         """URLs of picture and bitstream, on this server, that need no key for so many seconds."""
-        links: Json = self._connection.ask("POST", f"/jobs/{job_id}/links", params={"expires_s": expires_s}).json()
-        return links
+        return self._connection.ask_json("POST", f"/jobs/{job_id}/links", params={"expires_s": expires_s})
 
     def remove(self, job_id: str) -> None:
         """Cancel the job if it is not done, and have the service forget it."""
@@ -209,6 +219,21 @@ def _query(
     wanted |= {"priority": priority, "time_limit_s": time_limit_s}
     wanted |= {"effort": None if effort == DEFAULT_EFFORT else effort}  # which older servers do not know
     return {name: value for name, value in wanted.items() if value is not None}
+
+
+def _bytes_of(file: File) -> bytes:
+    if isinstance(file, str | os.PathLike):
+        return Path(file).read_bytes()
+    if isinstance(file, bytes | bytearray | memoryview):
+        return bytes(file)
+    raise ServerError(f"a file must be given as its path or its bytes, not as {type(file).__name__}")
+
+
+def _id_of(answer: httpx.Response) -> str:
+    """Of the job that a request has made."""
+    if "Location" not in answer.headers:
+        raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is no service of sgmethod: it makes no job")
+    return str(answer.headers["Location"].rpartition("/")[2])
 
 
 def _point(point: Json) -> TracePoint:

@@ -1,9 +1,10 @@
-"""One service over HTTP: asked again while it is busy or out of reach."""
+"""One service over HTTP: asked again while it is busy or, once it has answered, out of reach."""
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -13,61 +14,100 @@ from httpx_sse import EventSource
 from sgmethod.errors import ServerError
 
 Json = dict[str, Any]
+Say = Callable[[str], None]
 AGAIN = frozenset({429, 503})  # the server is busy, and says when to come back
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 SILENCE_S = 60.0  # the server sends a sign of life every 15 s
+PASSING = (httpx.TimeoutException, httpx.NetworkError, httpx.RemoteProtocolError)
+
+log = logging.getLogger("sgmethod.client")
 
 
 class RefusedError(ServerError):
-    """The server refused. problem: its document (RFC 9457), empty if it sent none."""
+    """The server refused. problem: its document (RFC 9457), empty if it sent none; again_s: in how many seconds it may
+    take the same request, at the least; None if never."""
 
-    def __init__(self, detail: str, problem: Json) -> None:
+    def __init__(self, detail: str, problem: Json, again_s: float | None) -> None:
         super().__init__(detail)
-        self.problem = problem
+        self.problem, self.again_s = problem, again_s
+
+
+class Patience:
+    """How long something is tried again: until the deadline, in growing pauses."""
+
+    def __init__(self, seconds: float, say: Say) -> None:
+        self._seconds, self._say = seconds, say
+        self.renew()
+
+    def renew(self) -> None:
+        """Begin anew: it has worked."""
+        self._deadline = time.monotonic() + self._seconds
+        self._pause_s = PAUSE_S
+
+    def pause(self, error: ServerError, least_s: float = 0.0) -> None:
+        """Say what went wrong and wait before the next try. Raises the error if the time for that is over."""
+        pause_s = max(self._pause_s, least_s)
+        if time.monotonic() + pause_s > self._deadline:
+            raise error
+        self._say(f"{error}; trying again in {pause_s:.0f} s")
+        time.sleep(pause_s)
+        self._pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
 
 
 class Connection:
-    """patience_s: how long to go on trying, in seconds."""
+    """patience_s: how long to go on trying, in seconds; on_retry: is told each time."""
 
-    def __init__(self, server: str, api_key: str | None, patience_s: float) -> None:
+    def __init__(self, server: str, api_key: str | None, patience_s: float, on_retry: Say) -> None:
+        if api_key and not (api_key.isascii() and api_key.isprintable()):
+            raise ServerError("the API key holds a line break, or another character that no key has")
         headers = {"Authorization": f"Bearer {api_key}"} if api_key else {}
-        self._server = server
-        self.patience_s = patience_s
+        self._server, self._patience_s, self._on_retry = server, patience_s, on_retry
+        self._has_answered = False
         try:
-            self._http = httpx.Client(base_url=server, headers=headers, timeout=SILENCE_S)
+            url = httpx.URL(server)
+            if url.scheme not in ("http", "https") or not url.host:
+                raise ServerError(f"the address of a server must begin with http:// or https://, not {server!r}")
+            self._http = httpx.Client(base_url=url, headers=headers, timeout=SILENCE_S)
         except (httpx.InvalidURL, UnicodeError) as error:
-            raise ServerError(f"{server!r} or its API key cannot be used: {error}") from error
+            raise ServerError(f"{server!r} cannot be used: {error}") from error
 
     def close(self) -> None:
         """Let go of connections."""
         self._http.close()
 
+    def patience(self) -> Patience:
+        """For one thing that is asked."""
+        return Patience(self._patience_s, self._on_retry)
+
     def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
-        """The answer, if it is one of success; tried again while the server is busy or out of reach."""
-        deadline = time.monotonic() + self.patience_s
-        pause_s = PAUSE_S
+        """The answer, if it is one of success; tried again while that may help."""
+        patience = self.patience()
         while True:
             try:
                 answer = self._http.request(method, path, **request)
             except httpx.TransportError as error:
-                if time.monotonic() + pause_s > deadline:
-                    raise self.out_of_reach(error) from error
-            else:
-                if answer.is_success:
-                    return answer
-                if answer.status_code not in AGAIN:
-                    raise _refusal(answer)
-                pause_s = max(pause_s, _retry_after_s(answer.headers))
-                if time.monotonic() + pause_s > deadline:
-                    raise _refusal(answer)
-            time.sleep(pause_s)
-            pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+                patience.pause(self.out_of_reach(error))
+                continue
+            self._has_answered = True
+            if answer.is_success:
+                return answer
+            refusal = _refusal(answer)
+            if refusal.again_s is None:
+                raise refusal
+            patience.pause(refusal, refusal.again_s)
+
+    def ask_json(self, method: str, path: str, **request: Any) -> Json:
+        """The answer of a request that is answered in JSON."""
+        try:
+            found: Json = self.ask(method, path, **request).json()
+        except ValueError as error:
+            raise ServerError(f"{self._server} is no service of sgmethod: it does not answer in JSON") from error
+        return found
 
     def events(self, job_id: str) -> Iterator[tuple[str, Json]]:
-        """Names and data of the job's events until the stream ends."""
+        """Names and data of the job's events until the stream ends. Raises RefusedError, httpx.TransportError."""
         with self._http.stream("GET", f"/jobs/{job_id}/events") as answer:
-            if answer.status_code in AGAIN:
-                return
+            self._has_answered = True
             if not answer.is_success:
                 answer.read()
                 raise _refusal(answer)
@@ -75,15 +115,23 @@ class Connection:
                 yield event.event, event.json()
 
     def out_of_reach(self, error: httpx.TransportError) -> ServerError:
-        """What to say when trying again has not helped."""
-        return ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
+        """What to say of it, if it may pass; raised at once if it will not."""
+        said = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
+        if "CERTIFICATE_VERIFY_FAILED" in str(error):
+            said = ServerError(f"the certificate of {self._server} is not trusted; SSL_CERT_FILE may name one: {error}")
+        # Where nothing has ever answered, it is more likely the wrong address than a server that restarts.
+        never = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout) and not self._has_answered
+        if never or not isinstance(error, PASSING):
+            raise said from error
+        return said
 
 
 def _refusal(answer: httpx.Response) -> RefusedError:
+    again_s = _retry_after_s(answer.headers) if answer.status_code in AGAIN else None
     with suppress(ValueError, KeyError, TypeError):
         problem = answer.json()
-        return RefusedError(f"the server refused: {problem['detail']}", problem)
-    return RefusedError(f"the server answered with status {answer.status_code}", {})
+        return RefusedError(f"the server refused: {problem['detail']}", problem, again_s)
+    return RefusedError(f"the server answered with status {answer.status_code}", {}, again_s)
 
 
 def _retry_after_s(headers: Mapping[str, str]) -> float:

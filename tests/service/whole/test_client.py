@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import datetime
 import io
+import ipaddress
 import json
 import os
 import socket
+import ssl
 import subprocess
 import sys
 import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 from PIL import Image
 
 import sgmethod
@@ -37,6 +47,17 @@ def test_an_encode(service: Service) -> None:
     assert encoded.figures["bytes"] == len(encoded.data)
     assert encoded.trace == seen
     assert service.client.get("/jobs").json()["jobs"] == []  # it cleans up behind itself
+
+
+def test_a_file_that_came_out_badly(service: Service) -> None:
+    """The job says so, as sgmethod.Stats does."""
+    with Client(service.url) as client:
+        job_id = client.submit(SMALL, Budget("bytes", 20))
+        result = client.wait(job_id)["result"]
+        client.remove(job_id)
+    (warning,) = result["warnings"]
+    assert warning.startswith("the file holds no Gaussian")
+    assert (result["source_bytes"], result["psnr_missed_db"]) == (len(SMALL), None)
 
 
 def test_one_request_brings_the_file(service: Service) -> None:
@@ -143,17 +164,146 @@ def asked(web: Service, route: str) -> float:
     return web.figures().get(f'sgmethod_requests_total{{method="GET",route="{route}",status="200"}}', 0)
 
 
-def test_a_server_that_is_not_there() -> None:
+def fail_to_sleep(seconds: float) -> None:
+    raise AssertionError(f"waits for {seconds} s")
+
+
+def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "sleep", fail_to_sleep)
+    for wrong in ("", "nonsense", "127.0.0.1:8000", "localhost:8000", "ftp://127.0.0.1", "http://"):
+        with pytest.raises(ServerError, match="must begin with http:// or https://"):
+            Client(wrong)
+    with pytest.raises(ServerError), Client("http://[") as client:
+        client.job("0" * 32)
     with socket.socket() as nobody:  # who has the port, so that nobody else takes it, and does not listen
         nobody.bind(("127.0.0.1", 0))
-        with Client(f"http://127.0.0.1:{nobody.getsockname()[1]}", patience_s=0.1) as client:
-            with pytest.raises(ServerError, match="cannot be reached"):
+        address = f"http://127.0.0.1:{nobody.getsockname()[1]}"
+        with Client(address) as client:
+            with pytest.raises(ServerError, match=f"{address} cannot be reached: .*refused"):
                 client.submit(SMALL, Budget("bpp", 1))
             with pytest.raises(ServerError, match="cannot be reached"):
                 client.wait("0" * 32)
-    for wrong in ("http://[", "nonsense"):
-        with pytest.raises(ServerError), Client(wrong, patience_s=0) as client:
-            client.job("0" * 32)
+    for key in ("key\n", "schlüssel"):
+        with pytest.raises(ServerError, match="the API key holds a line break"):
+            Client("http://127.0.0.1:8000", key)
+
+
+class Other(BaseHTTPRequestHandler):
+    """A server of something else."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+        self.wfile.write(b"<h1>Welcome</h1>")
+
+    def do_POST(self) -> None:
+        self.rfile.read(int(self.headers["Content-Length"]))
+        self.do_GET()
+
+    def log_message(self, *_: object) -> None:
+        """Nothing."""
+
+
+@contextmanager
+def other(context: ssl.SSLContext | None = None) -> Iterator[str]:
+    """The address of such a server, by TLS if there is a context."""
+    with ThreadingHTTPServer(("127.0.0.1", 0), Other) as server:
+        if context is not None:
+            server.socket = context.wrap_socket(server.socket, server_side=True, do_handshake_on_connect=False)
+        threading.Thread(target=server.serve_forever).start()
+        yield f"http{'s' if context else ''}://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def test_a_server_of_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(time, "sleep", fail_to_sleep)
+    with other() as address, Client(address) as client:
+        for ask in (
+            lambda: client.submit(SMALL),
+            lambda: client.encode(SMALL),
+            lambda: client.job("0" * 32),
+            lambda: next(client.jobs()),
+            lambda: client.links("0" * 32),
+        ):
+            with pytest.raises(ServerError, match="is no service of sgmethod"):
+                ask()
+        with pytest.raises(ServerError, match="text/event-stream"):
+            client.wait("0" * 32)
+        by_tls = Client(address.replace("http:", "https:"))
+        with by_tls, pytest.raises(ServerError, match="SSL"):
+            by_tls.job("0" * 32)
+
+
+def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    certificate = tmp_path / "certificate.pem"
+    certificate.write_bytes(self_signed())
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+    with other(context) as address:
+        with monkeypatch.context() as patch, Client(address) as client:
+            patch.setattr(time, "sleep", fail_to_sleep)
+            with pytest.raises(ServerError, match=f"the certificate of {address} is not trusted; SSL_CERT_FILE"):
+                client.submit(SMALL)
+        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+        with Client(address) as client, pytest.raises(ServerError, match="is no service of sgmethod"):
+            client.submit(SMALL)
+
+
+def self_signed() -> bytes:
+    """A key and a certificate of 127.0.0.1 that nobody has signed but itself."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "test")])
+    now = datetime.datetime.now(datetime.UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(1)
+        .not_valid_before(now - datetime.timedelta(days=1))
+        .not_valid_after(now + datetime.timedelta(days=1))
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    pem = serialization.Encoding.PEM
+    plain = serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    return key.private_bytes(pem, *plain) + certificate.public_bytes(pem)
+
+
+def test_what_is_tried_again_is_said(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By default in the log, which Python shows on stderr."""
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    told: list[str] = []
+    with other() as address:
+        patient, quiet = Client(address, patience_s=5), Client(address, patience_s=5, on_retry=told.append)
+        for client in (patient, quiet):
+            assert client.bitstream("0" * 32)  # it has answered, so that it may come back
+    with patient, quiet:
+        for client in (patient, quiet):
+            with pytest.raises(ServerError, match="cannot be reached"):
+                client.job("0" * 32)
+            with pytest.raises(ServerError, match="cannot be reached"):
+                client.wait("0" * 32)
+    assert [text.rpartition("; ")[2] for text in told] == [f"trying again in {pause} s" for pause in (1, 2, 4)] * 2
+    assert all(text.startswith(f"{address} cannot be reached: ") for text in told)
+    assert [record.getMessage() for record in caplog.records if record.name == "sgmethod.client"] == told
+
+
+def test_paths_are_taken_as_encode_takes_them(web: Service, tmp_path: Path) -> None:
+    picture, file = tmp_path / "photo.png", tmp_path / "photo.sg"
+    picture.write_bytes(SMALL)
+    file.write_bytes(PICTURE)
+    with Client(web.url) as client:
+        sizes = {client.job(client.submit(image))["image"]["bytes"] for image in (picture, str(picture), SMALL)}
+        assert sizes == {len(SMALL)}
+        with pytest.raises(ServerError, match="not a PNG"):
+            client.encode(file)
+        assert client.decode(file) == client.decode(str(file)) == client.decode(PICTURE)
+        with pytest.raises(FileNotFoundError):
+            client.submit("missing.png")
+        with pytest.raises(ServerError, match="path or its bytes, not as int"):
+            client.submit(7)  # type: ignore[arg-type]
 
 
 def test_a_full_queue_is_waited_for(empty: Service) -> None:
@@ -162,13 +312,16 @@ def test_a_full_queue_is_waited_for(empty: Service) -> None:
     with Client(web.url, patience_s=0) as hasty, pytest.raises(ServerError, match="full"):
         hasty.submit(SMALL, Budget("bpp", 1))
     threading.Timer(0.5, lambda: web.client.delete(f"/jobs/{first}")).start()
-    with Client(web.url, patience_s=60) as patient:
+    told: list[str] = []
+    with Client(web.url, patience_s=60, on_retry=told.append) as patient:
         assert patient.submit(SMALL, Budget("bpp", 1)) != first
+    assert "full" in told[0]
 
 
 def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
     web = start_service("web")
-    with Client(web.url) as client:
+    told: list[str] = []
+    with Client(web.url, on_retry=told.append) as client:
         job_id = client.submit(SMALL, Budget("bpp", 2))
         port = web.url.rpartition(":")[2]
 
@@ -184,6 +337,8 @@ def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
         thread.start()
         assert client.wait(job_id)["state"] == "done"
         thread.join()
+    assert told
+    assert all("trying again in" in text for text in told)
 
 
 def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
