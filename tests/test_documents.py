@@ -81,6 +81,15 @@ def test_paths_in_documents_exist(path: Path) -> None:
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
+def test_curl_in_the_readme_fails_when_the_service_does() -> None:
+    """Or an error would lie in photo.sg; and it waits for less than the 60 s after which proxies give up."""
+    commands = re.findall(r"^curl .*", (ROOT / "README.md").read_text(), re.MULTILINE)
+    assert len(commands) > 3
+    for command in commands:
+        assert "--fail" in command, command
+        assert all(int(seconds) < 60 for seconds in re.findall(r"wait=(\d+)", command)), command
+
+
 def test_the_design_is_two_pages() -> None:
     lines = (ROOT / "docs" / "design.md").read_text().splitlines()
     assert len(lines) <= MOST_LINES

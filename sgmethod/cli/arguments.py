@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from decimal import Decimal, InvalidOperation
 from typing import Any, NoReturn
 
 BAD_INPUT = 2
 BUDGET_HELP = {
     "bpp": ("F", "at most so many bits per pixel ({default} if no budget is given)"),
-    "bytes": ("N", "at most so many bytes"),
+    "bytes": ("N", "at most so many bytes: 20000, 20k, 1.5MB"),
     "psnr": ("DB", "this quality in as few bytes as can be found"),
     "quality": ("Q", "a fineness, above 0 to 100, of profile rd alone"),
     "gaussians": ("N", "this number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
 MAX_JOBS = 256
+MAX_THREADS = 256
+MAX_SIDE = 1 << 16
+SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
+UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
 EXAMPLES = """examples:
   sgmethod encode photo.jpg                        writes photo.sg
@@ -30,19 +36,21 @@ to sRGB.
 
 examples:
   sgmethod encode photo.jpg                        writes photo.sg, of at most 0.3 bits per pixel
-  sgmethod encode photo.jpg small.sg --bytes 20000
+  sgmethod encode photo.jpg -o small.sg --bytes 20k
   sgmethod encode - - --psnr 35 <photo.jpg >photo.sg
-  sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each""",
+  sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
+  sgmethod encode photos --output-dir out          of each picture in the folder""",
 )
 DECODE = (
-    "Decode an .sg file, or a view of it.",
+    "Decode .sg files, or views of them.",
     """The suffix of OUT decides the format: .png, .jpg, .webp, .avif or .ppm.
 
 examples:
   sgmethod decode photo.sg photo.png
-  sgmethod decode photo.sg small.jpg --scale 0.25
+  sgmethod decode photo.sg small.jpg --width 320
   sgmethod decode photo.sg part.png --region 100,50,320,240 --scale 2
-  sgmethod decode - - <photo.sg >photo.png""",
+  sgmethod decode - - <photo.sg >photo.png
+  sgmethod decode *.sg --output-dir out            writes out/NAME.png for each""",
 )
 INFO = (
     "Print what an .sg file says of itself, and the bits spent on each part.",
@@ -96,6 +104,20 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """The command to carry out, as `run`, and its arguments. What is wrong usage ends the process.
+
+    Names of files may stand anywhere: argparse takes the first ones alone, up to the next option.
+    """
+    whole = parser(argv)
+    arguments, more = whole.parse_known_args(argv)
+    if more and (not hasattr(arguments, "names") or any(one.startswith("-") and one != "-" for one in more)):
+        whole.error(f"unrecognized arguments: {' '.join(more)}")
+    if more:
+        arguments.names += [_path(one) for one in more]
+    return arguments
+
+
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """What it returns has the name of the command to carry out as `run`.
 
@@ -125,14 +147,20 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, DEFAULT_TUNE, EFFORTS, PROFILE_NAMES, TUNES
 
     parser.add_argument(
-        "names", nargs="+", metavar="IN [OUT.sg]", help="- for standard input and output; OUT.sg is IN's name otherwise"
+        "names",
+        nargs="+",
+        type=_path,
+        metavar="IN [OUT.sg]",
+        help="- for standard input and output; OUT.sg is IN's name otherwise",
     )
+    _add_output_arguments(parser, "all names are of pictures, or folders of them; write DIR/NAME.sg for each")
     budget = parser.add_mutually_exclusive_group()
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
+        flags = ["-q", "--quality"] if kind == "quality" else [f"--{kind}"]
         # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
-        budget.add_argument(f"--{kind}", type=float, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
-    parser.add_argument("--output-dir", metavar="DIR", help="all names are of pictures; write DIR/NAME.sg for each")
+        read = _size if kind == "bytes" else float
+        budget.add_argument(*flags, type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
     parser.add_argument(
         "--jobs",
         type=_whole_number("a number of jobs", 1, MAX_JOBS),
@@ -162,7 +190,9 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="of everything random (default: 0)",
     )
-    parser.add_argument("--trace", metavar="FILE.json", help="write error against time of the fit, of one picture")
+    parser.add_argument(
+        "--trace", type=_path, metavar="FILE.json", help="write error against time of the fit, of one picture"
+    )
     parser.add_argument("--json", action="store_true", help="print the figures as a JSON object for each picture")
     _add_common_arguments(parser)
 
@@ -170,10 +200,19 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
     from sgmethod.view import MAX_SCALE, MIN_SCALE
 
-    parser.add_argument("input", metavar="IN.sg", help="- for standard input")
-    parser.add_argument("output", metavar="OUT", help="- for standard output, as PNG")
+    parser.add_argument(
+        "names", nargs="+", type=_path, metavar="IN.sg OUT", help="- for standard input, and output, as PNG"
+    )
+    _add_output_arguments(parser, "all names are of .sg files, or folders of them; write DIR/NAME.png for each")
     scales = f"{MIN_SCALE} to {MAX_SCALE:g} (default: 1)"
-    parser.add_argument("--scale", type=float, default=1.0, metavar="S", help=f"pixels drawn for a pixel, {scales}")
+    parser.add_argument("--scale", type=float, metavar="S", help=f"pixels drawn for a pixel, {scales}")
+    for side in ("width", "height"):
+        parser.add_argument(
+            f"--{side}",
+            type=_whole_number(f"a {side}", 1, MAX_SIDE),
+            metavar="N",
+            help=f"this {side} in pixels; the other side follows, and with both the picture stays within them",
+        )
     parser.add_argument("--region", type=_region, metavar="X,Y,W,H", help="this part of the picture, in its own pixels")
     parser.add_argument(
         "--prefix", type=float, default=1.0, metavar="P", help="from this part of the file, of profile rd alone"
@@ -183,26 +222,45 @@ def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", metavar="IN.sg", help="- for standard input")
+    parser.add_argument("input", type=_path, metavar="IN.sg", help="- for standard input")
     parser.add_argument("--json", action="store_true", help="print one JSON object, with every field")
 
 
 def _add_compare_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("first", metavar="A")
-    parser.add_argument("second", metavar="B")
-    parser.add_argument("--weights", metavar="DIR", help="weights of the networks that LPIPS and DISTS need")
+    parser.add_argument("first", type=_path, metavar="A")
+    parser.add_argument("second", type=_path, metavar="B")
+    parser.add_argument("--weights", type=_path, metavar="DIR", help="weights of the networks of LPIPS and DISTS")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def _add_plot_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", metavar="TRACE.json", help="- for standard input")
-    parser.add_argument("output", metavar="OUT", help="- for standard output, as SVG")
+    parser.add_argument("input", type=_path, metavar="TRACE.json", help="- for standard input")
+    parser.add_argument("output", type=_path, metavar="OUT", help="- for standard output, as SVG")
     _add_common_arguments(parser)
+
+
+def _add_output_arguments(parser: argparse.ArgumentParser, several: str) -> None:
+    parser.add_argument("-o", "--output", type=_path, metavar="OUT", help="the output, in place of a second name")
+    parser.add_argument("--output-dir", type=_path, metavar="DIR", help=several)
 
 
 def _add_common_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-clobber", action="store_true", help="skip what would replace a file")
     parser.add_argument("--quiet", action="store_true", help="print errors alone")
+
+
+def _path(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("'' is no name of a file")
+    return text
+
+
+def _size(text: str) -> float:
+    """Bytes, or thousands and millions of them: 20000, 20k, 20kB, 1.5MB, and by 1024 KiB, MiB."""
+    if parts := SIZE.fullmatch(text):
+        with suppress(InvalidOperation):
+            return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, in which 1.001k is whole
+    raise argparse.ArgumentTypeError(f"a size is a number of bytes such as 20000, 20k or 1.5MB, not {text!r}")
 
 
 def _region(text: str) -> tuple[int, int, int, int]:

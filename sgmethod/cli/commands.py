@@ -1,21 +1,17 @@
-"""The commands decode, info and compare, none of which imports torch."""
+"""The commands info and compare, neither of which imports torch."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sgmethod.cli import files
-from sgmethod.cli.arguments import one_line
-from sgmethod.cli.files import STREAM, CommandError
+from sgmethod.cli.files import CommandError
 from sgmethod.decoder import decode, info
 from sgmethod.io.laying import WHITE, laid_over
-from sgmethod.io.pictures import OPAQUE, SUFFIXES, encode_picture
-from sgmethod.view import View
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,31 +19,6 @@ if TYPE_CHECKING:
 
 SEEN = {"ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
 SMALL = "not defined for sides below {} pixels"
-
-
-def run_decode(arguments: argparse.Namespace) -> int:
-    """sgmethod decode"""
-    source, target = arguments.input, arguments.output
-    view = View(arguments.scale, arguments.region, arguments.prefix, not arguments.no_texture)
-    kind = "PNG" if files.is_device(target) else SUFFIXES.get(Path(target).suffix.lower())
-    files.check_outputs([source], [target])
-    if kind is None:
-        raise CommandError(f"cannot write {target}: its name must end in {', '.join(SUFFIXES)}")
-    out = sys.stderr if target == STREAM else sys.stdout
-    if arguments.no_clobber and Path(target).is_file():
-        said = f"{target} is there already: skipped"
-    else:
-        pixels = decode(files.read(source), view=view)
-        if pixels.shape[2] == 4 and kind in OPAQUE:
-            files.print_notes(source, [f"a {kind} has no alpha: its transparency is laid over white"])
-        data = encode_picture(pixels, kind)
-        files.write(target, data)
-        height, width = pixels.shape[:2]
-        names = f"{files.name_of(source)} -> {files.name_of(target, 'standard output')}"
-        said = f"{names}: {width} x {height} pixels, {kind}, {len(data):,} bytes"
-    if not arguments.quiet:
-        print(one_line(said), file=out)
-    return 0
 
 
 def run_info(arguments: argparse.Namespace) -> int:
@@ -149,11 +120,11 @@ def _picture(path: str) -> NDArray[np.uint8]:
         pixels = decode(data)
         if pixels.shape[2] == 3:
             return pixels
-        files.print_notes(path, ["its transparency is laid over white"])
+        files.print_lines("note", path, ["its transparency is laid over white"])
         return laid_over(pixels, WHITE)
     try:
         pixels, notes = files.read_pixels(data)
     except ImageError as error:
         raise CommandError(f"{path}: {error}") from error
-    files.print_notes(path, notes)
+    files.print_lines("note", path, notes)
     return pixels

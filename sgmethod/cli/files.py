@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 STREAM = "-"  # standard input, or output
+STDOUT_NAMES = ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
 MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncompressed; a device never ends
 
 
@@ -52,10 +53,10 @@ def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.u
     return pixels, [str(warning.message) for warning in caught]
 
 
-def print_notes(path: str, notes: Sequence[str]) -> None:
-    """Say on stderr what is left out of a picture."""
-    for note in notes:
-        print(f"sgmethod: note: {one_line(name_of(path))}: {one_line(note)}", file=sys.stderr)
+def print_lines(kind: str, path: str, texts: Sequence[str]) -> None:
+    """Say something of a file on stderr, in a line each."""
+    for text in texts:
+        print(f"sgmethod: {kind}: {one_line(name_of(path))}: {one_line(text)}", file=sys.stderr)
 
 
 @contextmanager
@@ -77,6 +78,18 @@ def write(path: str, data: bytes) -> None:
             sys.stdout.buffer.flush()
         else:
             write_atomically(path, data)
+
+
+def output(path: str) -> str:
+    """The path, or STREAM where it is a name of standard output: that must not be opened a second time, or what is
+    written would replace what stands there already, and get our own lines in between."""
+    return STREAM if path in STDOUT_NAMES else path
+
+
+def listed(folder: str) -> list[Path]:
+    """What lies in a folder, by name. Raises CommandError."""
+    with _saying("read", folder):
+        return sorted(Path(folder).iterdir())
 
 
 def name_of(path: str, stream: str = "standard input") -> str:
@@ -104,7 +117,7 @@ def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
                 raise CommandError("standard output is a terminal: give a file, or send it on with > or |")
         else:
             with _saying("write", path):
-                _check_writable(Path(os.path.realpath(path)))
+                _check_writable(Path(path))
     taken: dict[str, str] = {os.path.realpath(path): path for path in sources if not is_device(path)}
     for path in outputs:
         if is_device(path):
@@ -126,7 +139,7 @@ def make_folder(path: str) -> None:
 
 
 def _check_writable(target: Path) -> None:
-    """Raise OSError as writing would."""
+    """Raise OSError as writing would. Links are followed by the system: a pipe that is named by one has no path."""
     mode = None
     with suppress(FileNotFoundError):
         mode = target.stat().st_mode
@@ -135,5 +148,5 @@ def _check_writable(target: Path) -> None:
     if mode is not None and not os.access(target, os.W_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
     if mode is None or stat.S_ISREG(mode):
-        with tempfile.TemporaryFile(dir=target.parent):
+        with tempfile.TemporaryFile(dir=Path(os.path.realpath(target)).parent):
             pass

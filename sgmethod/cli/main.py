@@ -1,7 +1,7 @@
 """The command line: sgmethod encode, decode, info, compare and plot.
 
-Exit status: 0 when all is done; 1 when some of several pictures could not be encoded; 2 when it cannot be done as
-asked, with one line on stderr that says why; 130 after Ctrl-C; 141 when nobody reads stdout any more. A file is
+Exit status: 0 when all is done; 1 when some of several files could not be encoded or decoded; 2 when it cannot be done
+as asked, with one line on stderr that says why; 130 after Ctrl-C; 141 when nobody reads stdout any more. A file is
 written whole or not at all, and whether it can be written is known before the work begins.
 """
 
@@ -11,6 +11,7 @@ import argparse
 import gc
 import os
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -21,18 +22,21 @@ INTERRUPTED, NO_READER = 130, 141  # 128 and the number of SIGINT, and of SIGPIP
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status, except for --help, --version and wrong usage, which exit."""
+    began = time.perf_counter()  # all that takes long is imported later
     ends_here = argv is None  # and not in somebody's process
     argv = sys.argv[1:] if argv is None else argv
     if argv[:1] != ["encode"]:
         # Threads for numpy's linear algebra, of which only encodes have much, take a third of a short command's time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from sgmethod.cli.arguments import parser
+    from sgmethod.cli.arguments import parse
     from sgmethod.cli.files import CommandError
 
     with suppress(AttributeError):  # names need not be valid text; stderr writes those so already
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
-    arguments = parser(argv).parse_args(argv)
+    arguments = parse(argv)
+    arguments.began = began
     try:
+        _check_threads()
         status = _run(arguments)
         print(end="", flush=True)
     except BrokenPipeError:
@@ -62,10 +66,24 @@ def _run(arguments: argparse.Namespace) -> int:
         from sgmethod.cli.plotting import run_plot
 
         return run_plot(arguments)
+    if arguments.run == "decode":
+        from sgmethod.cli.decoding import run_decode
+
+        return run_decode(arguments)
     from sgmethod.cli import commands
 
-    run = {"decode": commands.run_decode, "info": commands.run_info, "compare": commands.run_compare}
+    run = {"info": commands.run_info, "compare": commands.run_compare}
     return run[arguments.run](arguments)
+
+
+def _check_threads() -> None:
+    """The kernels would take another number in its place. Raises CommandError."""
+    from sgmethod.cli.arguments import MAX_THREADS
+    from sgmethod.cli.files import CommandError
+
+    text = os.environ.get("SG_THREADS", "")
+    if text and not (text.isascii() and text.isdecimal() and 1 <= int(text) <= MAX_THREADS):
+        raise CommandError(f"SG_THREADS must be a whole number from 1 to {MAX_THREADS}, not {text!r}")
 
 
 def _abandon_stdout() -> None:

@@ -22,7 +22,7 @@ Point = dict[str, Any]
 
 def run_plot(arguments: argparse.Namespace) -> int:
     """sgmethod plot"""
-    source, target = arguments.input, arguments.output
+    source, target = arguments.input, files.output(arguments.output)
     kind = "svg" if files.is_device(target) else KINDS.get(Path(target).suffix.lower())
     files.check_outputs([source], [target])
     if kind is None:

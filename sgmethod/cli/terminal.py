@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
@@ -35,13 +36,13 @@ def silent_stderr() -> Iterator[None]:
 
 
 @contextmanager
-def progress_line(shown: bool) -> Iterator[Progress | None]:
-    """A callback that redraws one line on stderr, which is gone afterwards; None if not shown."""
+def progress_line(shown: bool, began: float) -> Iterator[Progress | None]:
+    """A callback that redraws one line on stderr, which is gone afterwards; None if not shown. began: see bar()."""
     if not shown:
         yield None
         return
     try:
-        yield lambda point: redraw(sys.stderr, bar(point))
+        yield lambda point: redraw(sys.stderr, bar(point, time.perf_counter() - began))
     finally:
         redraw(sys.stderr, "")
 
@@ -53,15 +54,20 @@ def redraw(stream: TextIO, text: str) -> None:
     stream.flush()
 
 
-def bar(point: TracePoint) -> str:
-    """How far a fit is, in one line."""
+def bar(point: TracePoint, waited_s: float) -> str:
+    """How far a fit is, in one line, and how long somebody has waited for it."""
     done = point.step / point.steps if point.steps else 1.0
     filled = round(done * BAR_CELLS)
     bar = "#" * filled + "." * (BAR_CELLS - filled)
     left = remaining(point.seconds, done)
-    return f"{point.phase:<5} [{bar}] {done:4.0%}  {point.psnr:.2f} dB  {point.seconds:.1f} s{left}"
+    return f"{point.phase:<5} [{bar}] {done:4.0%}  {point.psnr:.2f} dB  {waited_s:.1f} s{left}"
 
 
 def remaining(seconds: float, done: float) -> str:
     """How long it will take yet, if it goes on as it did until now."""
-    return f", {seconds * (1 - done) / done:.0f} s left" if 0 < done < 1 else ""
+    if not 0 < done < 1:
+        return ""
+    left = seconds * (1 - done) / done
+    if left < 120:
+        return f", {left:.0f} s left"
+    return f", {left / 60:.0f} min left" if left < 7200 else f", {left / 3600:.0f} h left"

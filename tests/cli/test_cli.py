@@ -24,7 +24,7 @@ from PIL import Image
 import sgmethod
 from sgmethod import codec, decode, info
 from sgmethod.budget import BUDGET_KINDS, Budget
-from sgmethod.cli import commands, encoding, files, terminal
+from sgmethod.cli import arguments, decoding, encoding, files, terminal
 from sgmethod.cli import main as cli
 from sgmethod.io.image import read_image
 from sgmethod.metrics import psnr
@@ -254,7 +254,34 @@ def test_help(run: Run, command: list[str]) -> None:
         ("encode", "IN [OUT.sg]"),
         ("decode picture.sg", "OUT"),
         ("encode ''", "'' is no name of a file"),
-        ("encode .", "'.' is no name of a file"),
+        ("encode .", ". is a folder: to encode what is in it, name another: --output-dir out"),
+        ("encode folder", "folder is a folder: to encode what is in it, name another: --output-dir out"),
+        ("encode photo.png ''", "'' is no name of a file"),
+        ("encode photo.png -o ''", "'' is no name of a file"),
+        ("encode photo.png --trace ''", "'' is no name of a file"),
+        ("encode photo.png --output-dir ''", "'' is no name of a file"),
+        ("decode '' out.png", "'' is no name of a file"),
+        ("info ''", "'' is no name of a file"),
+        ("compare photo.png ''", "'' is no name of a file"),
+        ("plot '' out.svg", "'' is no name of a file"),
+        ("encode photo.png a.sg -o b.sg", "3 files are named"),
+        ("encode photo.png -o a.sg --output-dir folder", "--output names one file"),
+        ("decode picture.sg a.png -o b.png", "3 files are named"),
+        ("decode picture.sg --output-dir folder -o a.png", "--output names one file"),
+        ("decode - --output-dir folder", "standard input"),
+        ("decode folder --output-dir folder", "folder holds no file whose name ends in .sg"),
+        ("encode folder --output-dir folder", "folder holds no file whose name ends in .apng, .avif"),
+        ("decode picture.sg ./folder/../picture.sg --output-dir folder", "would both become folder/picture.png"),
+        (ENCODE + "--bytes many", "a size is a number of bytes such as 20000, 20k or 1.5MB, not 'many'"),
+        (ENCODE + "--bytes 20g", "a size is a number of bytes"),
+        (ENCODE + "--bytes ''", "a size is a number of bytes"),
+        (ENCODE + "--bytes 0.0105k", "whole"),
+        (ENCODE + "--bytes=-1k", "positive"),
+        (ENCODE + "-q 101", "at most 100"),
+        (DECODE + "--width 0", "a width is a whole number from 1 to 65536"),
+        (DECODE + "--height 1.5", "a height is a whole number"),
+        (DECODE + "--width 20 --scale 2", "--scale goes with neither --width nor --height"),
+        (DECODE + "--width 40000", "the scale must lie in"),
         ("encode old.sg", "is an .sg file by its name"),
         ("encode photo.png out.png", "out.png is no name of an .sg file"),
         ("encode photo.png out", "out is no name of an .sg file"),
@@ -271,7 +298,10 @@ def test_help(run: Run, command: list[str]) -> None:
         ("compare photo.png folder", "cannot read folder: Is a directory"),
         ("info", "IN.sg"),
         (ENCODE + "more", "--output-dir"),
-        (DECODE + "more", "unrecognized arguments: more"),
+        (DECODE + "more", "--output-dir"),
+        (DECODE + "--more", "unrecognized arguments: --more"),
+        (DECODE + "--quiet more", "3 files are named"),
+        ("info picture.sg more", "unrecognized arguments: more"),
         (ENCODE + "--bp 1", "--bp"),
         (ENCODE + "--bpp", "--bpp"),
         (ENCODE + "--bpp x", "--bpp"),
@@ -354,7 +384,7 @@ def test_what_cannot_be_written_is_known_before_the_work(
     Path("folder").mkdir()
     Path("folder.sg").mkdir()
     monkeypatch.setattr(encoding, "_load_encoder", work)
-    monkeypatch.setattr(commands, "decode", work)
+    monkeypatch.setattr(decoding, "SgFile", work)
     assert_refused(run(*shlex.split(line)), why)
     assert Path("photo.png").read_bytes().startswith(b"\x89PNG")
     assert list(Path("folder").iterdir()) == []
@@ -437,7 +467,7 @@ def test_too_little_memory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def decode_more(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(commands, "decode", decode_more)
+    monkeypatch.setattr(decoding, "SgFile", decode_more)
     assert_refused(run("decode", "picture.sg", "out.png"), "memory")
 
 
@@ -499,7 +529,9 @@ def test_progress_on_a_terminal() -> None:
             assert lines[-1] == b"\x1b[K"  # the line is gone at the end
             assert b"\n" not in seen
             for line in lines[1:-1]:
-                assert re.fullmatch(rb"\w+ +\[[#.]{24}\] +\d+%  \d+\.\d\d dB  \d+\.\d s(, \d+ s left)?\x1b\[K", line)
+                assert re.fullmatch(
+                    rb"\w+ +\[[#.]{24}\] +\d+%  \d+\.\d\d dB  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K", line
+                )
         else:
             assert seen == b""
 
@@ -507,7 +539,7 @@ def test_progress_on_a_terminal() -> None:
 def test_progress_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "30")
     stream = io.StringIO()
-    terminal.redraw(stream, terminal.bar(TracePoint(3.21, 500, 1000, 28.456, 0, 100, "tune")))
+    terminal.redraw(stream, terminal.bar(TracePoint(3.21, 500, 1000, 28.456, 0, 100, "tune"), 3.21))
     assert stream.getvalue() == "\rtune  [############..........\x1b[K"
 
 
@@ -583,6 +615,7 @@ def test_the_readme_names_every_argument() -> None:
         "output-dir",
         "jobs",
         "no-clobber",
+        "width",
         "scale",
         "region",
         "prefix",
@@ -591,17 +624,48 @@ def test_the_readme_names_every_argument() -> None:
         assert f"--{flag}" in text
 
 
-@pytest.mark.parametrize("line", [line for line in commands_of_the_readme() if "--server" not in line])
-def test_commands_of_the_readme(run: Run, line: str) -> None:
-    """As they stand there, on a small photograph and with budgets to fit it."""
+def small(line: str) -> str:
+    """The command for a small photograph, with budgets to fit it."""
+    for large, fitting in (
+        ("--gaussians 5000", "--gaussians 50"),
+        ("--psnr 32", "--psnr 12"),
+        ("--bytes 20k", "--bytes 0.7k"),
+        ("--region 100,50,320,240", "--region 8,5,32,24"),
+    ):
+        line = line.replace(large, fitting)
+    return re.sub(r"(  |#).*", "", line)
+
+
+def run_in_order(run: Run, lines: list[str]) -> None:
+    """All of them in this folder, where each finds what those before it left."""
     Image.open("photo.png").save("photo.jpg", quality=95)
-    Path("photo.sg").write_bytes(golden_path("v3-color.sg").read_bytes())  # 48 x 40
-    line = re.sub(r"#.*", "", line).replace("--gaussians 5000", "--gaussians 50").replace("--psnr 32", "--psnr 12")
-    line = line.replace("--region 100,50,320,240", "--region 8,5,32,24").replace("*.jpg", "photo.jpg")
-    if line.startswith(("sgmethod compare", "sgmethod plot")):
-        assert run("encode", "photo.jpg", "--trace", "fit.json", "--quiet").status == 0
-    ran = run(*shlex.split(line)[1:])
-    assert (ran.status, ran.err) == (0, "")
+    for line in lines:
+        if "--server" not in line and not set("<>|") & set(line):
+            words = shlex.split(small(line))[1:]
+            ran = run(*(name for word in words for name in (sorted(map(str, Path().glob(word))) or [word])))
+            assert (ran.status, ran.err) == (0, ""), line
+
+
+def test_commands_of_the_readme(run: Run) -> None:
+    run_in_order(run, commands_of_the_readme())
+    assert info("photo.sg").version == 4  # none has put a file of another profile in its place
+    assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
+
+
+def test_commands_of_the_help(run: Run) -> None:
+    Path("photos").mkdir()
+    for name in ("photos/a.jpg", "a.png", "b.png"):
+        PHOTO.save(name)
+    texts = (arguments.EXAMPLES, arguments.ENCODE[1], arguments.DECODE[1], arguments.INFO[1], arguments.COMPARE[1])
+    lines = re.findall(r"^  (sgmethod .*)", "\n".join((*texts, arguments.PLOT[1])), re.MULTILINE)
+    assert len(lines) > 15
+    run_in_order(run, [line for line in lines if "--weights" not in line])
+
+
+def test_commands_of_the_command_lines_page(run: Run) -> None:
+    lines = re.findall(r"^sgmethod .*", (ROOT / "docs" / "command_line.md").read_text(), re.MULTILINE)
+    assert lines
+    run_in_order(run, lines)
 
 
 def test_python_of_the_readme() -> None:

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from sgmethod import decode
-from sgmethod.cli import encoding
+from sgmethod.cli import naming, several
 from sgmethod.cli.terminal import bar, remaining
 from sgmethod.io.pictures import SUFFIXES, encode_picture
 from sgmethod.metrics import psnr
@@ -127,7 +127,7 @@ def test_the_name_left_out(run: Run) -> None:
     assert run("encode", "photo.png", "--gaussians", "9").status == 0
     assert names() == {"photo.png", "picture.sg", "photo.sg", "folder"}
     assert {path.name for path in Path("folder").iterdir()} == {"photo.of.me.jpg", "photo.of.me.sg"}
-    assert encoding._named("IMG.1234") == "IMG.1234.sg"
+    assert naming.sg_beside("IMG.1234") == "IMG.1234.sg"
 
 
 def test_odd_names() -> None:
@@ -184,7 +184,7 @@ def test_several_pictures(run: Run, jobs: str) -> None:
 
 
 def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(encoding, "_begin_worker", os.abort)
+    monkeypatch.setattr(several, "_begin_worker", os.abort)
     for name in ("one.png", "two.png"):
         PHOTO.save(name)
     ran = run("encode", "one.png", "two.png", "--output-dir", "out", "--jobs", "2")
@@ -232,7 +232,7 @@ def group(leader: int) -> list[str]:
 
 def test_seconds_left() -> None:
     assert remaining(6.0, 0.25) == ", 18 s left"
-    assert bar(TracePoint(6.0, 250, 1000, 28.456, 0, 100, "joint")).endswith("  6.0 s, 18 s left")
+    assert bar(TracePoint(6.0, 250, 1000, 28.456, 0, 100, "joint"), 8.5).endswith("  8.5 s, 18 s left")
     assert (remaining(6.0, 0.0), remaining(6.0, 1.0)) == ("", "")
 
 
@@ -262,8 +262,7 @@ def test_compare(run: Run) -> None:
 
 
 def test_what_is_left_out_is_said(run: Run) -> None:
-    PHOTO.convert("RGBA").resize((64, 48)).save("input.png")
-    Image.new("RGBA", (64, 48), (10, 200, 30, 99)).save("input.png")
+    Image.new("RGBA", (64, 48), (10, 200, 30, 99)).save("input.png", compress_level=0)  # larger than its .sg files
     ran = run("encode", "input.png", "out.sg", "--gaussians", "9")
     assert (ran.status, ran.err) == (0, "")
     said = "its transparency is laid over white\n"

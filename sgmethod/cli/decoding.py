@@ -1,0 +1,76 @@
+"""sgmethod decode: .sg files become pictures. It imports no torch."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+from sgmethod.cli import files, naming
+from sgmethod.cli.arguments import one_line
+from sgmethod.cli.files import STREAM, CommandError
+from sgmethod.cli.naming import Conversion
+from sgmethod.cli.several import Outcome, convert_all, say_notes, without_those_there
+from sgmethod.decoder import SgFile
+from sgmethod.io.pictures import OPAQUE, SUFFIXES, encode_picture
+from sgmethod.view import View
+
+
+def run_decode(arguments: argparse.Namespace) -> int:
+    """sgmethod decode"""
+    if arguments.scale is not None and (arguments.width, arguments.height) != (None, None):
+        raise CommandError("--scale goes with neither --width nor --height")
+    _view(arguments)  # or every picture would be refused
+    conversions = naming.decodes(arguments)
+    files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
+    if arguments.output_dir is not None:
+        return convert_all(conversions, _decode, "decoded", arguments)
+    (conversion,) = conversions
+    _kind(conversion.target)
+    out = sys.stderr if conversion.target == STREAM else sys.stdout
+    for wanted in without_those_there(conversions, arguments, out):
+        outcome = _decode(wanted, arguments)
+        say_notes(outcome, arguments)
+        if not arguments.quiet:
+            names = f"{files.name_of(wanted.source)} -> {files.name_of(wanted.target, 'standard output')}"
+            print(f"{one_line(names)}: {outcome.said}", file=out)
+    return 0
+
+
+def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
+    """Read, decode, write. Raises whatever keeps it from that."""
+    file = SgFile(files.read(conversion.source))
+    view = _sized(_view(arguments), arguments, file)
+    pixels = file.pixels(view.scale, view.region, view.prefix, view.texture)
+    kind = _kind(conversion.target)
+    notes = []
+    if pixels.shape[2] == 4 and kind in OPAQUE:
+        notes.append(f"a {kind} has no alpha: its transparency is laid over white")
+    data = encode_picture(pixels, kind)
+    files.write(conversion.target, data)
+    height, width = pixels.shape[:2]
+    said = f"{width} x {height} pixels, {kind}, {len(data):,} bytes"
+    return Outcome(conversion, len(data), said, notes=notes)
+
+
+def _kind(target: str) -> str:
+    """The format that a name asks for."""
+    kind = "PNG" if files.is_device(target) else SUFFIXES.get(Path(target).suffix.lower())
+    if kind is None:
+        raise CommandError(f"cannot write {target}: its name must end in {', '.join(SUFFIXES)}")
+    return kind
+
+
+def _view(arguments: argparse.Namespace) -> View:
+    """What to draw, but for --width and --height. Raises ViewError."""
+    scale = 1.0 if arguments.scale is None else arguments.scale
+    return View(scale, arguments.region, arguments.prefix, not arguments.no_texture)
+
+
+def _sized(view: View, arguments: argparse.Namespace, file: SgFile) -> View:
+    """The largest that --width and --height have room for. Raises ViewError."""
+    _, _, *part = view.area(*file.size)
+    wanted = (arguments.width, arguments.height)
+    scales = [side / whole for side, whole in zip(wanted, part, strict=True) if side is not None]
+    return replace(view, scale=min(scales)) if scales else view

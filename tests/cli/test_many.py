@@ -1,0 +1,247 @@
+"""Many files and folders, what is said of a file that came out badly, names of pipes, permissions, and seconds."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+import stat
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sgmethod import Budget, codec, decode
+from sgmethod.cli.terminal import remaining
+from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, rest_of, run, start, terminal_pair
+
+__all__ = ["in_folder", "run"]  # fixtures
+
+GOLDEN = "picture.sg"  # 40 x 56
+
+
+def size_of(path: str) -> tuple[int, int]:
+    with Image.open(path) as picture:
+        return picture.size
+
+
+def test_many_files_are_decoded(run: Run) -> None:
+    for name in ("one.sg", "two.sg"):
+        Path(name).write_bytes(Path(GOLDEN).read_bytes())
+    Path("bad.sg").write_bytes(b"hello")
+    Path("out").mkdir()
+    Path("out/two.png").write_bytes(b"before")
+    ran = run(
+        "decode", "bad.sg", "one.sg", "two.sg", "gone.sg", "--output-dir", "out", "--no-clobber", "--scale", "0.5"
+    )
+    assert ran.status == 1
+    skipped, done, summary = ran.out.splitlines()
+    assert skipped == "out/two.png is there already: skipped"
+    assert re.fullmatch(r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, \d+ s left\)", done)
+    assert re.fullmatch(r"1 decoded, 1 skipped, 2 failed: [\d,]+ bytes, \d+\.\d s", summary)
+    bad, gone = ran.err.splitlines()
+    assert bad.startswith("sgmethod: bad.sg: ")
+    assert gone.startswith("sgmethod: gone.sg: cannot read gone.sg: No such file")
+    assert size_of("out/one.png") == (20, 28)
+    assert Path("out/two.png").read_bytes() == b"before"
+
+
+def test_folders(run: Run) -> None:
+    """Their pictures, by suffix; nothing hidden, nothing deeper, nothing else."""
+    Path("photos/deeper").mkdir(parents=True)
+    for name in ("photos/b.JPG", "photos/a.png", "photos/deeper/c.png", "photos/.d.png"):
+        PHOTO.save(name)
+    Path("photos/notes.txt").write_text("hello")
+    ran = run("encode", "photos", "photo.png", "--output-dir", "out", "--gaussians", "9")
+    assert (ran.status, ran.err) == (0, "")
+    assert [line.partition(":")[0] for line in ran.out.splitlines()] == [
+        "photos/a.png -> out/a.sg",
+        "photos/b.JPG -> out/b.sg",
+        "photo.png -> out/photo.sg",
+        "3 encoded, 0 skipped, 0 failed",
+    ]
+    assert run("decode", "out", "--output-dir", "out", "--quiet") == (0, "", "")
+    assert {path.name for path in Path("out").iterdir()} == {
+        f"{name}.{suffix}" for name in ("a", "b", "photo") for suffix in ("sg", "png")
+    }
+
+
+def test_how_many_of_how_many_on_a_terminal() -> None:
+    """A line that is gone before another is printed, and at the end."""
+    for name in ("a.sg", "b.sg"):
+        Path(name).write_bytes(Path(GOLDEN).read_bytes())
+    ours, theirs = terminal_pair()
+    process = start("decode", "a.sg", "b.sg", "--output-dir", "out", stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    seen = rest_of(ours).decode()
+    assert process.wait() == 0
+    clear = "\r\x1b[K"
+    first, second, third, end = seen.replace("\r\n", "\n").split(clear)[:4]
+    assert first == "\r0 of 2\x1b[K"
+    assert re.fullmatch(r"a\.sg -> out/a\.png: .* bytes\n\r1 of 2, \d+ s left\x1b\[K", second)
+    assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
+    assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
+
+
+def test_time_left_in_a_unit_that_people_read() -> None:
+    assert remaining(10, 1 / 13) == ", 2 min left"
+    assert remaining(3600, 1 / 10) == ", 9 h left"
+    assert remaining(119, 0.5) == ", 119 s left"
+
+
+@pytest.mark.parametrize(
+    ("line", "size"),
+    [
+        ("--width 20", (20, 28)),
+        ("--height 28", (20, 28)),
+        ("--width 37", (37, 52)),
+        ("--height 111", (79, 111)),
+        ("--width 20 --height 20", (14, 20)),  # the picture stays within both
+        ("--width 100 --height 9999", (100, 140)),
+        ("--region 4,6,10,20 --width 40", (40, 80)),
+    ],
+)
+def test_width_and_height(run: Run, line: str, size: tuple[int, int]) -> None:
+    assert run("decode", GOLDEN, "out.png", "--quiet", *line.split()) == (0, "", "")
+    assert size_of("out.png") == size
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [("700", 700), ("0.7k", 700), ("1.001kB", 1001), ("0.001M", 1000), ("0.0015 MB", 1500), ("1KiB", 1024)],
+)
+def test_sizes_as_people_type_them(run: Run, monkeypatch: pytest.MonkeyPatch, text: str, size: int) -> None:
+    real, budgets = codec.encode, []
+
+    def spy(pixels: object, budget: Budget, *arguments: object, **named: object) -> codec.Encoded:
+        budgets.append(budget)
+        return real(pixels, budget, *arguments, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(codec, "encode", spy)
+    assert run("encode", "photo.png", "-o", "out.sg", "--quiet", "--bytes", text) == (0, "", "")
+    assert budgets == [Budget("bytes", size)]
+    assert Path("out.sg").stat().st_size <= size
+
+
+def test_short_options_and_names_between_options(run: Run) -> None:
+    assert run("encode", "photo.png", "-q", "10", "a.sg", "--quiet").status == 0
+    assert run("encode", "-o", "b.sg", "--quality", "10", "photo.png", "--quiet").status == 0
+    assert Path("a.sg").read_bytes() == Path("b.sg").read_bytes()
+    assert run("decode", GOLDEN, "--quiet", "a.png").status == 0
+    assert run("decode", "-o", "b.png", GOLDEN, "--quiet").status == 0
+    assert Path("a.png").read_bytes() == Path("b.png").read_bytes()
+
+
+# --- what may not be silent
+
+
+def warnings_of(err: str) -> list[str]:
+    return re.findall(r"^sgmethod: warning: photo\.jpg: (.*)$", err, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("--psnr 60 --time-limit 0.05", ["the PSNR asked for is missed by"]),
+        ("--bytes 20", ["the file holds no Gaussian, only a background"]),
+        ("--bpp 6", ["larger than its source"]),
+        ("--psnr 12", []),  # a background alone is as good
+        ("--bpp 0.3", []),
+    ],
+)
+def test_a_file_that_came_out_badly(run: Run, line: str, said: list[str]) -> None:
+    PHOTO.save("photo.jpg", quality=5)  # 1,400 bytes
+    ran = run("encode", "photo.jpg", "out.sg", "--json", *line.split())
+    assert ran.status == 0
+    figures = json.loads(ran.out)
+    assert figures["source_bytes"] == Path("photo.jpg").stat().st_size
+    assert len(figures["warnings"]) == len(said), figures
+    assert all(words in text for words, text in zip(said, figures["warnings"], strict=True))
+    assert warnings_of(ran.err) == figures["warnings"]
+    assert bool(warnings_of(run("encode", "photo.jpg", "--output-dir", "out", *line.split()).err)) == bool(said)
+    assert run("encode", "photo.jpg", "out.sg", "--quiet", *line.split()) == (0, "", "")
+
+
+# --- names of pipes, permissions
+
+
+def test_names_of_pipes() -> None:
+    """/dev/stdout is as good as -, and a pipe with a number as one with a name."""
+    pixels = decode(Path(GOLDEN).read_bytes())
+    for name in ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"):
+        process = start("decode", GOLDEN, name, stdout=subprocess.PIPE, stderr=subprocess.PIPE, binary=True)
+        out, err = process.communicate()
+        assert process.returncode == 0, err
+        assert np.array_equal(np.asarray(Image.open(io.BytesIO(out))), pixels)
+        assert err.startswith(b"picture.sg -> standard output: ")
+    reader, writer = os.pipe()
+    process = start("decode", GOLDEN, f"/dev/fd/{writer}", "--quiet", pass_fds=[writer])
+    os.close(writer)
+    with os.fdopen(reader, "rb") as pipe:
+        assert np.array_equal(np.asarray(Image.open(io.BytesIO(pipe.read()))), pixels)
+    assert process.wait() == 0
+
+
+def test_standard_output_by_name_keeps_what_is_there() -> None:
+    Path("log").write_bytes(b"before")
+    with Path("log").open("ab") as log:
+        assert start("decode", GOLDEN, "/dev/stdout", "--quiet", stdout=log).wait() == 0
+    assert Path("log").read_bytes().startswith(b"before\x89PNG")
+
+
+def test_pipes_by_name_for_encode_and_its_trace() -> None:
+    arguments = ["encode", "photo.png", "/dev/stdout", "--gaussians", "9"]
+    process = start(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, binary=True)
+    data, err = process.communicate()
+    assert (process.returncode, err.count(b"\n")) == (0, 1)
+    assert decode(data).shape == (96, 128, 3)
+    reader, writer = os.pipe()
+    arguments = ["encode", "photo.png", "out.sg", "--gaussians", "9", "--trace", f"/dev/fd/{writer}", "--quiet"]
+    process = start(*arguments, pass_fds=[writer])
+    os.close(writer)
+    with os.fdopen(reader) as pipe:
+        assert json.load(pipe)["stats"]["gaussians"] <= 9
+    assert process.wait() == 0
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o644, 0o640])
+def test_a_file_that_is_replaced_keeps_its_mode(run: Run, mode: int) -> None:
+    Path("out.png").write_bytes(b"before")
+    Path("out.png").chmod(mode)
+    assert run("decode", GOLDEN, "out.png", "--quiet").status == 0
+    assert stat.S_IMODE(Path("out.png").stat().st_mode) == mode
+
+
+# --- threads and seconds
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "257", "two", "1.5", " 2", "2x"])
+def test_a_number_of_threads_that_there_is_not(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv("SG_THREADS", text)
+    assert_refused(run("decode", GOLDEN, "out.png"), f"SG_THREADS must be a whole number from 1 to 256, not {text!r}")
+
+
+@pytest.mark.parametrize("text", ["", "1", "256"])
+def test_a_number_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setenv("SG_THREADS", text)
+    assert run("info", GOLDEN).status == 0
+
+
+def test_seconds_are_those_that_somebody_waits(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what an encode loads, reads and draws, from the start of the command."""
+    clock = iter(range(1000, 100_000))
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
+    arguments = ["encode", "photo.png", "out.sg", "--gaussians", "9", "--trace", "trace.json"]
+    said = run(*arguments).out
+    figures = json.loads(Path("trace.json").read_text())["stats"]
+    of_the_fit = json.loads(Path("trace.json").read_text())["trace"][-1]["seconds"]
+    ends = next(clock) - 1
+    assert figures["seconds"] == ends - 1000 > of_the_fit + 1
+    assert said.endswith(f", {figures['seconds']:.1f} s\n")
+    began = next(clock) + 1
+    lines = run("encode", "photo.png", "--output-dir", "out", "--gaussians", "9").out.splitlines()
+    assert lines[-1].endswith(f", {next(clock) - 1 - began:.1f} s")
