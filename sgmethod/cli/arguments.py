@@ -24,6 +24,12 @@ MAX_SIDE = 1 << 16
 SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
 UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
+# argparse would write pairs of names.
+USAGES = {
+    "encode": "%(prog)s [OPTIONS] IN [OUT.sg]\n       %(prog)s [OPTIONS] IN... --output-dir DIR",
+    "decode": "%(prog)s [OPTIONS] IN.sg OUT\n       %(prog)s [OPTIONS] IN.sg... --output-dir DIR",
+}
+
 EXAMPLES = """examples:
   sgmethod encode photo.jpg                        writes photo.sg
   sgmethod decode photo.sg photo.png
@@ -135,7 +141,9 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
         "compare": (COMPARE, _add_compare_arguments),
         "plot": (PLOT, _add_plot_arguments),
     }.items():
-        command = commands.add_parser(name, help=texts[0], description=texts[0], epilog=texts[1])
+        command = commands.add_parser(
+            name, help=texts[0], description=texts[0], epilog=texts[1], usage=USAGES.get(name)
+        )
         command.set_defaults(run=name)
         if name in argv:
             add(command)
@@ -143,7 +151,6 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 
 
 def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
-    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET
     from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, DEFAULT_TUNE, EFFORTS, PROFILE_NAMES, TUNES
 
     parser.add_argument(
@@ -154,13 +161,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         help="- for standard input and output; OUT.sg is IN's name otherwise",
     )
     _add_output_arguments(parser, "all names are of pictures, or folders of them; write DIR/NAME.sg for each")
-    budget = parser.add_mutually_exclusive_group()
-    for kind in BUDGET_KINDS:
-        metavar, text = BUDGET_HELP[kind]
-        flags = ["-q", "--quality"] if kind == "quality" else [f"--{kind}"]
-        # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
-        read = _size if kind == "bytes" else float
-        budget.add_argument(*flags, type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
+    _add_budget_arguments(parser)
     parser.add_argument(
         "--jobs",
         type=_whole_number("a number of jobs", 1, MAX_JOBS),
@@ -195,6 +196,18 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print the figures as a JSON object for each picture")
     _add_common_arguments(parser)
+
+
+def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
+    from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET
+
+    budget = parser.add_mutually_exclusive_group()
+    for kind in BUDGET_KINDS:
+        metavar, text = BUDGET_HELP[kind]
+        flags = ["-q", "--quality"] if kind == "quality" else [f"--{kind}"]
+        # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
+        read = _size if kind == "bytes" else float
+        budget.add_argument(*flags, type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
 
 
 def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:

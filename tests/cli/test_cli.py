@@ -278,6 +278,7 @@ def test_help(run: Run, command: list[str]) -> None:
         (ENCODE + "--bytes 0.0105k", "whole"),
         (ENCODE + "--bytes=-1k", "positive"),
         (ENCODE + "-q 101", "at most 100"),
+        (ENCODE + "--server 127.0.0.1:8000", "must begin with http:// or https://, not '127.0.0.1:8000'"),
         (DECODE + "--width 0", "a width is a whole number from 1 to 65536"),
         (DECODE + "--height 1.5", "a height is a whole number"),
         (DECODE + "--width 20 --scale 2", "--scale goes with neither --width nor --height"),

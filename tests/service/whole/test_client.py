@@ -27,6 +27,7 @@ from PIL import Image
 import sgmethod
 from service.keys import digest
 from sgmethod import Budget
+from sgmethod.cli import main as cli
 from sgmethod.client import Client
 from sgmethod.client import client as client_module
 from sgmethod.errors import ServerError
@@ -206,9 +207,9 @@ class Other(BaseHTTPRequestHandler):
 
 
 @contextmanager
-def other(context: ssl.SSLContext | None = None) -> Iterator[str]:
+def other(context: ssl.SSLContext | None = None, handler: type[Other] = Other) -> Iterator[str]:
     """The address of such a server, by TLS if there is a context."""
-    with ThreadingHTTPServer(("127.0.0.1", 0), Other) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         if context is not None:
             server.socket = context.wrap_socket(server.socket, server_side=True, do_handshake_on_connect=False)
         threading.Thread(target=server.serve_forever).start()
@@ -288,6 +289,35 @@ def test_what_is_tried_again_is_said(caplog: pytest.LogCaptureFixture, monkeypat
     assert [text.rpartition("; ")[2] for text in told] == [f"trying again in {pause} s" for pause in (1, 2, 4)] * 2
     assert all(text.startswith(f"{address} cannot be reached: ") for text in told)
     assert [record.getMessage() for record in caplog.records if record.name == "sgmethod.client"] == told
+
+
+class Busy(Other):
+    """A service that is busy twice, and then refuses."""
+
+    asked = 0
+
+    def do_POST(self) -> None:
+        self.rfile.read(int(self.headers["Content-Length"]))
+        type(self).asked += 1
+        detail = b'{"detail": "no such picture"}'
+        self.send_response(422 if self.asked % 3 == 0 else 503)
+        self.send_header("Content-Length", str(len(detail)))
+        self.end_headers()
+        self.wfile.write(detail)
+
+
+def test_the_command_line_says_what_it_tries_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    (tmp_path / "in.png").write_bytes(SMALL)
+    refused = "the server refused: no such picture"
+    tries = [f"sgmethod: {refused}; trying again in {pause} s" for pause in (1, 2)]
+    with other(handler=Busy) as address:
+        for extra, said in (([], tries), (["--quiet"], [])):
+            names = [str(tmp_path / name) for name in ("in.png", "out.sg")]
+            assert cli.main(["encode", *names, "--server", address, *extra]) == 2
+            assert capfd.readouterr().err.splitlines() == [*said, f"sgmethod: {refused}"]
 
 
 def test_paths_are_taken_as_encode_takes_them(web: Service, tmp_path: Path) -> None:
