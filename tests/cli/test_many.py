@@ -159,8 +159,8 @@ def test_a_file_that_came_out_badly(run: Run, line: str, said: list[str]) -> Non
     assert ran.status == 0
     figures = json.loads(ran.out)
     assert figures["source_bytes"] == Path("photo.jpg").stat().st_size
-    assert len(figures["warnings"]) == len(said), figures
-    assert all(words in text for words, text in zip(said, figures["warnings"], strict=True))
+    assert bool(figures["warnings"]) == bool(said)
+    assert all(any(words in text for text in figures["warnings"]) for words in said)
     assert warnings_of(ran.err) == figures["warnings"]
     assert bool(warnings_of(run("encode", "photo.jpg", "--output-dir", "out", *line.split()).err)) == bool(said)
     assert run("encode", "photo.jpg", "out.sg", "--quiet", *line.split()) == (0, "", "")
