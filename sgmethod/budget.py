@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from numbers import Real
 from typing import Literal, get_args
 
+from sgmethod.arguments import own_number
 from sgmethod.errors import BudgetError
 
 BudgetKind = Literal["bpp", "bytes", "psnr", "quality", "gaussians"]
@@ -35,14 +34,16 @@ class Budget:
     def __post_init__(self) -> None:
         if self.kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {self.kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        if not isinstance(self.value, Real) or not math.isfinite(self.value) or self.value <= 0:
+        value = own_number(self.value)
+        if value is None or value <= 0:
             raise BudgetError(f"{self.kind} must be a positive number, got {self.value!r}")
-        if self.kind in ("bytes", "gaussians") and self.value != int(self.value):
-            raise BudgetError(f"{self.kind} must be a whole number, got {self.value}")
-        if self.kind == "quality" and self.value > MAX_QUALITY:
-            raise BudgetError(f"quality must be at most {MAX_QUALITY:g}, got {self.value}")
-        if self.kind == "psnr" and self.value > MAX_PSNR_DB:
-            raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {self.value}")
+        object.__setattr__(self, "value", value)
+        if self.kind in ("bytes", "gaussians") and value != int(value):
+            raise BudgetError(f"{self.kind} must be a whole number, got {value}")
+        if self.kind == "quality" and value > MAX_QUALITY:
+            raise BudgetError(f"quality must be at most {MAX_QUALITY:g}, got {value}")
+        if self.kind == "psnr" and value > MAX_PSNR_DB:
+            raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {value}")
 
     def max_bytes(self, width: int, height: int) -> int | None:
         """Largest file size in bytes this budget allows for an image, or None where it sets no size."""
@@ -54,3 +55,9 @@ class Budget:
 
 
 DEFAULT_BUDGET = Budget("bpp", 0.3)
+
+
+def unasked(width: int, height: int, least: int) -> Budget:
+    """The budget of a picture for which none is asked: DEFAULT_BUDGET, or the smallest file, of least bytes."""
+    asked = DEFAULT_BUDGET.max_bytes(width, height) or 0
+    return DEFAULT_BUDGET if asked >= least else Budget("bytes", least)

@@ -8,17 +8,19 @@ from __future__ import annotations
 import math
 import os
 import statistics
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from numbers import Real
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind
+from sgmethod.arguments import own_number, own_path, whole
+from sgmethod.bitstream.smallest import smallest_file
+from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, unasked
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.recorder import Clock, Recorder
@@ -33,6 +35,7 @@ from sgmethod.rd import encode as rd
 from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
 SEEN_DB = 0.005  # a smaller miss is none in two decimals
+MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,7 @@ class Encoded:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file, whole or, after an OSError, not at all."""
-        write_atomically(path, self.data)
+        write_atomically(own_path(path), self.data)
 
 
 def encode(
@@ -132,7 +135,8 @@ def encode(
     Warns with ImageWarning of what of the picture is left out. Raises ImageError for what is no such picture,
     BudgetError for a budget no file can meet, OSError for a path that cannot be read, MemoryError.
     """
-    recorder = Recorder(Clock(time_limit_s, stop), on_progress, on_preview)
+    recorder = Recorder(Clock(_own_time_limit(time_limit_s), stop), on_progress, on_preview)
+    seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
     kinds: dict[BudgetKind, float | None] = {
         "bpp": bpp,
         "bytes": bytes,
@@ -142,7 +146,6 @@ def encode(
     }
     budget = _only_budget(budget, kinds)
     _check_profile(profile)
-    _check_time_limit(time_limit_s)
     tuned_for = tuning(tune, profile, budget)
     effort = checked_effort(effort)
     settings = with_effort(PROFILES[profile], effort)
@@ -150,8 +153,10 @@ def encode(
     source_bytes = _file_bytes(image)
     alpha = np.ascontiguousarray(pixels[..., 3]) if pixels.shape[2] == 4 else None
     colours = np.ascontiguousarray(pixels[..., :3])
+    if budget is DEFAULT_BUDGET:
+        budget = unasked(pixels.shape[1], pixels.shape[0], smallest_file(settings, has_alpha=alpha is not None))
     request = Request(colours, budget, profile, tuned_for, effort, seed, recorder, alpha)
-    with _single_torch_thread(), _memory_errors():
+    with _torch_of_its_own(), _single_torch_thread(), _memory_errors():
         if isinstance(settings, RdSettings):
             data, steps = rd.encode(request, replace(settings, tune=tuned_for))
         else:
@@ -188,6 +193,23 @@ def _single_torch_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@contextmanager
+def _torch_of_its_own() -> Iterator[None]:
+    """Torch as it is at first, whatever the program has told it: float32 on the CPU, with gradients."""
+    kind = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        with (
+            torch.device("cpu"),
+            torch.autocast("cpu", enabled=False),
+            torch.inference_mode(False),
+            torch.enable_grad(),
+        ):
+            yield
+    finally:
+        torch.set_default_dtype(kind)
 
 
 @contextmanager
@@ -228,10 +250,14 @@ def _measured(request: Request, pixels: NDArray[np.uint8], data: bytes, steps: i
 
 
 def _check_profile(profile: str) -> None:
-    if profile not in PROFILES:
+    if not isinstance(profile, str) or profile not in PROFILES:
         raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
 
 
-def _check_time_limit(seconds: float | None) -> None:
-    if seconds is not None and not (isinstance(seconds, Real) and math.isfinite(seconds) and seconds > 0):
+def _own_time_limit(seconds: float | None) -> float | None:
+    if seconds is None:
+        return None
+    number = own_number(seconds)
+    if number is None or not 0 < number <= sys.float_info.max:
         raise BudgetError(f"the time limit must be a positive number of seconds, got {seconds!r}")
+    return float(number)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.arguments import own_path, whole
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
-from sgmethod.errors import BitstreamError
+from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Scene
 from sgmethod.view import View
 
 File = str | os.PathLike[str] | bytes
 WHOLE = View()
+MOST = 2**63 - 1  # of a limit
 MAX_PIXELS = (
     100_000_000  # 300 MB of output, and what ImageLimits lets in; a header can claim any size, memory cannot follow any
 )
@@ -33,7 +34,9 @@ def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, text
     Raises BitstreamError for what is not a whole, intact file, or a picture or view of more than max_pixels;
     ViewError for a view that makes no picture of it; OSError for a path that cannot be read; MemoryError.
     """
-    return SgFile(_bytes_of(data), max_pixels)._draw(view if texture else replace(view, texture=False))
+    if not isinstance(view, View):
+        raise ViewError(f"a view must be a sgmethod.View, not {type(view).__name__}")
+    return SgFile(data, max_pixels)._draw(view if texture else replace(view, texture=False))
 
 
 def info(data: File, max_gaussians: int | None = None) -> Info:
@@ -45,12 +48,14 @@ def info(data: File, max_gaussians: int | None = None) -> Info:
     data: the path of a file, or its bytes.
     Raises BitstreamError, also for more than max_gaussians, before memory is taken for them; OSError.
     """
+    if max_gaussians is not None:
+        max_gaussians = whole(max_gaussians, "max_gaussians", 0, MOST)
     return container.info(_bytes_of(data), Limits(max_gaussians=max_gaussians))
 
 
 def open(file: File) -> SgFile:
     """An .sg file, read and checked, by its path or from its bytes. Raises BitstreamError and OSError."""
-    return SgFile(_bytes_of(file))
+    return SgFile(file)
 
 
 class SgFile:
@@ -63,11 +68,12 @@ class SgFile:
     (48, 64, 3)
     """
 
-    def __init__(self, data: bytes, max_pixels: int = MAX_PIXELS) -> None:
-        """max_pixels: of the picture and of each view. Raises BitstreamError."""
-        self._limits = Limits(max_pixels)
-        self._stream = container.parse(data, self._limits)
-        self._data = data
+    def __init__(self, data: File, max_pixels: int = MAX_PIXELS) -> None:
+        """data: the path of a file, or its bytes; max_pixels: of the picture and of each view. Raises BitstreamError
+        and OSError."""
+        self._limits = Limits(whole(max_pixels, "max_pixels", 0, MOST))
+        self._data = _bytes_of(data)
+        self._stream = container.parse(self._data, self._limits)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -111,7 +117,7 @@ class SgFile:
 
 def _bytes_of(file: File) -> bytes:
     if isinstance(file, str | os.PathLike):
-        return Path(file).read_bytes()
+        return own_path(file, BitstreamError).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
         return bytes(file)
     raise BitstreamError(f"an .sg file must be given as its path or its bytes, not as {type(file).__name__}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -25,3 +26,7 @@ def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> li
 def _pool(threads: int) -> ThreadPoolExecutor:
     """Kept, since to start threads takes as long as a small picture."""
     return ThreadPoolExecutor(threads, "sgmethod")
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # which has none of its threads

@@ -9,11 +9,13 @@ total weight (docs/format.md).
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 
+from sgmethod.arguments import own_number
 from sgmethod.errors import ViewError
 from sgmethod.scene import Gaussians, Scene, Texture
 
@@ -38,12 +40,14 @@ class View:
     texture: bool = True
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.scale, Real) and math.isfinite(self.scale) and MIN_SCALE <= self.scale <= MAX_SCALE):
+        scale, prefix = own_number(self.scale), own_number(self.prefix)
+        if scale is None or not MIN_SCALE <= scale <= MAX_SCALE:
             raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {self.scale!r}")
-        if not (isinstance(self.prefix, Real) and 0 < self.prefix <= 1):
+        if prefix is None or not 0 < prefix <= 1:
             raise ViewError(f"the prefix must lie above 0 and at most at 1, got {self.prefix!r}")
-        if self.region is not None and [isinstance(n, Integral) for n in self.region] != [True] * 4:
-            raise ViewError(f"a region is four whole numbers x, y, width, height, not {self.region!r}")
+        own = {"scale": scale, "region": _own_region(self.region), "prefix": prefix, "texture": bool(self.texture)}
+        for name, value in own.items():
+            object.__setattr__(self, name, value)
 
     @property
     def is_whole(self) -> bool:
@@ -80,6 +84,16 @@ class View:
         alpha = None if scene.alpha is None else self.apply(scene.alpha)
         drawn = replace(scene, gaussians=gaussians, width=width, height=height, origin=origin)
         return replace(drawn, texture=texture, alpha=alpha)
+
+
+def _own_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | None:
+    if region is None:
+        return None
+    numbers = list(region) if isinstance(region, Iterable) else []
+    if [isinstance(n, Integral) for n in numbers] != [True] * 4:
+        raise ViewError(f"a region is four whole numbers x, y, width, height, not {region!r}")
+    x, y, width, height = map(int, numbers)
+    return x, y, width, height
 
 
 def _variance(cutoff: float) -> float:

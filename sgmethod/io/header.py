@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import warnings
 from collections.abc import Iterator
@@ -21,7 +22,12 @@ from sgmethod.native import native
 NEW_SUBFILE_TYPE, ORIENTATION, PLANAR = 254, 274, 284
 APART = 2
 
-_PILLOW_LOCK = threading.Lock()  # Python's warning filters, silenced below, are one state for all threads
+# Python's warning filters, silenced below, are one state for all threads. A fork waits for the lock, or the child would
+# have it and the filters as another thread had them. The thread that reads may fork too, in a signal's handler: RLock.
+_PILLOW_LOCK = threading.RLock()
+if hasattr(os, "register_at_fork"):  # not on Windows
+    _RELEASE = _PILLOW_LOCK.release
+    os.register_at_fork(before=_PILLOW_LOCK.acquire, after_in_parent=_RELEASE, after_in_child=_RELEASE)
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
+from sgmethod.arguments import own_path
 from sgmethod.errors import ImageError
 from sgmethod.io.header import ImageLimits, Opened, check_mode, colour_of, only_image_errors, orientation_of, warn
 from sgmethod.io.image import read_image_8_bit, upright_samples, without_alpha
@@ -32,7 +32,7 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
     if isinstance(image, bytes | bytearray | memoryview):
         return read_image_8_bit(bytes(image), keep_alpha=keep_alpha)
     if isinstance(image, str | os.PathLike):
-        return read_image_8_bit(Path(image).read_bytes(), keep_alpha=keep_alpha)
+        return read_image_8_bit(own_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
     raise ImageError(
         "an image must be a path, the bytes of an image file, a picture of Pillow's or a numpy array, "
         f"not {type(image).__name__}"
@@ -57,6 +57,8 @@ def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Uint8Array
 
     Raises ImageError for another type or shape, other values, or a size beyond ImageLimits.
     """
+    pixels = np.asarray(pixels)  # a matrix of numpy's keeps its two dimensions
+    pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:

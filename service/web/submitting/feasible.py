@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from service.jobs.job import EncodeRequest, SourceImage
 from service.web.guards.problems import ProblemError
-from sgmethod.bitstream.v1 import CODEBOOK_STAGES, COLOR_INDEX_BITS, file_bytes
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import Budget
-from sgmethod.profiles import PROFILES, PaperSettings, RdSettings
+from sgmethod.profiles import PROFILES, RdSettings
 
 
 def check_feasible(request: EncodeRequest, image: SourceImage) -> None:
@@ -26,12 +25,3 @@ def check_feasible(request: EncodeRequest, image: SourceImage) -> None:
     if allowed is not None and allowed < least:
         detail = f"a file of profile {request.profile} takes at least {least} bytes, the budget is {allowed}"
         raise ProblemError(422, detail)
-
-
-def smallest_file(settings: RdSettings | PaperSettings) -> int:
-    """Bytes of the smallest file that a profile writes."""
-    if isinstance(settings, RdSettings):
-        return StreamV4.MIN_BYTES
-    groups = settings.max_bitwidth - settings.min_bitwidth + 1 if settings.adaptive_bitwidth else 1
-    record = 2 * settings.position_bits + 3 * settings.min_bitwidth + CODEBOOK_STAGES * COLOR_INDEX_BITS
-    return file_bytes(record, groups)

@@ -1,0 +1,155 @@
+"""Numbers, sequences, arrays and paths as programs have them: each is what it is, or refused with an SgError."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sgmethod
+from sgmethod import Budget, BudgetError, SgError, View, ViewError
+from sgmethod.io.inputs import read_input
+from sgmethod.profiles import PROFILES
+from tests.harness.data import golden_path
+
+GOLDEN = golden_path("v4-color.sg").read_bytes()  # 48 x 40
+PIXELS = np.random.default_rng(1).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+WIDE = np.tile(np.arange(768, dtype=np.uint16).astype(np.uint8), (512, 1))
+INTEGERS = [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64]
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PROFILES, "rd", replace(PROFILES["rd"], steps=20))
+    for name in ("paper", "baseline"):
+        monkeypatch.setitem(PROFILES, name, replace(PROFILES[name], fit_steps=5, tune_steps=5))
+
+
+@pytest.mark.parametrize("kind", INTEGERS)
+def test_a_budget_is_pythons_own(kind: type[np.integer]) -> None:
+    for budget in (Budget("quality", kind(30)), Budget("bytes", kind(30)), Budget("psnr", kind(30))):
+        assert (type(budget.value), budget.value) == (int, 30)
+    assert Budget("bytes", kind(100)).max_bytes(768, 512) == 100
+    assert Budget("bpp", kind(2)).max_bytes(768, 512) == 98304
+    assert sgmethod.encode(PIXELS, quality=kind(30)).data == sgmethod.encode(PIXELS, quality=30).data
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32, np.float64, np.longdouble, Fraction])
+def test_a_budget_of_a_small_float_does_not_overflow(kind: type) -> None:
+    budget = Budget("bpp", kind(0.25))
+    assert type(budget.value) is float
+    assert budget.max_bytes(768, 512) == 12288
+
+
+@pytest.mark.parametrize("kind", [*INTEGERS, int])
+def test_a_region_is_pythons_own(kind: type) -> None:
+    part = [kind(n) for n in (10, 11, 30, 20)]
+    expected = sgmethod.decode(GOLDEN, view=View(8, (10, 11, 30, 20)))
+    assert expected.shape == (160, 240, 3)
+    for region in (tuple(part), part, np.array(part), iter(part)):
+        view = View(kind(8), region, texture=np.True_)  # type: ignore[arg-type]
+        assert view == View(8, (10, 11, 30, 20))
+        assert {type(n) for n in (view.scale, *(view.region or ()))} == {int}
+        assert np.array_equal(sgmethod.decode(GOLDEN, view=view), expected)
+    assert View(2, (kind(100), kind(0), kind(100), kind(100))).size(200, 100) == (200, 200)  # 100 + 100 in int8: -56
+
+
+def test_scale_and_prefix_are_pythons_own() -> None:
+    view = View(np.float16(0.5), prefix=np.float16(0.5))
+    assert [type(value) for value in (view.scale, view.prefix)] == [float, float]
+    assert view == View(0.5, prefix=0.5)
+
+
+def test_other_arguments_are_pythons_own() -> None:
+    expected = sgmethod.encode(PIXELS, bytes=300, seed=5, effort=4).data
+    assert sgmethod.encode(PIXELS, bytes=np.uint16(300), seed=np.uint8(5), effort=np.int8(4)).data == expected
+    assert sgmethod.encode(PIXELS, bytes=300, time_limit_s=np.float16(9)).stats.bytes <= 300
+    assert sgmethod.decode(GOLDEN, np.uint16(48 * 40)).shape == (40, 48, 3)
+    assert sgmethod.info(GOLDEN, np.int32(9000)) == sgmethod.info(GOLDEN)
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda: sgmethod.encode(PIXELS, seed=-1), BudgetError, "seed must be a whole number from 0 to"),
+        (lambda: sgmethod.encode(PIXELS, seed=1.5), BudgetError, "got 1.5"),
+        (lambda: sgmethod.encode(PIXELS, seed=2**63), BudgetError, "seed must be"),
+        (lambda: sgmethod.encode(PIXELS, seed=None), BudgetError, "got None"),
+        (lambda: sgmethod.encode(PIXELS, time_limit_s=10**400), BudgetError, "time limit"),
+        (lambda: sgmethod.encode(PIXELS, time_limit_s=np.float16("nan")), BudgetError, "time limit"),
+        (lambda: sgmethod.encode(PIXELS, profile=["rd"]), BudgetError, "unknown profile"),
+        (lambda: sgmethod.encode(PIXELS, bpp=np.array([0.3, 0.4])), BudgetError, "bpp must be a positive number"),
+        (lambda: Budget("bpp", Fraction(10**400)), BudgetError, "bpp must be a positive number"),
+        (lambda: sgmethod.open(GOLDEN).pixels(region=5), ViewError, "four whole numbers"),
+        (lambda: sgmethod.open(GOLDEN).pixels(region="1234"), ViewError, "four whole numbers"),
+        (lambda: sgmethod.open(GOLDEN).pixels(region=np.array([[1, 2], [3, 4]])), ViewError, "four whole numbers"),
+        (lambda: sgmethod.open(GOLDEN).pixels(scale=10**400), ViewError, "the scale must lie in"),
+        (lambda: sgmethod.decode(GOLDEN, view=(1, None)), ViewError, "sgmethod.View, not tuple"),
+        (lambda: sgmethod.decode(GOLDEN, "many"), SgError, "max_pixels must be a whole number"),
+        (lambda: sgmethod.info(GOLDEN, -1), SgError, "max_gaussians must be a whole number"),
+        (lambda: sgmethod.set_threads(0), SgError, "threads must be a whole number from 1 to 256, got 0"),
+        (lambda: sgmethod.set_threads(257), SgError, "got 257"),
+        (lambda: sgmethod.set_threads(1.5), SgError, "got 1.5"),
+        (lambda: sgmethod.encode("photo\0.jpg"), SgError, "no file can have the name 'photo\\x00.jpg'"),
+        (lambda: sgmethod.encode(Path("photo\0.jpg")), SgError, "no file can have the name"),
+        (lambda: sgmethod.decode("photo\0.sg"), SgError, "no file can have the name"),
+        (lambda: sgmethod.decode("photo\ud800.sg"), SgError, "no file can have the name"),
+        (lambda: sgmethod.info("photo\0.sg"), SgError, "no file can have the name"),
+        (lambda: sgmethod.open("photo\0.sg"), SgError, "no file can have the name"),
+        (lambda: sgmethod.encode(PIXELS, bytes=99).save("photo\0.sg"), SgError, "no file can have the name"),
+    ],
+)
+def test_others_are_refused(call: Callable[[], object], error: type[SgError], words: str) -> None:
+    with pytest.raises(error) as caught:
+        call()
+    assert words in str(caught.value)
+
+
+def test_threads_are_pythons_own() -> None:
+    before = sgmethod.native.native.thread_count()
+    try:
+        sgmethod.set_threads(np.uint8(2))
+        assert sgmethod.native.native.thread_count() == 2
+    finally:
+        sgmethod.set_threads(before)
+
+
+def test_arrays_of_every_byte_order_and_layout_are_what_they_are() -> None:
+    deep, part = PIXELS.astype(np.uint16) * 257, PIXELS / 255
+    padded = np.zeros((22, 40, 5), np.uint8)
+    padded[1:21, 3:33, 1:4] = PIXELS
+    alpha = np.dstack([PIXELS, PIXELS[..., :1]])
+    layouts = {
+        "Fortran's order": np.asfortranarray(PIXELS),
+        "planes": np.ascontiguousarray(PIXELS.transpose(2, 0, 1)).transpose(1, 2, 0),
+        "backwards": np.ascontiguousarray(PIXELS[::-1, ::-1, ::-1])[::-1, ::-1, ::-1],
+        "a part": padded[1:21, 3:33, 1:4],
+        "read only": np.frombuffer(PIXELS.tobytes(), np.uint8).reshape(PIXELS.shape),
+        "uint16, big end first": deep.astype(">u2"),
+        "uint16, little end first": deep.astype("<u2"),
+        **{kind: part.astype(kind) for kind in (">f4", ">f8", "<f4", "<f8", ">f2", np.longdouble)},
+    }
+    for name, array in layouts.items():
+        assert np.array_equal(read_input(array), PIXELS), name
+    assert np.array_equal(read_input(PIXELS[..., 0].view(np.matrix)), np.repeat(PIXELS[..., :1], 3, 2))
+    assert np.array_equal(read_input((alpha.astype(np.uint16) * 257).astype(">u2"), keep_alpha=True), alpha)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (21, 22)])
+@pytest.mark.parametrize(("channels", "least"), [(3, 18), (4, 25)])
+def test_a_picture_too_small_for_the_usual_budget_gets_the_smallest_file(
+    size: tuple[int, int], channels: int, least: int
+) -> None:
+    pixels = np.full((*size, channels), 90, np.uint8)
+    assert sgmethod.encode(pixels).stats.bytes == least
+    with pytest.raises(BudgetError, match=f"at least {least} bytes"):
+        sgmethod.encode(pixels, bpp=0.3)
+
+
+@pytest.mark.parametrize("profile", ["paper", "baseline"])
+def test_so_it_does_with_the_other_profiles(profile: str) -> None:
+    assert sgmethod.encode(PIXELS, profile=profile).stats.gaussians == 1

@@ -1,0 +1,152 @@
+"""What else a program does: it forks, with threads at work, and sets what torch and numpy do."""
+
+from __future__ import annotations
+
+import io
+import os
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import sgmethod
+from sgmethod.io import formats
+from sgmethod.io.image import read_header
+from sgmethod.native import native
+from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
+from sgmethod.threads import in_parallel
+
+PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
+PATIENCE_S = 60
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PROFILES, "rd", replace(PROFILES["rd"], steps=20))
+    for name in ("paper", "baseline"):
+        monkeypatch.setitem(PROFILES, name, replace(PROFILES[name], fit_steps=5, tune_steps=5))
+
+
+def encoded(**more: object) -> bytes:
+    return sgmethod.encode(PIXELS, **({"bytes": 400, "effort": 1} | more)).data
+
+
+def in_child(function: Callable[[], bytes]) -> bytes:
+    """What a forked child makes. Raises AssertionError if it does not end."""
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.write(write, function())
+        finally:
+            os._exit(0)
+    os.close(write)
+    for _ in range(10 * PATIENCE_S):
+        if os.waitpid(child, os.WNOHANG)[0]:
+            with os.fdopen(read, "rb") as file:
+                return file.read()
+        time.sleep(0.1)
+    os.kill(child, 9)
+    os.waitpid(child, 0)
+    os.close(read)
+    raise AssertionError("the child waits for ever")
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    before = native.thread_count()
+    sgmethod.set_threads(count)
+    try:
+        yield
+    finally:
+        sgmethod.set_threads(before)
+
+
+def test_a_forked_child_encodes_as_its_parent_did() -> None:
+    with threads(2):
+        expected = encoded()
+        assert in_child(encoded) == expected
+        assert in_child(lambda: in_child(encoded)) == expected
+
+
+def test_a_forked_child_fits_with_torch() -> None:
+    paper = {"profile": "paper", "bytes": 300, "effort": DEFAULT_EFFORT}
+    expected = encoded(**paper)
+    assert in_child(lambda: encoded(**paper)) == expected
+
+
+def test_a_child_forked_during_work_of_other_threads_has_threads_of_its_own() -> None:
+    with threads(2):
+        begun, end = threading.Barrier(3), threading.Event()
+        work = threading.Thread(target=in_parallel, args=(lambda _: (begun.wait(), end.wait()), range(2)))
+        work.start()
+        begun.wait(PATIENCE_S)
+        try:
+            assert in_child(lambda: bytes(in_parallel(lambda n: n * n, range(9)))) == bytes(n * n for n in range(9))
+        finally:
+            end.set()
+            work.join()
+
+
+@pytest.mark.filterwarnings("always::sgmethod.ImageWarning")
+def test_a_child_forked_while_a_picture_is_read_reads_and_warns(monkeypatch: pytest.MonkeyPatch) -> None:
+    file = io.BytesIO()
+    Image.fromarray(PIXELS).save(file, "PNG", save_all=True, append_images=[Image.new("L", (48, 36))])
+    begun, real = threading.Event(), formats.open_reader
+
+    def slowly(*arguments: object) -> object:
+        if threading.current_thread() is reading:
+            begun.set()
+            time.sleep(0.5)
+        return real(*arguments)
+
+    def warned() -> bytes:
+        with warnings.catch_warnings(record=True) as caught:
+            encoded_file = sgmethod.encode(file.getvalue(), bytes=400, effort=1).data
+        return encoded_file + b"%d" % len(caught)
+
+    expected = warned()
+    monkeypatch.setattr(formats, "open_reader", slowly)
+    reading = threading.Thread(target=read_header, args=(file.getvalue(),))
+    reading.start()
+    assert begun.wait(PATIENCE_S)
+    assert in_child(warned) == expected
+    assert expected.endswith(b"1")
+    reading.join()
+
+
+@contextmanager
+def default_dtype(kind: torch.dtype) -> Iterator[None]:
+    torch.set_default_dtype(kind)
+    try:
+        yield
+        assert torch.get_default_dtype() == kind  # as the program has told it
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
+STATES: dict[str, Callable[[], AbstractContextManager[object]]] = {
+    "doubles": lambda: default_dtype(torch.float64),
+    "half floats": lambda: default_dtype(torch.bfloat16),
+    "another device": lambda: torch.device("meta"),
+    "no gradients": torch.no_grad,
+    "inference": torch.inference_mode,
+    "autocast": lambda: torch.autocast("cpu"),
+    "errors of numpy": lambda: np.errstate(all="raise"),
+}
+
+
+@pytest.mark.parametrize("state", STATES)
+@pytest.mark.parametrize("profile", ["rd", "paper", "baseline"])
+def test_files_are_the_same_whatever_a_program_has_set(state: str, profile: str) -> None:
+    more = {} if profile == "rd" else {"profile": profile, "bytes": 300, "effort": DEFAULT_EFFORT}
+    expected = encoded(**more)
+    with STATES[state]():
+        assert encoded(**more) == expected
