@@ -6,8 +6,7 @@
 The rooms and modules, in the order of the pipeline; each imports only from those above it:
 
     errors      the tree of errors
-    arguments   numbers and paths that callers give, as Python's own
-    budget      what an encode may spend
+    budget      what an encode may spend; numbers as Python's own
     trace       what an encode reports while it runs
     scene       the set of Gaussians
     profiles    every number of the method
@@ -105,7 +104,7 @@ plugin.register()
 def set_threads(count: int) -> None:
     """Threads that rendering and fitting use in this process, 1 to 256. SG_THREADS sets it at the start; else it is the
     number of cores that this process may run on and its control group's quota allows. Raises SgError."""
-    from sgmethod.arguments import whole
+    from sgmethod.budget import whole
     from sgmethod.native import native
 
     native.set_thread_count(whole(count, "the number of threads", 1, MAX_THREADS))

@@ -1,12 +1,17 @@
-"""What an encode may spend: one number and its unit."""
+"""What an encode may spend: one number and its unit.
+
+Numbers that callers give become Python's own here: NumPy's small ones keep their type in sums and products, and wrap
+round.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Literal, get_args
 
-from sgmethod.arguments import own_number
-from sgmethod.errors import BudgetError
+from sgmethod.errors import BudgetError, SgError
 
 BudgetKind = Literal["bpp", "bytes", "psnr", "quality", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
@@ -14,6 +19,26 @@ BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 MAX_PSNR_DB = 60.0  # 8-bit rounding alone leaves 58.9 dB; asking for more has no meaning
 
 MAX_QUALITY = 100.0
+
+
+def own_number(value: object) -> int | float | None:
+    """A number as Python's int or float; None for what is no finite number."""
+    if isinstance(value, Integral):
+        return int(value)
+    if not isinstance(value, Real):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # of a fraction
+        return None
+    return number if math.isfinite(number) else None
+
+
+def whole(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
+    """A whole number from least to most as Python's int. Raises error for anything else."""
+    if not isinstance(value, Integral) or not least <= int(value) <= most:
+        raise error(f"{name} must be a whole number from {least} to {most}, got {value!r}")
+    return int(value)
 
 
 @dataclass(frozen=True)

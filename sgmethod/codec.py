@@ -18,14 +18,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from sgmethod.arguments import own_number, own_path, whole
 from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, unasked
+from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, own_number, unasked, whole
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.recorder import Clock, Recorder
 from sgmethod.fitting.request import Request
-from sgmethod.io.files import write_atomically
+from sgmethod.io.files import own_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.io.laying import on_backgrounds
 from sgmethod.metrics import ms_ssim, psnr

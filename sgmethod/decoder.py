@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.arguments import own_path, whole
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
+from sgmethod.budget import whole
 from sgmethod.errors import BitstreamError, ViewError
+from sgmethod.io.files import own_path
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Scene
 from sgmethod.view import View

@@ -15,7 +15,7 @@ from numbers import Integral
 
 import numpy as np
 
-from sgmethod.arguments import own_number
+from sgmethod.budget import own_number
 from sgmethod.errors import ViewError
 from sgmethod.scene import Gaussians, Scene, Texture
 

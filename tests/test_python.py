@@ -18,6 +18,7 @@ import pytest
 from PIL import Image, UnidentifiedImageError
 
 import sgmethod
+from service.web.routes.pictures import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
 from sgmethod.native import native
 from sgmethod.profiles import PROFILES
@@ -162,6 +163,8 @@ def test_pillow_opens_and_saves() -> None:
     )
     ran = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
     assert ran.stdout == "SGM RGB (48, 40)\n"
+    with Image.open("picture.sg") as image:
+        assert image.get_format_mimetype() == BITSTREAM_TYPE
     assert np.array_equal(np.asarray(Image.open("picture.png")), sgmethod.decode(GOLDEN))
     PHOTO.save("out.sg", bytes=500, compress_level=3)
     assert Path("out.sg").read_bytes() == encoded(PIXELS)

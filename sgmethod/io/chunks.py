@@ -1,12 +1,29 @@
-"""What Pillow does not tell of a file, read from its own structure: PNG's chunks, the boxes of AVIF and HEIC,
-the header of JPEG XL."""
+"""What Pillow does not tell of a file, or misreads, from the file's own structure: PNG's chunks, the boxes of AVIF and
+HEIC, the header of JPEG XL, JPEG's markers, the headers of BMP and TIFF."""
 
 from __future__ import annotations
 
+import re
+import struct
+import zlib
 from collections.abc import Callable, Iterator
+from fractions import Fraction
 from typing import NamedTuple
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+PNG_SIDE = (b"tEXt", b"zTXt", b"iTXt", b"iCCP")
+
+JPEG_END = b"\xff\xd9"
+JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # ITU-T T.81, table B.1
+JPEG_SCAN = 0xDA
+JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd8\xff]", re.DOTALL)  # but those without a segment
+
+BMP_V5, BMP_EMBEDDED = 124, b"DEBM"  # size of the header; its colour space, PROFILE_EMBEDDED
+
+TIFF_BIG = 43
+NEW_SUBFILE_TYPE, SUBFILE_TYPE = 254, 255  # tags, the lowest two
+PREVIEW_OR_MASK, OLD_PREVIEW = 1 | 4, 2
+MOST_PAGES = 100
 
 Span = tuple[bytes, int, int]  # kind, where its content begins and ends
 
@@ -29,16 +46,96 @@ class JpegXl(NamedTuple):
 
 
 def of_png(data: bytes) -> dict[bytes, bytes]:
-    """cICP and eXIf, which may stand behind the pixels, where Pillow finds it only by decoding them."""
+    """cICP, iCCP, and eXIf, which may stand behind the pixels, where Pillow finds it only by decoding them."""
     found: dict[bytes, bytes] = {}
+    for kind, start, end in _png_chunks(data):
+        if kind in (b"cICP", b"iCCP", b"eXIf"):
+            found.setdefault(kind, data[start:end])
+    return found
+
+
+def plain_png(data: bytes) -> bytes:
+    """Without text and profile, which Pillow refuses beyond 1 MiB. Raises ValueError where they are damaged."""
+    kept, at = [], 0
+    for kind, start, end in _png_chunks(data):
+        if kind in PNG_SIDE:
+            if zlib.crc32(data[start - 4 : end]) != _number(data, end, 4):
+                raise ValueError(f"bad checksum of {kind.decode()}")
+            kept.append(data[at : start - 8])
+            at = end + 4
+    return b"".join([*kept, data[at:]]) if at else data
+
+
+def _png_chunks(data: bytes) -> Iterator[Span]:
     at = len(PNG_MAGIC)
     while at + 8 <= len(data):
-        length = int.from_bytes(data[at : at + 4], "big")
-        kind = data[at + 4 : at + 8]
-        if kind in (b"cICP", b"eXIf"):
-            found.setdefault(kind, data[at + 8 : at + 8 + length])
-        at += length + 12
-    return found
+        end = at + 8 + _number(data, at, 4)
+        yield data[at + 4 : at + 8], at + 8, end
+        at = end + 4
+
+
+def lacks_end(jpeg: bytes) -> bool:
+    """Whether a file has all the scans of a JPEG, and no end marker. The last scan may be cut."""
+    at, left = 2, None
+    if jpeg.endswith(JPEG_END):
+        return False
+    try:
+        while found := JPEG_MARKER.search(jpeg, at):
+            kind, at = found.group()[1], found.end()
+            if kind == JPEG_END[1]:
+                return False
+            segment = jpeg[at + 2 : at + _number(jpeg, at, 2)]
+            if kind in JPEG_FRAMES:
+                left = {segment[6 + 3 * n]: set(range(64)) for n in range(segment[5])}
+            elif kind == JPEG_SCAN and left is not None:
+                first, last, bits = segment[1 + 2 * segment[0] :][:3]
+                for n in range(segment[0] if bits & 15 == 0 else 0):  # else some lower bits are to follow
+                    left[segment[1 + 2 * n]] -= set(range(first, last + 1))
+            at += _number(jpeg, at, 2)
+    except (IndexError, KeyError, ValueError):
+        return False
+    return left is not None and not any(left.values())
+
+
+def profile_of_bmp(data: bytes) -> bytes | None:
+    """The ICC profile in the file, if there is one."""
+    if int.from_bytes(data[14:18], "little") != BMP_V5 or data[70:74] != BMP_EMBEDDED:
+        return None
+    start, length = struct.unpack_from("<II", data, 126)
+    return data[14 + start : 14 + start + length]
+
+
+def holds_one_picture(tiff: bytes) -> bool:
+    """Whether all pages behind the first are previews and masks of it."""
+    order = "<" if tiff[:2] == b"II" else ">"
+    big = struct.unpack_from(order + "H", tiff, 2)[0] == TIFF_BIG
+    count, entry, link, first = ("Q", "HHQQ", "Q", 8) if big else ("H", "HHII", "I", 4)
+    (at,) = struct.unpack_from(order + link, tiff, first)
+    seen: set[int] = set()
+    try:
+        while at and at not in seen and len(seen) < MOST_PAGES:
+            (entries,) = struct.unpack_from(order + count, tiff, at)
+            at_first = at + struct.calcsize(count)
+            size = struct.calcsize("=" + entry)
+            if seen and not _is_preview_or_mask(
+                tiff, order + entry, [at_first + n * size for n in range(min(entries, 2))]
+            ):
+                return False
+            seen.add(at)
+            (at,) = struct.unpack_from(order + link, tiff, at_first + entries * size)
+    except struct.error:  # the chain of pages is damaged behind the first
+        return True
+    return len(seen) < MOST_PAGES
+
+
+def _is_preview_or_mask(tiff: bytes, entry: str, places: list[int]) -> bool:
+    for place in places:
+        tag, kind, _, value = struct.unpack_from(entry, tiff, place)
+        if kind == 3:  # a short, which stands first
+            (value,) = struct.unpack_from(entry[0] + "H", tiff, place + struct.calcsize(entry[:-1]))
+        if (tag == NEW_SUBFILE_TYPE and value & PREVIEW_OR_MASK) or (tag == SUBFILE_TYPE and value == OLD_PREVIEW):
+            return True
+    return False
 
 
 def brands(data: bytes) -> list[bytes]:
@@ -50,28 +147,55 @@ def brands(data: bytes) -> list[bytes]:
 
 
 def code_points(data: bytes) -> tuple[int, int] | None:
-    """Primaries and transfer (H.273) of an AVIF or HEIC file's primary picture; None where it states none.
+    """Primaries and transfer (H.273) of an AVIF or HEIC file's primary picture; None where it states none."""
+    for kind, at, _ in _properties(data):
+        if kind == b"colr" and data[at : at + 4] == b"nclx":
+            return _number(data, at + 4, 2), _number(data, at + 6, 2)
+    return None
+
+
+def clean_aperture(data: bytes, width: int, height: int) -> tuple[int, int, int, int] | None:
+    """x0, y0, x1, y1 of what is to be seen of an AVIF file's primary picture; None where that is all, or makes no
+    sense.
+
+    ISO/IEC 14496-12, 12.1.4: width, height, and the offsets of their centre from the picture's, all of them fractions.
+    """
+    for kind, at, end in _properties(data):
+        if kind == b"clap" and end - at == 32:
+            numbers = struct.unpack_from(">iIiIiIiI", data, at)
+            if not all(numbers[1::2]):
+                return None
+            w, h, across, down = (Fraction(over, under) for over, under in zip(*[iter(numbers)] * 2, strict=True))
+            x, y = int((width - w) / 2 + across), int((height - h) / 2 + down)
+            return (
+                (x, y, x + int(w), y + int(h))
+                if 0 <= x < x + int(w) <= width and 0 <= y < y + int(h) <= height
+                else None
+            )
+    return None
+
+
+def _properties(data: bytes) -> Iterator[Span]:
+    """Of the primary picture of an AVIF or HEIC file.
 
     ISO/IEC 23008-12: meta holds pitm, the number of the primary picture, and iprp, which holds ipco, the properties,
     and ipma, which pictures have which.
     """
     meta = _box(data, b"meta", 0, len(data))
     if meta is None:
-        return None
+        return
     start, end = meta[0] + 4, meta[1]
     first, iprp = _box(data, b"pitm", start, end), _box(data, b"iprp", start, end)
     if first is None or iprp is None:
-        return None
+        return
     primary = _number(data, first[0] + 4, 4 if data[first[0] : first[0] + 1] > b"\0" else 2)
     ipco, ipma = _box(data, b"ipco", *iprp), _box(data, b"ipma", *iprp)
     if ipco is None or ipma is None:
-        return None
+        return
     properties = list(_boxes(data, *ipco))
     for index in _associated(data[ipma[0] : ipma[1]], primary):
-        kind, at, _ = properties[index - 1] if 0 < index <= len(properties) else (b"", 0, 0)
-        if kind == b"colr" and data[at : at + 4] == b"nclx":
-            return _number(data, at + 4, 2), _number(data, at + 6, 2)
-    return None
+        if 0 < index <= len(properties):
+            yield properties[index - 1]
 
 
 def of_jpeg_xl(data: bytes) -> JpegXl:

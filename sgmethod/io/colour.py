@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import struct
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -27,6 +28,7 @@ Matrix = NDArray[np.float64]
 
 BAND = 1 << 18  # pixels converted at a time: floats of whole pictures would take more memory than an encode
 MOST_BLACK = 0.18  # where Little CMS ends compensation too: an L* of 50
+MAX_PROFILE_BYTES = 16 << 20  # inflated; those of presses have one or two
 UNSEEN = 0.75 / 255  # a conversion that moves no colour further is left out
 
 # H.273, tables 2 and 3: x and y of red, green, blue and white; curves, where those of video count as sRGB's, which is
@@ -202,6 +204,18 @@ def of_png(info: Mapping[Any, Any]) -> Colour:
     except (ArithmeticError, np.linalg.LinAlgError) as error:
         raise ProfileError("its primaries are not those of colours") from error
     return Space.of((curve,) * 3, to_d50)
+
+
+def inflated(iccp: bytes) -> bytes:
+    """The profile in PNG's chunk: a name, a zero, how it is compressed, and zlib's stream. Raises ProfileError."""
+    inflater = zlib.decompressobj()
+    try:
+        profile = inflater.decompress(iccp[iccp.find(b"\0") + 2 :], MAX_PROFILE_BYTES)
+    except zlib.error as error:
+        raise ProfileError("it is damaged") from error
+    if not inflater.eof:
+        raise ProfileError(f"it is cut short, or larger than {MAX_PROFILE_BYTES >> 20} MiB")
+    return profile
 
 
 def of_profile(profile: bytes, mode: str) -> Colour:

@@ -8,6 +8,8 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
+from sgmethod.errors import SgError
+
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:
     """Write data to path, which then holds all of it or, after any failure, what it held before.
@@ -61,3 +63,14 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def own_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Path:
+    """A path. Raises error for a name that no file can have."""
+    name = os.fsdecode(path)
+    try:
+        if b"\0" not in os.fsencode(name):
+            return Path(name)
+    except UnicodeEncodeError:
+        pass
+    raise error(f"no file can have the name {name!r}")

@@ -17,11 +17,10 @@ from sgmethod.errors import ImageError
 from sgmethod.io import chunks
 from sgmethod.io.chunks import PNG_MAGIC
 
-TIFF_MAGICS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 MAGICS: dict[str, tuple[bytes, ...]] = {
     "PNG": (PNG_MAGIC,),
     "JPEG": (b"\xff\xd8\xff",),
-    "TIFF": TIFF_MAGICS,
+    "TIFF": (b"II*\0", b"MM\0*", b"II+\0"),
     "BMP": (b"BM",),
     "GIF": (b"GIF87a", b"GIF89a"),
     "QOI": (b"qoif",),
@@ -44,6 +43,7 @@ READERS = {
 }
 REFUSED = {
     "an .sg file already": (b"SGM",),
+    "a BigTIFF of the byte order that is not read (big end first)": (b"MM\0+",),
     "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
     "a PDF": (b"%PDF",),
     "a Photoshop file": (b"8BPS",),
@@ -102,4 +102,4 @@ def reader_of(name: str) -> type[ImageFile.ImageFile]:
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
     """The reader of a file of a format, which has parsed its header. Raises ImageError where its package is missing,
     and whatever the reader raises."""
-    return reader_of(name)(io.BytesIO(data))
+    return reader_of(name)(io.BytesIO(chunks.plain_png(data) if name == "PNG" else data))

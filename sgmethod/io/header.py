@@ -15,12 +15,13 @@ from PIL import Image
 from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io import chunks, formats
 from sgmethod.io.colour import Colour, ProfileError
-from sgmethod.io.levels import BITS_PER_SAMPLE, stated_colour
+from sgmethod.io.levels import BITS_PER_SAMPLE, Box, stated_colour
 from sgmethod.native import native
 
-# TIFF tags, and a value
-NEW_SUBFILE_TYPE, ORIENTATION, PLANAR = 254, 274, 284
-APART = 2
+# TIFF tags, and values
+NEW_SUBFILE_TYPE, ORIENTATION, PLANAR, SAMPLE_FORMAT = 254, 274, 284, 339
+APART, UNSIGNED, UNKNOWN = 2, 1, 4
+ODD_SAMPLES = "samples of more than 16 bits, signed samples and floats are not supported"
 
 # Python's warning filters, silenced below, are one state for all threads. A fork waits for the lock, or the child would
 # have it and the filters as another thread had them. The thread that reads may fork too, in a signal's handler: RLock.
@@ -77,6 +78,14 @@ class Opened:
     orientation: int  # still to be undone
     colour: Colour
     notes: list[str]  # what is left out
+    frame: Box | None = None  # where there are pixels, if not everywhere
+    crop: Box | None = None  # what is to be seen, if not all
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Of the picture as it is to be seen, but for its orientation."""
+        x0, y0, x1, y1 = self.crop or (0, 0, *self.reader.size)
+        return x1 - x0, y1 - y0
 
 
 @contextmanager
@@ -111,7 +120,7 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     except RuntimeError as error:
         raise ValueError("its library refuses it") from error  # what that says is for its developers
     (limits or ImageLimits()).check(*reader.size)
-    notes = [] if is_still(reader) else ["it holds more than one picture: the first is taken"]
+    notes = [] if is_still(reader, data) else ["it holds more than one picture: the first is taken"]
     if kind == "TIFF":
         _check_tiff(reader)
     _check_tiles(reader, kind)
@@ -124,7 +133,8 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     # Pillow's TIFF reader turns the picture itself, and so do libheif, and libjxl unless it gives a JPEG back.
     turned = kind in ("TIFF", "HEIC") or (jpeg_xl is not None and not getattr(reader, "jpeg", False))
     orientation = 1 if turned else orientation_of(block)
-    return Opened(reader, orientation, stated, [*notes, *profile_notes])
+    crop = chunks.clean_aperture(data, *reader.size) if kind == "AVIF" else None  # libheif crops itself
+    return Opened(reader, orientation, stated, [*notes, *profile_notes], frame_of(reader), crop)
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
@@ -139,14 +149,24 @@ def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
     return header
 
 
-def is_still(reader: Image.Image) -> bool:
+def is_still(reader: Image.Image, data: bytes) -> bool:
     """Whether a file holds one picture alone."""
+    if reader.format == "TIFF":
+        return chunks.holds_one_picture(data)
     return not getattr(reader, "is_animated", False)
+
+
+def frame_of(reader: Image.Image) -> Box | None:
+    """Where on its screen the first picture of a GIF lies; None if it covers it, or in other formats."""
+    if reader.format != "GIF" or reader.tell() > 0:
+        return None
+    box: Box = reader.dispose_extent  # type: ignore[attr-defined]
+    return None if box == (0, 0, *reader.size) else box
 
 
 def check_mode(reader: Image.Image) -> None:
     if reader.mode in ("I", "F"):
-        raise ImageError("samples of more than 16 bits, signed samples and floats are not supported")
+        raise ImageError(ODD_SAMPLES)
 
 
 def _check_tiff(reader: Any) -> None:
@@ -154,6 +174,8 @@ def _check_tiff(reader: Any) -> None:
     tags = reader.tag_v2
     if tags.get(NEW_SUBFILE_TYPE, 0) & 1:
         raise ImageError("the first picture of the file is only a preview, as in a camera's raw file")
+    if not {*tags.get(SAMPLE_FORMAT, ())} <= {UNSIGNED, UNKNOWN}:
+        raise ImageError(ODD_SAMPLES)
     if tags.get(PLANAR) == APART and max(tags.get(BITS_PER_SAMPLE, (1,))) > 8:
         raise ImageError("TIFF files with 16-bit channels stored apart are not supported")
 

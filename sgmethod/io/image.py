@@ -7,15 +7,18 @@ both, and whatever they refuse is an ImageError with one clear sentence; what th
                    `heif`, JPEG XL with the extra `jxl`; known by their first bytes, never by a file name
     size           checked against ImageLimits from the header, before pixels are decoded
     frames         the first, with a warning if there are others. A JPEG with pictures behind its own (a preview, a
-                   gain map) is one picture. A JPEG XL that moves is refused.
+                   gain map) is one picture, as is a TIFF with previews and masks behind its first. A JPEG XL that
+                   moves is refused. Where a GIF's first frame does not cover its screen, nothing is seen.
     whole          a file that is cut short or leaves pixels unset is refused, as is a PNG with any damage;
-                   damage inside other formats can go unseen, because they carry no checksum
-    orientation    the EXIF orientation is applied; EXIF data that cannot be parsed counts as absent
+                   damage inside other formats can go unseen, because they carry no checksum. A JPEG may lack its end
+                   marker.
+    orientation    the EXIF orientation is applied; EXIF data that cannot be parsed counts as absent. So are rotation,
+                   mirroring and clean aperture of AVIF and HEIC.
     colour         sRGB comes out. What a file states is converted, relative colorimetric with black-point
                    compensation: PNG's cICP, ICC profile, sRGB, gAMA and cHRM, the first of them that it has; ICC
-                   profiles of the others; the code points of AVIF and HEIC. A profile that cannot be used is left
-                   out, with a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes are
-                   expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. That a
+                   profiles of the others, BMP among them; the code points of AVIF and HEIC. A profile that cannot be
+                   used is left out, with a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes
+                   are expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. That a
                    QOI file holds light is not believed: Pillow writes so into each.
     depth          16-bit grey and 16-bit RGB(A) keep all their bits, through the conversion of colours too unless the
                    profile is one of tables; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's grey with alpha, TIFF's
@@ -28,6 +31,7 @@ both, and whatever they refuse is an ImageError with one clear sentence; what th
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -36,7 +40,7 @@ import numpy.typing as npt
 from PIL import ImageFile
 
 from sgmethod.errors import ImageError
-from sgmethod.io import formats
+from sgmethod.io import chunks, formats
 from sgmethod.io.header import (
     ImageHeader,
     ImageLimits,
@@ -50,6 +54,9 @@ from sgmethod.io.header import (
 from sgmethod.io.levels import Samples, Uint8Array, samples_of, values_of
 
 __all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image", "read_image_8_bit"]
+
+# What may follow the pixels of a JPEG that lacks its end; no byte of it begins a marker.
+BEHIND = [bits.tobytes() for bits in np.random.default_rng(0).integers(0, 255, (4, 64), np.uint8)]
 
 Float32Array = npt.NDArray[np.float32]
 Values = TypeVar("Values", bound=npt.NDArray[Any])
@@ -69,8 +76,8 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
         opened = open_file(data, kind, limits)
         reader = opened.reader
         # Pillow's TIFF reader has the size of the turned picture.
-        width, height = reversed(reader.size) if opened.orientation >= 5 else reader.size
-        return ImageHeader(kind, width, height, reader.mode, is_still(reader))
+        width, height = reversed(opened.size) if opened.orientation >= 5 else opened.size
+        return ImageHeader(kind, width, height, reader.mode, is_still(reader, data))
 
 
 def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:
@@ -103,6 +110,9 @@ def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool) -> tuple[Sa
     kind = formats.name_of(data)
     with only_image_errors(kind):
         opened = open_file(data, kind, limits)
+        if kind == "JPEG" and chunks.lacks_end(data):
+            data = _with_end(data)
+            opened = open_file(data, kind, limits)
         samples = upright_samples(opened, data, keep_alpha)
         if kind == "PNG":
             verified: ImageFile.ImageFile = formats.open_reader(data, kind)
@@ -113,17 +123,30 @@ def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool) -> tuple[Sa
 def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Samples:
     """Turned as the picture is to be seen, and over white unless alpha is kept, which is noted."""
     width, height = opened.reader.size
-    samples = samples_of(opened.reader, data, opened.colour)
+    samples = samples_of(opened.reader, data, opened.colour, opened.frame)
     if samples.levels.shape[:2] != (height, width):  # libheif crops as it decodes
         raise ImageError("its pixels are not of the size that its header says")
     if not keep_alpha:
         samples = without_alpha(samples, opened.notes)
+    x0, y0, x1, y1 = opened.crop or (0, 0, width, height)
     alpha = samples.alpha
     return replace(
         samples,
-        levels=_turn(samples.levels, opened.orientation),
-        alpha=None if alpha is None else _turn(alpha, opened.orientation),
+        levels=_turn(samples.levels[y0:y1, x0:x1], opened.orientation),
+        alpha=None if alpha is None else _turn(alpha[y0:y1, x0:x1], opened.orientation),
     )
+
+
+def _with_end(jpeg: bytes) -> bytes:
+    """A JPEG that lacks its end marker. Raises ImageError if it lacks pixels: other bits behind it then make others."""
+    jpeg = jpeg.rstrip(b"\xff")  # the first half of a marker
+    number = int.from_bytes(([b"\7", *re.findall(rb"\xff([\xd0-\xd7])", jpeg)])[-1], "big")
+    restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # where pixels may be due to go on, if they do
+    readers = [formats.open_reader(jpeg + bits + restart + bits + chunks.JPEG_END, "JPEG") for bits in BEHIND]
+    ended, *others = map(np.asarray, readers)
+    if not all(np.array_equal(ended, other) for other in others):
+        raise ImageError("the JPEG is cut short")
+    return jpeg + chunks.JPEG_END
 
 
 def without_alpha(samples: Samples, notes: list[str]) -> Samples:

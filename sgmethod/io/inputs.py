@@ -9,9 +9,18 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from sgmethod.arguments import own_path
 from sgmethod.errors import ImageError
-from sgmethod.io.header import ImageLimits, Opened, check_mode, colour_of, only_image_errors, orientation_of, warn
+from sgmethod.io.files import own_path
+from sgmethod.io.header import (
+    ImageLimits,
+    Opened,
+    check_mode,
+    colour_of,
+    frame_of,
+    only_image_errors,
+    orientation_of,
+    warn,
+)
 from sgmethod.io.image import read_image_8_bit, upright_samples, without_alpha
 from sgmethod.io.levels import Samples, Uint8Array
 
@@ -44,10 +53,10 @@ def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
     with only_image_errors():
         ImageLimits().check(*image.size)
         check_mode(image)
-        image = image.copy()
+        frame, image = frame_of(image), image.copy()
         orientation = orientation_of(image.info.get("exif"))
         stated, notes = colour_of(image, None)
-        samples = upright_samples(Opened(image, orientation, stated, notes), None, keep_alpha)
+        samples = upright_samples(Opened(image, orientation, stated, notes, frame), None, keep_alpha)
     warn(notes)
     return samples.in_8_bits()
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageFile
+from PIL import Image
 
-from sgmethod.io import chunks, colour
+from sgmethod.io import chunks, colour, formats
 from sgmethod.io.colour import Colour, Levels, Transform
 
 Float32Array = npt.NDArray[np.float32]
@@ -20,6 +19,8 @@ Uint8Array = npt.NDArray[np.uint8]
 # TIFF tags, and a value
 BITS_PER_SAMPLE, PHOTOMETRIC = 258, 262
 WHITE_IS_ZERO = 0
+
+Box = tuple[int, int, int, int]  # x0, y0, x1, y1
 
 
 @dataclass(frozen=True)
@@ -70,10 +71,11 @@ def to_8_bit(levels: npt.NDArray[Any], peak: int = 1) -> Uint8Array:
     return pixels
 
 
-def samples_of(reader: Image.Image, data: bytes | None, stated: Colour) -> Samples:
+def samples_of(reader: Image.Image, data: bytes | None, stated: Colour, frame: Box | None = None) -> Samples:
     """Decode; with alpha where anything can be seen through.
 
-    reader: not yet loaded; data: its file, without which 16-bit RGB comes in 8 bits; stated: its colours.
+    reader: not yet loaded; data: its file, without which 16-bit RGB comes in 8 bits; stated: its colours; frame: where
+    there are pixels, if not everywhere.
     """
     key = reader.info.pop("transparency", None) if reader.mode != "P" else None
     levels, peak = _stored(reader, data, stated)
@@ -84,6 +86,11 @@ def samples_of(reader: Image.Image, data: bytes | None, stated: Colour) -> Sampl
         # The transparent colour of a PNG file. Samples of 2 and 4 bits have been stretched to 8, but not the key.
         stretched = {2: 85, 4: 17}.get(data[24], 1) if data is not None and reader.format == "PNG" else 1
         alpha = np.any(levels != np.multiply(key, stretched), axis=2, keepdims=True) * levels.dtype.type(peak)
+    if frame is not None:
+        x0, y0, x1, y1 = frame
+        covered = np.zeros((*levels.shape[:2], 1), levels.dtype)
+        covered[y0:y1, x0:x1] = peak if alpha is None else alpha[y0:y1, x0:x1]
+        alpha = covered
     opaque = peak
     if stated is not None and not (isinstance(stated, Transform) and stated.mode == "CMYK"):
         levels, peak = stated.convert(levels, peak)
@@ -123,6 +130,8 @@ def _load(reader: Image.Image, mode: str | None = None) -> Levels:
     # another size, than the header's.
     reader.info.pop("xmp", None)
     reader.load()
+    if reader.mode == "La":  # which Pillow takes to no other mode
+        reader = reader.convert("LA")
     return np.asarray(reader.convert(mode) if mode else reader)
 
 
@@ -142,7 +151,7 @@ def _load_16_bit_rgb(reader: Image.Image, data: bytes) -> Levels:
     opposite = {"L": "B", "B": "L", "N": "B" if sys.byteorder == "little" else "L"}
     rawmode = _rawmode(reader)
     swapped = rawmode[:-1] + opposite[rawmode[-1]]
-    lower: ImageFile.ImageFile = type(reader)(io.BytesIO(data))  # type: ignore[call-arg, assignment]
+    lower = formats.open_reader(data, str(reader.format))
     lower.tile = [
         tile._replace(args=swapped if isinstance(tile.args, str) else (swapped, *(tile.args or ())[1:]))
         for tile in lower.tile
@@ -157,12 +166,18 @@ def stated_colour(reader: Image.Image, mode: str, data: bytes | None) -> Colour:
     Raises ProfileError for what cannot be used, ImageError for PQ and HLG.
     """
     info, kind = reader.info, reader.format if data is not None else None
-    cicp = chunks.of_png(data).get(b"cICP", b"") if data is not None and kind == "PNG" else b""
-    if len(cicp) == 4:
+    stated = chunks.of_png(data) if data is not None and kind == "PNG" else {}
+    if len(cicp := stated.get(b"cICP", b"")) == 4:
         return colour.of_code_points(cicp[0], cicp[1])
+    if b"iCCP" in stated:
+        return colour.of_profile(colour.inflated(stated[b"iCCP"]), mode)
     if "icc_profile" in info:
         return colour.of_profile(info["icc_profile"] or b"", mode)
+    if data is not None and kind == "BMP" and (profile := chunks.profile_of_bmp(data)) is not None:
+        return colour.of_profile(profile, mode)
     if data is not None and kind in ("AVIF", "HEIF") and (points := chunks.code_points(data)) is not None:
         return colour.of_code_points(*points)
+    if nclx := info.get("nclx_profile"):  # of pillow_heif, which a picture of Pillow's still has
+        return colour.of_code_points(nclx["color_primaries"], nclx["transfer_characteristics"])
     # A picture of Pillow's that was read from a PNG still has what that stated.
     return None if info.get("srgb") is not None else colour.of_png(info)

@@ -224,7 +224,7 @@ ODD = {
     # More than one picture
     "gif that moves": Odd(saved("GIF", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "gif that is cut in its second frame": Odd(saved("GIF", save_all=True, append_images=[OTHER])[:-30], RED, FIRST, 0),
-    "gif of a small first frame": Odd(SMALL_FRAME, (255, 255, 255), "", 255, (99, 77)),
+    "gif of a small first frame": Odd(SMALL_FRAME, (255, 255, 255), ALPHA, 255, (99, 77)),
     "webp that moves": Odd(saved("WEBP", save_all=True, append_images=[OTHER], lossless=True), RED, FIRST, 0),
     "apng": Odd(saved("PNG", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "avif that moves": Odd(saved("AVIF", save_all=True, append_images=[OTHER], quality=100), RED, FIRST, 3),
