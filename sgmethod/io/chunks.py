@@ -123,7 +123,7 @@ def holds_one_picture(tiff: bytes) -> bool:
                 return False
             seen.add(at)
             (at,) = struct.unpack_from(order + link, tiff, at_first + entries * size)
-    except struct.error:  # the chain of pages is damaged behind the first
+    except (struct.error, OverflowError):  # the chain of pages is damaged behind the first
         return True
     return len(seen) < MOST_PAGES
 

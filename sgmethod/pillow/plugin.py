@@ -88,4 +88,4 @@ def register() -> None:
     Image.register_open(FORMAT, SgImageFile, lambda prefix: prefix.startswith(b"SGM"))
     Image.register_save(FORMAT, _save)
     Image.register_extension(FORMAT, ".sg")
-    Image.register_mime(FORMAT, "application/octet-stream")  # as the service has it: none is registered for .sg files
+    Image.register_mime(FORMAT, "application/octet-stream")  # the service's

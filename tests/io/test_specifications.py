@@ -209,6 +209,9 @@ def test_a_chain_of_pages_that_does_not_end() -> None:
     assert read_header(bytes(data)).still
     data[-4:] = struct.pack("<I", 1 << 30)
     assert read_header(bytes(data)).still
+    data = bytearray(tiff([(RGB, {}), (GREY, {254: 1})], big=True))
+    data[-8:] = b"\xff" * 8
+    assert read_header(bytes(data)).still
 
 
 # --- AVIF and HEIC
