@@ -4,8 +4,7 @@
 
 Each scene is encoded at one quality, which asks all for the same fineness, so that bytes show what each needed. Beside
 it stand an encode with the same steps, all of them on the whole picture, in turns, for the time that smaller pictures
-saved; and the bytes of WebP without loss, as sharp lines of few colours need no Gaussians at all. Small pictures of
-lines or noise take for a quality the best of several sizes of file (sgmethod/rd/ladder.py).
+saved; and the bytes of WebP without loss, as sharp lines of few colours need no Gaussians at all.
 """
 
 from __future__ import annotations
@@ -13,12 +12,10 @@ from __future__ import annotations
 import argparse
 import io
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -30,11 +27,18 @@ from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import Pixels
 from benchmarks.stiff.drawings import chart, screenshot, text
 from sgmethod import Budget, Encoded, encode, info
-from sgmethod.fitting.picture import Picture
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Frame, Target, Visibility
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.objective import Objective
+from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.profiles import PROFILES, RD, Times
-from sgmethod.rd.ladder import Ladder
-from sgmethod.rd.pyramid import Pyramid
+from sgmethod.profiles import DEFAULT_TUNE
+from sgmethod.rd import encode as rd
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.request import Request
+from sgmethod.scene import Gaussians
+from sgmethod.settings.rd import RD, sized
 from tests.harness.data import PHOTOGRAPHS
 
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
@@ -102,31 +106,45 @@ SCENES: dict[str, Callable[[int], Pixels]] = {
 }
 
 
-@contextmanager
-def counted(counts: Counter[int]) -> Iterator[None]:
-    """Count the steps on each size of the picture, by its spacing in pixels of the whole."""
-    original = Pyramid.at
+class Counting(Kernels):
+    """Counts steps on each size of the picture, by its spacing in pixels of the whole."""
 
-    def at(pyramid: Pyramid, progress: float, times: Times, gaussians: int) -> Picture:
-        picture = original(pyramid, progress, times, gaussians)
-        counts[picture.spacing] += 1
-        return picture
+    def __init__(self) -> None:
+        self.steps: Counter[int] = Counter()
+        self._spacing = 1
 
-    with patch.object(Pyramid, "at", at):
-        yield
+    def gradients(
+        self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
+    ) -> tuple[float, Gaussians]:
+        """As Backend.gradients."""
+        self._spacing = frame.spacing
+        return super().gradients(gaussians, frame, target, visibility)
+
+    def step(self, *arguments: Any, **named: Any) -> None:
+        """As Backend.step."""
+        self.steps[self._spacing] += 1
+        super().step(*arguments, **named)
+
+
+def steps_by_spacing(pixels: Pixels, budget: Budget) -> Counter[int]:
+    """Steps of an encode on each size of the picture."""
+    height, width = pixels.shape[:2]
+    backend, clock, settings = Counting(), Clock(), sized(RD, width * height)
+    objective = Objective.of(pixels, DEFAULT_TUNE, settings.objective)
+    rate = RateControl.of(budget, (width, height), settings)
+    rd.encode(Request(objective, rate, Deadline(clock), backend, settings, Recorder(clock)))
+    return backend.steps
 
 
 def measure(pixels: Pixels, quality: float, repeats: int) -> dict[str, Any]:
     """One scene: the file, the fit, and the same with the whole picture in every step, in turns."""
     budget = Budget("quality", quality)
-    steps: Counter[int] = Counter()
-    with counted(steps), patch.object(Ladder, "found", autospec=True, side_effect=Ladder.found) as climbed:
-        encoded = encode(pixels, budget)
+    encoded = encode(pixels, budget)
+    at_full_size = replace(RD, pyramid=replace(RD.pyramid, halvings=0))
     seconds, whole = [], []
     for _ in range(repeats):
         seconds.append(encode(pixels, budget).stats.seconds)
-        with patch.dict(PROFILES, {"rd": replace(RD, halvings=0)}):
-            whole.append(encode(pixels, budget).stats.seconds)
+        whole.append(encode(pixels, budget, settings=at_full_size).stats.seconds)
     stats, asked = encoded.stats, scheduled(encoded)
     bits = dict(info(encoded.data).bits)
     del bits["payload"]
@@ -136,11 +154,10 @@ def measure(pixels: Pixels, quality: float, repeats: int) -> dict[str, Any]:
         "psnr": stats.to_dict()["psnr"],
         "gaussians": stats.gaussians,
         "bits": bits | {kind: round(count) for kind, count in by_kind(encoded.data).items()},
-        "on_the_ladder": climbed.called,
         "left_out_of_the_file": left_out(encoded),
         "steps": stats.steps,
         "steps_scheduled": asked,
-        "steps_by_spacing": {str(spacing): count for spacing, count in sorted(steps.items())},
+        "steps_by_spacing": {str(at): count for at, count in sorted(steps_by_spacing(pixels, budget).items())},
         "seconds": seconds,
         "seconds_whole": whole,
     }

@@ -9,8 +9,10 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     budget      what an encode may spend; numbers as Python's own
     trace       what an encode reports while it runs
     scene       the set of Gaussians
-    profiles    every number of the method
+    settings/   every number of the method
+    profiles    names of profiles, tunings and efforts
     native/     compiled kernels: drawing, gradients, entropy coding
+    backend/    the protocol through which the encoder draws, differentiates and refines
     threads     what numpy and OpenCV compute, on as many threads as the kernels have
     io/         image files -> arrays; arrays -> image files; whole files
     bitstream/  Gaussians <-> bytes, one module for each version of the format
@@ -18,7 +20,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     decoder     bytes -> Gaussians -> pixels
     metrics/    PSNR, MS-SSIM; SSIMULACRA 2, LPIPS, DISTS
     start/      structure of the picture -> Gaussians to start from
-    fitting/    the picture and its loss, the optimiser, its schedule
+    fitting/    the picture at every size, the objective, the deadline
     paper/      profiles paper and baseline
     rd/         profile rd
     codec       encode(): a profile's pipeline, then the decoded result measured
@@ -26,8 +28,8 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     client/     the same encode by a service elsewhere
     cli/        the command line
 
-Decoding needs numpy, Pillow and the compiled kernels only; torch is imported by encode() alone. Once this package is
-imported, Pillow opens and saves .sg files.
+Decoding needs numpy, Pillow and the compiled kernels only; torch is imported by profiles paper and baseline alone.
+Once this package is imported, Pillow opens and saves .sg files.
 """
 
 from __future__ import annotations

@@ -78,6 +78,12 @@ class Budget:
             return int(min(self.value, 1e6) * width * height / 8)
         return None
 
+    def max_gaussians(self, width: int, height: int) -> int:
+        """The number of Gaussians asked for. Raises BudgetError if it is more than pixels."""
+        if self.value > width * height:
+            raise BudgetError(f"{int(self.value)} Gaussians are more than the image's {width * height} pixels")
+        return int(self.value)
+
 
 DEFAULT_BUDGET = Budget("bpp", 0.3)
 

@@ -1,47 +1,56 @@
 """Encoding: a request, the pipeline of its profile (rd/encode.py, paper/encode.py), and the file measured.
 
-decode.py is the way back. An encode goes it once, so that its figures are those of the very bytes.
+After encoding, the file is decoded once, so the reported figures are those of the actual bytes.
 """
 
 from __future__ import annotations
 
+import builtins
 import math
 import os
 import statistics
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
+from sgmethod.backend.kernels import Kernels
+from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, own_number, unasked, whole
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
-from sgmethod.fitting.recorder import Clock, Recorder
-from sgmethod.fitting.request import Request
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.objective import Objective
+from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.files import own_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.io.laying import on_backgrounds
 from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.paper import encode as paper
-from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE, PROFILES, RdSettings, checked_effort, tuning, with_effort
+from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
+from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
-from sgmethod.trace import Preview, Progress, Stop, TracePoint
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.request import Request
+from sgmethod.settings.paper import PaperSettings
+from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings, sized
+from sgmethod.settings.shared import Tune
+from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
+
+Pixels = NDArray[np.uint8]
 
 SEEN_DB = 0.005  # a smaller miss is none in two decimals
+
 MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
 
 
 @dataclass(frozen=True)
 class Stats:
-    """What an encode came to. psnr and ms_ssim are of the decoded file; ms_ssim is None for small pictures. With alpha
-    they are of the picture on black and on white, both together. source_bytes: of the image file, None where the image
-    was none; psnr_missed_db: how far below the PSNR asked for the file is, None where none was asked for."""
+    """The figures of an encode. psnr (dB) and ms_ssim are of the decoded file; ms_ssim is None for sides below 161
+    pixels. With alpha they are means over the picture on black and on white. source_bytes: of the image file, None for
+    arrays; psnr_missed_db: how far the file is below the PSNR asked for, None if none was asked for."""
 
     bytes: int
     bpp: float
@@ -102,6 +111,7 @@ def encode(
     gaussians: int | None = None,
     tune: str | None = None,
     effort: int = DEFAULT_EFFORT,
+    settings: RdSettings | PaperSettings | None = None,
     seed: int = 0,
     time_limit_s: float | None = None,
     on_progress: Progress | None = None,
@@ -119,49 +129,49 @@ def encode(
 
     image: the path or the bytes of an image file, a picture of Pillow's, or an array [H, W], [H, W, 1], [H, W, 3] or
     [H, W, 4] of levels in uint8 or uint16 or of values in [0, 1], in sRGB. sgmethod/io/image.py has the rules for
-    files and pictures. All is rounded to 8 bits: a decoded picture has no more, and its figures are against them. What
-    can be seen through stays so with profile rd; others lay it over white, with a warning.
-    bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which says what each means; 0.3 bpp if not told.
-    profile: one of sgmethod.profiles.PROFILE_NAMES; tune: what the file is to be good for, "psnr" (squared error) or
-    "visual" (the eye; with profile rd, and no budget in dB), which is the default where it can be had; effort: from 1,
-    the fastest, to 9, the best, with profile rd; seed: of everything random, so that the same call gives the same file
-    on the same machine unless time_limit_s cuts it short, which ends a search with its best (seconds, whole encode, of
-    which about 0.2 a megapixel are never cut); on_progress: called with each point of the trace, and may raise to
-    abandon the encode; stop: asked all the time, and once it says True the encode ends early with what it has, within
-    the budget, in about a quarter of the time so far; on_preview: called now and then by profile rd with a file of what
-    there is, which is not held to the budget.
+    files and pictures. Input is rounded to 8 bits, and the figures are against that. Profile rd keeps alpha; the others
+    composite it over white, with a warning.
+    bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which documents each; default 0.3 bpp.
+    profile: one of sgmethod.profiles.PROFILE_NAMES.
+    tune: "psnr" minimises squared error, "visual" the error that the eye sees. "visual" is the default with profile rd,
+    and not available with a budget in dB or another profile.
+    effort: 1, the fastest, to 9, the best; profile rd only.
+    settings: for experiments, all numbers of the method in place of those of profile and effort.
+    seed: of everything random. The same call gives the same file on the same machine, without a time limit.
+    time_limit_s: of the whole encode, which ends with its best file so far. About 0.2 s a megapixel are never cut.
+    on_progress: called with each point of the trace; an exception it raises abandons the encode.
+    stop: polled; once it returns True, the encode ends within the budget, in a quarter of the time so far or 3 s.
+    on_preview: called now and then by profile rd with a file of the state so far, which may exceed the budget.
 
-    Warns with ImageWarning of what of the picture is left out. Raises ImageError for what is no such picture,
-    BudgetError for a budget no file can meet, OSError for a path that cannot be read, MemoryError.
+    Anything dropped from the input raises an ImageWarning. Raises ImageError for anything but a picture, BudgetError
+    for a budget that no file can meet, OSError for a path that cannot be read, MemoryError.
     """
-    recorder = Recorder(Clock(_own_time_limit(time_limit_s), stop), on_progress, on_preview)
+    clock, limit_s = Clock(stop), _own_time_limit(time_limit_s)
     seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
-    kinds: dict[BudgetKind, float | None] = {
-        "bpp": bpp,
-        "bytes": bytes,
-        "psnr": psnr,
-        "quality": quality,
-        "gaussians": gaussians,
-    }
-    budget = _only_budget(budget, kinds)
-    _check_profile(profile)
-    tuned_for = tuning(tune, profile, budget)
+    budget = _only_budget(
+        budget, {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality, "gaussians": gaussians}
+    )
+    tuned_for = tuning(tune, checked_profile(profile), budget)
     effort = checked_effort(effort)
-    settings = with_effort(PROFILES[profile], effort)
+    settings = settings_of(profile, effort) if settings is None else settings
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
-    source_bytes = _file_bytes(image)
-    alpha = np.ascontiguousarray(pixels[..., 3]) if pixels.shape[2] == 4 else None
-    colours = np.ascontiguousarray(pixels[..., :3])
+    height, width, channels = pixels.shape
     if budget is DEFAULT_BUDGET:
-        budget = unasked(pixels.shape[1], pixels.shape[0], smallest_file(settings, has_alpha=alpha is not None))
-    request = Request(colours, budget, profile, tuned_for, effort, seed, recorder, alpha)
-    with _torch_of_its_own(), _single_torch_thread(), _memory_errors():
-        if isinstance(settings, RdSettings):
-            data, steps = rd.encode(request, replace(settings, tune=tuned_for))
-        else:
-            data, steps = paper.encode(request, settings)
-    encoded = _measured(request, pixels, data, steps)
-    return replace(encoded, stats=replace(encoded.stats, source_bytes=source_bytes))
+        budget = unasked(width, height, smallest_file(settings, has_alpha=channels == 4))
+    deadline_settings = settings.deadline if isinstance(settings, RdSettings) else None
+    deadline = Deadline(clock, limit_s, width * height, deadline_settings)
+    recorder = Recorder(clock, on_progress, on_preview or shown_to_nobody)
+    if isinstance(settings, RdSettings):
+        data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed)
+    else:
+        from sgmethod.paper import encode as paper  # and torch with it
+
+        request = paper.Request(pixels, budget, profile, settings, deadline, recorder, Kernels(), seed)
+        data, steps = paper.encode(request)
+    encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort))
+    missed_db = max(budget.value - encoded.stats.psnr, 0.0) if budget.kind == "psnr" else None
+    stats = replace(encoded.stats, source_bytes=_file_bytes(image), psnr_missed_db=missed_db)
+    return replace(encoded, stats=stats)
 
 
 def _file_bytes(image: Input) -> int | None:
@@ -169,6 +179,28 @@ def _file_bytes(image: Input) -> int | None:
     if isinstance(image, str | os.PathLike):
         return Path(image).stat().st_size or None  # a pipe has none
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
+
+
+def _rd(
+    pixels: Pixels,
+    budget: Budget,
+    tune: Tune,
+    settings: RdSettings,
+    deadline: Deadline,
+    recorder: Recorder,
+    seed: int,
+) -> tuple[builtins.bytes, int]:
+    """The file of profile rd for pixels [H, W, 3 or 4], and the steps it took."""
+    height, width, channels = pixels.shape
+    settings = sized(settings, width * height)
+    objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
+    rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
+    request = Request(objective, rate, deadline, Kernels(), settings, recorder, seed)
+    if channels == 4:
+        stream, steps = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))
+    else:
+        stream, steps = rd.encode(request)
+    return container.serialise(stream), steps
 
 
 def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
@@ -183,53 +215,16 @@ def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -
     return given[0] if given else DEFAULT_BUDGET
 
 
-@contextmanager
-def _single_torch_thread() -> Iterator[None]:
-    """Keep torch's own threads out of the way: two pools on the same cores cost several times the time."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-@contextmanager
-def _torch_of_its_own() -> Iterator[None]:
-    """Torch as it is at first, whatever the program has told it: float32 on the CPU, with gradients."""
-    kind = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float32)
-    try:
-        with (
-            torch.device("cpu"),
-            torch.autocast("cpu", enabled=False),
-            torch.inference_mode(False),
-            torch.enable_grad(),
-        ):
-            yield
-    finally:
-        torch.set_default_dtype(kind)
-
-
-@contextmanager
-def _memory_errors() -> Iterator[None]:
-    """Torch says with a RuntimeError of its own what everybody else says with MemoryError."""
-    try:
-        yield
-    except RuntimeError as error:
-        if "can't allocate memory" not in str(error):
-            raise
-        raise MemoryError("there is not enough memory for this encode") from error
-
-
-def _measured(request: Request, pixels: NDArray[np.uint8], data: bytes, steps: int) -> Encoded:
-    """Decode the very bytes and measure them against pixels [H, W, 3 or 4]."""
+def _measured(
+    pixels: Pixels, data: builtins.bytes, steps: int, recorder: Recorder, asked: tuple[str, Tune, int]
+) -> Encoded:
+    """Decode the file and measure it against pixels [H, W, 3 or 4]. asked: profile, tuning, effort."""
     file = SgFile(data)
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
     similar = [one for one in map(ms_ssim, decoded, source) if one is not None]
-    request.recorder.report("done", steps, steps, 10 ** (-db / 10), (gaussians, 8 * len(data)))
+    recorder.report("done", steps, steps, 10 ** (-db / 10), gaussians, len(data))
     stats = Stats(
         bytes=len(data),
         bpp=8 * len(data) / (width * height),
@@ -237,20 +232,14 @@ def _measured(request: Request, pixels: NDArray[np.uint8], data: bytes, steps: i
         ms_ssim=statistics.fmean(similar) if similar else None,
         gaussians=gaussians,
         steps=steps,
-        seconds=request.recorder.clock.seconds(),
+        seconds=recorder.points[-1].seconds,
         width=width,
         height=height,
-        profile=request.profile,
-        tune=request.tune,
-        effort=request.effort,
-        psnr_missed_db=max(request.budget.value - db, 0.0) if request.budget.kind == "psnr" else None,
+        profile=asked[0],
+        tune=asked[1],
+        effort=asked[2],
     )
-    return Encoded(data, stats, request.recorder.points)
-
-
-def _check_profile(profile: str) -> None:
-    if not isinstance(profile, str) or profile not in PROFILES:
-        raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
+    return Encoded(data, stats, recorder.points)
 
 
 def _own_time_limit(seconds: float | None) -> float | None:

@@ -26,6 +26,28 @@ class Gaussians:
     def __len__(self) -> int:
         return len(self.means)
 
+    @classmethod
+    def empty(cls, n: int) -> Gaussians:
+        """n Gaussians whose values are not set."""
+        return cls(*(np.empty((n, width), np.float32) for width in (2, 3, 3)))
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(means, factors, colors)."""
+        return self.means, self.factors, self.colors
+
+    def copy(self) -> Gaussians:
+        """The same values in memory of their own."""
+        return Gaussians(*(values.copy() for values in self.arrays))
+
+    def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Gaussians:
+        """The Gaussians of these rows, in their order."""
+        return Gaussians(*(values[index] for values in self.arrays))
+
+    def with_more(self, new: Gaussians) -> Gaussians:
+        """These, and after them new ones."""
+        return Gaussians(*(np.concatenate(pair) for pair in zip(self.arrays, new.arrays, strict=True)))
+
 
 @dataclass(frozen=True)
 class Texture:

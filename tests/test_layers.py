@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from importlib.metadata import version
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 
 import service
 import sgmethod
-from tests.harness.data import ROOT, golden_path
+from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
 
 FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
 OUTSIDE = {"__init__", "__main__"}  # a package's face and its command: they import what they hand on
@@ -146,6 +147,99 @@ def test_the_service_leaves_the_encoder_to_its_own_process() -> None:
         assert imported is None or name == "service.worker.encoder"
 
 
+def test_the_reference_is_for_tests() -> None:
+    """It brings torch, and is slow."""
+    assert [name for name, imports in IMPORTS.items() if "sgmethod.backend.reference" in imports] == []
+
+
+def in_rooms(*rooms: str) -> dict[str, ast.Module]:
+    """Modules of these rooms by name, parsed."""
+    names = [name for name in MODULES if name.split(".")[0] == "sgmethod" and room(name) in rooms]
+    assert {room(name) for name in names} == set(rooms)
+    return {name: ast.parse(MODULES[name].read_text()) for name in names}
+
+
+def test_the_encoder_computes_through_its_backend() -> None:
+    for name in in_rooms("rd/", "fitting/", "paper/"):
+        assert not [other for other in IMPORTS[name] if other.startswith("sgmethod.native")], name
+
+
+@pytest.mark.parametrize(
+    "name", [*in_rooms("rd/", "fitting/", "codec"), "sgmethod.backend.protocol", "sgmethod.backend.kernels"]
+)
+def test_only_profile_paper_imports_torch(name: str) -> None:
+    assert re.search(r"^\s*(import|from) torch\b", MODULES[name].read_text(), re.MULTILINE) is None
+
+
+def asks_for_tuning(node: ast.AST) -> bool:
+    """Whether a name, an argument or a string speaks of how a file is tuned."""
+    called = (getattr(node, field, None) for field in ("id", "arg", "attr"))
+    return "tune" in called or (isinstance(node, ast.Constant) and node.value == "visual")
+
+
+def test_few_know_how_a_file_is_tuned() -> None:
+    trees = in_rooms("rd/", "fitting/", "paper/", "codec")
+    asking = {name for name, tree in trees.items() if any(map(asks_for_tuning, ast.walk(tree)))}
+    assert asking == {"sgmethod.codec", "sgmethod.fitting.objective"}
+
+
+FROZEN = in_rooms("rd/", "fitting/", "settings/")
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_dataclasses_are_frozen(name: str) -> None:
+    """So a step changes nothing that another owns."""
+    classes = [node for node in ast.walk(FROZEN[name]) if isinstance(node, ast.ClassDef)]
+    marks = {node.name: [ast.unparse(mark) for mark in node.decorator_list] for node in classes}
+    made = {name: text for name, texts in marks.items() for text in texts if "dataclass" in text}
+    assert {name: text for name, text in made.items() if not re.search(r"\bfrozen=True\b", text)} == {}
+
+
+def changed(tree: ast.AST) -> Iterator[ast.expr]:
+    """Objects of which an attribute is set or deleted."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and not isinstance(node.ctx, ast.Load):
+            yield node.value
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) in ("setattr", "delattr", "object.__setattr__"):
+            yield node.args[0]
+
+
+def own(method: ast.AST, class_name: str) -> set[str]:
+    """Names of what a method may change: its object, and further ones of its class that it has made itself."""
+    makes = (node for node in ast.walk(method) if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call))
+    made = {ast.unparse(node.targets[0]) for node in makes if ast.unparse(node.value.func) in ("cls", class_name)}
+    return {"self", "cls"} | made
+
+
+@pytest.mark.parametrize("name", FROZEN)
+def test_no_object_is_changed_from_outside(name: str) -> None:
+    classes = [node for node in ast.walk(FROZEN[name]) if isinstance(node, ast.ClassDef)]
+    allowed = [
+        value
+        for node in classes
+        for method in node.body
+        for value in changed(method)
+        if ast.unparse(value) in own(method, node.name)
+    ]
+    assert [ast.unparse(value) for value in changed(FROZEN[name]) if value not in allowed] == []
+
+
+MOST_METHODS = 12
+
+
+@pytest.mark.parametrize("name", in_rooms("rd/"))
+def test_classes_are_small(name: str) -> None:
+    for node in ast.walk(FROZEN[name]):
+        if isinstance(node, ast.ClassDef):
+            assert sum(isinstance(one, ast.FunctionDef) for one in node.body) <= MOST_METHODS, node.name
+
+
+def test_changes_from_outside_are_found() -> None:
+    tree = ast.parse("class A:\n def f(self, b):\n  c = A()\n  c.x = self.y = b.z = 1\ne.x += 1\nsetattr(f.b, 'z', 0)")
+    assert {ast.unparse(value) for value in changed(tree)} == {"self", "b", "c", "e", "f.b"}
+    assert own(tree.body[0], "A") == {"self", "cls", "c"}
+
+
 def test_no_test_imports_a_benchmark() -> None:
     for path in sorted((ROOT / "tests").rglob("*.py")):
         assert re.search(r"^\s*(from|import) benchmarks", path.read_text(), re.MULTILINE) is None, path
@@ -190,3 +284,24 @@ def test_decoding_imports_neither_torch_nor_the_encoders_libraries() -> None:
     assert result == f"{pixels.shape} {pixels.sum()}"
     assert {"sgmethod", "numpy"} <= set(imported.split())
     assert not {"torch", "cv2", "skimage", "scipy"} & set(imported.split())
+
+
+ENCODE = """
+import sys
+import numpy as np
+import sgmethod
+pixels = np.random.default_rng(0).integers(0, 256, (24, 32, 4), np.uint8)
+for picture, tune in ((pixels, "psnr"), (pixels[..., :3], "visual")):
+    assert sgmethod.encode(picture, bytes=200, tune=tune, time_limit_s=20).stats.gaussians
+print("torch" in sys.modules)
+"""
+
+
+def test_an_encode_by_profile_rd_imports_no_torch(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", ENCODE], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == "False\n"
+    by_command = [sys.executable, "-X", "importtime", "-m", "sgmethod", "encode", PHOTOGRAPHS / "kodim23-crop.png"]
+    ran = subprocess.run([*by_command, tmp_path / "out.sg"], capture_output=True, text=True, check=True, timeout=60)
+    imported = re.findall(r"^import time: .*\| +(\S+)$", ran.stderr, re.MULTILINE)
+    assert "sgmethod.rd.encode" in imported
+    assert not [name for name in imported if name.split(".")[0] == "torch"]

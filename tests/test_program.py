@@ -9,7 +9,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from sgmethod.io.image import read_header
 from sgmethod.native import native
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
 from sgmethod.threads import in_parallel
+from tests.rd.short import shortened
 
 PIXELS = (np.add.outer(np.arange(36), np.arange(48)) * 3).astype(np.uint8)
 PATIENCE_S = 60
@@ -29,9 +29,8 @@ PATIENCE_S = 60
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PROFILES, "rd", replace(PROFILES["rd"], steps=20))
-    for name in ("paper", "baseline"):
-        monkeypatch.setitem(PROFILES, name, replace(PROFILES[name], fit_steps=5, tune_steps=5))
+    for name, settings in shortened(20, (5, 5)).items():
+        monkeypatch.setitem(PROFILES, name, settings)
 
 
 def encoded(**more: object) -> bytes:

@@ -9,7 +9,6 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from sgmethod.threads import in_parallel
 from tests.harness import profiles
 from tests.harness.data import PHOTOGRAPHS, golden_path
 from tests.io.test_image import exif_with
+from tests.rd.short import short
 
 PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
 PIXELS = np.asarray(PHOTO)
@@ -39,7 +39,7 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     PHOTO.save("photo.png")
     PHOTO.save("photo.jpg", quality=95)
     Path("picture.sg").write_bytes(GOLDEN)
-    monkeypatch.setitem(PROFILES, "rd", replace(PROFILES["rd"], steps=60))
+    monkeypatch.setitem(PROFILES, "rd", short(60))
 
 
 def encoded(image: Any) -> bytes:

@@ -16,21 +16,19 @@ from sgmethod import Budget, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.fitting.recorder import Clock, Recorder
-from sgmethod.fitting.request import Request
+from sgmethod.fitting.texture import estimate, grain
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.native import native
-from sgmethod.profiles import RD
-from sgmethod.rd.finish import EXACT_DB, Finish
-from sgmethod.rd.fit import RdFit
-from sgmethod.rd.rate_control import RateControl
-from sgmethod.rd.texture import estimate, grain
+from sgmethod.rd.rate_control import EXACT_DB, Coded
 from sgmethod.scene import Gaussians
+from sgmethod.settings.rd import RD
 from tests.harness.data import PHOTOGRAPHS, golden_path
+from tests.rd.short import requested
 
 Pixels = NDArray[np.uint8]
 SIZE = WIDTH, HEIGHT = 300, 200
+TEXTURE = RD.objective.texture
 STRENGTHS = [0.0, *(2 ** ((code - 1) / 2) / 2 for code in range(1, native.TEXTURE_STRENGTHS))]  # levels of 8 bits
 
 
@@ -162,7 +160,7 @@ def estimated(source: NDArray[np.float64]) -> Codes | None:
     """For a picture [H, W], or in colour, of which the Gaussians draw no detail."""
     pixels = np.clip(np.round(source), 0, 255).astype(np.uint8)
     pixels = np.repeat(pixels[:, :, None], 3, 2) if pixels.ndim == 2 else pixels
-    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), RD)
+    return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), TEXTURE)
 
 
 def noise(spread: float, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
@@ -180,7 +178,7 @@ def test_noise_is_given_back_by_its_strength() -> None:
     """Most of fine grain, less of what would look like noise."""
     fine, middle, strong, strongest = (drawn_spread(spread) / spread for spread in (2.0, 3.0, 6.0, 20.0))
     assert 1 > fine > middle > strong > strongest
-    assert middle == pytest.approx(RD.texture_gain[0], rel=0.25)
+    assert middle == pytest.approx(TEXTURE.gain[0], rel=0.25)
     assert strongest < 0.5 * middle
 
 
@@ -250,7 +248,7 @@ def hidden_of(picture: NDArray[np.float64], left: float = 1.0) -> NDArray[np.flo
     pixels = np.clip(np.round(picture), 0, 255).astype(np.uint8)
     pixels = np.repeat(pixels[:, :, None], 3, 2) if pixels.ndim == 2 else pixels
     missing = left * (pixels - cv2.GaussianBlur(pixels, (0, 0), 6).astype(np.float32)).transpose(2, 0, 1) / 255
-    found = grain(pixels, lambda first, end: missing[:, first:end], RD)
+    found = grain(pixels, lambda first, end: missing[:, first:end], TEXTURE)
     assert found.shape == missing.shape
     return np.asarray(found.transpose(1, 2, 0) / (native.TARGET_WHITE / 255))
 
@@ -317,7 +315,7 @@ def test_tuning_for_the_eye_writes_it_within_the_budget() -> None:
         encoded = sgmethod.encode(photo(), bytes=size, tune="visual")
         assert encoded.stats.bytes == len(encoded.data) <= size
         fields = sgmethod.info(encoded.data)
-        assert 0 < fields.bits["texture"] <= 8 * RD.texture_share * size
+        assert 0 < fields.bits["texture"] <= 8 * TEXTURE.share * size
         smooth = decode(encoded.data, texture=False)
         assert psnr(smooth, photo()) > psnr(decode(encoded.data), photo()) == encoded.stats.psnr
 
@@ -348,7 +346,5 @@ def test_files_are_compared_without_their_texture() -> None:
     stream, smooth = container.parse(data), decode(data, texture=False)
     assert isinstance(stream, StreamV4)
     assert psnr(decode(data), smooth) < EXACT_DB
-    clock = Clock()
-    request = Request(smooth, Budget("quality", 50), "rd", "visual", 5, 0, Recorder(clock, None))
-    finish = Finish(RdFit(smooth, RateControl.of(request, RD), 0, clock), request)
-    assert finish.psnr(stream) == EXACT_DB
+    request = requested(smooth, Budget("quality", 50), "visual")
+    assert Coded(stream, request.objective).psnr == EXACT_DB

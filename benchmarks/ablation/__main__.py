@@ -16,7 +16,6 @@ tables, pictures and seeds can be added to a run.
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from benchmarks.ablation.report import section
 from benchmarks.arguments import some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import add_options, named_in
-from sgmethod.profiles import RD
+from sgmethod.settings.rd import RD
 
 TABLES = ("parts", *paper.TABLES)
 
@@ -35,9 +34,9 @@ TABLES = ("parts", *paper.TABLES)
 def measure_parts(record: Record, picture: Path, seed: int, bpp: float, steps: int) -> None:
     """Rows of the table of parts."""
     for part in parts.PARTS:
-        key: dict[str, Any] = {"table": "parts", "without": part.name, "image": picture.name, "seed": seed}
+        key: dict[str, Any] = {"table": "parts", "without": part, "image": picture.name, "seed": seed}
         if not record.has(**key):
-            record.add({**key, **parts.measure(part, picture, seed, bpp, replace(RD, steps=steps))})
+            record.add({**key, **parts.measure(part, picture, seed, bpp, steps)})
 
 
 def measure_paper(record: Record, tables: list[str], picture: Path, seed: int, steps: tuple[int, int]) -> None:
@@ -62,7 +61,7 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--bpp", type=float, default=0.25, help="of the files of profile rd")
-    parser.add_argument("--steps", type=int, default=RD.steps, help="of profile rd")
+    parser.add_argument("--steps", type=int, default=RD.effort.steps, help="of profile rd")
     parser.add_argument("--fit-steps", type=int, default=2000, help="of a float fit of profile paper")
     parser.add_argument("--tune-steps", type=int, default=1000, help="of tuning it for a file")
     parser.add_argument("--out", type=Path, default=RUNS / "ablation.json")

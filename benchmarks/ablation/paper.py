@@ -22,14 +22,15 @@ from benchmarks.representation.fits import FLOAT, by_paper, fit_of_paper
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
-from sgmethod.fitting.picture import Picture
-from sgmethod.fitting.recorder import Clock, Recorder
-from sgmethod.fitting.schedule import Schedule
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.level import Level
+from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
-from sgmethod.profiles import BASELINE, PAPER, PaperSettings
 from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
 
 PIXELS = 768 * 512
 # Without a price of a bit, bytes for the profile's mean bitwidth set the bitwidths, as they do in an encode.
@@ -59,9 +60,9 @@ TABLES = {
     ),
     "ratio": Table(
         {
-            "fixed, 6:2:1": replace(FLOAT, threshold_factor=math.inf),
+            "fixed, 6:2:1": replace(FLOAT, start=replace(FLOAT.start, threshold_factor=math.inf)),
             "dynamic": FLOAT,
-            "even, 1:1:1": replace(FLOAT, ratio=(1.0, 1.0, 1.0)),
+            "even, 1:1:1": replace(FLOAT, start=replace(FLOAT.start, ratio=(1.0, 1.0, 1.0))),
         },
         (50_000, 60_000, 70_000),  # with fewer, the dynamic ratio is the fixed one
         False,
@@ -96,28 +97,25 @@ def measure(
 def _float(pixels: Pixels, settings: PaperSettings, number: int, seed: int) -> dict[str, Any]:
     part = 0.25
     # N_t = k pixels^alpha is to be that part too.
-    k = settings.threshold_factor * part ** (1 - settings.threshold_exponent)
-    settings = replace(settings, ratio_start=round(part * settings.ratio_start), threshold_factor=k)
+    start = settings.start
+    k = start.threshold_factor * part ** (1 - start.threshold_exponent)
+    start = replace(start, ratio_start=round(part * start.ratio_start), threshold_factor=k)
     n = _as_dense(number, pixels)
     began = time.perf_counter()
-    fitted = by_paper(pixels, n, settings, seed)
+    fitted = by_paper(pixels, n, replace(settings, start=start), seed)
     seconds, shown = time.perf_counter() - began, fitted.draw()
     return {"gaussians": n, "psnr": psnr(shown, pixels), "ms_ssim": ms_ssim(shown, pixels), "seconds": seconds}
 
 
 def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, Any]:
-    of_fit = replace(
-        PAPER,
-        structure_guided=settings.structure_guided,
-        lambda_g=settings.lambda_g,
-        fit_steps=settings.fit_steps,
-    )
-    began = time.perf_counter()
-    picture, fitted = _fitted(path, of_fit, n, seed)
+    of_fit = replace(PAPER, start=settings.start, lambda_g=settings.lambda_g, fit_steps=settings.fit_steps)
+    began, clock = time.perf_counter(), Clock()
+    level, fitted = _fitted(path, of_fit, n, seed)
     budget = file_bytes(int(n * bits_per_gaussian(settings)), settings.max_bitwidth - settings.min_bitwidth + 1)
-    tuner = Tuner(fitted, picture, settings, None if settings.lambda_b else budget, seed)
-    Schedule("tune", settings.tune_steps, settings.final_rate).run(Recorder(Clock(), None), tuner.step)
-    stream = tuner.stream("paper" if settings.structure_guided else "baseline")
+    tuner = Tuner(fitted, level, settings, None if settings.lambda_b else budget, seed)
+    schedule = Schedule("tune", settings.tune_steps, settings.optimiser.final_rate, settings.patience)
+    schedule.run(Deadline(clock), Recorder(clock), tuner.step)
+    stream = tuner.stream("paper" if settings.start.structure_guided else "baseline")
     seconds = time.perf_counter() - began
     data, pixels = container.serialise(stream), read_image_8_bit(path.read_bytes())
     return {
@@ -130,7 +128,7 @@ def _coded(path: Path, settings: PaperSettings, n: int, seed: int) -> dict[str, 
 
 
 @lru_cache(maxsize=1)
-def _fitted(path: Path, settings: PaperSettings, n: int, seed: int) -> tuple[Picture, Gaussians]:
+def _fitted(path: Path, settings: PaperSettings, n: int, seed: int) -> tuple[Level, Gaussians]:
     return fit_of_paper(read_image_8_bit(path.read_bytes()), n, settings, seed)
 
 

@@ -17,10 +17,11 @@ import torch
 from benchmarks import networks
 from benchmarks.networks import Network, Training, drawn, levels_of
 from benchmarks.pictures import Pixels
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture, target_of
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Frame
+from sgmethod.fitting.level import Level, target_of
 from sgmethod.native import native
-from sgmethod.profiles import BASELINE
+from sgmethod.settings.paper import BASELINE
 from sgmethod.start.placement import place
 
 Look = tuple[Pixels, Pixels]  # of what is shown and of the picture the same pixels, [H, W, 3]
@@ -37,23 +38,22 @@ def plain_adam(pixels: Pixels, seconds: float, gaussians: int) -> Shown:
     """Gaussians from a random start, all their raw numbers moved by torch's Adam; what is shown is no file."""
     began = time.perf_counter()
     torch.set_num_threads(1)  # or its threads and the kernels' would wait for each other
-    start = place(pixels.astype(np.float32) / np.float32(255), gaussians, BASELINE, np.random.default_rng(0))
-    picture = Picture(target_of(pixels), 0.0, native.CUTOFF_V3)
-    p = Parameters.of(start)
-    optimiser = torch.optim.Adam(p.tensors(), lr=RATE_OF_ADAM)
+    found = place(pixels.astype(np.float32) / np.float32(255), gaussians, BASELINE.start, np.random.default_rng(0))
+    level = Level(Kernels(), Frame(pixels.shape[1], pixels.shape[0], pyramid=False), target_of(pixels))
+    tensors = [torch.from_numpy(values) for values in found.arrays]  # over the same memory
+    optimiser = torch.optim.Adam(tensors, lr=RATE_OF_ADAM)
 
     def step() -> None:
-        _, gradients = picture.gradients(p)
-        for tensor, gradient in zip(p.tensors(), gradients.tensors(), strict=True):
-            tensor.grad = gradient
+        _, gradient = level.gradients(found)
+        for tensor, values in zip(tensors, gradient.arrays, strict=True):
+            tensor.grad = torch.from_numpy(values)
         optimiser.step()
-        with torch.no_grad():
-            p.factors[:, 0::2].clamp_(min=BASELINE.min_scale_px)
-            p.colors.clamp_(-2, 2)
+        np.maximum(found.factors[:, 0::2], BASELINE.optimiser.min_scale_px, out=found.factors[:, 0::2])
+        np.clip(found.colors, -2, 2, out=found.colors)
 
     def show(_: bool) -> Look:
-        drawn = pixels / np.float32(255) - picture.residual(p)(0, pixels.shape[0]).transpose(1, 2, 0)
-        return levels_of(drawn), pixels
+        missing = level.residual(found)(0, pixels.shape[0]).transpose(1, 2, 0)
+        return levels_of(pixels / np.float32(255) - missing), pixels
 
     yield from watched(step, show, seconds, began)
 

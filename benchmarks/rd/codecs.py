@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Protocol
-from unittest.mock import patch
 
 from benchmarks.pictures import Pixels
 from sgmethod import Budget, decode, encode, info
-from sgmethod.profiles import BASELINE, DEFAULT_EFFORT, PAPER, PROFILES, Tune
+from sgmethod.profiles import DEFAULT_EFFORT, Tune
+from sgmethod.settings.paper import BASELINE, PAPER
 
 FITTED = {"paper": PAPER, "baseline": BASELINE}
 
@@ -65,12 +64,7 @@ class Sg:
     def run(self, pixels: Pixels, aim: float) -> Run:
         """As Codec.run."""
         budget = Budget("quality" if self.one_quality else "bpp", aim)
+        settings = None if self.steps is None else replace(FITTED[self.profile], fit_steps=self.steps)
         began = time.perf_counter()
-        with self._steps():
-            data = encode(pixels, budget, self.profile, tune=self.tune, effort=self.effort).data
-        return Run(data, time.perf_counter() - began, decode, info(data).gaussians)
-
-    def _steps(self) -> AbstractContextManager[object]:
-        if self.steps is None:
-            return nullcontext()
-        return patch.dict(PROFILES, {self.profile: replace(FITTED[self.profile], fit_steps=self.steps)})
+        made = encode(pixels, budget, self.profile, tune=self.tune, effort=self.effort, settings=settings)
+        return Run(made.data, time.perf_counter() - began, decode, info(made.data).gaussians)

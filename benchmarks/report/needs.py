@@ -20,20 +20,13 @@ def section(content: Content) -> Section:
     least, most = (find(rows, key=lambda row: row["bytes"]) for find in (min, max))
     reference = by_name.get(REFERENCE)
     saved = f"; of the {REFERENCE} smaller pictures at first {saving(reference)}" if reference else ""
-    *climbed, last = [row["scene"] for row in rows if row["on_the_ladder"]] or [""]
-    climbers = f"{', '.join(climbed)} and {last}" if climbed else last
-    ladder = (
-        f", but that {climbers}, small pictures of lines or noise, take the best of several sizes of file"
-        if last
-        else ""
-    )
     every = (
         "" if any("shear" in row["left_out_of_the_file"] for row in rows) else "No scene does without shear (slant). "
     )
     whole = [row for row in rows if row["steps_scheduled"] and row["steps"] == row["steps_scheduled"]]
     said = (
         f"What does profile `rd` leave out where a scene of {content['settings']['side']} pixels a side does not need "
-        f"it, at one quality ({content['settings']['quality']:g}) for all{ladder}? From {least['bytes']:,} bytes "
+        f"it, at one quality ({content['settings']['quality']:g}) for all? From {least['bytes']:,} bytes "
         f"({least['scene']}) to {most['bytes']:,} ({most['scene']}){saved}; {len(whole)} of "
         f"{len(rows)} take all steps of their schedule{lossless(rows)}. One picture of each kind is no average of "
         "its kind, and parts that no count shows (a Gaussian that could have been wider) are not seen."

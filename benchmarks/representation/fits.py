@@ -19,19 +19,27 @@ from benchmarks import networks
 from benchmarks.networks import Network, Training
 from benchmarks.pictures import Pixels
 from benchmarks.speed.sizes import peak_mib
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Moments
 from sgmethod.bitstream.payload import MIN_QUANTUM
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture, target_of
-from sgmethod.fitting.recorder import Clock, Recorder
-from sgmethod.fitting.schedule import Schedule
+from sgmethod.decoder import draw
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.level import Level, Pyramid
+from sgmethod.fitting.objective import Objective
+from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.native import native
-from sgmethod.paper.fit import fit
-from sgmethod.profiles import BASELINE, PAPER, RD, PaperSettings, RdSettings, Times
-from sgmethod.rd.fit import RdFit
-from sgmethod.rd.rate_control import GAUSSIANS_GUESS, RateControl
-from sgmethod.scene import Gaussians
-from sgmethod.start.placement import place
+from sgmethod.paper import fit as paper
+from sgmethod.rd.densify import densify, prune
+from sgmethod.rd.fit import fit
+from sgmethod.rd.place import place
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.request import Plan, Request, State, stages
+from sgmethod.rd.steer import steer
+from sgmethod.scene import Gaussians, Scene
+from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
+from sgmethod.settings.rd import RD, RdSettings, Times
+from sgmethod.start import placement
 
 NUMBERS_OF_GAUSSIAN = 8  # 2 of the centre, 3 of the factor, 3 of the colour
 # No quantisation follows here, so the price on large colours, which only that needs, is left out.
@@ -39,7 +47,7 @@ FLOAT = replace(PAPER, lambda_e=0.0)
 VARIANTS: dict[str, PaperSettings] = {
     "paper": FLOAT,
     "unregularised": replace(FLOAT, lambda_g=0.0),
-    "random-start": replace(FLOAT, structure_guided=False),
+    "random-start": replace(FLOAT, start=replace(FLOAT.start, structure_guided=False)),
     "baseline": replace(BASELINE, lambda_e=0.0),
 }
 NETWORKS: dict[str, Callable[[Pixels, int], Network]] = {"siren": networks.siren, "wire": networks.wire}
@@ -55,9 +63,8 @@ DRAWS, DRAWING_S = 9, 10.0  # of one picture, after a first one; no more once so
 
 # Of a fit of profile rd that is longer than the profile's, as parts of its steps:
 STEPS_OF_GROWTH = 40  # between two growths
-GROWTH_UNTIL, TRIM_UNTIL = 0.6, 0.8
+GROWTH_UNTIL, TRIM_UNTIL = 0.6, 0.8  # bits are free from the last trim on
 TRIMS = 8
-FREE_FROM = 0.82  # bits are free
 
 
 @dataclass(frozen=True)
@@ -111,33 +118,33 @@ def drawn(draw: Callable[[], Pixels]) -> tuple[Pixels, float]:
 def by_rd(pixels: Pixels, gaussians: int, settings: RdSettings) -> Fitted:
     """While Gaussians come and go, bits have their price: it decides well which Gaussians stay. At the end bits are
     free."""
-    recorder = Recorder(Clock(), None)
-    area = pixels.shape[0] * pixels.shape[1]
-    quantum = 0.8 * GAUSSIANS_GUESS * area / gaussians  # leaves a few more to choose from
-    control = RateControl(settings, area, quantum, max_gaussians=gaussians)
-    fitting = RdFit(pixels, control, 0, recorder.clock)
-
-    def step(rate: float, progress: float) -> tuple[float, tuple[int, int]]:
-        if progress >= FREE_FROM:
-            fitting.coder = fitting.coder.with_quantum(MIN_QUANTUM)
-        return fitting.step(rate, progress)
-
-    Schedule("fit", settings.steps, settings.final_rate, patience=1.0).run(recorder, step)
-    return _gaussians(fitting.picture, fitting.p, fitting.coder.background)
+    clock, area = Clock(), pixels.shape[0] * pixels.shape[1]
+    quantum = 0.8 * settings.rate.gaussians_per_pixel * area / gaussians  # leaves a few more to choose from
+    rate = RateControl(settings, area, quantum, max_gaussians=gaussians)
+    objective = Objective.of(pixels, "psnr", settings.objective)
+    request = Request(objective, rate, Deadline(clock), Kernels(), settings, Recorder(clock))
+    plan = Plan(request, settings, Pyramid.of(request.level(), settings.pyramid))
+    start, steps = place(request, plan.pyramid), settings.effort.steps
+    state = State(start, Moments.none(len(start)), quantum, objective.moving_target(plan.whole.target))
+    for stage in stages(request.deadline.pace(steps), settings.effort.times):
+        if stage.is_due:
+            state = densify(plan, steer(plan, prune(plan, state, stage), stage), stage)
+        if stage.at >= TRIM_UNTIL:
+            state = replace(state, quantum=MIN_QUANTUM)
+        state = fit(plan, state, stage)
+    return _fitted(plan.whole, state.gaussians, request.background)
 
 
 def by_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> Fitted:
     """Profile paper's fit, or the same with a part left out."""
-    picture, found = fit_of_paper(pixels, gaussians, settings, seed)
-    return _gaussians(picture, Parameters.of(found), (0, 0, 0))
+    return _fitted(*fit_of_paper(pixels, gaussians, settings, seed), (0, 0, 0))
 
 
-def fit_of_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> tuple[Picture, Gaussians]:
+def fit_of_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> tuple[Level, Gaussians]:
     """The picture as the fit sees it, and its Gaussians."""
-    image = pixels.astype(np.float32) / np.float32(255)
-    picture = Picture(target_of(pixels), settings.lambda_g, native.CUTOFF_V1)
-    start = place(image, gaussians, settings, np.random.default_rng(seed))
-    return picture, fit(picture, start, settings, Recorder(Clock(), None))[0]
+    image, clock, level = pixels.astype(np.float32) / np.float32(255), Clock(), paper.level_of(pixels, Kernels())
+    start = placement.place(image, gaussians, settings.start, np.random.default_rng(seed))
+    return level, paper.fit(level, start, settings, Recorder(clock), Deadline(clock))[0]
 
 
 def by_network(make: Callable[[Pixels, int], Network], pixels: Pixels, numbers: int, seconds: float) -> Fitted:
@@ -157,31 +164,21 @@ def by_network(make: Callable[[Pixels, int], Network], pixels: Pixels, numbers: 
 def lengthened(steps: int) -> RdSettings:
     """The profile with more steps. Gaussians come and go for longer too: in 4,000 steps, 60 growths make 0.2 dB more
     than ten growths and a longer rest."""
-    if steps == RD.steps:
-        return RD
-    growths = max(round(GROWTH_UNTIL * steps / STEPS_OF_GROWTH), len(RD.times.growth_at))
+    growths = max(round(GROWTH_UNTIL * steps / STEPS_OF_GROWTH), len(RD.effort.times.growth_at))
     trim_from = GROWTH_UNTIL + 0.02
-    return replace(
-        RD,
-        steps=steps,
-        final_rate=0.1,
-        times=Times(
-            steering_from=0.03,
-            growth_at=tuple(np.linspace(0.01, GROWTH_UNTIL, growths).tolist()),
-            trim_at=tuple(np.linspace(trim_from, TRIM_UNTIL, TRIMS).tolist()),
-            excess_from=0.7 * GROWTH_UNTIL,
-            excess_until=TRIM_UNTIL,
-            halved_until=RD.times.halved_until * RD.steps / steps,
-        ),
+    times = Times(
+        steering_from=0.03,
+        growth_at=tuple(np.linspace(0.01, GROWTH_UNTIL, growths).tolist()),
+        trim_at=tuple(np.linspace(trim_from, TRIM_UNTIL, TRIMS).tolist()),
+        excess_from=0.7 * GROWTH_UNTIL,
+        excess_until=TRIM_UNTIL,
+        halved_until=RD.effort.times.halved_until * RD.effort.steps / steps,
     )
+    optimiser = replace(RD.fit.optimiser, final_rate=0.1)
+    return replace(RD, effort=replace(RD.effort, steps=steps, times=times), fit=replace(RD.fit, optimiser=optimiser))
 
 
-def _gaussians(picture: Picture, p: Parameters, background: tuple[int, int, int]) -> Fitted:
-    below = (background[0] / 255, background[1] / 255, background[2] / 255)
-
-    def draw() -> Pixels:
-        pixels = np.empty((picture.height, picture.width, 3), np.uint8)
-        picture.rasterise(p.means, p.factors).render_bytes(p.colors.contiguous().numpy(), pixels, below)
-        return pixels
-
-    return Fitted(draw, NUMBERS_OF_GAUSSIAN * len(p.means), len(p.means))
+def _fitted(level: Level, gaussians: Gaussians, background: tuple[int, int, int]) -> Fitted:
+    frame = level.frame
+    scene = Scene(gaussians, frame.width, frame.height, background, frame.cutoff, frame.pyramid)
+    return Fitted(lambda: draw(scene), NUMBERS_OF_GAUSSIAN * len(gaussians), len(gaussians))

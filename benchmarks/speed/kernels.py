@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from benchmarks.machine import ISA_NAMES
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture, target_of
-from sgmethod.fitting.recorder import Clock, Recorder
+from sgmethod.backend.kernels import Kernels
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.recorder import Recorder
 from sgmethod.native import native
-from sgmethod.paper.fit import fit
-from sgmethod.profiles import PAPER
+from sgmethod.paper.fit import fit, level_of
+from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import PAPER
 from sgmethod.start.placement import place
 
 SIZE = (768, 512)
@@ -40,27 +41,24 @@ def load(path: Path) -> NDArray[np.uint8]:
         return np.asarray(ImageOps.fit(picture.convert("RGB"), SIZE, Image.Resampling.LANCZOS))
 
 
-def fitted(pixels: NDArray[np.uint8], n: int, steps: int) -> tuple[Parameters, float]:
+def fitted(pixels: NDArray[np.uint8], n: int, steps: int) -> tuple[Gaussians, float]:
     """n Gaussians after so many steps of profile paper's fit, or fewer if it comes to rest, and the seconds of a
     step."""
-    torch.set_num_threads(1)  # as encode() does: two pools of threads on the same cores cost several times the time
     settings = replace(PAPER, fit_steps=steps)
-    start = place(pixels.astype(np.float32) / np.float32(255), n, settings, np.random.default_rng(0))
-    picture = Picture(target_of(pixels), settings.lambda_g, native.CUTOFF_V1)
+    start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))
     clock = Clock()
-    gaussians, done = fit(picture, start, settings, Recorder(clock, None))
-    return Parameters.of(gaussians), clock.seconds() / done
+    gaussians, done = fit(level_of(pixels, Kernels()), start, settings, Recorder(clock), Deadline(clock))
+    return gaussians, clock.seconds() / done
 
 
 class Jobs:
     """What is timed, on one set of Gaussians."""
 
-    def __init__(self, p: Parameters) -> None:
-        self.shapes = p.means.numpy(), p.factors.numpy()
-        self.colors = p.colors.numpy()
+    def __init__(self, gaussians: Gaussians) -> None:
+        self.shapes, self.colors = (gaussians.means, gaussians.factors), gaussians.colors
         self.image = np.empty((3, SIZE[1], SIZE[0]), np.float32)
         self.upstream = np.random.default_rng(0).standard_normal(self.image.shape, np.float32)
-        self.gradients = [np.empty_like(array) for array in (*self.shapes, self.colors)]
+        self.gradients = Gaussians.empty(len(gaussians)).arrays
         self.by_name: dict[str, Callable[[int], None]] = {
             "binning": self.binning,
             "forward": self.forward,
@@ -102,9 +100,9 @@ def measure(jobs: Jobs, rounds: int, isas: range) -> Iterator[dict[str, Any]]:
         yield {**found, "median_ms": median, "p10_ms": p10, "p90_ms": p90}
 
 
-def covered(p: Parameters) -> float:
+def covered(gaussians: Gaussians) -> float:
     """Pixels that Gaussians cover, each counted once for every Gaussian; those outside of the picture too."""
-    return float(2 * math.pi * native.CUTOFF_V1 * (p.factors[:, 0] * p.factors[:, 2]).sum())
+    return float(2 * math.pi * native.CUTOFF_V1 * (gaussians.factors[:, 0] * gaussians.factors[:, 2]).sum())
 
 
 def ceilings(rounds: int) -> Iterator[dict[str, Any]]:

@@ -4,8 +4,8 @@ time limits."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -21,8 +21,11 @@ from sgmethod import Budget, BudgetError, Encoded, decode, encode, open
 from sgmethod.metrics import psnr
 from sgmethod.paper import encode as paper
 from sgmethod.profiles import PROFILES, Tune
-from sgmethod.rd import fit
+from sgmethod.rd import place as rd
 from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import PaperSettings
+from sgmethod.settings.rd import RdSettings
+from sgmethod.settings.shared import OptimiserSettings
 from sgmethod.start.placement import place
 
 BPP = 1.0
@@ -32,7 +35,9 @@ RULE = "dB that the file is worse than the first error of its trace, or than one
 SIZE_RULE = "bytes above the budget, or an error that is no BudgetError"
 SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB, CONDITION_LIMIT = 0.5, 1.0, 1e7
 WEIGHT_LEAST = 1e-6  # a Gaussian with no weight on any pixel has no say in the system
-Patch = Callable[[], AbstractContextManager[Any]]
+Settings = PaperSettings | RdSettings
+Patch = Callable[[], AbstractContextManager[None]]
+PLACED_BY = {"rd": (rd, "place_by_structure"), "paper": (paper, "place")}
 KINDS: dict[str, tuple[str, Tune]] = {
     "profile rd": ("rd", "psnr"),
     "profile rd for the eye": ("rd", "visual"),
@@ -68,6 +73,8 @@ def cases(size: Size) -> Cases:
             for start, patched in starts(profile).items():
                 measure = partial(worse, picture, budget, profile, tune, patched)
                 yield Case(f"{name}, {kind}, {start}", RULE, 0.0, measure)
+            measure = partial(worse, picture, budget, profile, tune, settings=fast(PROFILES[profile]))
+            yield Case(f"{name}, {kind}, rates ten times too high", RULE, 0.0, measure)
         for limit_s in LIMITS_S:
             measure = partial(worse, pixels, budget, profile, tune, limit_s=limit_s)
             yield Case(f"photograph, {kind}, a time limit of {limit_s:g} s", RULE, 0.0, measure)
@@ -95,16 +102,21 @@ def cases(size: Size) -> Cases:
 
 
 def starts(profile: str) -> dict[str, Patch]:
-    """Other places of the first Gaussians, and other rates."""
+    """What may be wrong with the first Gaussians."""
 
     def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
         def placed(*arguments: Any) -> Gaussians:
-            gaussians = place(*arguments)
-            copied = Gaussians(*(np.array(a) for a in (gaussians.means, gaussians.factors, gaussians.colors)))
-            spoil(copied)
-            return copied
+            gaussians = place(*arguments).copy()
+            spoil(gaussians)
+            return gaussians
 
-        return lambda: patch.object(fit if profile == "rd" else paper, "place", placed)
+        @contextmanager
+        def patched() -> Iterator[None]:
+            with patch.object(*PLACED_BY[profile], side_effect=placed) as called:
+                yield
+            assert called.called  # or it would be the start as it is
+
+        return patched
 
     def equal(g: Gaussians) -> None:
         for values in (g.means, g.factors, g.colors):
@@ -119,8 +131,6 @@ def starts(profile: str) -> dict[str, Patch]:
 
         return spoil
 
-    settings = PROFILES[profile]
-    fast = {name: 10 * getattr(settings, name) for name in ("mean_rate", "factor_rate", "color_rate")}
     bad = [(math.nan, "not a number"), (math.inf, "infinite")]
     return {
         "as it is": nullcontext,
@@ -131,8 +141,18 @@ def starts(profile: str) -> dict[str, Patch]:
             for v, word in bad
             for name in ("means", "factors")
         },
-        "rates ten times too high": lambda: patch.dict(PROFILES, {profile: replace(settings, **fast)}),
     }
+
+
+def fast(settings: Settings) -> Settings:
+    """With rates that are ten times too high."""
+
+    def faster(s: OptimiserSettings) -> OptimiserSettings:
+        return replace(s, mean_rate=10 * s.mean_rate, factor_rate=10 * s.factor_rate, color_rate=10 * s.color_rate)
+
+    if isinstance(settings, PaperSettings):
+        return replace(settings, optimiser=faster(settings.optimiser))
+    return replace(settings, fit=replace(settings.fit, optimiser=faster(settings.fit.optimiser)))
 
 
 def worse(
@@ -141,11 +161,12 @@ def worse(
     profile: str,
     tune: Tune,
     patched: Patch = nullcontext,
+    settings: Settings | None = None,
     limit_s: float | None = None,
 ) -> Found:
     """How far the file is below the start of its own fit, and below a picture of one colour."""
     with patched():
-        encoded = encode(pixels, budget, profile=profile, tune=tune, time_limit_s=limit_s)
+        encoded = encode(pixels, budget, profile, tune=tune, settings=settings, time_limit_s=limit_s)
     mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
     least = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
     return max(least - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"

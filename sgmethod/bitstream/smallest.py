@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from sgmethod.bitstream.v1 import CODEBOOK_STAGES, COLOR_INDEX_BITS, file_bytes
 from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
-from sgmethod.profiles import PaperSettings, RdSettings
+from sgmethod.settings.paper import PaperSettings
+from sgmethod.settings.rd import RdSettings
 
 
 def smallest_file(settings: RdSettings | PaperSettings, *, has_alpha: bool = False) -> int:

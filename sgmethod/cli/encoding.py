@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
@@ -34,7 +35,7 @@ def run_encode(arguments: argparse.Namespace) -> int:
     _only_budget(arguments)
     if arguments.output_dir is not None:
         if arguments.server is None:
-            _load_encoder()  # or none would succeed
+            _load_encoder(arguments.profile)  # or none would succeed
         return convert_all(conversions, _encode_one_of_several, "encoded", arguments)
     (conversion,) = conversions
     out = sys.stderr if STREAM in (conversion.target, *traces) else sys.stdout
@@ -88,7 +89,7 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
-    encode = _load_encoder()
+    encode = _load_encoder(arguments.profile)
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(
         pixels,
@@ -127,9 +128,12 @@ def _client(server: str, quiet: bool) -> Client:
     return Client(server, os.environ.get("SG_API_KEY"), on_retry=say)
 
 
-def _load_encoder() -> Callable[..., Encoded]:
+def _load_encoder(profile: str) -> Callable[..., Encoded]:
     try:
         from sgmethod.codec import encode
+
+        if profile != "rd":  # which alone needs no torch
+            import_module("sgmethod.paper.encode")
     except ImportError as error:
         raise CommandError(
             f"encoding needs packages that decoding does not ({error}); install them: pip install 'sgmethod[encode]'"

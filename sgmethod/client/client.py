@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Literal
+from urllib.parse import urlsplit
 
 import httpx
 
@@ -27,6 +28,7 @@ from sgmethod.errors import ServerError
 from sgmethod.profiles import DEFAULT_EFFORT, DEFAULT_PROFILE
 from sgmethod.trace import Progress, TracePoint
 
+PAGE = 200  # jobs in one answer
 Priority = Literal["interactive", "bulk"]
 JobState = Literal["queued", "running", "done", "failed"]
 File = str | os.PathLike[str] | bytes
@@ -148,11 +150,12 @@ class Client:
 
     def jobs(self, state: JobState | None = None) -> Iterator[Json]:
         """All jobs that this client may see, or those in one state, newest first, without their traces."""
-        path: str | None = "/jobs?limit=200" + ("" if state is None else f"&state={state}")
+        path: str | None = f"/jobs?limit={PAGE}" + ("" if state is None else f"&state={state}")
         while path is not None:
             page: Json = self._connection.ask_json("GET", path)
             yield from page["jobs"]
-            path = page["next"]
+            # Its path may have a prefix of a proxy's, which the client's address has already.
+            path = page["next"] and f"/jobs?{urlsplit(page['next']).query}"
 
     def wait(self, job_id: str, on_progress: Progress | None = None) -> Json:
         """The job once it is done, with its trace. Raises ServerError if it fails or is removed."""

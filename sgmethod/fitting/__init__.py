@@ -1,5 +1,5 @@
-"""What every fit is made of: the picture with its loss, the optimiser, the schedule, the record of error against time.
+"""What a fit is made of: the picture at every size, what its errors count, the time there is, the trace.
 
-A picture and Gaussians to start from come in, and are moved step by step.
-The profiles in paper/ and rd/ say which steps; nothing here knows of files or budgets.
+Pixels, a tuning and a time limit come in; levels, an objective and a deadline leave.
+The profiles in paper/ and rd/ say which steps a fit takes; nothing here knows of files or budgets.
 """

@@ -1,4 +1,4 @@
-"""Bands of rows: floats of a large picture as a whole would take too much memory."""
+"""Bands of rows: a large picture as one array of floats would take too much memory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from sgmethod.scene import FloatArray
 
-# Of what is missing of a picture, from the first row to before another: [3, rows, W].
+# A residual, from the first row to before another: [3, rows, W].
 Rows = Callable[[int, int], FloatArray]
 BAND = 1 << 20  # pixels, about
 LEAST_ROWS, MULTIPLE = 128, 4  # so that bands fit pictures of a half and a quarter of the size

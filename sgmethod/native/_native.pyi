@@ -159,7 +159,7 @@ def frame_adam(
     second: FloatArray,
     bias: FloatArray,
 ) -> None:
-    """One step of sgmethod.fitting.adam.FrameAdam: moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
+    """Backend.step (sgmethod/backend/protocol.py): moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
 
 def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray
@@ -175,7 +175,7 @@ def rd_rate_gradient(
     by_factors: FloatArray,
     by_colors: FloatArray,
 ) -> None:
-    """Add the gradient that sgmethod.rd.quantiser.add_rate_gradient describes to by_factors and by_colors."""
+    """Backend.add_rate_gradient (sgmethod/backend/protocol.py): adds to by_factors and by_colors."""
 
 class RdParameters:
     """What the stream of profile rd needs to know before its first Gaussian."""

@@ -31,14 +31,12 @@ def render(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]
 def _sum(means: Tensor, factors: Tensor, colors: Tensor, samples: tuple[range, range], cutoff: float) -> Tensor:
     """The plain sum at samples whose columns and rows are given; sample i has its centre at i + 0.5."""
     x, y = (torch.tensor(list(places), dtype=means.dtype) + 0.5 for places in samples)
-    image = torch.zeros(3, len(y), len(x), dtype=means.dtype)
-    for mean, (l1, l2, l3), color in zip(means, factors, colors, strict=True):
-        z1 = (x[None, :] - mean[0]) / l1
-        z2 = (y[:, None] - mean[1] - l2 * z1) / l3
-        sigma = (z1 * z1 + z2 * z2) / 2
-        weight = (torch.exp(-sigma) - math.exp(-cutoff)).clamp_min(0)
-        image = image + color[:, None, None] * weight
-    return image
+    (x0, y0), (l1, l2, l3) = means.T[..., None, None], factors.T[..., None, None]
+    z1 = (x - x0) / l1
+    z2 = (y[:, None] - y0 - l2 * z1) / l3
+    sigma = (z1 * z1 + z2 * z2) / 2
+    weights = (torch.exp(-sigma) - math.exp(-cutoff)).clamp_min(0)
+    return torch.einsum("nc,nyx->cyx", colors, weights)
 
 
 MAX_LEVEL = 12

@@ -3,105 +3,155 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
+from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container, v1
 from sgmethod.bitstream.v1 import StreamV1
+from sgmethod.budget import Budget
 from sgmethod.decoder import draw
 from sgmethod.errors import BudgetError
-from sgmethod.fitting.picture import Picture, target_of
-from sgmethod.fitting.request import Request
-from sgmethod.fitting.schedule import Schedule
+from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.recorder import Recorder
 from sgmethod.metrics import psnr
-from sgmethod.native import native
-from sgmethod.paper.fit import fit
+from sgmethod.paper.fit import fit, level_of
+from sgmethod.paper.schedule import Schedule
 from sgmethod.paper.tuning import Tuner, bits_per_gaussian
-from sgmethod.profiles import PaperSettings
+from sgmethod.settings.paper import PaperSettings
 from sgmethod.start.placement import place
 
-FIT_SHARE = 0.6  # of a time limit; the rest is for tuning
+FIT_SHARE = 0.6  # of the time left; the rest is for tuning
 PSNR_ATTEMPTS = 4
 PSNR_PER_DOUBLING_DB = 1.7  # of the number of Gaussians; where a search for a PSNR starts from
 
 
-def encode(request: Request, settings: PaperSettings) -> tuple[bytes, int]:
-    """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
-    encoder = _Encoder(request, settings)
-    height, width = request.pixels.shape[:2]
-    if request.budget.kind == "psnr":
-        stream = encoder.reach_psnr(request.budget.value)
-    elif request.budget.kind == "gaussians":
-        stream = encoder.run(request.gaussians_asked(), None)
-    elif request.budget.kind == "quality":
-        raise BudgetError(f"profile {request.profile} has no quality scale; give bpp, bytes, psnr or gaussians")
-    else:
-        stream = encoder.within_bytes(request.budget.max_bytes(width, height) or 0)
-    return container.serialise(stream), encoder.steps
+@dataclass(frozen=True)
+class Request:
+    """One picture to encode: pixels, uint8 [H, W, 3], and everything that the profile needs to know."""
 
-
-@dataclass
-class _Encoder:
-    request: Request
+    pixels: NDArray[np.uint8]
+    budget: Budget
+    profile: str
     settings: PaperSettings
-    steps: int = 0
+    deadline: Deadline
+    recorder: Recorder
+    backend: Backend
+    seed: int = 0
 
-    def within_bytes(self, max_bytes: int) -> StreamV1:
-        """The best stream of at most max_bytes."""
-        height, width = self.request.pixels.shape[:2]
-        s = self.settings
-        groups = s.max_bitwidth - s.min_bitwidth + 1 if s.adaptive_bitwidth else 1
-        bits = v1.record_budget_bits(max_bytes, groups)
-        least = bits_per_gaussian(replace(s, mean_bitwidth=s.min_bitwidth))
-        if bits < least:
-            smallest = max_bytes + math.ceil((least - bits) / 8)
-            raise BudgetError(
-                f"a file of profile {self.request.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
-            )
-        n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
-        return self.run(n, max_bytes)
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.pixels.shape[1], self.pixels.shape[0]
 
-    def reach_psnr(self, target_db: float) -> StreamV1:
-        """The smallest stream found that reaches target_db, else the best found.
 
-        Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the
-        logarithm of that number.
-        """
-        pixels = self.request.pixels.shape[0] * self.request.pixels.shape[1]
-        n = max(pixels // 300, 1)
-        tried: dict[int, tuple[float, StreamV1]] = {}
-        for attempt in range(PSNR_ATTEMPTS):
-            stream = self.run(n, None, (attempt + 1) / PSNR_ATTEMPTS)
-            tried[n] = (psnr(draw(stream.scene()), self.request.pixels), stream)
-            n = _next_count(tried, target_db, pixels)
-            if n in tried:
-                break
-        reached = [m for m, (db, _) in tried.items() if db >= target_db]
-        return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1]
+def encode(request: Request) -> tuple[bytes, int]:
+    """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
+    budget = request.budget
+    with _torch_of_its_own(), _single_torch_thread(), _memory_errors():
+        if budget.kind == "psnr":
+            stream, steps = reach_psnr(request, budget.value)
+        elif budget.kind == "gaussians":
+            stream, steps = run(request, budget.max_gaussians(*request.size), None)
+        elif budget.kind == "quality":
+            raise BudgetError(f"profile {request.profile} has no quality scale; give bpp, bytes, psnr or gaussians")
+        else:
+            stream, steps = within_bytes(request, budget.max_bytes(*request.size) or 0)
+    return container.serialise(stream), steps
 
-    def run(self, n: int, max_bytes: int | None, share: float = 1.0) -> StreamV1:
-        """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b. share: of the time, from the start
-        of the encode, at which it must be there."""
-        request, settings = self.request, self.settings
-        begun = request.recorder.clock.seconds()
 
-        def tune_until() -> float | None:
-            return request.until_s(share)
+def within_bytes(request: Request, max_bytes: int) -> tuple[StreamV1, int]:
+    """The best stream of at most max_bytes."""
+    s, (width, height) = request.settings, request.size
+    groups = s.max_bitwidth - s.min_bitwidth + 1 if s.adaptive_bitwidth else 1
+    bits = v1.record_budget_bits(max_bytes, groups)
+    least = bits_per_gaussian(replace(s, mean_bitwidth=s.min_bitwidth))
+    if bits < least:
+        smallest = max_bytes + math.ceil((least - bits) / 8)
+        raise BudgetError(
+            f"a file of profile {request.profile} takes at least {smallest} bytes, the budget is {max_bytes}"
+        )
+    n = min(max(int(bits // bits_per_gaussian(s)), 1), width * height)
+    return run(request, n, max_bytes)
 
-        def fit_until() -> float | None:
-            until_s = tune_until()
-            return None if until_s is None else begun + FIT_SHARE * (until_s - begun)
 
-        image = request.pixels.astype(np.float32)
-        image /= 255
-        picture = Picture(target_of(request.pixels), settings.lambda_g, native.CUTOFF_V1)
-        start = place(image, n, settings, np.random.default_rng(request.seed))
-        fitted, fit_steps = fit(picture, start, settings, request.recorder, fit_until)
-        tuner = Tuner(fitted, picture, settings, max_bytes, request.seed)
-        schedule = Schedule("tune", settings.tune_steps, settings.final_rate, tune_until)
-        self.steps += fit_steps + schedule.run(request.recorder, tuner.step)
-        return tuner.stream(request.profile)
+def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
+    """The smallest stream found that reaches target_db, else the best found.
+
+    Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the
+    logarithm of that number.
+    """
+    pixels = request.size[0] * request.size[1]
+    n, steps = max(pixels // 300, 1), 0
+    tried: dict[int, tuple[float, StreamV1]] = {}
+    for attempt in range(PSNR_ATTEMPTS):
+        part = replace(request, deadline=request.deadline.part((attempt + 1) / PSNR_ATTEMPTS))
+        stream, taken = run(part, n, None)
+        steps += taken
+        tried[n] = (psnr(draw(stream.scene()), request.pixels), stream)
+        n = _next_count(tried, target_db, pixels)
+        if n in tried:
+            break
+    reached = [m for m, (db, _) in tried.items() if db >= target_db]
+    return tried[min(reached)][1] if reached else max(tried.values(), key=lambda t: t[0])[1], steps
+
+
+def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]:
+    """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b, and the steps it took."""
+    s, recorder = request.settings, request.recorder
+    image = request.pixels.astype(np.float32)
+    image /= 255
+    level = level_of(request.pixels, request.backend)
+    start = place(image, n, s.start, np.random.default_rng(request.seed))
+    fitted, fit_steps = fit(level, start, s, recorder, request.deadline.part_from_now(FIT_SHARE))
+    tuner = Tuner(fitted, level, s, max_bytes, request.seed)
+    schedule = Schedule("tune", s.tune_steps, s.optimiser.final_rate, s.patience)
+    steps = fit_steps + schedule.run(request.deadline, recorder, tuner.step)
+    return tuner.stream(request.profile), steps
+
+
+@contextmanager
+def _torch_of_its_own() -> Iterator[None]:
+    """Torch's defaults, whatever the program has set: float32 on the CPU, with gradients."""
+    kind = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        with (
+            torch.device("cpu"),
+            torch.autocast("cpu", enabled=False),
+            torch.inference_mode(False),
+            torch.enable_grad(),
+        ):
+            yield
+    finally:
+        torch.set_default_dtype(kind)
+
+
+@contextmanager
+def _single_torch_thread() -> Iterator[None]:
+    """Keep torch's own threads out of the way: two pools on the same cores cost several times the time."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@contextmanager
+def _memory_errors() -> Iterator[None]:
+    """Torch says with a RuntimeError of its own what everybody else says with MemoryError."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "can't allocate memory" not in str(error):
+            raise
+        raise MemoryError("there is not enough memory for this encode") from error
 
 
 def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most: int) -> int:

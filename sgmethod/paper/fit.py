@@ -4,51 +4,64 @@ from __future__ import annotations
 
 import math
 
-import torch
+import numpy as np
 
-from sgmethod.fitting.adam import FrameAdam
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture
+from sgmethod.backend.protocol import CUTOFF_V1, Backend, Frame, Loss, Moments
+from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.level import Level, target_of
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.fitting.schedule import Schedule, Until, never
-from sgmethod.profiles import PaperSettings
+from sgmethod.paper.schedule import Schedule
 from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import PaperSettings
 
 
-def add_energy_gradient(p: Parameters, grad: Parameters, weight: float) -> None:
-    """Add the gradient of weight * sum |c|^2 pi l1 l3: what an error proportional to each colour would cost, and
-    so a price on large colours that cancel each other."""
-    area = math.pi * weight * p.factors[:, 0] * p.factors[:, 2]
-    energy = p.colors.square().sum(1) * area
-    grad.colors += 2 * p.colors * area[:, None]
-    grad.factors[:, 0] += energy / p.factors[:, 0]
-    grad.factors[:, 2] += energy / p.factors[:, 2]
+def level_of(pixels: np.ndarray, backend: Backend) -> Level:
+    """The picture [H, W, 3], uint8, that Gaussians of a version 1 file are fitted to."""
+    return Level(backend, Frame(pixels.shape[1], pixels.shape[0], CUTOFF_V1, pyramid=False), target_of(pixels))
 
 
-def usable(start: Gaussians, picture: Picture) -> Parameters:
-    """The start, less what no fit recovers from: places that are not finite become the middle of the picture, shapes
-    that are singular or not finite a circle as large as what each Gaussian has to cover."""
-    p = Parameters.of(start)
-    p.means[~p.means.isfinite().all(1)] = torch.tensor([picture.width / 2, picture.height / 2])
-    radius = math.sqrt(picture.width * picture.height / len(start) / math.pi)
-    shaped = p.factors.isfinite().all(1) & (p.factors[:, 0::2] > 0).all(1)
-    p.factors[~shaped] = torch.tensor([radius, 0.0, radius])
-    return p
+def loss_of(level: Level, lambda_g: float) -> Loss:
+    """MSE + lambda_g L_g as a function of Gaussians."""
+    if lambda_g == 0:
+        return level.gradients
+    return level.backend.regularised(level.frame, level.image(), lambda_g)
+
+
+def add_energy_gradient(gaussians: Gaussians, gradient: Gaussians, weight: float) -> None:
+    """Add the gradient of weight * sum |c|^2 pi l1 l3: the cost of an error proportional to each colour, and so a
+    price on large colours that cancel each other."""
+    l1, l3 = gaussians.factors[:, 0], gaussians.factors[:, 2]
+    area = np.float32(math.pi * weight) * l1 * l3
+    energy = np.square(gaussians.colors).sum(1) * area
+    gradient.colors[:] += 2 * gaussians.colors * area[:, None]
+    gradient.factors[:, 0] += energy / l1
+    gradient.factors[:, 2] += energy / l3
+
+
+def usable(start: Gaussians, level: Level) -> Gaussians:
+    """The start, with values that no fit recovers from replaced: places that are not finite by the middle of the
+    picture, shapes that are singular or not finite by a circle as large as the area of each Gaussian."""
+    gaussians, frame = start.copy(), level.frame
+    gaussians.means[~np.isfinite(gaussians.means).all(1)] = frame.width / 2, frame.height / 2
+    radius = math.sqrt(level.pixels / len(start) / math.pi)
+    shaped = np.isfinite(gaussians.factors).all(1) & (gaussians.factors[:, 0::2] > 0).all(1)
+    gaussians.factors[~shaped] = radius, 0.0, radius
+    return gaussians
 
 
 def fit(
-    picture: Picture, start: Gaussians, settings: PaperSettings, recorder: Recorder, until: Until = never
+    level: Level, start: Gaussians, settings: PaperSettings, recorder: Recorder, deadline: Deadline
 ) -> tuple[Gaussians, int]:
     """Fitted Gaussians without any quantisation, and the steps that took."""
-    p = usable(start, picture)
-    p.colors = picture.solve_colors(p.means, p.factors, settings.color_solve_steps)
-    adam = FrameAdam(len(start), settings)
+    s, loss = settings, loss_of(level, settings.lambda_g)
+    gaussians = level.solve_colors(usable(start, level), s.color_solve_steps)
+    moments = Moments.none(len(start))
 
-    def step(rate: float, _: float) -> tuple[float, tuple[int, int]]:
-        mse, grad = picture.gradients(p)
-        add_energy_gradient(p, grad, settings.lambda_e / picture.values)
-        adam.step(p, grad, rate)
-        return mse, (len(start), 0)
+    def step(rate: float) -> tuple[float, int, int]:
+        mse, gradient = loss(gaussians)
+        add_energy_gradient(gaussians, gradient, s.lambda_e / level.values)
+        level.backend.step(gaussians, gradient, moments, s.optimiser, rate, 1)
+        return mse, len(start), 0
 
-    done = Schedule("fit", settings.fit_steps, settings.final_rate, until).run(recorder, step)
-    return p.numpy(), done
+    schedule = Schedule("fit", s.fit_steps, s.optimiser.final_rate, s.patience)
+    return gaussians, schedule.run(deadline, recorder, step)

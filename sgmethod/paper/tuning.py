@@ -17,14 +17,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from sgmethod.backend.protocol import Moments
 from sgmethod.bitstream.v1 import CODEBOOK_ENTRIES, CODEBOOK_STAGES, COLOR_INDEX_BITS, Group, StreamV1, file_bytes
-from sgmethod.fitting.adam import FrameAdam
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture
+from sgmethod.fitting.level import Level
 from sgmethod.paper import lattice
 from sgmethod.paper.codebook import ResidualCodebook
-from sgmethod.profiles import PaperSettings
+from sgmethod.paper.fit import loss_of
+from sgmethod.paper.parameters import Parameters
 from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import PaperSettings
 
 MIN_SPAN_PX = 1e-3
 FIT_BUDGET_EVERY = 20  # steps between two shifts of the bitwidths onto the budget
@@ -39,11 +40,12 @@ class Tuner:
     """Latent parameters with their quantisers."""
 
     def __init__(
-        self, gaussians: Gaussians, picture: Picture, settings: PaperSettings, max_bytes: int | None, seed: int
+        self, gaussians: Gaussians, level: Level, settings: PaperSettings, max_bytes: int | None, seed: int
     ) -> None:
         """max_bytes: the file's largest size; None where lambda_b is to decide it."""
-        self.picture, self.max_bytes = picture, max_bytes
+        self.level, self.max_bytes = level, max_bytes
         s = self.settings = settings
+        self.loss = loss_of(level, s.lambda_g)
         self.p = Parameters.of(gaussians)
         self.n = len(gaussians)
         l1, _, l3 = self.p.factors.T
@@ -76,8 +78,8 @@ class Tuner:
         groups = [{"params": [r], "lr": lr, "initial_lr": lr} for r, lr in zip(self.ranges, rates, strict=True)]
         if s.adaptive_bitwidth:
             groups.append({"params": [self.soft_bits], "lr": s.bits_rate, "initial_lr": s.bits_rate})
-        self.optimiser = torch.optim.Adam(groups, betas=(s.beta1, s.beta2), eps=1e-15)
-        self.adam = FrameAdam(self.n, s)
+        self.optimiser = torch.optim.Adam(groups, betas=(s.optimiser.beta1, s.optimiser.beta2), eps=1e-15)
+        self.moments = Moments.none(self.n)
         self.fit_budget()
 
     def _span(self, i: int) -> Tensor:
@@ -87,7 +89,7 @@ class Tuner:
         """Keep every range at least MIN_SPAN_PX wide: equal values, or two ends that crossed, have no step."""
         for i in (0, 2):
             if i == 2:
-                self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.min_scale_px)
+                self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.optimiser.min_scale_px)
             self.ranges[i + 1].copy_(torch.maximum(self.ranges[i + 1], self.ranges[i] + MIN_SPAN_PX))
 
     def _sensitivity_bits(self) -> Tensor:
@@ -127,8 +129,8 @@ class Tuner:
         index = self.book.assign(self.p.colors)
         return Parameters(means, factors, self.book.lookup(index)), index
 
-    def step(self, rate: float, _progress: float = 0.0) -> tuple[float, tuple[int, int]]:
-        """One step of all parameters; returns the quantised picture's error and (Gaussians, bits of the file)."""
+    def step(self, rate: float) -> tuple[float, int, int]:
+        """One step of all parameters; returns the quantised picture's error, Gaussians, and bytes of the file."""
         if self.steps % FIT_BUDGET_EVERY == 0:
             self.fit_budget()
         self.steps += 1
@@ -137,21 +139,25 @@ class Tuner:
             leaf.requires_grad_()
         quantised, index = self.quantised()
         with torch.no_grad():
-            mse, grad = self.picture.gradients(quantised)
+            mse, found = self.loss(quantised.numpy())
+            grad = Parameters.sharing(found)
         grads = torch.autograd.grad([quantised.means, quantised.factors], leaves, [grad.means, grad.factors])
         with torch.no_grad():
             for leaf in leaves:
                 leaf.requires_grad_(False)
-            self._move(Parameters(grads[0], grads[1], grad.colors), list(grads[2:]), quantised.colors, rate)
+            self._move((grads[0], grads[1], grad.colors), list(grads[2:]), quantised.colors, rate)
             self.book.follow(self.p.colors, self.weights, index)
-        return mse, (self.n, 8 * self.file_bytes())
+        return mse, self.n, self.file_bytes()
 
-    def _move(self, grad: Parameters, others: list[Tensor], coded_colors: Tensor, rate: float) -> None:
-        s, picture = self.settings, self.picture
+    def _move(
+        self, grads: tuple[Tensor, Tensor, Tensor], others: list[Tensor], coded_colors: Tensor, rate: float
+    ) -> None:
+        s = self.settings
         # L_r, each colour weighed by its Gaussian's part of the picture, so that it is on the scale of the MSE.
-        energy = math.pi * self.weights / (3 * picture.width * picture.height)
-        grad.colors = grad.colors + 2 * s.lambda_r * energy[:, None] * (self.p.colors - coded_colors)
-        self.adam.step(self.p, grad, rate * s.tune_rate)
+        energy = math.pi * self.weights / self.level.values
+        by_colors = grads[2] + 2 * s.lambda_r * energy[:, None] * (self.p.colors - coded_colors)
+        gradient = Parameters(grads[0], grads[1], by_colors).numpy()
+        self.level.backend.step(self.p.numpy(), gradient, self.moments, s.optimiser, rate * s.tune_rate, 1)
         # L_b, or with a budget the price at which the mean bitwidth does not move.
         price = others[4].mean() if self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price
@@ -184,8 +190,8 @@ class Tuner:
             )
         return StreamV1(
             profile=profile,
-            width=self.picture.width,
-            height=self.picture.height,
+            width=self.level.frame.width,
+            height=self.level.frame.height,
             position_bits=self.settings.position_bits,
             position_range=torch.stack(self.ranges[:2], 1).numpy(),
             factor_range=torch.stack([low, high], 1).numpy(),

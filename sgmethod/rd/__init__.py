@@ -1,5 +1,5 @@
-"""Profile rd: the number of Gaussians, their places and their steps, decided together by rate and distortion.
+"""Profile rd: few Gaussians are placed, fitted under the price of their bits, densified, pruned, coded and refined.
 
-A request comes in: a picture and what the file may spend.
-The bytes of a version 4 file leave; encode.py names the steps in the order in which they run.
+A request comes in: pixels, an objective, rate control, a deadline and a backend.
+The stream of a version 4 file leaves. encode.py is the pipeline in the order in which it runs.
 """

@@ -1,30 +1,31 @@
-"""Rate control: how one budget of any kind becomes a quantum, a number of Gaussians, and a way to steer both.
+"""Rate control: how a budget becomes a quantum, a number of Gaussians, and a way to steer and search both.
 
 One number, the quantum, sets all quantiser steps and the price of a bit. A budget in bytes or in decibels steers it
 while the Gaussians are fitted. A quality sets it once; a number of Gaussians leaves it at a fixed quality.
 
 Early in the fit there may be more Gaussians, and a larger file, than the budget allows: growth finds local maxima of a
-gain, and what is added early is not what is best late. The surplus is given up step by step (_surplus).
+gain, and the best early additions are not the best late. The surplus is given up step by step (_surplus).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
-from sgmethod.bitstream.payload import HEADER_BYTES
+from sgmethod.backend.protocol import NO_LIMIT
+from sgmethod.bitstream.payload import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, quantum_code
+from sgmethod.bitstream.texture import Codes, pack
+from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
+from sgmethod.budget import MAX_PSNR_DB, Budget
+from sgmethod.decoder import draw_whole
 from sgmethod.errors import BudgetError
-from sgmethod.fitting.request import Request
-from sgmethod.profiles import RdSettings
+from sgmethod.fitting.objective import Objective
+from sgmethod.settings.rd import RdSettings, Times
 
 SMALLEST_FILE = HEADER_BYTES  # without any Gaussian there is no payload
-GAUSSIANS_QUALITY = 85.0  # at which a number of Gaussians asked for is fitted
-# First guesses of how many Gaussians there will be: by the bits of one, and by pixels over the quantum.
-BIT_GUESS = 30.0
-MOST_BYTES = 12  # that a pixel can use, where each has a Gaussian of its own; more would ask for steps without end
-GAUSSIANS_GUESS = 0.0023
-PIXELS_OF_FIRST_GUESS = 20  # a Gaussian, at least; growth may put more
+EXACT_DB = 99.0  # of a picture without any error
 
 
 def quality_quantum(quality: float) -> float:
@@ -33,14 +34,33 @@ def quality_quantum(quality: float) -> float:
     return 3.2 * 2 ** (-quality / 16)
 
 
-def quantum_of_psnr(psnr_db: float) -> float:
-    """About the quantum of a photograph's file of so many decibels."""
-    return 0.1 * 2 ** ((34 - psnr_db) / 2.5)
+def error_per_bit(quantum: float) -> float:
+    """The squared error, summed over the picture, that one bit buys at the margin: of a uniform quantiser's error
+    q^2 / 12 a further bit takes away 3/4, that is -d(q^2 / 12)/d(bits) = q^2 ln(2) / 6."""
+    return quantum**2 * math.log(2) / 6
 
 
-def psnr_of_quantum(quantum: float) -> float:
-    """The other way round."""
-    return 34 - 2.5 * math.log2(quantum / 0.1)
+@dataclass(frozen=True)
+class Coded:
+    """A coded picture, measured without its texture, which is there to be seen and not to be measured."""
+
+    stream: StreamV4
+    objective: Objective
+
+    @cached_property
+    def error(self) -> float:
+        """Squared, as the objective counts it, summed. Measured when it is first asked for."""
+        return self.objective.error(draw_whole(self.stream, texture=False))
+
+    @property
+    def size(self) -> int:
+        """Bytes of the payload."""
+        return len(self.stream.payload)
+
+    @property
+    def psnr(self) -> float:
+        """In dB, for files that are tuned for it."""
+        return min(-10 * math.log10(max(self.error, 1e-12) / self.objective.pixels.size), EXACT_DB)
 
 
 @dataclass(frozen=True)
@@ -48,8 +68,8 @@ class RateControl:
     """What a budget asks of one picture.
 
     pixels: of the picture; quantum: the first, and the last one where nothing steers it; max_bytes: of the file, never
-    to be exceeded; psnr: dB to reach; max_gaussians: not to be exceeded. At most one of the last three is given.
-    Times (`at`) are parts of the schedule, 0 to 1.
+    to be exceeded; psnr: dB to reach; max_gaussians: not to be exceeded; is_steered: the quantum follows max_bytes or
+    psnr. Times (`at`) are parts of a run of the schedule, 0 to 1.
     """
 
     settings: RdSettings
@@ -58,83 +78,83 @@ class RateControl:
     max_bytes: int | None = None
     psnr: float | None = None
     max_gaussians: int | None = None
+    is_steered: bool = True
 
     @classmethod
-    def of(cls, request: Request, settings: RdSettings) -> RateControl:
-        """The rate control of a request. Raises BudgetError for a budget that no file can meet."""
-        height, width = request.pixels.shape[:2]
-        pixels, budget = width * height, request.budget
+    def of(cls, budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_alpha: bool = False) -> RateControl:
+        """For a picture of size (width, height). Raises BudgetError for a budget that no file can meet."""
+        pixels, s = size[0] * size[1], settings.rate
         if budget.kind == "quality":
             return cls(settings, pixels, quality_quantum(budget.value))
         if budget.kind == "psnr":
-            return cls(settings, pixels, min(quantum_of_psnr(budget.value), 0.4), psnr=budget.value)
+            of_photograph = 0.1 * 2 ** ((34 - budget.value) / s.db_per_doubling)  # about
+            quantum = min(of_photograph, s.coarsest_of_psnr)
+            return cls(settings, pixels, quantum, psnr=budget.value)
         if budget.kind == "gaussians":
-            quantum = quality_quantum(GAUSSIANS_QUALITY)
-            return cls(settings, pixels, quantum, max_gaussians=request.gaussians_asked())
-        asked = budget.max_bytes(width, height) or 0
-        if asked < SMALLEST_FILE:
-            raise BudgetError(f"a file of profile rd takes at least {SMALLEST_FILE} bytes, the budget is {asked}")
-        return cls(settings, pixels, 0.0).for_size(asked)
+            quantum = quality_quantum(s.gaussians_quality)
+            return cls(settings, pixels, quantum, max_gaussians=budget.max_gaussians(*size))
+        asked, least = budget.max_bytes(*size) or 0, SMALLEST_FILE + has_alpha * ALPHA_HEADER.size
+        if asked < least:
+            kind = "a file with alpha" if has_alpha else "a file of profile rd"
+            raise BudgetError(f"{kind} takes at least {least} bytes, the budget is {asked}")
+        return cls(settings, pixels, 0.0).for_bytes(asked)
 
-    def for_size(self, max_bytes: int) -> RateControl:
-        """The same for a budget of so many bytes, or as many as a file can use."""
-        max_bytes = min(max_bytes, self.most_bytes())
+    def for_bytes(self, max_bytes: int) -> RateControl:
+        """The same for a budget of bytes, or as many as a file can use."""
+        max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.most_bytes * self.pixels)
         bpp = max(8 * max_bytes / self.pixels, 1e-3)
         return replace(self, quantum=0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes, psnr=None)
 
-    def most_bytes(self) -> int:
-        """That a file of the picture can use."""
-        return SMALLEST_FILE + MOST_BYTES * self.pixels
-
-    @property
-    def has_goal(self) -> bool:
-        """Whether a size or a PSNR steers the quantum."""
-        return self.max_bytes is not None or self.psnr is not None
-
     def expected_gaussians(self) -> int:
         """A first guess of how many Gaussians there will be."""
+        s = self.settings.rate
         if self.max_gaussians is not None:
             return self.max_gaussians
+        by_quantum = int(s.gaussians_per_pixel * self.pixels / self.quantum)
+        guess = min(by_quantum, self.pixels // s.fewest_pixels)
         if self.max_bytes is not None:
-            return max(min(int(8 * self.max_bytes / BIT_GUESS), self.pixels), 1)
-        return max(min(int(GAUSSIANS_GUESS * self.pixels / self.quantum), self.pixels // PIXELS_OF_FIRST_GUESS), 1)
+            by_size = int(8 * self.max_bytes / s.bits_per_gaussian)
+            guess = by_size if self.is_steered else min(guess, by_size)
+        return max(min(guess, self.pixels), 1)
 
-    def steps(self) -> int:
-        """Steps of the fit."""
-        s = self.settings
+    def steps(self, settings: RdSettings) -> int:
+        """Steps of the first run, under settings that time may have cut."""
+        s = settings.schedule
         density = self.expected_gaussians() / self.pixels
         share = min(max((density - s.sparse) / (s.dense - s.sparse), 0), 1)
-        return round(s.steps * (1 + share * (s.dense_steps - 1)))
+        return round(settings.effort.steps * (1 + share * (s.dense_steps - 1)))
 
-    def most_gaussians(self, at: float) -> int:
+    def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
         """How many Gaussians there may be at a time of the schedule."""
         if self.max_gaussians is not None:
-            return min(self.pixels, int(self.max_gaussians * self._excess(at)))
+            return min(self.pixels, int(self.max_gaussians * _excess(times, at)))
         if self.max_bytes is not None:
-            return min(self.pixels, int(self.settings.most * self.expected_gaussians()))
+            return min(self.pixels, int(settings.densify.most * self.expected_gaussians()))
         return self.pixels
 
-    def new_gaussians(self, now: int) -> int:
-        """How many Gaussians may be added to so many at once."""
-        s = self.settings
-        return max(int(s.growth * now), self.expected_gaussians() // len(s.times.growth_at), 4)
-
     def steered(
-        self, quantum: float, at: float, file_bytes: int, psnr: Callable[[], float], unrounded_psnr: Callable[[], float]
+        self,
+        quantum: float,
+        times: Times,
+        at: float,
+        file_bytes: int,
+        psnr: Callable[[], float],
+        unrounded_psnr: Callable[[], float],
     ) -> float:
-        """The quantum from this time on, given the quantum now and what it comes to: the file's size, and its PSNR in
-        dB and that before rounding, which are asked for where they are needed."""
-        s, times = self.settings, self.settings.times
-        if not self.has_goal:
-            return self._given_quantum(at)
+        """The quantum from this time on, given that of now and what it comes to: the file's size, and its PSNR in dB
+        and that before rounding, which are asked for where they are needed."""
+        s = self.settings.rate
+        if not self.is_steered or (self.max_bytes is None and self.psnr is None):
+            # That asked for; finer early, where a size or a PSNR would have steered it to.
+            return self.quantum / float(times.finer_early ** _surplus(times, at))
         if at < times.steering_from:
             return quantum
         exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
         ratio: float
         if self.max_bytes is not None:
-            # More than the whole size from the first: the fine steps that this means serve Gaussians well while they
+            # The whole size and more from the first: the fine steps that this means serve Gaussians well while they
             # are few. Later there are more Gaussians than can stay, and those that gain least for their bits go.
-            ratio = (file_bytes / (self.max_bytes * self._excess(at))) ** exponent
+            ratio = (file_bytes / (self.max_bytes * _excess(times, at))) ** exponent
         else:
             assert self.psnr is not None
             # Early in the growth a larger error than the final one is right.
@@ -145,19 +165,172 @@ class RateControl:
             # Where rounding takes next to nothing, a finer quantum cannot give what is missing.
             if ratio < 1 and at > times.growth_at[-1] and unrounded_psnr() < min(rounded + s.missed_db, self.psnr):
                 return quantum
-        if ratio == 1.0:
-            return quantum
-        return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
+        return quantum if ratio == 1.0 else quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
-    def _surplus(self, at: float) -> float:
-        """1 while there may be more than was asked for, falling to 0."""
-        times = self.settings.times
-        return 1 - min(max((at - times.excess_from) / (times.excess_until - times.excess_from), 0), 1)
+    def allows(self, psnr: Callable[[], float]) -> bool:
+        """Whether Gaussians may be dropped that leave this PSNR: none would come back once growth is over."""
+        return self.psnr is None or psnr() >= self.psnr - self.settings.prune.missed_db
 
-    def _excess(self, at: float) -> float:
-        """How many times what was asked for there may be: Gaussians, or bytes."""
-        return 1 + self.settings.times.excess * self._surplus(at)
 
-    def _given_quantum(self, at: float) -> float:
-        """The quantum asked for; finer early, where a size or a PSNR would have steered it to."""
-        return self.quantum / float(self.settings.times.finer_early ** self._surplus(at))
+@dataclass(frozen=True)
+class Selection:
+    """How files of one budget are searched and compared."""
+
+    rate: RateControl
+
+    def payload_limit(self, texture: Codes | None) -> int:
+        """Bytes that the budget leaves for the payload, beside a texture."""
+        if self.rate.max_bytes is None:
+            return NO_LIMIT
+        return self.rate.max_bytes - HEADER_BYTES - (0 if texture is None else len(pack(texture)))
+
+    def affords(self, texture: Codes) -> bool:
+        """Whether a texture's bytes are a small part of the budget."""
+        return len(pack(texture)) <= self.rate.settings.objective.texture.share * (self.rate.max_bytes or math.inf)
+
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
+        """The quantum to try first, given that of the fit and the bytes to which Gaussians come: for a size the finest
+        at which all of them fit, by bisection. Even the coarsest may leave too much; then refining drops some."""
+        if not self.rate.is_steered or self.rate.max_gaussians is not None:
+            return self.rate.quantum
+        if self.rate.max_bytes is None:
+            return quantum if self.rate.psnr is not None else self.rate.quantum
+        low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
+        while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
+            low, high = high, high + math.log(2)
+        while payload(math.exp(low)) < limit and low > math.log(MIN_QUANTUM):
+            low, high = low - math.log(2), low
+        for _ in range(8):
+            middle = (low + high) / 2
+            low, high = (low, middle) if payload(math.exp(middle)) <= limit else (middle, high)
+        return math.exp(high)
+
+    def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
+        """The quantum to try after those tried; None where nothing is to be gained."""
+        last = tried[-1]
+        if self.rate.psnr is not None:
+            found = self._nearer_to_psnr(tried) if len(tried) < self.rate.settings.rate.psnr_tries else None
+            known = {quantum_code(one.stream.quantum) for one in tried}
+            return None if found is None or quantum_code(found) in known else found
+        if not self.rate.is_steered or self.rate.max_bytes is None or len(tried) > size_tries:
+            return None
+        used = last.size / max(limit, 1)  # refining makes files smaller, by a percent or, after a short fit, a fifth
+        if used >= self.rate.settings.rate.least_used or used == 0:
+            return None
+        return last.stream.quantum * float(used**self.rate.settings.rate.quantum_per_size)
+
+    def is_cut_short(self, size: int, limit: int) -> bool:
+        """Whether a fit that comes to this payload was cut short, and so is also worth coding with fewer Gaussians."""
+        return (
+            self.rate.is_steered
+            and self.rate.max_bytes is not None
+            and size > self.rate.settings.rate.far_from_size * limit
+        )
+
+    def spared(self, coded: Coded) -> int:
+        """Bytes with which a coded picture, once it is relaxed, has about the PSNR that was asked for, if any was."""
+        s = self.rate.settings.refine
+        above = -1.0 if self.rate.psnr is None else coded.psnr - self.rate.psnr
+        if above < 0:
+            return NO_LIMIT
+        return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.most_spared)))
+
+    def is_missed(self, found: Iterable[Coded]) -> bool:
+        """Whether a PSNR was asked for, and none of the files has it."""
+        return self.rate.psnr is not None and max(one.psnr for one in found) < self.rate.psnr
+
+    def best(self, found: Iterable[Coded], aim: float | None = None) -> Coded:
+        """The one that meets the budget best. aim: a PSNR that is out of reach is replaced by this."""
+        first, *others = found
+        return max([first, *others], key=lambda one: self.merit(one, aim)) if others else first
+
+    def merit(self, coded: Coded, aim: float | None = None) -> tuple[float, float]:
+        """By which files of one budget are compared; the second where the first is equal."""
+        if self.rate.psnr is not None:
+            return min(coded.psnr, self.rate.psnr if aim is None else aim), -coded.size
+        if self.rate.max_bytes is not None or self.rate.max_gaussians is not None:
+            return -coded.error, -coded.size
+        return -coded.error - 8 * error_per_bit(self.rate.quantum) * coded.size, -coded.size
+
+    def reachable_psnr(self, tried: Sequence[Coded]) -> float | None:
+        """The PSNR to aim at: a little less than the best so far where a finer quantum hardly helps any more."""
+        s = self.rate.settings.rate
+        if self.rate.psnr is None or len(tried) < 2:
+            return self.rate.psnr
+        best = max(one.psnr for one in tried)
+        if best >= self.rate.psnr:
+            return self.rate.psnr
+        finest, finer = sorted(tried, key=lambda one: one.stream.quantum)[:2]
+        octaves = math.log2(finer.stream.quantum / finest.stream.quantum)
+        if finest.psnr - finer.psnr >= s.least_gain * s.db_per_doubling * octaves:
+            return self.rate.psnr
+        return best - s.missed_db
+
+    def _nearer_to_psnr(self, tried: Sequence[Coded]) -> float | None:
+        """Where the line through the two tries nearest to the PSNR meets it, or a little above."""
+        s, aim = self.rate.settings.rate, self.reachable_psnr(tried)
+        assert aim is not None
+        if 0 <= tried[-1].psnr - aim <= s.psnr_slack_db:
+            return None
+        slope = -s.db_per_doubling
+        points = ((math.log2(one.stream.quantum), one.psnr - aim) for one in tried)
+        (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
+        if others and others[0][0] != x:
+            x1, y1 = others[0]
+            slope = min(max((y1 - y) / (x1 - x), 2 * slope), slope / 4)
+        # Near the aim chance decides, so each near miss asks for a little more.
+        near_misses = sum(-s.psnr_slack_db < one.psnr - aim < 0 for one in tried)
+        at = x + (0.4 * (1 + near_misses) * s.psnr_slack_db - y) / slope
+        return float(2 ** min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM)))
+
+
+def of_alpha(rate: RateControl) -> RateControl:
+    """For the alpha plane, which goes first. Under a budget of bytes it takes what it is worth, up to a limit."""
+    s = rate.settings.alpha
+    quantum = min(s.coarser * rate.quantum, MAX_QUANTUM)
+    if rate.max_gaussians is not None:
+        return replace(rate, quantum=quantum, max_gaussians=max(int(s.most_gaussians * rate.max_gaussians), 1))
+    if rate.max_bytes is None:
+        return replace(rate, quantum=quantum, psnr=None)
+    most = int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - ALPHA_HEADER.size))
+    return replace(rate, quantum=quantum, max_bytes=HEADER_BYTES + most, is_steered=False)
+
+
+def beside_alpha(rate: RateControl, alpha: StreamV4, error: float) -> RateControl:
+    """For the colours beside an alpha plane; error: the mean squared one of the file, if only alpha were wrong."""
+    if rate.max_gaussians is not None:
+        used = len(alpha.gaussians()) if alpha.payload else 0
+        return replace(rate, max_gaussians=max(rate.max_gaussians - used, 1))
+    if rate.max_bytes is not None:
+        return rate.for_bytes(rate.max_bytes - ALPHA_HEADER.size - len(alpha.payload))
+    if rate.psnr is None:
+        return rate
+    allowed = 10 ** (-rate.psnr / 10)
+    return replace(rate, psnr=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
+
+
+def allows_alpha(rate: RateControl, error: float) -> bool:
+    """Whether alpha alone makes no more than its share of the error that a PSNR allows."""
+    return rate.psnr is None or error <= rate.settings.alpha.most_error * 10 ** (-rate.psnr / 10)
+
+
+def missed_db(rate: RateControl, error: float) -> float:
+    """By how much a file of this mean squared error misses the PSNR asked for; 0 where it does not."""
+    return 0.0 if rate.psnr is None else max(rate.psnr + 10 * math.log10(max(error, 1e-12)), 0.0)
+
+
+def raised(rate: RateControl, by_db: float) -> RateControl:
+    """The same with a PSNR that is higher by this, and a little more."""
+    if rate.psnr is None:
+        return rate
+    return replace(rate, psnr=min(rate.psnr + by_db + rate.settings.rate.psnr_slack_db / 2, MAX_PSNR_DB))
+
+
+def _surplus(times: Times, at: float) -> float:
+    """1 while there may be more than was asked for, falling to 0."""
+    return 1 - min(max((at - times.excess_from) / (times.excess_until - times.excess_from), 0), 1)
+
+
+def _excess(times: Times, at: float) -> float:
+    """The allowance, in multiples of the Gaussians or bytes asked for."""
+    return 1 + times.excess * _surplus(times, at)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.profiles import PaperSettings
 from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.settings.shared import StartSettings
 from sgmethod.start import structure
 from sgmethod.start.structure import Structure
 
@@ -17,7 +17,7 @@ GRADIENT_FLOOR = 1e-3  # keeps a flat region's density uniform; a quarter of a g
 LARGEST_LOCAL_SCALE = 3.0  # times the mean scale of the region
 
 
-def dynamic_ratio(n: int, pixels: int, settings: PaperSettings) -> tuple[float, float, float]:
+def dynamic_ratio(n: int, pixels: int, settings: StartSettings) -> tuple[float, float, float]:
     """Shares of the three categories of complexity, summing to 1 (equation 4).
 
     phi_i(n) = (1 - s) phi_i + s / 3 with phi normalised, s = clamp((n - n_0) / (N_t - n_0), 0, 1)^gamma and
@@ -71,12 +71,12 @@ def _with_rest(counts: NDArray[np.int64], n: int, order: NDArray[np.int64]) -> N
     return found
 
 
-def place(image: FloatArray, n: int, settings: PaperSettings, rng: np.random.Generator) -> Gaussians:
+def place(image: FloatArray, n: int, settings: StartSettings, rng: np.random.Generator) -> Gaussians:
     """n Gaussians to start from on an image [H, W, 3] in [0, 1]; colours are those of the image below."""
     if not settings.structure_guided:
         return _place_randomly(image, n, rng)
     regions = min(max(n // settings.gaussians_per_region, 9), image.shape[0] * image.shape[1])
-    found = structure.analyse(image, regions, settings.compactness, settings.tensor_smoothing_px)
+    found = structure.analyse(image, regions, settings.compactness, settings.tensor_smoothing_px, settings.superpixels)
     ratio = dynamic_ratio(n, image.shape[0] * image.shape[1], settings)
     if settings.shared_by_area:
         counts = allocate(found.complexity, found.area, n, ratio)

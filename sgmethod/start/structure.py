@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -9,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.scene import FloatArray
+from sgmethod.settings.shared import Superpixels
 
+NARROW_PX, SLIC_ROUNDS = 8, 10
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
@@ -31,29 +34,49 @@ class Structure:
     tensor: FloatArray
 
 
-def analyse(image: FloatArray, regions: int, compactness: float, smoothing: float) -> Structure:
+def analyse(
+    image: FloatArray, regions: int, compactness: float, smoothing: float, superpixels: Superpixels = "skimage"
+) -> Structure:
     """Structure of an image [H, W, 3] in [0, 1].
 
     regions: superpixels asked of SLIC; compactness: its balance of distance and colour;
-    smoothing: standard deviation in pixels of the structure tensor's window.
+    smoothing: standard deviation in pixels of the structure tensor's window; superpixels: the library that finds them.
     """
-    from skimage.segmentation import slic  # a third of a second that profile rd has no use for
-
     grey = image @ _LUMA
     gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     gy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
     gradient = np.hypot(gx, gy).astype(np.float32)
-    labels = slic(image, n_segments=regions, compactness=compactness, start_label=0, channel_axis=-1)
+    labels = (_slic if superpixels == "skimage" else _opencv_slic)(image, regions, compactness)
     _, flat = np.unique(labels, return_inverse=True)
-    flat = flat.reshape(-1).astype(np.int32)
+    flat = flat.reshape(-1)
     area = np.bincount(flat)
     mean = np.bincount(flat, gradient.ravel()) / area
     square = np.bincount(flat, gradient.ravel().astype(np.float64) ** 2) / area
     tensor = cv2.GaussianBlur(np.stack([gx * gx, gx * gy, gy * gy], -1), (0, 0), smoothing)
     return Structure(
         gradient,
-        flat.reshape(labels.shape),
+        np.asarray(flat.reshape(image.shape[:2]), np.int32),
         np.maximum(square - mean**2, 0).astype(np.float32),
         area,
         tensor.astype(np.float32),
     )
+
+
+def _slic(image: FloatArray, regions: int, compactness: float) -> NDArray[np.int32]:
+    from skimage.segmentation import slic  # takes 0.3 s to import
+
+    labels = slic(image, n_segments=regions, compactness=compactness, start_label=0, channel_axis=-1)
+    return np.asarray(labels, np.int32)
+
+
+def _opencv_slic(image: FloatArray, regions: int, compactness: float) -> NDArray[np.int32]:
+    """SLIC by OpenCV, which has no place for its seeds in a narrow picture: that is one region."""
+    height, width = image.shape[:2]
+    if min(height, width) < NARROW_PX:
+        return np.zeros((height, width), np.int32)
+    side = min(round(math.sqrt(height * width / regions)), height, width)
+    lab = cv2.cvtColor(image, cv2.COLOR_RGB2LAB)
+    slic = cv2.ximgproc.createSuperpixelSLIC(lab, cv2.ximgproc.SLIC, max(side, 1), compactness)
+    slic.iterate(SLIC_ROUNDS)
+    slic.enforceLabelConnectivity()
+    return np.asarray(slic.getLabels(), np.int32)

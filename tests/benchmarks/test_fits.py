@@ -61,7 +61,7 @@ def test_ablations_are_measured(tmp_path: Path, small: Path) -> None:
 
 
 def test_every_part_that_is_left_out_is_missed(tmp_path: Path) -> None:
-    """A part's file differs from that with all parts: what is patched is what is used."""
+    """A part's file differs from that with all parts: its settings are used."""
     out = tmp_path / "ablation.json"
     run(
         "ablation",
@@ -141,3 +141,13 @@ def test_a_claim_of_the_paper_has_a_verdict(tmp_path: Path, db: float, verdict: 
     rows = [{**key, "method": method, "psnr": level} for method, level in methods.items()]
     text = shown_by_report(tmp_path, "representation", rows, {"steps": 10})
     assert f"| regularisation, 30,000 Gaussians | +0.49 dB | {db:+.2f} dB | - | {verdict} |" in text
+
+
+@pytest.mark.parametrize("profile", ["rd", "paper"])
+def test_a_bad_start_is_mended(tmp_path: Path, profile: str) -> None:
+    """A case that spoils no start is broken by an AssertionError."""
+    out = tmp_path / "stability.json"
+    case = f"photograph, profile {profile}, every second mean not a number at the start"
+    run("stability", out, "--sets", "fits", "--cases", case)
+    (row,) = json.loads(out.read_text())["rows"]
+    assert (row["case"], row["verdict"]) == (case, "kept"), row

@@ -57,6 +57,21 @@ def test_a_document_that_differs_is_named(
     assert ran.stderr.startswith(f"{documents}: not what the JSON says")
 
 
+def test_a_broken_rule_of_the_stiff_set_is_told_in_the_readme(tmp_path: Path) -> None:
+    path = copied(tmp_path) / "version4" / "stiff.json"
+    content = json.loads(path.read_text())
+    for rule in content["rules"]:
+        rule["broken"] = 0
+    (rule,) = (rule for rule in content["rules"] if rule["rule"] == "falls")
+    rule |= {"checked": 438, "broken": 3, "worst": {"by": 5.75, "picture": "text", "kind": "bpp", "value": 4}}
+    path.write_text(json.dumps(content))
+    assert report(tmp_path).stderr == ""
+    readme = " ".join((tmp_path / "README.md").read_text().split())
+    assert "1 of 6 rules of the [stiff set](docs/results.md#stiff-and-extreme-cases) are broken there: -" in readme
+    assert '"A file is no worse than one of fewer bytes": by 3 of 438 files, by 5.8 dB at most (text).' in readme
+    assert "| 5.75 (text, bpp 4) | broken 3 times |" in (tmp_path / "docs" / "results.md").read_text()
+
+
 def test_every_plot_is_there() -> None:
     named = re.findall(r"\]\((plots/\S+)\)", (ROOT / "docs" / "results.md").read_text())
     assert named
@@ -133,6 +148,8 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert all(grey["bits"][kind] > 100 for kind in ("colour", "shape", "place"))
     assert 0 < grey["bits"]["begin and end"] < 100
     assert sum(grey["bits"].values()) == pytest.approx(8 * grey["bytes"], abs=2)  # each is rounded
+    assert sum(grey["steps_by_spacing"].values()) == grey["steps"] > 100
+    assert grey["steps_by_spacing"]["2"] > 10
     measured("flat", side="33")  # another setting, another run
     assert [row["scene"] for row in rows()] == ["flat"]
 

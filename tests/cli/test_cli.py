@@ -13,12 +13,12 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 import sgmethod
@@ -28,10 +28,12 @@ from sgmethod.cli import arguments, decoding, encoding, files, terminal
 from sgmethod.cli import main as cli
 from sgmethod.io.image import read_image
 from sgmethod.metrics import psnr
+from sgmethod.paper import encode as paper
 from sgmethod.profiles import DEFAULT_PROFILE, PROFILE_NAMES, PROFILES
 from sgmethod.trace import TracePoint
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
+from tests.rd.short import shortened
 
 PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
 FIGURES = {"bytes", "bpp", "psnr", "ms_ssim", "gaussians", "steps", "seconds", "width", "height"}
@@ -56,11 +58,8 @@ def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     PHOTO.save("photo.png")
     Path("picture.sg").write_bytes(golden_path("v1-paper.sg").read_bytes())
-    for name, profile in PROFILES.items():
-        steps: dict[str, Any] = {
-            field.name: 60 for field in fields(profile) if field.name in ("fit_steps", "tune_steps", "steps")
-        }
-        monkeypatch.setitem(PROFILES, name, replace(profile, **steps))
+    for name, settings in shortened(60).items():
+        monkeypatch.setitem(PROFILES, name, settings)
 
 
 @pytest.fixture
@@ -531,7 +530,7 @@ def test_progress_on_a_terminal() -> None:
             assert b"\n" not in seen
             for line in lines[1:-1]:
                 assert re.fullmatch(
-                    rb"\w+ +\[[#.]{24}\] +\d+%  \d+\.\d\d dB  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K", line
+                    rb"\w+ +\[[#.]{24}\] +\d+%  [\d,]+ Gaussians  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K", line
                 )
         else:
             assert seen == b""
@@ -561,22 +560,30 @@ def test_stdout_is_full() -> None:
     assert re.fullmatch(r"sgmethod: .*No space left on device.*\n", err)
 
 
-def test_encoding_without_its_packages_says_what_to_install(tmp_path: Path) -> None:
+def encode_without(package: str, tmp_path: Path, *arguments: str) -> Ran:
     stub = tmp_path / "stub"
     stub.mkdir()
-    (stub / "torch.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')\n")
-    process = start(
-        "encode",
-        "photo.png",
-        "out.sg",
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": str(stub)},
+    (stub / f"{package}.py").write_text(
+        f"raise ModuleNotFoundError(\"No module named '{package}'\", name='{package}')\n"
     )
+    environment = {**os.environ, "PYTHONPATH": str(stub)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = start("encode", "photo.png", "out.sg", *arguments, **pipes, env=environment)
     out, err = process.communicate()
-    assert (process.returncode, out) == (2, "")
-    assert re.fullmatch(r"sgmethod: .*No module named 'torch'.* pip install 'sgmethod\[encode\]'\n", err)
+    return Ran(process.returncode, out, err)
+
+
+@pytest.mark.parametrize(("package", "profile"), [("cv2", "rd"), ("torch", "paper"), ("torch", "baseline")])
+def test_encoding_without_its_packages_says_what_to_install(package: str, profile: str, tmp_path: Path) -> None:
+    status, out, err = encode_without(package, tmp_path, "--profile", profile)
+    assert (status, out) == (2, "")
+    assert re.fullmatch(rf"sgmethod: .*No module named '{package}'.* pip install 'sgmethod\[encode\]'\n", err)
     assert not Path("out.sg").exists()
+
+
+def test_the_default_profile_needs_no_torch(tmp_path: Path) -> None:
+    assert encode_without("torch", tmp_path, "--bytes", "200", "--quiet") == Ran(0, "", "")
+    assert Path("out.sg").stat().st_size <= 200
 
 
 def test_decode_and_info_load_no_encoder() -> None:
@@ -698,11 +705,7 @@ def test_missing_kernels_are_one_clear_line(tmp_path: Path, command: str) -> Non
     assert not (tmp_path / "out.sg").exists()
 
 
-def test_an_encode_that_torch_has_no_memory_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_encode_that_torch_has_no_memory_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """It says so with an error of its own."""
-    PHOTO.save(tmp_path / "photo.png")
-    monkeypatch.setattr(codec.rd, "encode", lambda *_: codec.torch.empty(1 << 55, dtype=codec.torch.uint8))
-    status = cli.main(["encode", str(tmp_path / "photo.png"), str(tmp_path / "out.sg")])
-    assert (status, capsys.readouterr().err) == (2, "sgmethod: there is not enough memory\n")
+    monkeypatch.setattr(paper, "run", lambda *_: torch.empty(1 << 55, dtype=torch.uint8))
+    assert_refused(run("encode", "photo.png", "out.sg", "--profile", "paper"), "there is not enough memory")

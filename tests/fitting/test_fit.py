@@ -1,11 +1,11 @@
-"""The fit: colours by least squares, the optimiser in each Gaussian's frame, schedule, clock and trace."""
+"""The fit of profile paper, and what fits are made of: colours by least squares, steps, schedule, clock and trace."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -13,24 +13,25 @@ import pytest
 import torch
 from numpy.typing import NDArray
 from PIL import Image
-from torch import Tensor
 
-from sgmethod.fitting.adam import FrameAdam
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture, target_of
-from sgmethod.fitting.recorder import Clock, Recorder
-from sgmethod.fitting.schedule import Schedule
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import CUTOFF_V1, Moments
+from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.level import Level
+from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.levels import to_8_bit
-from sgmethod.native import native, reference
-from sgmethod.paper.fit import fit
-from sgmethod.profiles import BASELINE, PAPER, PaperSettings
+from sgmethod.native import reference
+from sgmethod.paper.fit import fit, level_of
+from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
+from sgmethod.settings.shared import ADAM
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
 from tests.harness.data import PHOTOGRAPHS
+from tests.rd.short import SlowClock
 
-CUTOFF = native.CUTOFF_V1
-
+KERNELS = Kernels()
 FloatArray = NDArray[np.float32]
 
 
@@ -39,38 +40,33 @@ def photo() -> FloatArray:
     return np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB"), np.float32) / 255
 
 
-class FakeClock(Clock):
-    """Each look at it takes `tick` seconds."""
-
-    def __init__(self, tick: float) -> None:
-        super().__init__()
-        self.tick, self.now = tick, 0.0
-
-    def seconds(self) -> float:
-        self.now += self.tick
-        return self.now
+def level(image: FloatArray) -> Level:
+    return level_of(to_8_bit(image), KERNELS)
 
 
-def recorder(tick: float = 1.0) -> Recorder:
-    return Recorder(FakeClock(tick), None)
+def unlimited() -> Deadline:
+    return Deadline(SlowClock())
 
 
-def small_case() -> tuple[FloatArray, Tensor, Tensor]:
-    """A picture [12, 17, 3] and the geometry of ten Gaussians on it."""
+def recorder(tick: float = 1.0, seen: Callable[[TracePoint], None] | None = None) -> Recorder:
+    """Each look at its clock takes `tick` seconds."""
+    return Recorder(SlowClock(look_s=tick), seen)
+
+
+def small_case() -> tuple[FloatArray, Gaussians]:
+    """A picture [12, 17, 3] and ten Gaussians on it."""
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (12, 17, 3)).astype(np.float32) / 255
-    means = torch.tensor(rng.random((10, 2)) * (17, 12), dtype=torch.float32)
-    factors = torch.tensor(np.stack([rng.uniform(1, 4, 10), rng.uniform(-2, 2, 10), rng.uniform(1, 4, 10)], 1))
-    return image, means, factors.float()
+    means = rng.random((10, 2)) * (17, 12)
+    factors = np.stack([rng.uniform(1, 4, 10), rng.uniform(-2, 2, 10), rng.uniform(1, 4, 10)], 1)
+    return image, Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 1, (10, 3)))))
 
 
-def design(means: Tensor, factors: Tensor, size: tuple[int, int]) -> NDArray[np.float64]:
+def design(shapes: Gaussians, size: tuple[int, int]) -> NDArray[np.float64]:
     """Weights [pixels, Gaussians] in float64."""
     one = torch.ones(1, 3, dtype=torch.float64)
-    columns = [
-        reference.render(m[None], f[None], one, size, CUTOFF)[0]
-        for m, f in zip(means.double(), factors.double(), strict=True)
-    ]
+    means, factors = (torch.tensor(values).double() for values in (shapes.means, shapes.factors))
+    columns = [reference.render(m[None], f[None], one, size, CUTOFF_V1)[0] for m, f in zip(means, factors, strict=True)]
     return torch.stack(columns, -1).reshape(-1, len(means)).numpy()
 
 
@@ -78,14 +74,9 @@ def design(means: Tensor, factors: Tensor, size: tuple[int, int]) -> NDArray[np.
 
 
 def test_solved_colours_reach_the_least_squares_residual() -> None:
-    image, means, factors = small_case()
-    found = (
-        Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
-        .solve_colors(means, factors, steps=60, damping=0.0)
-        .double()
-        .numpy()
-    )
-    matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
+    image, shapes = small_case()
+    found = level(image).solve_colors(shapes, steps=60, damping=0.0).colors.astype(np.float64)
+    matrix, target = design(shapes, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     best = np.linalg.lstsq(matrix, target)[0]
     residual, least = (np.square(matrix @ c - target).sum() for c in (found, best))
     assert residual == pytest.approx(least, rel=1e-6)  # worst seen 3e-13
@@ -94,31 +85,21 @@ def test_solved_colours_reach_the_least_squares_residual() -> None:
 
 
 def test_damping_is_that_of_a_ridge_weighed_by_energy() -> None:
-    image, means, factors = small_case()
-    matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
-    energy = math.pi * (factors[:, 0] * factors[:, 2]).double().numpy()
+    image, shapes = small_case()
+    matrix, target = design(shapes, (17, 12)), image.reshape(-1, 3).astype(np.float64)
+    energy = math.pi * (shapes.factors[:, 0] * shapes.factors[:, 2]).astype(np.float64)
     for damping in (1e-2, 1.0):
-        found = (
-            Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
-            .solve_colors(means, factors, steps=60, damping=damping)
-            .double()
-            .numpy()
-        )
+        found = level(image).solve_colors(shapes, steps=60, damping=damping).colors
         ridge = np.linalg.solve(matrix.T @ matrix + damping * np.diag(energy), matrix.T @ target)
         assert np.abs(found - ridge).max() < 1e-4  # worst seen 2e-6
 
 
 def test_more_steps_of_the_solver_do_not_make_it_worse() -> None:
-    image, means, factors = small_case()
-    matrix, target = design(means, factors, (17, 12)), image.reshape(-1, 3).astype(np.float64)
+    image, shapes = small_case()
+    matrix, target = design(shapes, (17, 12)), image.reshape(-1, 3).astype(np.float64)
     errors = []
     for steps in (0, 1, 2, 4, 8, 16, 32):
-        colors = (
-            Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
-            .solve_colors(means, factors, steps, damping=0.0)
-            .double()
-            .numpy()
-        )
+        colors = level(image).solve_colors(shapes, steps, damping=0.0).colors.astype(np.float64)
         errors.append(np.square(matrix @ colors - target).sum())
     assert errors[0] == pytest.approx(np.square(target).sum())
     assert all(b <= a * (1 + 1e-6) for a, b in pairwise(errors))
@@ -128,84 +109,78 @@ def test_more_steps_of_the_solver_do_not_make_it_worse() -> None:
 
 
 def test_gradients_are_those_of_the_mean_squared_error() -> None:
-    image, means, factors = small_case()
-    colors = torch.randn(10, 3, generator=torch.Generator().manual_seed(0))
-    leaves = [t.double().requires_grad_() for t in (means, factors, colors)]
+    image, gaussians = small_case()
+    leaves = [torch.tensor(values).double().requires_grad_() for values in gaussians.arrays]
     target = torch.from_numpy(image).double().permute(2, 0, 1)
-    mse = (reference.render(leaves[0], leaves[1], leaves[2], (17, 12), CUTOFF) - target).square().mean()
+    mse = (reference.render(*leaves, (17, 12), CUTOFF_V1) - target).square().mean()
     expected = torch.autograd.grad(mse, leaves)
-    found_mse, found = Picture(target_of(to_8_bit(image)), 0.0, CUTOFF).gradients(Parameters(means, factors, colors))
+    found_mse, found = level(image).gradients(gaussians)
     assert found_mse == pytest.approx(mse.item(), rel=1e-5)  # worst seen 2e-7
-    for mine, true in zip((found.means, found.factors, found.colors), expected, strict=True):
-        assert (mine - true).abs().max() < 1e-4 * true.abs().max()  # worst seen 5e-6
+    for mine, true in zip(found.arrays, expected, strict=True):
+        assert np.abs(mine - true.numpy()).max() < 1e-4 * true.abs().max()  # worst seen 5e-6
 
 
-def one_gaussian(scale: float) -> tuple[Parameters, Parameters]:
+def one_gaussian(scale: float) -> tuple[Gaussians, Gaussians]:
     """A Gaussian and a gradient, the same but for the unit of length."""
-    p = Parameters(
-        torch.tensor([[3.0, 4.0]]) * scale, torch.tensor([[2.0, -1.0, 3.0]]) * scale, torch.tensor([[0.5, 0.2, -0.1]])
-    )
-    grad = Parameters(
-        torch.tensor([[0.3, -0.2]]) / scale, torch.tensor([[0.1, 0.4, -0.7]]) / scale, torch.tensor([[0.2, -0.3, 0.1]])
-    )
-    return p, grad
+    values = [3.0 * scale, 4.0 * scale], [2.0 * scale, -1.0 * scale, 3.0 * scale], [0.5, 0.2, -0.1]
+    slopes = [0.3 / scale, -0.2 / scale], [0.1 / scale, 0.4 / scale, -0.7 / scale], [0.2, -0.3, 0.1]
+    one, gradient = (Gaussians(*(np.array([row], np.float32) for row in rows)) for rows in (values, slopes))
+    return one, gradient
+
+
+def step(gaussians: Gaussians, gradient: Gaussians, steps: int, rate: float = 1.0) -> None:
+    moments = Moments.none(len(gaussians))
+    for _ in range(steps):
+        KERNELS.step(gaussians, gradient, moments, ADAM, rate, 1)
 
 
 def test_a_step_is_relative_to_the_gaussians_own_scale() -> None:
     moved = []
     for scale in (1.0, 16.0):
-        p, grad = one_gaussian(scale)
-        adam = FrameAdam(1, PAPER)
-        for _ in range(5):
-            adam.step(p, grad, 1.0)
-        moved.append((p.means / scale, p.factors / scale, p.colors))
-    for one, other in zip(*moved, strict=True):
-        torch.testing.assert_close(one, other, rtol=1e-5, atol=0)  # worst seen 0: 16 is a power of two
+        one, gradient = one_gaussian(scale)
+        step(one, gradient, 5)
+        moved.append((one.means / np.float32(scale), one.factors / np.float32(scale), one.colors))
+    for near, far in zip(*moved, strict=True):
+        np.testing.assert_allclose(near, far, rtol=1e-5, atol=0)  # worst seen 0: 16 is a power of two
 
 
 @pytest.mark.parametrize("rate", [1e-3, 0.1])
 def test_a_step_lowers_the_error(rate: float) -> None:
-    image, means, factors = small_case()
-    picture = Picture(target_of(to_8_bit(image)), 0.0, CUTOFF)
-    p = Parameters(means, factors, picture.solve_colors(means, factors, 10))
-    before, grad = picture.gradients(p)
-    FrameAdam(10, PAPER).step(p, grad, rate)
-    after, _ = picture.gradients(p)
+    image, shapes = small_case()
+    gaussians = level(image).solve_colors(shapes, 10)
+    before, gradient = level(image).gradients(gaussians)
+    step(gaussians, gradient, 1, rate)
+    after, _ = level(image).gradients(gaussians)
     assert after < before
 
 
 def test_no_scale_falls_below_the_least() -> None:
-    p, grad = one_gaussian(0.2)
-    grad.factors = torch.tensor([[5.0, 0.0, 5.0]])
-    adam = FrameAdam(1, PAPER)
-    for _ in range(100):
-        adam.step(p, grad, 1.0)
-    assert p.factors[0, 0] == p.factors[0, 2] == torch.tensor(PAPER.min_scale_px)
+    one, gradient = one_gaussian(0.2)
+    gradient.factors[:] = 5.0, 0.0, 5.0
+    step(one, gradient, 100)
+    assert one.factors[0, 0] == one.factors[0, 2] == np.float32(ADAM.min_scale_px)
 
 
 # --- schedule, clock, trace
 
 
-def falling() -> Callable[..., tuple[float, tuple[int, int]]]:
-    error = 1.0
+def falling(rates: list[float] | None = None, until: int = 10**9) -> Step:
+    """A step whose error falls by a hundredth, so many times. rates: where it notes those that it is given."""
+    taken = 0
 
-    def step(*_: float) -> tuple[float, tuple[int, int]]:
-        nonlocal error
-        error *= 0.99
-        return error, (5, 0)
+    def step(rate: float) -> tuple[float, int, int]:
+        nonlocal taken
+        taken += 1
+        if rates is not None:
+            rates.append(rate)
+        return 0.99 ** min(taken, until), 5, 0
 
     return step
 
 
 def test_the_rate_falls_from_one_to_the_last() -> None:
     rates: list[float] = []
-    inner = falling()
-
-    def step(rate: float, *_: float) -> tuple[float, tuple[int, int]]:
-        rates.append(rate)
-        return inner(rate)
-
-    assert Schedule("fit", 50, 0.03).run(recorder(), step) == len(rates) == 50
+    assert Schedule("fit", 50, 0.03).run(unlimited(), recorder(), falling(rates)) == len(rates) == 50
     assert rates[0] == pytest.approx(1)
     assert rates[-1] == pytest.approx(0.03, abs=0.002)
     assert rates == sorted(rates, reverse=True)
@@ -213,14 +188,8 @@ def test_the_rate_falls_from_one_to_the_last() -> None:
 
 def test_a_time_limit_shortens_the_schedule() -> None:
     rates: list[float] = []
-    inner = falling()
-
-    def step(rate: float, *_: float) -> tuple[float, tuple[int, int]]:
-        rates.append(rate)
-        return inner(rate)
-
-    clock = FakeClock(0.01)
-    done = Schedule("fit", 10**9, 0.03, lambda: 2.0).run(Recorder(clock, None), step)
+    clock = SlowClock()
+    done = Schedule("fit", 10**9, 0.03).run(Deadline(clock, 2.0), Recorder(clock), falling(rates))
     assert 10 < done == len(rates) < 201
     assert clock.now == pytest.approx(2.0, abs=0.1)
     assert rates[-1] == pytest.approx(0.03, abs=0.01)
@@ -228,28 +197,22 @@ def test_a_time_limit_shortens_the_schedule() -> None:
 
 
 def test_a_limit_that_has_passed_leaves_one_step() -> None:
-    for until in (0.0, -5.0):
-        assert Schedule("fit", 1000, 0.03, partial(float, until)).run(recorder(), falling()) == 1
+    for limit_s in (1e-9, -5.0):
+        assert Schedule("fit", 1000, 0.03).run(Deadline(SlowClock(), limit_s), recorder(), falling()) == 1
 
 
 def test_a_fit_that_no_longer_improves_ends_early() -> None:
-    best = falling()
-
-    def step(rate: float, *_: float) -> tuple[float, tuple[int, int]]:
-        return (0.5, (5, 0)) if len(seen) > 200 else best(rate)
-
-    seen: list[TracePoint] = []
-    found = Recorder(FakeClock(1.0), seen.append)
-    assert 200 < Schedule("fit", 1000, 0.03).run(found, step) < 700
-    assert Schedule("fit", 1000, 0.03).run(recorder(), lambda *_: (0.5, (5, 0))) < 500
-    assert Schedule("fit", 1000, 0.03).run(recorder(), falling()) == 1000
+    schedule = Schedule("fit", 1000, 0.03)
+    assert 200 < schedule.run(unlimited(), recorder(), falling(until=200)) < 700
+    assert schedule.run(unlimited(), recorder(), falling(until=0)) < 500
+    assert schedule.run(unlimited(), recorder(), falling()) == 1000
 
 
 def test_the_recorder_keeps_its_interval_but_every_beginning_and_end() -> None:
     seen: list[TracePoint] = []
-    kept = Recorder(FakeClock(0.001), seen.append)
-    Schedule("fit", 500, 0.03).run(kept, falling())
-    Schedule("tune", 500, 0.03).run(kept, falling())
+    kept = recorder(0.001, seen.append)
+    for phase in ("fit", "tune"):
+        Schedule(phase, 500, 0.03).run(unlimited(), kept, falling())
     assert seen == kept.points
     assert 6 <= len(seen) <= 30
     for phase in ("fit", "tune"):
@@ -261,7 +224,7 @@ def test_the_recorder_keeps_its_interval_but_every_beginning_and_end() -> None:
 
 def test_no_error_at_all_is_a_finite_number_of_decibels() -> None:
     kept = recorder()
-    kept.report("fit", 1, 2, 0.0, (1, 0))
+    kept.report("fit", 1, 2, 0.0, 1)
     assert 100 < kept.points[0].psnr < math.inf
 
 
@@ -270,27 +233,28 @@ def test_a_report_that_raises_ends_the_run() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        Schedule("fit", 500, 0.03).run(Recorder(FakeClock(1.0), abandon), falling())
+        Schedule("fit", 500, 0.03).run(unlimited(), recorder(1.0, abandon), falling())
 
 
 # --- whole fits
 
 
 def psnr_of(gaussians: Gaussians, image: FloatArray) -> float:
-    mse, _ = Picture(target_of(to_8_bit(image)), 0.0, CUTOFF).gradients(Parameters.of(gaussians))
+    mse, _ = level(image).gradients(gaussians)
     return -10 * math.log10(max(mse, 1e-12))
+
+
+def started(image: FloatArray, n: int, settings: PaperSettings = PAPER) -> Gaussians:
+    return place(image, n, settings.start, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("profile", [PAPER, BASELINE], ids=("paper", "baseline"))
 def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -> None:
     settings = replace(profile, fit_steps=200)
-    start = place(photo(), 150, settings, np.random.default_rng(0))
-    picture = Picture(target_of(to_8_bit(photo())), settings.lambda_g, CUTOFF)
-    p = Parameters.of(start)
-    solved = picture.solve_colors(p.means, p.factors, steps=60)
-    begun = psnr_of(Gaussians(start.means, start.factors, solved.numpy()), photo())
-    kept = Recorder(FakeClock(0.02), None)
-    fitted, steps = fit(picture, start, settings, kept)
+    start = started(photo(), 150, settings)
+    begun = psnr_of(level(photo()).solve_colors(start, steps=60), photo())
+    kept = recorder(0.02)
+    fitted, steps = fit(level(photo()), start, settings, kept, unlimited())
     assert psnr_of(fitted, photo()) > begun + 3
     assert len(fitted) == 150
     assert steps == 200
@@ -324,50 +288,38 @@ EXTREMES = {
 @pytest.mark.parametrize("name", EXTREMES)
 def test_extreme_pictures_stay_finite(name: str) -> None:
     image = EXTREMES[name]()
-    settings = replace(PAPER, fit_steps=80)
     pixels = image.shape[0] * image.shape[1]
     for n in sorted({1, min(40, pixels), pixels}):
-        start = place(image, n, settings, np.random.default_rng(0))
         kept = recorder()
-        fitted, _ = fit(Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, kept)
-        for array in (fitted.means, fitted.factors, fitted.colors):
-            assert np.isfinite(array).all()
-        assert (fitted.factors[:, [0, 2]] >= np.float32(settings.min_scale_px)).all()
+        fitted, _ = fit(level(image), started(image, n), replace(PAPER, fit_steps=80), kept, unlimited())
+        assert all(np.isfinite(array).all() for array in fitted.arrays)
+        assert (fitted.factors[:, [0, 2]] >= np.float32(ADAM.min_scale_px)).all()
         assert all(math.isfinite(p.psnr) for p in kept.points)
         assert psnr_of(fitted, image) > kept.points[0].psnr - 3  # -0.8 seen, from 46.5 dB on; mostly far above
 
 
 def test_nothing_to_draw_is_soon_done() -> None:
-    settings = replace(PAPER, fit_steps=400)
     image = np.zeros((30, 40, 3), np.float32)
-    start = place(image, 20, settings, np.random.default_rng(0))
-    fitted, steps = fit(Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF), start, settings, recorder())
+    fitted, steps = fit(level(image), started(image, 20), replace(PAPER, fit_steps=400), recorder(), unlimited())
     assert steps < 200
     assert not fitted.colors.any()
 
 
 def test_the_same_start_gives_the_same_fit() -> None:
-    settings = replace(PAPER, fit_steps=40)
-    start = place(photo(), 60, settings, np.random.default_rng(0))
-    fits = [
-        fit(Picture(target_of(to_8_bit(photo())), settings.lambda_g, CUTOFF), start, settings, recorder())[0]
-        for _ in range(2)
-    ]
-    for one, other in zip(*((f.means, f.factors, f.colors) for f in fits), strict=True):
+    start = started(photo(), 60)
+    fits = [fit(level(photo()), start, replace(PAPER, fit_steps=40), recorder(), unlimited())[0] for _ in range(2)]
+    for one, other in zip(*(f.arrays for f in fits), strict=True):
         assert np.array_equal(one, other)
-    assert np.array_equal(start.colors, place(photo(), 60, settings, np.random.default_rng(0)).colors)
+    assert np.array_equal(start.colors, started(photo(), 60).colors)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 0.0])
 @pytest.mark.parametrize("name", ["means", "factors"])
 def test_a_start_that_no_fit_could_begin_with_is_mended(name: str, value: float) -> None:
     image = np.ascontiguousarray(photo()[:64, :64])
-    settings = replace(PAPER, fit_steps=60)
-    picture = Picture(target_of(to_8_bit(image)), settings.lambda_g, CUTOFF)
-    start = place(image, 40, settings, np.random.default_rng(0))
-    spoiled = Gaussians(*(np.array(values) for values in (start.means, start.factors, start.colors)))
+    spoiled = started(image, 40).copy()
     getattr(spoiled, name)[::2, 0] = value
-    recorder = Recorder(Clock(), None)
-    fitted, _ = fit(picture, spoiled, settings, recorder)
-    assert all(np.isfinite(values).all() for values in (fitted.means, fitted.factors, fitted.colors))
-    assert recorder.points[-1].psnr > recorder.points[0].psnr + 1
+    kept = recorder(0.02)
+    fitted, _ = fit(level(image), spoiled, replace(PAPER, fit_steps=60), kept, unlimited())
+    assert all(np.isfinite(values).all() for values in fitted.arrays)
+    assert kept.points[-1].psnr > kept.points[0].psnr + 1

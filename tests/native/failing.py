@@ -10,13 +10,12 @@ from __future__ import annotations
 import ctypes
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from functools import cache
 from itertools import count
 
 import numpy as np
 
-from sgmethod import Budget, codec, decode, profiles
+from sgmethod import Budget, codec, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.io.image import read_image
@@ -24,6 +23,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS
 from tests.native.harness.golden import GOLDEN, is_golden
+from tests.rd.short import short
 
 WIDTH, HEIGHT = 200, 150
 Action = Callable[[], bytes]
@@ -90,7 +90,7 @@ def refine() -> bytes:
 
 def encode() -> bytes:
     crop = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:56, 40:80])
-    return codec.encode(crop, Budget("bytes", 300)).data
+    return codec.encode(crop, Budget("bytes", 300), settings=short(40)).data
 
 
 SCENARIOS: dict[str, Action] = {
@@ -143,7 +143,6 @@ def survive(shim: ctypes.CDLL, scenario: str, whose: str) -> tuple[int, int]:
 
 def main() -> None:
     (whose,) = sys.argv[1:]
-    codec.PROFILES["rd"] = replace(profiles.RD, steps=40)
     shim = ctypes.CDLL(None)
     shim.fail_allocation.argtypes = [ctypes.c_long, ctypes.c_int]
     shim.fail_no_more.restype = ctypes.c_long

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from sgmethod.backend.protocol import Target
 from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
-from sgmethod.fitting.picture import Target
 from sgmethod.native import native, reference
 from sgmethod.scene import FloatArray, Gaussians
 from tests.native.test_codec import encoded, gaussians, rows, scattered

@@ -93,7 +93,7 @@ def reference_of(name: str) -> tuple[Tensor, list[Tensor]]:
     leaves = [t.double().requires_grad_() for t in (c.means, c.factors, c.colors)]
     picture = reference.render(leaves[0], leaves[1], leaves[2], c.size, CUTOFF)
     if not len(c.means):
-        return picture, [torch.zeros_like(leaf) for leaf in leaves]
+        return picture.detach(), [torch.zeros_like(leaf) for leaf in leaves]
     return picture.detach(), list(torch.autograd.grad(picture, leaves, c.upstream.double()))
 
 

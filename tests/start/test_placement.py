@@ -10,8 +10,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from sgmethod.profiles import BASELINE, PAPER
 from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import BASELINE
+from sgmethod.settings.shared import STRUCTURE
 from sgmethod.start import structure
 from sgmethod.start.placement import allocate, allocate_by_number, dynamic_ratio, place
 from sgmethod.start.structure import Structure
@@ -37,11 +38,11 @@ def edge(angle: float, size: int = 64) -> FloatArray:
 
 
 def start(image: FloatArray, n: int, seed: int = 0, baseline: bool = False) -> Gaussians:
-    return place(image, n, BASELINE if baseline else PAPER, np.random.default_rng(seed))
+    return place(image, n, BASELINE.start if baseline else STRUCTURE, np.random.default_rng(seed))
 
 
 def analyse(image: FloatArray, regions: int = 16) -> Structure:
-    return structure.analyse(image, regions, PAPER.compactness, PAPER.tensor_smoothing_px)
+    return structure.analyse(image, regions, STRUCTURE.compactness, STRUCTURE.tensor_smoothing_px)
 
 
 # --- structure
@@ -81,40 +82,40 @@ def test_the_structure_tensor_lies_across_an_edge() -> None:
 
 
 def test_few_gaussians_go_where_detail_is() -> None:
-    for n in (1, 800, 5000, PAPER.ratio_start):
-        assert dynamic_ratio(n, KODAK, PAPER) == pytest.approx((6 / 9, 2 / 9, 1 / 9))
+    for n in (1, 800, 5000, STRUCTURE.ratio_start):
+        assert dynamic_ratio(n, KODAK, STRUCTURE) == pytest.approx((6 / 9, 2 / 9, 1 / 9))
 
 
 def test_very_many_go_everywhere() -> None:
-    threshold = int(PAPER.threshold_factor * KODAK**PAPER.threshold_exponent)
+    threshold = int(STRUCTURE.threshold_factor * KODAK**STRUCTURE.threshold_exponent)
     for n in (threshold + 1, 2 * threshold, KODAK):
-        assert dynamic_ratio(n, KODAK, PAPER) == pytest.approx((1 / 3, 1 / 3, 1 / 3))
+        assert dynamic_ratio(n, KODAK, STRUCTURE) == pytest.approx((1 / 3, 1 / 3, 1 / 3))
 
 
 def test_the_ratio_passes_from_one_to_the_other() -> None:
-    counts = np.linspace(PAPER.ratio_start, 80_000, 50).astype(int)
-    ratios = np.array([dynamic_ratio(n, KODAK, PAPER) for n in counts])
+    counts = np.linspace(STRUCTURE.ratio_start, 80_000, 50).astype(int)
+    ratios = np.array([dynamic_ratio(n, KODAK, STRUCTURE) for n in counts])
     assert np.allclose(ratios.sum(1), 1)
     assert (np.diff(ratios[:, 0]) <= 0).all()
     assert (np.diff(ratios[:, 1:], axis=0) >= 0).all()
-    threshold = PAPER.threshold_factor * KODAK**PAPER.threshold_exponent
-    middle = int((PAPER.ratio_start + threshold) / 2)
-    s = 0.5**PAPER.ratio_exponent
+    threshold = STRUCTURE.threshold_factor * KODAK**STRUCTURE.threshold_exponent
+    middle = int((STRUCTURE.ratio_start + threshold) / 2)
+    s = 0.5**STRUCTURE.ratio_exponent
     expected = (1 - s) * 6 / 9 + s / 3
-    assert dynamic_ratio(middle, KODAK, PAPER)[0] == pytest.approx(expected, abs=1e-5)  # half a Gaussian's rounding
+    assert dynamic_ratio(middle, KODAK, STRUCTURE)[0] == pytest.approx(expected, abs=1e-5)  # half a Gaussian's rounding
 
 
 @pytest.mark.parametrize("pixels", [1, 2, 4096, 45_000])
 def test_a_small_picture_has_a_ratio_too(pixels: int) -> None:
     """Its N_t lies below n_0; gamma is even, so a power of the negative base would be positive."""
-    assert PAPER.threshold_factor * pixels**PAPER.threshold_exponent < PAPER.ratio_start
-    for n in (1, min(pixels, PAPER.ratio_start), PAPER.ratio_start):
-        assert dynamic_ratio(n, pixels, PAPER) == pytest.approx((6 / 9, 2 / 9, 1 / 9))
-    assert dynamic_ratio(PAPER.ratio_start + 1, pixels, PAPER) == pytest.approx((1 / 3, 1 / 3, 1 / 3))
+    assert STRUCTURE.threshold_factor * pixels**STRUCTURE.threshold_exponent < STRUCTURE.ratio_start
+    for n in (1, min(pixels, STRUCTURE.ratio_start), STRUCTURE.ratio_start):
+        assert dynamic_ratio(n, pixels, STRUCTURE) == pytest.approx((6 / 9, 2 / 9, 1 / 9))
+    assert dynamic_ratio(STRUCTURE.ratio_start + 1, pixels, STRUCTURE) == pytest.approx((1 / 3, 1 / 3, 1 / 3))
 
 
 def test_any_ratio_is_normalised() -> None:
-    settings = replace(PAPER, ratio=(5.0, 3.0, 2.0))
+    settings = replace(STRUCTURE, ratio=(5.0, 3.0, 2.0))
     assert dynamic_ratio(1, KODAK, settings) == pytest.approx((0.5, 0.3, 0.2))
 
 

@@ -20,7 +20,7 @@ from service.web.routes.file_answers import has_already
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts, no_such_job
 from service.web.routes.pictures import open_image
 from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
-from service.web.submitting.feasible import check_feasible
+from service.web.submitting.feasible import feasible
 from service.web.submitting.fields import FIELD_SCHEMAS, IMAGE_FIELD
 from service.web.submitting.submission import (
     FORM_TYPE,
@@ -106,10 +106,10 @@ async def encode(
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
     async with submission(request, parts.settings) as submitted:
         header = await read_header(submitted, parts.work, caller.client, parts.settings.max_upload_bytes)
-        check_feasible(submitted.asked.request, header)
+        asked = feasible(submitted.asked, header)
         async with parts.accepting.turn(caller.client):
             image = await submitted.image_bytes()
-            new = await to_thread.run_sync(new_job, submitted.asked, header, image, key, caller.owner)
+            new = await to_thread.run_sync(new_job, asked, header, image, key, caller.owner)
             job = await to_thread.run_sync(_accept, parts, new, image)
     return await _accepted(request, response, parts, job, wait_s)
 
@@ -130,7 +130,7 @@ async def encode_again(
     """
     wait_s, key = wished_wait_s(request), idempotency_key(request)
     asked = (await fields_without_image(request)).asked(parts.settings.max_time_limit_s)
-    check_feasible(asked.request, job.image)
+    asked = feasible(asked, job.image)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)
     async with parts.accepting.turn(caller.client):
         image = await to_thread.run_sync(_kept_image, parts, job)

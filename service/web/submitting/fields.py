@@ -21,11 +21,10 @@ from sgmethod.profiles import (
     DEFAULT_PROFILE,
     EFFORTS,
     PROFILE_NAMES,
-    PROFILES,
     TUNES,
     checked_effort,
+    settings_of,
     tuning,
-    with_effort,
 )
 
 IMAGE_FIELD = "image"  # of the form, and none of the model
@@ -65,10 +64,11 @@ Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 @dataclass(frozen=True)
 class Asked:
-    """What a client asks for, checked and complete."""
+    """What a client asks for, checked and complete. has_budget: a budget was given, and not the default taken."""
 
     request: EncodeRequest
     priority: Priority
+    has_budget: bool = True
 
 
 class EncodeFields(BaseModel):
@@ -122,11 +122,12 @@ class EncodeFields(BaseModel):
             raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
         try:
             tune = tuning(self.tune, self.profile, self.budget)
-            with_effort(PROFILES[self.profile], self.effort)
+            settings_of(self.profile, self.effort)
         except BudgetError as error:
             raise ProblemError(422, str(error)) from error
         budget = self.budget
-        return Asked(EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort), self.priority)
+        request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
+        return Asked(request, self.priority, budget is not DEFAULT_BUDGET)
 
 
 FIELDS = tuple(EncodeFields.model_fields)

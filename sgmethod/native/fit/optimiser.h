@@ -1,5 +1,5 @@
 // What a step of the fit does to each Gaussian alone, apart from rendering: Adam in the Gaussian's own frame
-// (sgmethod/fitting/adam.py).
+// (sgmethod/backend/protocol.py).
 #pragma once
 
 namespace sg {

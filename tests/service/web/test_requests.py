@@ -176,6 +176,13 @@ def test_fields_that_are_refused(web: Service, fields: dict[str, str], words: st
     assert web.files() == before
 
 
+def test_a_tiny_image_without_a_budget_is_accepted(web: Service) -> None:
+    """0.3 bits per pixel of it are fewer bytes than the smallest file has; asked for, they are refused."""
+    tiny = png(16, 16)
+    assert web.post(tiny).status_code == 202
+    assert_problem(web.post(tiny, bpp="0.3"), 422, "at least 18 bytes")
+
+
 def test_forms_that_are_refused(web: Service) -> None:
     post = web.client.post
     image = {"image": ("a.png", SMALL)}

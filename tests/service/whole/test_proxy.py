@@ -19,6 +19,7 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from sgmethod.client import client
 from tests.harness.browser import Chromium
 from tests.harness.data import ROOT
 from tests.harness.pictures import SLOW, SMALL
@@ -115,6 +116,15 @@ def test_addresses_in_answers_lead_back(behind: str) -> None:
     servers = httpx.get(f"{behind}/openapi.json").json().get("servers", [{"url": ""}])
     assert servers == [{"url": prefix}]
     assert httpx.get(f"{host}/nothing").status_code == 404
+
+
+def test_a_client_sees_every_page_of_jobs(behind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The address of the next page had the prefix twice."""
+    monkeypatch.setattr(client, "PAGE", 1)
+    fields = {"time_limit_s": "0.1"}
+    made = {httpx.post(f"{behind}/encode", files={"image": SMALL}, data=fields).json()["id"] for _ in range(3)}
+    with client.Client(behind) as ours:
+        assert {job["id"] for job in ours.jobs()} == made
 
 
 def test_large_bodies_pass(behind: str) -> None:

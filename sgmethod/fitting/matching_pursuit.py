@@ -1,4 +1,4 @@
-"""Where another Gaussian would pay: matching pursuit on the residual at a few scales (profile rd).
+"""Where another Gaussian would pay: matching pursuit on the residual at a few scales.
 
 Let e be the residual and w a round Gaussian of scale s at some place. Its best colour is <w, e> / <w, w>. That takes
 its gain, <w, e>^2 / <w, w>, off the squared error.
@@ -8,11 +8,11 @@ integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the resi
 of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
 
 A place qualifies where its gain is the largest of all scales within the Gaussian's own size, and is more than its bits
-are worth. Wide blurs are done on smaller pictures, and looked for on them. So each size of the picture has two things
-to know of the others: the most that is gained at a coarser one, enlarged, and the most in four samples of a finer one.
+are worth. Wide blurs are computed and searched on smaller pictures. So each size of the picture needs two maps from
+the others: the largest gain at coarser sizes, enlarged, and the largest of each four samples at finer ones.
 
-Where the fit is far from its end, wide gains are everywhere, and hide nearly all others: a growth then finds ten places
-for hundreds of Gaussians. So a setting says by how many coarser sizes a place can be hidden.
+Far from the end of the fit, wide gains are everywhere and hide nearly all others: a growth then finds ten places
+for hundreds of Gaussians. So a setting limits the number of coarser sizes that can hide a place.
 
 The whole size of a large picture is done in bands of rows, which keeps memory small.
 """
@@ -24,12 +24,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from sgmethod.fitting.bands import Rows, bands
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture
 from sgmethod.scene import FloatArray
 from sgmethod.threads import in_parallel
 
@@ -50,23 +47,11 @@ class Places:
     blur: FloatArray
 
 
-def new_gaussians(
-    picture: Picture, p: Parameters, most: int, least_gain: float, solve_steps: int, hidden_by: int = ALL_COARSER
-) -> Parameters:
-    """At most `most` round Gaussians that gain more than least_gain on what others leave of a picture, in pixels of the
-    whole one. Neighbours overlap, so their colours are solved together, in solve_steps, or they would overshoot."""
-    found = candidates(picture.residual(p), (picture.height, picture.width), most, least_gain, hidden_by)
-    means, factors = (torch.from_numpy(values) * picture.spacing for values in found)
-    if len(means) == 0:
-        return Parameters.empty(0)
-    return Parameters(means, factors, picture.solve_colors(means, factors, solve_steps, others=p))
-
-
 def candidates(
     residual: Rows, size: tuple[int, int], most: int, least_gain: float, hidden_by: int = ALL_COARSER
 ) -> tuple[FloatArray, FloatArray]:
     """Means [N, 2] and factors [N, 3] of at most `most` round Gaussians for a residual of size (height, width), each
-    with a gain above least_gain, best first. hidden_by: so many coarser sizes of the picture, at least 1."""
+    with a gain above least_gain, best first. hidden_by: coarser sizes that can hide a place, at least 1."""
     found = _places(residual, size, least_gain, hidden_by)
     gain, x, y, blur = (
         np.concatenate(values) for values in zip(*((p.gain, p.x, p.y, p.blur) for p in found), strict=True)
@@ -80,7 +65,7 @@ def candidates(
 
 def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by: int) -> list[Places]:
     height, width = size
-    # The gain of a wider one counts what lies outside, and hides every other place.
+    # Wider ones would count the mirrored outside as gain, and hide every other place.
     blurs = [b for b in BLURS_PX if REACH * b <= max(size)] or [BLURS_PX[0]]
     by_shrink: dict[int, list[float]] = {}
     for b in blurs:
@@ -140,7 +125,7 @@ class _Level:
             np.maximum(self.gain, more, out=self.gain)
 
     def most(self, coarser: int) -> FloatArray:
-        """The most here and at so many coarser levels."""
+        """The largest gain here and at this many coarser levels."""
         coarser = min(coarser, self.depth)
         if self.coarser is None or coarser == 0:
             return self.gain
@@ -150,8 +135,8 @@ class _Level:
         return self._most[coarser]
 
     def places(self, everywhere: FloatArray, least: float, rows: slice = slice(None), first_row: int = 0) -> Places:
-        """Where a gain of this level, in these of its rows, is above the least and is the most within its blur's size.
-        everywhere: the most at all levels; first_row: of the picture, at which this part of it begins."""
+        """Places in these rows of the level whose gain is above the least and the largest within their blur's size.
+        everywhere: the largest gain at all levels; first_row: the row of the picture at which this part begins."""
         peaks = np.zeros(self.gain[rows].shape, np.bool_)
         largest, reach = everywhere, 0  # within so many samples
         for index, b in enumerate(self.blurs):
@@ -168,7 +153,7 @@ class _Level:
         return Places(gain, x_px, y_px + np.float32(first_row), blurs)
 
     def _peak(self, x: NDArray[np.intp], y: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """Where the gain is the most near a sample, in samples: of the parabolas through it and its neighbours."""
+        """The maximum near each sample, in samples: that of the parabolas through it and its neighbours."""
         height, width = self.gain.shape
         here = self.gain[y, x]
         left, right = self.gain[y, np.maximum(x - 1, 0)], self.gain[y, np.minimum(x + 1, width - 1)]
@@ -210,7 +195,7 @@ def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:
 
 
 def _shrink(blur: float, shorter_side: int) -> int:
-    """How many times smaller a picture may be that is blurred so much."""
+    """The factor by which a picture can be reduced after this blur."""
     shrink = 1 << max(0, int(math.log2(blur / 1.5)))
     while shrink > 1 and shorter_side < 4 * shrink:
         shrink //= 2
@@ -236,7 +221,7 @@ def _halved(plane: FloatArray) -> FloatArray:
 
 
 def _most_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray:
-    """At half the size the most of each four samples."""
+    """At half the size, the largest of each four samples."""
     plane = _even(plane)
     rows = np.maximum(plane[0::2], plane[1::2])
     return np.maximum(rows[:, 0::2], rows[:, 1::2], out=out)

@@ -1,7 +1,7 @@
-"""Grain: what Gaussians should not try to draw, and how strong the texture should be that shows it instead.
+"""Grain that Gaussians should not try to draw, and the strength of the texture that stands in for it.
 
-Of grass or water only the brightest grains are worth a Gaussian, and single needles and dots on a wash look broken. So
-grain is taken out of the fit's target where the fit leaves most of it anyway, and what is left comes back as texture.
+Only the brightest grains of grass or water are worth a Gaussian, and a few needles and dots on a wash look broken. So
+grain is taken out of the fit's target where the fit misses most of it anyway, and comes back as texture.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.backend.protocol import TARGET_WHITE, TEXTURE_CELL, TEXTURE_OCTAVES, TEXTURE_STRENGTHS, Target
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.fitting.bands import Rows, bands
-from sgmethod.native import native
-from sgmethod.profiles import RdSettings
+from sgmethod.settings.rd import TextureSettings
 
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -29,40 +29,40 @@ TINY = 1e-3  # squared levels
 MARGIN = 4  # rows, beyond what reduction and enlargement reach; even, so that pairs of rows stay pairs
 
 
-def estimate(source: Pixels, decoded: Pixels, settings: RdSettings) -> Codes | None:
-    """Codes of strengths [octaves, rows, columns] for a picture [H, W, 3] and what its Gaussians draw; None for none.
+def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Codes | None:
+    """Codes of strengths [octaves, rows, columns] for a picture [H, W, 3] and its decoded Gaussians; None for none.
 
-    In each cell, what is left of each octave is measured in blocks. Noise is in all of them alike, while edges leave
-    much in some and nothing in others. So a low quantile of the blocks tells how much noise there is. Blocks of
-    drawings or lettering have none.
+    In each cell the residual of each octave is measured in blocks. Noise is the same in all of them, while edges leave
+    much in some and nothing in others. So a low quantile of the blocks is the strength of the noise. Blocks of
+    drawings or lettering count as free of noise.
     """
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
-    found = np.zeros((native.TEXTURE_OCTAVES, rows, columns), np.float32)
+    found = np.zeros((TEXTURE_OCTAVES, rows, columns), np.float32)
     for row in range(rows):  # one row of cells at a time, which takes little memory
-        band = slice(row * native.TEXTURE_CELL, (row + 1) * native.TEXTURE_CELL)
+        band = slice(row * TEXTURE_CELL, (row + 1) * TEXTURE_CELL)
         left = _padded(_plane(_luma(source[band]) - _luma(decoded[band])), columns)
         noisy = _noisy(_padded(_luma(source[band]), columns))
-        for octave in range(native.TEXTURE_OCTAVES):
+        for octave in range(TEXTURE_OCTAVES):
             coarse = _halved(left)
             spread = _spread(_detail(left, coarse), noisy, settings)
-            found[octave, row] = _strength(spread, settings.texture_gain[octave], settings)
+            found[octave, row] = _strength(spread, settings.gain[octave], settings)
             left = coarse
     codes = _codes(found)
     return codes if codes.any() else None
 
 
-def grain(source: Pixels, left: Rows, settings: RdSettings) -> NDArray[np.int16]:
-    """The grain of a picture [H, W, 3] that the fit had better not see; [3, H, W], TARGET_WHITE is white.
+def grain(source: Pixels, left: Rows, settings: TextureSettings) -> Target:
+    """Grain to remove from the target, [3, H, W], for a picture [H, W, 3]; TARGET_WHITE is white.
 
-    left: what the fit leaves of the picture now, by rows. The grain is of the finest octave. In each cell, a low
-    quantile of its energies in blocks tells how strong it is. Each block loses as much as if that were noise (a Wiener
-    filter): what is as strong as its surroundings goes, what stands out of them stays.
+    left: the residual of the fit now, by rows. Grain is detail of the finest octave. In each cell a low quantile of its
+    energies in blocks is its strength, and each block is filtered as if that were noise (a Wiener filter): detail as
+    strong as its surroundings goes, detail that stands out of them stays.
     """
     height, width = source.shape[:2]
     share = _hidden(source, left, settings)
     size = tuple(BLOCK * side for side in share.shape[::-1])
-    share = _plane(cv2.resize(share * (native.TARGET_WHITE / 255), size, interpolation=cv2.INTER_LINEAR))
+    share = _plane(cv2.resize(share * (TARGET_WHITE / 255), size, interpolation=cv2.INTER_LINEAR))
     hidden = np.empty((3, height, width), np.int16)
     for first, end in bands(height, width):
         top, bottom = max(first - MARGIN, 0), min(end + MARGIN, height)
@@ -74,21 +74,21 @@ def grain(source: Pixels, left: Rows, settings: RdSettings) -> NDArray[np.int16]
     return hidden
 
 
-def _hidden(source: Pixels, left: Rows, settings: RdSettings) -> Plane:
-    """How much of the detail of each block is hidden, 0 to 1."""
+def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
+    """The share of each block's detail to remove, 0 to 1."""
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
-    side = native.TEXTURE_CELL // BLOCK
+    side = TEXTURE_CELL // BLOCK
     energy, noisy = np.empty((2, rows * side, columns * side), np.float32)
     strength = np.empty((rows, columns), np.float32)
     for row in range(rows):
-        first, here = row * native.TEXTURE_CELL, slice(row * side, (row + 1) * side)
-        end = min(first + native.TEXTURE_CELL, height)
+        first, here = row * TEXTURE_CELL, slice(row * side, (row + 1) * side)
+        end = min(first + TEXTURE_CELL, height)
         luma = _padded(_luma(source[first:end]), columns)
         energy[here], noisy[here] = _energy(_detail(luma)), _noisy(luma)
         missing = 255 * _luma(np.ascontiguousarray(left(first, end).transpose(1, 2, 0)))
         part = np.minimum(_energy(_detail(_padded(missing, columns))) / (energy[here] + TINY), 1)
-        found = np.quantile(_by_cell(noisy[here] * energy[here]), settings.texture_quantile, axis=1)
+        found = np.quantile(_by_cell(noisy[here] * energy[here]), settings.quantile, axis=1)
         found *= _rise(np.sqrt(found), settings.grain_levels)
         found *= _rise(np.median(_by_cell(part), axis=1), settings.grain_left)
         strength[row] = found
@@ -113,13 +113,13 @@ def _luma(pixels: Pixels) -> Plane:
 
 def _padded(plane: Plane, columns: int) -> Plane:
     """One row of whole cells, mirrored at the edges of the picture."""
-    below, beyond = native.TEXTURE_CELL - plane.shape[0], columns * native.TEXTURE_CELL - plane.shape[1]
+    below, beyond = TEXTURE_CELL - plane.shape[0], columns * TEXTURE_CELL - plane.shape[1]
     return _plane(cv2.copyMakeBorder(plane, 0, below, 0, beyond, cv2.BORDER_REFLECT))
 
 
 def _noisy(luma: Plane) -> Plane:
-    """1 for each block that may be noise, and 0 for others: in a drawing neighbours are alike, and where JPEG has been
-    at it, most pixels still are ink or paper."""
+    """1 for each block that may be noise, 0 for drawings: there neighbours are equal or, after JPEG, most pixels are
+    still ink or paper."""
     darkest, brightest = _extremes(luma, 3)
     flat = brightest == darkest
     darkest, brightest = _extremes(luma, REACH)
@@ -144,7 +144,7 @@ def _halved(plane: Plane) -> Plane:
 
 
 def _detail(plane: Plane, coarse: Plane | None = None) -> Plane:
-    """Of a plane with even sides, what half the size does not show; coarse: it at half the size."""
+    """The detail of a plane with even sides that half the size cannot show; coarse: the plane at half the size."""
     coarse = _halved(plane) if coarse is None else coarse
     return _plane(plane - cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR))
 
@@ -160,23 +160,23 @@ def _by_cell(blocks: Plane) -> Plane:
     return _plane(blocks.reshape(rows, -1, rows).transpose(1, 0, 2).reshape(-1, rows * rows))
 
 
-def _spread(detail: Plane, noisy: Plane, settings: RdSettings) -> Plane:
-    """A low quantile of the spread in the blocks of each cell, beyond what nobody sees, in levels of 8 bits."""
+def _spread(detail: Plane, noisy: Plane, settings: TextureSettings) -> Plane:
+    """A low quantile of the spread in the blocks of each cell, less that of rounding, in levels of 8 bits."""
     side = detail.shape[0] // noisy.shape[0]  # of a block, at this octave
     energy = noisy * _energy(detail, side)
-    energies = np.quantile(_by_cell(energy), settings.texture_quantile, axis=1) - settings.texture_floor**2
+    energies = np.quantile(_by_cell(energy), settings.quantile, axis=1) - settings.floor**2
     return _plane(np.sqrt(np.maximum(energies, 0)))
 
 
-def _strength(spread: Plane, gain: float, settings: RdSettings) -> Plane:
-    """How much of a spread comes back."""
-    middle = settings.texture_middle
-    strength = gain * middle * (spread / middle) ** settings.texture_power
-    return _plane(np.minimum(strength, settings.texture_most * spread))
+def _strength(spread: Plane, gain: float, settings: TextureSettings) -> Plane:
+    """The strength of texture for a spread."""
+    middle = settings.middle
+    strength = gain * middle * (spread / middle) ** settings.power
+    return _plane(np.minimum(strength, settings.most * spread))
 
 
 def _codes(strengths: Plane) -> Codes:
     """The nearest code of each strength: half a level is code 1, and each further one half a power of two more."""
     nearest = np.rint(2 * np.log2(np.maximum(strengths, 1e-3) / 0.5)) + 1
-    codes: Codes = np.clip(nearest, 0, native.TEXTURE_STRENGTHS - 1).astype(np.uint8)
+    codes: Codes = np.clip(nearest, 0, TEXTURE_STRENGTHS - 1).astype(np.uint8)
     return codes

@@ -3,30 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-import torch
 
 from sgmethod import Encoded, decode, encode
-from sgmethod.fitting import eye
-from sgmethod.fitting.parameters import Parameters
-from sgmethod.fitting.picture import Picture, target_of
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Frame, Target, Visibility
+from sgmethod.fitting.level import Level, target_of
+from sgmethod.fitting.visibility import SeenShare, amplitudes, error, of_detail
 from sgmethod.native import native
-from sgmethod.scene import FloatArray
+from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.settings.rd import RD
 from tests.native.test_refine import SIZE, picture, refined, scene, wide_scene
 
 CUTOFF = native.CUTOFF_V3
+DETAIL = RD.objective.visibility
 
 
-def visibility(width: int, height: int, seed: int = 0) -> eye.Visibility:
+def visibility(width: int, height: int, seed: int = 0) -> Visibility:
     """That changes little from one pixel to the next, by a factor of four in all."""
     y, x = np.mgrid[:height, :width]
     levels = native.VISIBLE * 2.0 ** np.sin(x / 17 + y / 23 + seed)
-    return eye.Visibility(np.asarray(np.round(levels), np.int16))
+    return Visibility(np.asarray(np.round(levels), np.int16))
 
 
-def seen(planes: FloatArray, visible: eye.Visibility) -> float:
+def seen(planes: FloatArray, visible: Visibility) -> float:
     """The definition: of an error [3, H, W], summed."""
     luma = np.tensordot(np.array(native.SEEN_LUMA), planes, 1)
     squares = np.square(planes).sum(0)
@@ -46,7 +49,7 @@ def some(n: int, size: tuple[int, int]) -> tuple[FloatArray, FloatArray, FloatAr
 def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: bool, by_eye: bool) -> None:
     means, factors, colors = some(30, size)
     target = np.random.default_rng(4).integers(-native.TARGET_WHITE, native.TARGET_WHITE, (3, *size[::-1]), np.int16)
-    visible = eye.Visibility(visibility(*size).values, by_eye)
+    visible = Visibility(visibility(*size).values, by_eye)
     levels = visible.values
     found, wanted = (tuple(np.empty_like(a) for a in (means, factors, colors)) for _ in range(2))
     drawn = np.empty(target.shape, np.float32)
@@ -56,8 +59,8 @@ def test_kernels_see_the_error_as_it_is_defined(size: tuple[int, int], pyramid: 
         difference = drawn - target / np.float32(native.TARGET_WHITE)
         by_picture = np.tensordot(visible.color, difference, 1) * levels / native.VISIBLE * 2 / difference.size
         raster.backward(colors, by_picture.astype(np.float32), *wanted)
-        error = raster.squared_error(colors, target, *found, levels, by_eye)
-        assert error == pytest.approx(seen(difference, visible) / difference.size, rel=1e-5)
+        counted = raster.squared_error(colors, target, *found, levels, by_eye)
+        assert counted == pytest.approx(seen(difference, visible) / difference.size, rel=1e-5)
         for a, b in zip(found, wanted, strict=True):
             assert np.allclose(a, b, rtol=1e-4, atol=1e-6)
         product, by_gram = np.empty_like(colors), np.empty_like(colors)
@@ -72,42 +75,42 @@ def test_gradients_are_those_of_finite_differences() -> None:
     """The worst seen is off by 0.3 % of the largest of its kind."""
     rng = np.random.default_rng(5)
     pixels = rng.integers(0, 256, (40, 56, 3), np.uint8)
-    fitted = Picture(target_of(pixels), 0.0, CUTOFF, pyramid=True, visibility=visibility(56, 40))
-    means, factors, colors = (torch.from_numpy(a) for a in some(6, (56, 40)))
-    p = Parameters(means, factors.clamp(2, 12), colors)
-    _, gradients = fitted.gradients(p)
-    for values, by in zip(p.tensors(), gradients.tensors(), strict=True):
+    level = Level(Kernels(), Frame(56, 40), target_of(pixels), visibility(56, 40))
+    means, factors, colors = some(6, (56, 40))
+    gaussians = Gaussians(means, np.clip(factors, 2, 12), colors)
+    _, gradients = level.gradients(gaussians)
+    for values, by in zip(gaussians.arrays, gradients.arrays, strict=True):
         for index in np.ndindex(*values.shape):
             step, before = 1e-2, float(values[index])
             errors = []
             for sign in (1, -1):
                 values[index] = before + sign * step
-                errors.append(fitted.gradients(p)[0])
+                errors.append(level.gradients(gaussians)[0])
             values[index] = before
-            slope, tolerance = (errors[0] - errors[1]) / (2 * step), 0.01 * float(by.abs().max())
+            slope, tolerance = (errors[0] - errors[1]) / (2 * step), 0.01 * float(np.abs(by).max())
             assert slope == pytest.approx(float(by[index]), abs=tolerance)
 
 
 def test_squares_of_amplitudes_are_what_is_seen() -> None:
     planes = np.random.default_rng(6).normal(0, 1, (3, 20, 30)).astype(np.float32)
     visible = visibility(30, 20)
-    assert np.square(eye.amplitudes(visible, planes, 0, 20)).sum() == pytest.approx(seen(planes, visible), rel=1e-5)
+    assert np.square(amplitudes(visible, planes, 0, 20)).sum() == pytest.approx(seen(planes, visible), rel=1e-5)
     a, b = np.random.default_rng(7).integers(0, 256, (2, 20, 30, 3), np.uint8)
     difference = (a.astype(np.float32) - b).transpose(2, 0, 1)
-    assert eye.error(visible, a, b) == pytest.approx(seen(difference, visible), rel=1e-5)
+    assert error(visible, a, b) == pytest.approx(seen(difference, visible), rel=1e-5)
     grey = np.full((3, 20, 30), 0.5, np.float32)  # counts as its square does
-    assert seen(grey, eye.Visibility(np.full((20, 30), native.VISIBLE, np.int16))) == pytest.approx(
+    assert seen(grey, Visibility(np.full((20, 30), native.VISIBLE, np.int16))) == pytest.approx(
         float(np.square(grey).sum()), rel=0.01
     )
 
 
 @pytest.mark.filterwarnings("error")
-def test_what_is_no_number_has_a_factor_all_the_same() -> None:
+def test_what_is_no_number_has_a_share_all_the_same() -> None:
     """As after a start that was spoiled: what is dropped is decided by it."""
-    means = torch.tensor([[20.0, 10.0], [math.nan, 10.0], [math.inf, 10.0], [20.0, 10.0], [20.0, 10.0]])
-    widths = torch.tensor([3.0, 3.0, 3.0, math.nan, math.inf])
-    factors = torch.stack([widths, torch.zeros(5), torch.full((5,), 3.0)], 1)
-    found = eye.Seen(visibility(40, 30)).of(Parameters(means, factors, torch.ones(5, 3)))
+    means = [[20.0, 10.0], [math.nan, 10.0], [math.inf, 10.0], [20.0, 10.0], [20.0, 10.0]]
+    factors = [[width, 0.0, 3.0] for width in (3.0, 3.0, 3.0, math.nan, math.inf)]
+    gaussians = Gaussians(*(np.array(a, np.float32) for a in (means, factors, np.ones((5, 3)))))
+    found = SeenShare(visibility(40, 30)).of(gaussians)
     assert np.isfinite(found).all()
     assert (found > 0).tolist() == [True, True, True, False, True]
 
@@ -115,16 +118,16 @@ def test_what_is_no_number_has_a_factor_all_the_same() -> None:
 def test_detail_hides_errors() -> None:
     pixels = np.full((96, 128, 3), 128, np.uint8)
     pixels[:, 64:] = np.random.default_rng(8).integers(0, 256, (12, 8, 3), np.uint8).repeat(8, 0).repeat(8, 1)
-    visible = eye.visibility_of(pixels).values
+    visible = of_detail(pixels, DETAIL).values
     assert visible.shape == (96, 128)
     assert visible[:, :40].min() > 2 * visible[:, 80:].max()
-    assert (eye.visibility_of(pixels[:1, :1]).values == native.VISIBLE).all()
-    assert eye.Visibility(visible[:95, :127]).halved().values.shape == (48, 64)
+    assert (of_detail(pixels[:1, :1], DETAIL).values == native.VISIBLE).all()
+    assert Visibility(visible[:95, :127]).halved().values.shape == (48, 64)
 
 
 @pytest.mark.parametrize("make", [scene, wide_scene])
 @pytest.mark.parametrize("seed", range(3))
-def test_each_sweep_of_refining_lowers_what_is_seen(seed: int, make) -> None:  # type: ignore[no-untyped-def]
+def test_each_sweep_of_refining_lowers_what_is_seen(seed: int, make: Callable[[int], tuple[Gaussians, Target]]) -> None:
     values, target = make(seed)
     parameters, visible = native.RdParameters(*SIZE, 0.4), visibility(*SIZE, seed)
     errors = []
@@ -138,9 +141,7 @@ def test_each_sweep_of_refining_lowers_what_is_seen(seed: int, make) -> None:  #
     assert errors[2] < seen(left, visible)
 
 
-def _decoded(parameters: native.RdParameters, payload: bytes):  # type: ignore[no-untyped-def]
-    from sgmethod.scene import Gaussians
-
+def _decoded(parameters: native.RdParameters, payload: bytes) -> Gaussians:
     return Gaussians(*native.rd_decode(parameters, payload))
 
 
@@ -157,8 +158,8 @@ def both() -> dict[str, Encoded]:
 
 def test_visual_tuning_lowers_what_is_seen_within_the_same_bytes(both: dict[str, Encoded]) -> None:
     pixels = _photograph()
-    visible = eye.visibility_of(pixels)
-    errors = {tune: eye.error(visible, decode(e.data, texture=False), pixels) for tune, e in both.items()}
+    visible = of_detail(pixels, DETAIL)
+    errors = {tune: error(visible, decode(e.data, texture=False), pixels) for tune, e in both.items()}
     assert errors["visual"] < 0.97 * errors["psnr"]
     assert all(e.stats.bpp <= 0.4 for e in both.values())
     assert both["visual"].stats.psnr < both["psnr"].stats.psnr

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from sgmethod import Budget, BudgetError, SgError, View, ViewError
 from sgmethod.io.inputs import read_input
 from sgmethod.profiles import PROFILES
 from tests.harness.data import golden_path
+from tests.rd.short import shortened
 
 GOLDEN = golden_path("v4-color.sg").read_bytes()  # 48 x 40
 PIXELS = np.random.default_rng(1).integers(0, 256, (20, 30, 3), dtype=np.uint8)
@@ -24,9 +24,8 @@ INTEGERS = [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int6
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(PROFILES, "rd", replace(PROFILES["rd"], steps=20))
-    for name in ("paper", "baseline"):
-        monkeypatch.setitem(PROFILES, name, replace(PROFILES[name], fit_steps=5, tune_steps=5))
+    for name, settings in shortened(20, (5, 5)).items():
+        monkeypatch.setitem(PROFILES, name, settings)
 
 
 @pytest.mark.parametrize("kind", INTEGERS)

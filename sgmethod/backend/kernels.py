@@ -1,0 +1,113 @@
+"""The compiled kernels as a backend."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sgmethod.backend.protocol import GRID_REACH, Coding, Frame, Loss, Moments, RefineLimits, Target, Visibility
+from sgmethod.native import native
+from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.settings.shared import OptimiserSettings
+
+
+class Kernels:
+    """A Backend on all threads of the CPU. Results are the same for every number of threads."""
+
+    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
+        """As Backend.residual."""
+        missing = np.empty(target.shape, np.float32)
+        raster = _raster(gaussians, frame, target.shape[1], first_row)
+        raster.missing(gaussians.colors, np.ascontiguousarray(target), missing)
+        return missing
+
+    def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
+        """As Backend.error."""
+        if visibility is not None:
+            return self.gradients(gaussians, frame, target, visibility)[0]
+        return _raster(gaussians, frame).error(gaussians.colors, target)
+
+    def gradients(
+        self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
+    ) -> tuple[float, Gaussians]:
+        """As Backend.gradients."""
+        out = Gaussians.empty(len(gaussians))
+        mse = _raster(gaussians, frame).squared_error(gaussians.colors, target, *out.arrays, *_seen(visibility))
+        return mse, _by_whole_pixels(out, frame)
+
+    def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
+        """As Backend.regularised."""
+        loss = native.ReconstructionLoss(image, lambda_g)
+        drawn, by_image = np.empty_like(image), np.empty_like(image)
+
+        def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:
+            raster, out = _raster(gaussians, frame), Gaussians.empty(len(gaussians))
+            raster.render(gaussians.colors, drawn)
+            mse, _ = loss(drawn, by_image)
+            raster.backward(gaussians.colors, by_image, *out.arrays)
+            return mse, _by_whole_pixels(out, frame)
+
+        return evaluate
+
+    def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
+        """As Backend.gram."""
+        product = np.empty_like(gaussians.colors)
+        _raster(gaussians, frame).gram(gaussians.colors, product, None if visibility is None else visibility.values)
+        return product
+
+    def step(
+        self,
+        gaussians: Gaussians,
+        gradient: Gaussians,
+        moments: Moments,
+        settings: OptimiserSettings,
+        rate: float,
+        values: int,
+    ) -> None:
+        """As Backend.step."""
+        s = settings
+        rates = s.mean_rate, s.factor_rate, s.color_rate
+        adam = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px, s.newton_steps, values)
+        averages = moments.first, moments.second, moments.bias
+        native.frame_adam(adam, rate, *gaussians.arrays, *gradient.arrays, *averages)
+
+    def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
+        """As Backend.add_rate_gradient."""
+        values = gaussians.factors, gaussians.colors, gradient.factors, gradient.colors
+        native.rd_rate_gradient(quantum, weight, *values)
+
+    def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
+        """As Backend.keep_in_range."""
+        native.keep_in_range(GRID_REACH, width, height, *gaussians.arrays)
+
+    def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
+        """As Backend.rounded."""
+        out = Gaussians.empty(len(gaussians))
+        native.rd_quantise(coding.parameters, *gaussians.arrays, *out.arrays)
+        return out
+
+    def refine(
+        self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
+    ) -> bytes:
+        """As Backend.refine."""
+        arrays = *gaussians.arrays, target
+        last = limits.price, limits.sweeps, limits.seconds, limits.max_bytes, *_seen(visibility)
+        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last)
+
+
+def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_row: int = 0) -> native.Rasterization:
+    means, factors = gaussians.means, gaussians.factors
+    if frame.spacing != 1:
+        means, factors = means / np.float32(frame.spacing), factors / np.float32(frame.spacing)
+    size = frame.width, frame.height if rows is None else rows
+    return native.Rasterization(means, factors, *size, cutoff=frame.cutoff, pyramid=frame.pyramid, y=first_row)
+
+
+def _by_whole_pixels(gradient: Gaussians, frame: Frame) -> Gaussians:
+    if frame.spacing != 1:
+        for values in (gradient.means, gradient.factors):
+            np.divide(values, np.float32(frame.spacing), out=values)
+    return gradient
+
+
+def _seen(visibility: Visibility | None) -> tuple[()] | tuple[object, bool]:
+    return () if visibility is None else (visibility.values, visibility.by_eye)

@@ -1,0 +1,92 @@
+"""How visible an error is at each pixel, for files that are tuned for the eye or have alpha.
+
+An error e in red, green and blue counts (c |e|^2 + (l e)^2) V. The constants c and l (native/core/constants.h) make
+luma count more than colour. V is the visibility of the pixel, which detail lowers.
+
+That is a diagonal over pixels and a fixed matrix over channels. So the colours of given shapes are still a linear
+problem, and fit, densification, pruning and refining all minimise one error.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.backend.protocol import VISIBLE, Visibility
+from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.settings.rd import VisibilitySettings
+
+
+def of_alpha(alpha: NDArray[np.uint8]) -> Visibility:
+    """Of colours under alpha [H, W], on any background: its square."""
+    share = alpha.astype(np.float32) / 255
+    return Visibility(np.rint(share * share * VISIBLE).astype(np.int16), by_eye=False)
+
+
+def of_detail(pixels: NDArray[np.uint8], settings: VisibilitySettings, alpha: Visibility | None = None) -> Visibility:
+    """To the eye, of pixels [H, W, 3], where alpha shows them."""
+    s, (height, width) = settings, pixels.shape[:2]
+    size = (-(-width // s.shrink), -(-height // s.shrink))
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) @ np.array(s.luma, np.float32)
+    variance = np.maximum(_blurred(small * small, s) - np.square(_blurred(small, s)), 0)
+    seen = (2 * variance + np.float32(s.seen_levels**2)) ** -np.float32(s.power)
+    detail = np.sqrt(variance + 1)  # where there is more of it, there are more Gaussians
+    seen *= np.sum(detail, dtype=np.float64) / np.sum(seen * detail, dtype=np.float64)
+    levels = np.round(np.clip(seen, s.least, s.most) * VISIBLE).astype(np.int16)
+    levels = np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.int16)
+    if alpha is not None:
+        levels = (levels.astype(np.int32) * alpha.values // VISIBLE).astype(np.int16)
+    return Visibility(levels)
+
+
+def _blurred(plane: FloatArray, settings: VisibilitySettings) -> FloatArray:
+    return np.asarray(cv2.GaussianBlur(plane, (0, 0), settings.window, borderType=cv2.BORDER_REFLECT), np.float32)
+
+
+def _color_root(visibility: Visibility) -> FloatArray:
+    """[3, 3], whose square is the visibility's color."""
+    values, axes = np.linalg.eigh(visibility.color)
+    return np.asarray((axes * np.sqrt(values)) @ axes.T, np.float32)
+
+
+def amplitudes(visibility: Visibility, planes: FloatArray, first: int, end: int) -> FloatArray:
+    """Rows [3, end - first, W] of an error, from the first to before end, scaled so that their squares are what the
+    error counts."""
+    seen = np.sqrt(visibility.values[first:end].astype(np.float32) / VISIBLE)
+    return np.asarray((np.tensordot(_color_root(visibility), planes, 1) if visibility.by_eye else planes) * seen)
+
+
+def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:
+    """What the error of a decoded picture [H, W, 3] counts, summed; in squared levels of 255."""
+    total, color = 0.0, visibility.color.astype(np.float32)
+    for row, (a, b) in enumerate(zip(decoded, source, strict=True)):
+        e = a.astype(np.float32) - b
+        total += float(((e @ color) * e).sum(1) @ visibility.values[row].astype(np.float32))
+    return total / VISIBLE
+
+
+class SeenShare:
+    """The visible share of each Gaussian's energy."""
+
+    def __init__(self, visibility: Visibility) -> None:
+        self._color, self._levels = visibility.color, [visibility.values]
+        while min(visibility.values.shape) > 1:
+            visibility = visibility.halved()
+            self._levels.append(visibility.values)
+
+    @np.errstate(invalid="ignore")
+    def of(self, gaussians: Gaussians) -> FloatArray:
+        """The share [N], by colour and by the mean visibility over about the Gaussian's size. A NaN centre counts as
+        the picture's corner, a NaN size as zero."""
+        means, factors, colors = gaussians.arrays
+        size = 2 * np.sqrt(factors[:, 0] * factors[:, 2])
+        level_of = np.clip(np.log2(np.maximum(size, 1)), 0, len(self._levels) - 1).astype(np.intp)
+        seen = np.zeros(len(means), np.float32)
+        for level, values in enumerate(self._levels):
+            here = level_of == level
+            x, y = (means[here] / 2**level).astype(np.intp).T
+            height, width = values.shape
+            seen[here] = values[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+        squares = np.maximum(np.square(colors).sum(1), 1e-20)
+        return np.asarray(seen / VISIBLE * ((colors @ self._color) * colors).sum(1) / squares, np.float32)

@@ -1,0 +1,33 @@
+"""Gaussians as tensors of torch, which autograd differentiates through the paper's quantisers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from sgmethod.scene import Gaussians
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """means [N, 2], factors [N, 3] (pixels), colors [N, 3]."""
+
+    means: Tensor
+    factors: Tensor
+    colors: Tensor
+
+    @classmethod
+    def of(cls, gaussians: Gaussians) -> Parameters:
+        """A copy of plain arrays."""
+        return cls(*(torch.tensor(values) for values in gaussians.arrays))
+
+    @classmethod
+    def sharing(cls, gaussians: Gaussians) -> Parameters:
+        """Tensors over the memory of plain arrays."""
+        return cls(*(torch.from_numpy(values) for values in gaussians.arrays))
+
+    def numpy(self) -> Gaussians:
+        """Plain Gaussians, over the tensors' memory where that is contiguous."""
+        return Gaussians(*(values.detach().contiguous().numpy() for values in (self.means, self.factors, self.colors)))

@@ -1,0 +1,45 @@
+"""The schedule of a phase of a fit: how the rate falls, and when the phase is over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.recorder import Recorder
+
+PERFECT_MSE = 1e-7  # 70 dB: a tenth of what rounding to 8 bits leaves
+PROGRESS_DB = 0.01  # what counts as progress
+
+Step = Callable[[float], tuple[float, int, int]]  # rate -> (mse, Gaussians, bytes of the file or 0)
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """One phase of an encode: its name in the trace, its steps, the part of the rate at which it ends, and the part of
+    it without progress after which it has converged."""
+
+    phase: str
+    steps: int
+    final_rate: float
+    patience: float = 0.3
+
+    def run(self, deadline: Deadline, recorder: Recorder, step: Step) -> int:
+        """Repeat the step within the time; returns the steps done.
+
+        The rate falls along a cosine from 1 to final_rate. The phase ends early when the error has stopped falling.
+        """
+        best, best_at = math.inf, 0.0
+        pace = deadline.pace(self.steps)
+        for progress in pace.until(1.0):
+            rate = self.final_rate + (1 - self.final_rate) * 0.5 * (1 + math.cos(math.pi * progress))
+            mse, gaussians, size = step(rate)
+            recorder.report(self.phase, pace.done + 1, self.steps, mse, gaussians, size)
+            if mse < best * 10 ** (-PROGRESS_DB / 10):
+                best, best_at = mse, progress
+            elif progress - best_at > self.patience:
+                break
+            if mse < PERFECT_MSE:
+                break
+        return pace.done + (pace.progress < 1)

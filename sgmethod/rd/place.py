@@ -1,0 +1,24 @@
+"""Place: few Gaussians, more of them and smaller where the picture has structure (paper, section III-B)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sgmethod.fitting.level import Pyramid
+from sgmethod.rd.request import Request
+from sgmethod.scene import Gaussians
+from sgmethod.start.placement import place as place_by_structure
+
+
+def place(request: Request, pyramid: Pyramid) -> Gaussians:
+    """A part of the expected Gaussians, with colours that are solved together. They are few, so a small picture shows
+    enough of the structure; a smaller one has to do if time is short."""
+    s, rate = request.settings.place, request.rate
+    share = max(int(rate.expected_gaussians() * s.share), s.fewest)
+    n = min(share, rate.most_gaussians(request.settings, request.settings.effort.times, 1.0))
+    level = pyramid.smallest(n // 4 if request.deadline.is_short() else n)
+    image = level.image().transpose(1, 2, 0) + np.array(request.background, np.float32) / 255
+    placed = place_by_structure(np.ascontiguousarray(image), n, s.start, np.random.default_rng(request.seed))
+    spacing = np.float32(level.frame.spacing)
+    shapes = Gaussians(placed.means * spacing, placed.factors * spacing, placed.colors)
+    return level.solve_colors(shapes, s.color_solve_steps)

@@ -1,0 +1,69 @@
+"""Quantise and refine: fitted Gaussians become the integers of a file, and its bytes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.backend.protocol import Moments, RefineLimits, Target
+from sgmethod.bitstream.payload import is_upright, quantum_code, quantum_of
+from sgmethod.bitstream.texture import Codes
+from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.rd.rate_control import Coded, error_per_bit
+from sgmethod.rd.request import Plan, State
+from sgmethod.scene import Gaussians
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a file may hold: bytes of payload, beside a texture if there is one."""
+
+    max_bytes: int
+    texture: Codes | None
+
+
+def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, room: Room) -> Coded:
+    """The coded picture with this quantum in the room there is, its integers refined one Gaussian at a time on the
+    target that the others leave (native/refine/refine.cpp)."""
+    request, s = plan.request, plan.settings
+    quantum = quantum_of(quantum_code(quantum))
+    upright = is_upright(gaussians.factors, request.with_shear)
+    price = s.refine.weight * error_per_bit(quantum)
+    limits = RefineLimits(price, s.effort.refine_sweeps, request.deadline.left_s(), room.max_bytes)
+    coding = replace(request.coding(quantum), upright=upright)
+    payload = request.backend.refine(gaussians, coding, target, limits, request.objective.visibility)
+    stream = StreamV4(*request.size, quantum, request.background, request.grey, upright, payload, room.texture)
+    return Coded(stream, request.objective)
+
+
+def relaxed(plan: Plan, stream: StreamV4, target: Target, held: NDArray[np.bool_]) -> Gaussians:
+    """The Gaussians [N] of a coded picture after some steps on what those of them that are held [N] leave of it."""
+    s, backend = plan.settings, plan.request.backend
+    whole = replace(plan.whole, target=target)
+    before = stream.gaussians()
+    moving, moments = before.copy(), Moments.none(len(before))
+    weight = s.refine.relaxed_weight * error_per_bit(stream.quantum) / whole.values
+    for _ in range(s.refine.relaxed_steps):
+        _, gradient = whole.gradients(moving)
+        backend.add_rate_gradient(moving, gradient, stream.quantum, weight)
+        backend.step(moving, gradient, moments, s.fit.optimiser, s.refine.relaxed_rate, whole.values)
+        backend.keep_in_range(moving, whole.frame.width, whole.frame.height)
+        for values, held_at in zip(moving.arrays, before.arrays, strict=True):
+            values[held] = held_at[held]
+    return moving
+
+
+def rounded_psnr(plan: Plan, state: State) -> float:
+    """Of the picture as it would decode now, in dB."""
+    request = plan.request
+    return exact_psnr(plan, request.backend.rounded(state.gaussians, request.coding(state.quantum)))
+
+
+def exact_psnr(plan: Plan, gaussians: Gaussians) -> float:
+    """Of Gaussians as they are, in dB."""
+    whole, objective = plan.whole, plan.request.objective
+    error = plan.request.backend.error(gaussians, whole.frame, whole.target, objective.shown)
+    return -10 * math.log10(max(error, 1e-12))

@@ -1,0 +1,80 @@
+"""The compiled kernels against the reference: what is drawn, its errors and their gradients.
+
+Errors of an array are in parts of its largest value, which single precision makes 1e-7 at least.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import TARGET_WHITE, Backend, Frame
+from sgmethod.backend.reference import Reference
+from sgmethod.scene import Gaussians
+from tests.backend.cases import FRAMES, VISIBILITIES, image, over, target, visibility, worst
+
+KERNELS: Backend = Kernels()
+REFERENCE: Backend = Reference()
+
+every_frame = pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
+every_seed = pytest.mark.parametrize("seed", range(2))
+every_visibility = pytest.mark.parametrize("kind", VISIBILITIES)
+
+
+@every_seed
+@every_frame
+def test_residual(frame: Frame, seed: int) -> None:
+    """Of the whole, and of rows of it."""
+    gaussians, wanted = over(frame, seed), target(seed)
+    for first, end in ((0, frame.height), (0, 9), (13, 30)):
+        rows = wanted[:, first:end]
+        found = [backend.residual(gaussians, frame, rows, first) for backend in (KERNELS, REFERENCE)]
+        assert worst(*found) < 1e-5  # worst seen 2.9e-6
+
+
+@every_seed
+@every_visibility
+@every_frame
+def test_error_and_gradients(frame: Frame, kind: str, seed: int) -> None:
+    asked = over(frame, seed), frame, target(seed), visibility(kind, seed)
+    error, gradient = KERNELS.gradients(*asked)
+    wanted_error, wanted = REFERENCE.gradients(*asked)
+    assert REFERENCE.error(*asked) == pytest.approx(wanted_error, rel=1e-14)
+    assert error == pytest.approx(wanted_error, rel=3e-6)  # worst seen 1.1e-6
+    assert KERNELS.error(*asked) == pytest.approx(wanted_error, rel=3e-6)  # worst seen 1.1e-6
+    for by, wanted_by in zip(gradient.arrays, wanted.arrays, strict=True):
+        assert worst(by, wanted_by) < 1e-5  # worst seen 4.4e-6
+
+
+@every_seed
+@pytest.mark.parametrize("lambda_g", [0.0, 0.06, 1.0])
+@every_frame
+def test_regularised(frame: Frame, lambda_g: float, seed: int) -> None:
+    """A loss is asked twice, as the second time it must not remember the first."""
+    losses = [backend.regularised(frame, image(seed), lambda_g) for backend in (KERNELS, REFERENCE)]
+    for gaussians in (over(frame, seed), over(frame, seed + 1)):
+        (mse, gradient), (wanted_mse, wanted) = (loss(gaussians) for loss in losses)
+        assert mse == pytest.approx(wanted_mse, rel=3e-6)  # worst seen 8.3e-7
+        for by, wanted_by in zip(gradient.arrays, wanted.arrays, strict=True):
+            assert worst(by, wanted_by) < 1e-5  # worst seen 4.6e-6
+
+
+@every_seed
+@every_visibility
+@every_frame
+def test_gram(frame: Frame, kind: str, seed: int) -> None:
+    asked = over(frame, seed), frame, visibility(kind, seed)
+    assert worst(KERNELS.gram(*asked), REFERENCE.gram(*asked)) < 1e-5  # worst seen 3.4e-6
+
+
+@pytest.mark.parametrize("backend", [KERNELS, REFERENCE])
+@every_frame
+def test_without_gaussians(frame: Frame, backend: Backend) -> None:
+    none, wanted = Gaussians.empty(0), target(0)
+    mean = float(np.square(image(0), dtype=np.float64).mean())
+    assert backend.error(none, frame, wanted) == pytest.approx(mean, rel=1e-3)  # the target is rounded
+    levels = (wanted / TARGET_WHITE).astype(np.float32)
+    assert worst(backend.residual(none, frame, wanted), levels) < 2e-7  # worst seen 6e-8
+    assert [len(by) for by in backend.gradients(none, frame, wanted)[1].arrays] == [0, 0, 0]
+    assert backend.gram(none, frame).shape == (0, 3)

@@ -1,0 +1,87 @@
+"""Matching pursuit: where a residual says that another Gaussian would pay, of which size, and in which order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from sgmethod.fitting.matching_pursuit import ALL_COARSER, BLURS_PX, SCALE_OF_BLUR, candidates
+from sgmethod.native import native
+from sgmethod.native.reference import render
+
+FloatArray = NDArray[np.float32]
+
+
+def noise(height: int, width: int) -> FloatArray:
+    return np.random.default_rng(0).random((height, width, 3)).astype(np.float32)
+
+
+def found_in(
+    residual: FloatArray, most: int, least_gain: float, hidden_by: int = ALL_COARSER
+) -> tuple[FloatArray, FloatArray]:
+    """What is found in a residual [H, W, 3]."""
+    planes = np.ascontiguousarray(residual.transpose(2, 0, 1))
+    return candidates(lambda first, end: planes[:, first:end], residual.shape[:2], most, least_gain, hidden_by)
+
+
+def planted(
+    scale: float, at: tuple[float, float], color: tuple[float, float, float], size: tuple[int, int]
+) -> FloatArray:
+    """The residual [H, W, 3] of one missing round Gaussian."""
+    means, factors, colors = (torch.tensor([v]) for v in (at, (scale, 0.0, scale), color))
+    return np.ascontiguousarray(render(means, factors, colors, size, native.CUTOFF_V3).numpy().transpose(1, 2, 0))
+
+
+@pytest.mark.parametrize("blur", BLURS_PX[1:5])
+def test_a_planted_gaussian_is_found(blur: float) -> None:
+    scale = blur * SCALE_OF_BLUR
+    means, factors = found_in(planted(scale, (80.5, 70.5), (0.3, -0.2, 0.1), (161, 140)), 1, 0.0)
+    assert len(means) == len(factors) == 1
+    assert means[0] == pytest.approx((80.5, 70.5), abs=0.1 + 0.1 * scale)
+    assert factors[0] == pytest.approx((scale, 0, scale))
+
+
+def test_the_best_come_first_and_no_more_than_asked() -> None:
+    residual = planted(3.0, (30.5, 30.5), (0.3, 0.3, 0.3), (200, 120))
+    residual += planted(3.0, (150.5, 80.5), (0.5, 0.5, 0.5), (200, 120))
+    means, _ = found_in(residual, 2, 1.0)
+    assert means[0] == pytest.approx((150.5, 80.5), abs=0.5)
+    assert means[1] == pytest.approx((30.5, 30.5), abs=0.5)
+    for most in (0, -3):
+        assert len(found_in(residual, most, 0.0)[0]) == 0
+
+
+def test_a_wide_error_hides_narrow_ones_only_where_it_is_to() -> None:
+    size = (250, 250)
+    narrow = [(x, y) for x in (60.5, 100.5, 140.5, 180.5) for y in (60.5, 100.5, 140.5, 180.5)]
+    residual = planted(50.0, (125.0, 125.0), (0.04, 0.04, 0.04), size)
+    for at in narrow:
+        residual += planted(2.0, at, (-0.4, 0.2, 0.2), size)
+
+    def dots(hidden_by: int) -> int:
+        means, factors = found_in(residual, 100, 0.1, hidden_by)
+        near = np.abs(means[:, None] - np.array(narrow)).max(axis=2) < 1.0
+        return int((near & (factors[:, :1] < 5.0)).any(axis=0).sum())
+
+    assert dots(ALL_COARSER) == 0
+    assert dots(1) == dots(2) == len(narrow)
+
+
+def test_none_gains_less_than_the_least() -> None:
+    """The gain is the energy of the Gaussian that is missing, within a tenth: the blur is by a whole one."""
+    residual = planted(3.0 * SCALE_OF_BLUR, (60.5, 50.5), (0.4, 0.4, 0.4), (121, 100))
+    energy = float(np.square(residual).sum())
+    assert len(found_in(residual, 10, 1.12 * energy)[0]) == 0
+    assert len(found_in(residual, 10, 0.9 * energy)[0]) == 1
+    assert len(found_in(np.zeros((40, 40, 3), np.float32), 10, 0.0)[0]) == 0
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 2), (2, 1), (3, 300), (300, 3), (17, 131), (257, 64)])
+def test_odd_sizes(size: tuple[int, int]) -> None:
+    means, _ = found_in(noise(*size) - 0.5, 50, 0.0)
+    assert 1 <= len(means) <= 50
+    assert (means > 0).all()
+    assert (means < (size[1], size[0])).all()
+    assert len(np.unique(means, axis=0)) == len(means)

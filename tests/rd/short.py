@@ -1,0 +1,87 @@
+"""What encodes of a fraction of a second are made of, and clocks that are the same on every machine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Backend, Moments
+from sgmethod.budget import Budget
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.level import Pyramid
+from sgmethod.fitting.objective import Objective
+from sgmethod.fitting.recorder import Recorder
+from sgmethod.rd.place import place
+from sgmethod.rd.plan import planned
+from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.request import Plan, Request, Stage, State
+from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
+from sgmethod.settings.rd import RD, RdSettings
+from sgmethod.settings.shared import Tune
+from sgmethod.trace import Stop
+
+
+def short(steps: int, **of_effort: Any) -> RdSettings:
+    """The settings of the default effort with a first run of so many steps."""
+    return replace(RD, effort=replace(RD.effort, steps=steps, **of_effort))
+
+
+def shortened(steps: int, phase_steps: tuple[int, int] | None = None) -> dict[str, RdSettings | PaperSettings]:
+    """Settings of all profiles with a first run of so many steps, and phases of paper and baseline of so many."""
+    fit, tune = phase_steps or (steps, steps)
+    others = {
+        name: replace(s, fit_steps=fit, tune_steps=tune) for name, s in (("paper", PAPER), ("baseline", BASELINE))
+    }
+    return {"rd": short(steps), **others}
+
+
+class SlowClock(Clock):
+    """Each look at it takes a hundredth of a second, and nothing else does."""
+
+    def __init__(self, stop: Stop | None = None, look_s: float = 0.01) -> None:
+        super().__init__(stop)
+        self.now, self.look_s = 0.0, look_s
+
+    def seconds(self) -> float:
+        """As Clock.seconds."""
+        self.now += self.look_s
+        return self.now
+
+
+def requested(
+    pixels: NDArray[np.uint8],
+    budget: Budget,
+    tune: Tune = "psnr",
+    *,
+    settings: RdSettings = RD,
+    deadline: Deadline | None = None,
+    backend: Backend | None = None,
+    recorder: Recorder | None = None,
+) -> Request:
+    """A request of profile rd, as codec.encode() makes it."""
+    clock = Clock()
+    objective = Objective.of(pixels, tune, settings.objective)
+    rate = RateControl.of(budget, pixels.shape[1::-1], settings)
+    return Request(
+        objective, rate, deadline or Deadline(clock), backend or Kernels(), settings, recorder or Recorder(clock)
+    )
+
+
+def begun(request: Request) -> tuple[Plan, State]:
+    """The plan of a request, and the state before its first step."""
+    pyramid = Pyramid.of(request.level(), request.settings.pyramid)
+    gaussians = place(request, pyramid)
+    plan = planned(request, pyramid, gaussians)
+    target = request.objective.moving_target(plan.whole.target)
+    return plan, State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+
+
+def stage_of(plan: Plan, steps: int, at: float = 0.0) -> Stage:
+    """A stage of so many steps, which has reached this part of the first run."""
+    pace = Deadline(Clock()).pace(steps)
+    pace.progress = at
+    return Stage(pace, plan.times(0), at, 1.0)

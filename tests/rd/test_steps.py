@@ -1,0 +1,90 @@
+"""The steps of the pipeline one by one: what each makes of the state it is given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sgmethod import Budget, decode, encode
+from sgmethod.bitstream import container
+from sgmethod.fitting.deadline import Clock
+from sgmethod.fitting.moving_target import AheadOfCoarseError
+from sgmethod.fitting.recorder import Recorder
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.rd.densify import densify, settle
+from sgmethod.rd.fit import fit
+from sgmethod.rd.quantise import rounded_psnr
+from sgmethod.rd.steer import steer
+from sgmethod.settings.rd import RD
+from tests.harness.data import PHOTOGRAPHS
+from tests.rd.short import begun, requested, short, stage_of
+
+CROP = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:72, 40:104])
+BUDGET = Budget("bytes", 2000)
+
+
+def test_previews_are_files_that_come_nearer() -> None:
+    files: list[bytes] = []
+    encode(CROP, BUDGET, settings=short(240), on_preview=files.append)
+    errors = [np.square(decode(file).astype(float) - CROP).mean() for file in files]
+    assert len(files) > 5
+    assert errors[0] > 1.5 * errors[-1]
+
+
+@pytest.mark.parametrize("halvings", [0, 1])
+def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> None:
+    plan, state = begun(requested(CROP, BUDGET, "visual"))
+    plan = replace(plan, pyramid=plan.pyramid.from_level(plan.pyramid.levels[halvings]))
+    assert isinstance(state.target, AheadOfCoarseError)
+    fit(plan, state, stage_of(plan, 100, at=0.99))
+    assert state.target.hides == (halvings == 0)
+
+
+def test_the_trace_shows_what_would_be_decoded() -> None:
+    """At a coarse quantum rounding costs decibels, which the unrounded Gaussians do not show."""
+    request = requested(CROP, Budget("quality", 50))
+    plan, state = begun(request)
+    for at in RD.effort.times.growth_at[:3]:
+        state = densify(plan, state, stage_of(plan, 100, at))
+    state = fit(plan, state, stage_of(plan, 50))
+    recorder = Recorder(Clock())
+    plan = replace(plan, request=replace(request, recorder=recorder))
+    state = fit(plan, replace(state, quantum=1.0), stage_of(plan, 1))
+    decoded = decode(container.serialise(request.stream(state.gaussians, 1.0)))
+    wanted = float(np.square((decoded - CROP.astype(np.float64)) / 255).mean())
+    shown = 10 ** (-recorder.points[-1].psnr / 10)
+    assert shown == pytest.approx(wanted, rel=0.01)  # but for 8 bits and what is clamped
+    assert recorder.points[-1].psnr == pytest.approx(rounded_psnr(plan, state), abs=1e-3)
+    assert shown > 1.03 * plan.whole.gradients(state.gaussians)[0]
+
+
+def test_the_size_grows_with_the_gaussians() -> None:
+    plan, state = begun(requested(CROP, BUDGET))
+    first, second = RD.effort.times.growth_at[:2]
+    state = steer(plan, densify(plan, state, stage_of(plan, 100, at=first)), stage_of(plan, 100, at=first))
+    grown = densify(plan, state, stage_of(plan, 100, at=second))
+    assert len(grown.gaussians) > len(state.gaussians)
+    before = state.size / len(state.gaussians)
+    assert grown.size / len(grown.gaussians) == pytest.approx(before, rel=0.05)
+
+
+def test_a_step_leaves_the_state_that_it_was_given() -> None:
+    plan, state = begun(requested(CROP, BUDGET))
+    before = state.gaussians.copy(), state.moments.copy()
+    after = fit(plan, state, stage_of(plan, 3))
+    assert after.steps == 3
+    for was, now, later in zip(before[0].arrays, state.gaussians.arrays, after.gaussians.arrays, strict=True):
+        assert np.array_equal(was, now)
+        assert not np.array_equal(now, later)
+    assert np.array_equal(before[1].bias, state.moments.bias)
+
+
+def test_a_surplus_that_no_pruning_has_taken_back_is_dropped_at_the_end_of_a_run() -> None:
+    """A stop in the middle of a step may skip the last pruning."""
+    plan, state = begun(requested(CROP, Budget("gaussians", 20)))
+    for at in RD.effort.times.growth_at[:4]:
+        state = densify(plan, state, stage_of(plan, 100, at))
+    assert len(state.gaussians) > 20
+    assert 15 <= len(settle(plan, state, plan.times(0)).gaussians) <= 20

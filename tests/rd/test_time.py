@@ -1,0 +1,155 @@
+"""Time: a limit or a stop shortens the schedule, and the plan is made for what is left."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from sgmethod import Budget, codec, decode, encode
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Frame, Moments, Target, Visibility
+from sgmethod.fitting.deadline import Clock, Deadline
+from sgmethod.fitting.level import Pyramid
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.rd.densify import densify
+from sgmethod.rd.fit import fit, level_for
+from sgmethod.rd.place import place
+from sgmethod.rd.plan import planned
+from sgmethod.rd.request import Plan, State
+from sgmethod.scene import Gaussians
+from sgmethod.settings.rd import EFFORTS, RD, RdSettings, hurried, sized
+from tests.harness.data import PHOTOGRAPHS
+from tests.rd.short import SlowClock, requested, short, stage_of
+
+CROP = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[24:72, 40:104])
+NOISE = np.random.default_rng(0).integers(0, 256, (128, 160, 3), np.uint8)
+PIXEL_S = 1e-6
+
+
+def of_effort(effort: int) -> RdSettings:
+    return replace(RD, effort=EFFORTS[effort])
+
+
+@pytest.mark.parametrize("budget", [Budget("bytes", 400), Budget("psnr", 24), Budget("quality", 50)])
+def test_a_time_limit_shortens_the_schedule(budget: Budget, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(codec, "Clock", SlowClock)
+    limited = partial(encode, CROP, budget, settings=short(240))
+    encoded = limited(time_limit_s=2.0)
+    assert decode(encoded.data).shape == CROP.shape
+    assert 40 < encoded.stats.steps < 120
+    assert encoded.stats.seconds < 2.1
+    if budget.kind == "bytes":
+        assert 0.9 * 400 <= len(encoded.data) <= 400
+    assert limited(time_limit_s=1e-9).stats.steps < 3
+
+    steps: list[int] = []
+    stopped = limited(on_progress=lambda point: steps.append(point.step), stop=lambda: max(steps, default=0) >= 40)
+    assert decode(stopped.data).shape == CROP.shape
+    assert 42 < stopped.stats.steps < 70
+    if budget.kind == "bytes":
+        assert 0.8 * 400 <= len(stopped.data) <= 400
+
+
+class WorkClock(Clock):
+    """On which time goes by with work alone."""
+
+    now = 0.0
+
+    def seconds(self) -> float:
+        """As Clock.seconds."""
+        return self.now
+
+
+class Timed(Kernels):
+    """Kernels whose gradients take PIXEL_S for each pixel, and any_s for any picture."""
+
+    def __init__(self, clock: WorkClock, any_s: float) -> None:
+        self._clock, self._any_s = clock, any_s
+
+    def gradients(
+        self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
+    ) -> tuple[float, Gaussians]:
+        """As Kernels.gradients."""
+        self._clock.now += self._any_s + PIXEL_S * frame.height * frame.width
+        return super().gradients(gaussians, frame, target, visibility)
+
+
+def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
+    """For 160 x 128 pixels, where so many seconds are left to fit once gradients are timed; and a first state."""
+    clock = WorkClock()
+    spent_s = 3 * (any_s + PIXEL_S * NOISE[..., 0].size)
+    reserve_s = 1 - Deadline(clock, 1.0).left_s()
+    deadline = Deadline(clock, (seconds + spent_s) / RD.deadline.fit_share + reserve_s)
+    request = requested(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s))
+    pyramid = Pyramid.of(request.level(), RD.pyramid)
+    gaussians = place(request, pyramid)
+    clock.now = 0.0
+    plan = planned(request, pyramid, gaussians)
+    target = request.objective.moving_target(plan.whole.target)
+    return plan, State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+
+
+def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
+    (short_of_time, state), (unhurried, _) = (plan_for(seconds) for seconds in (0.0, math.inf))
+    assert unhurried.settings == RD
+    assert short_of_time.settings.effort == EFFORTS[1]
+    assert short_of_time.settings.densify.most == RD.deadline.most_hurried
+    assert (short_of_time.pyramid.finest.frame.width, unhurried.pyramid.finest.frame.width) == (20, 160)
+    stage = stage_of(short_of_time, 100, at=EFFORTS[1].times.growth_at[0])
+    assert level_for(short_of_time, state, stage, 1000) is short_of_time.pyramid.finest
+    grown = fit(short_of_time, densify(short_of_time, state, stage), stage)
+    added = grown.gaussians.means  # found in the small picture, but in pixels of the whole
+    assert len(added) > len(state.gaussians)
+    assert added[:, 0].max() > 80
+    assert added[:, 1].max() > 64
+    assert grown.gaussians.factors[:, 0::2].min() >= 8 * RD.fit.optimiser.min_scale_px
+
+
+def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time() -> None:
+    whole_s = PIXEL_S * NOISE[..., 0].size
+    least, _ = plan_for(0.0)
+    steps = least.lengths[0]
+    for in_time, halvings in ((1.1, 0), (0.3, 1), (0.1, 2), (0.01, 3)):
+        plan, _ = plan_for(in_time * steps * whole_s)
+        assert plan.pyramid.finest is plan.pyramid.levels[halvings]
+    for part, halvings in ((1.0, 0), (0.1, 2)):  # of what all pixels take, for any picture
+        plan, _ = plan_for(0.0, part * whole_s)
+        assert plan.pyramid.finest is plan.pyramid.levels[halvings]
+
+
+def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
+    """Where preparing it took long, as for a large picture: a third of that time."""
+    steps = []
+    for prepared_s in (0.0, 6.0):
+        clock = SlowClock()
+        deadline = Deadline(clock, 1e-9)
+        clock.now += prepared_s
+        steps.append(sum(1 for pace in deadline.runs([1000, 400]) for _ in pace.until(1.0)))
+    assert steps[0] < 3
+    assert steps[1] == pytest.approx(200, abs=3)  # looks at the clock, one for each step
+
+
+@pytest.mark.parametrize("pixels", [400_000, 8_000_000])
+def test_a_time_limit_too_short_for_an_effort_takes_a_lower_one(pixels: int) -> None:
+    one, two, three, five = (sized(of_effort(effort), pixels) for effort in (1, 2, 3, 5))
+    all_steps = five.effort.steps
+    assert [hurried(five, pixels, steps) for steps in (math.inf, all_steps, all_steps - 1)] == [five, five, three]
+    assert [hurried(five, pixels, one.effort.steps - 1) for one in (three, two)] == [two, one]
+    assert hurried(two, pixels, three.effort.steps) == two
+    with_few = replace(one, densify=replace(one.densify, most=RD.deadline.most_hurried))
+    assert [hurried(fit, pixels, one.effort.steps - 1) for fit in (five, one)] == [with_few, with_few]
+
+
+def test_large_pictures_are_spared_steps() -> None:
+    small, *others, large = (sized(RD, pixels) for pixels in (400_000, 2_000_000, 4_000_000, 8_000_000))
+    assert small == RD
+    assert large == sized(RD, 50_000_000)
+    found = [(one.effort.steps, -one.effort.times.halved_until) for one in (small, *others, large)]
+    assert sorted(found, reverse=True) == found
+    assert len(set(found)) == 4
+    quick = of_effort(1)
+    assert sized(quick, 8_000_000).effort.times == quick.effort.times  # which see small pictures for longer as it is
