@@ -119,6 +119,11 @@ class Deadline:
         return min(share * self._end_s, stopped_s + share * winding_down_s)
 
 
+def cosine(final_rate: float, progress: float) -> float:
+    """The rate of a schedule: along a cosine from 1 to the final one."""
+    return final_rate + (1 - final_rate) * 0.5 * (1 + math.cos(math.pi * progress))
+
+
 class Pace:
     """Progress through one run of the schedule, 0 to 1: by steps or by time, whichever is further, so that a time limit
     shortens the schedule instead of cutting it off."""

@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Target, Visibility
+from sgmethod.bitstream.stream import Stream
 from sgmethod.bitstream.texture import Codes
+from sgmethod.decoder import draw_whole
 from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
 from sgmethod.fitting.moving_target import AheadOfCoarseError, BeyondBlackAndWhite, MovingTarget
@@ -76,10 +78,11 @@ class Objective:
         """Grain to hide from the fit, given its residual now."""
         return texture.grain(self.pixels, residual, self.settings.texture)
 
-    def texture(self, drawn: Pixels) -> Codes | None:
-        """Texture to go with decoded Gaussians [H, W, 3]; None for none."""
+    def texture(self, stream: Stream) -> Codes | None:
+        """Texture to go with a coded picture that has none; None for none."""
         if not self.for_eye:
             return None
+        drawn = draw_whole(stream)
         if self.shown is not None:  # no texture where alpha hides it
             drawn = np.where(self.shown.values[..., None] > 0, drawn, self.pixels)
         return texture.estimate(self.pixels, drawn, self.settings.texture)

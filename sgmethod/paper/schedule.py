@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sgmethod.fitting.deadline import Deadline
+from sgmethod.fitting.deadline import Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
 
 PERFECT_MSE = 1e-7  # 70 dB: a tenth of what rounding to 8 bits leaves
@@ -33,8 +33,7 @@ class Schedule:
         best, best_at = math.inf, 0.0
         pace = deadline.pace(self.steps)
         for progress in pace.until(1.0):
-            rate = self.final_rate + (1 - self.final_rate) * 0.5 * (1 + math.cos(math.pi * progress))
-            mse, gaussians, size = step(rate)
+            mse, gaussians, size = step(cosine(self.final_rate, progress))
             recorder.report(self.phase, pace.done + 1, self.steps, mse, gaussians, size)
             if mse < best * 10 ** (-PROGRESS_DB / 10):
                 best, best_at = mse, progress

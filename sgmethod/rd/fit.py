@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
+from sgmethod.backend.protocol import Moments
+from sgmethod.fitting.deadline import cosine
 from sgmethod.fitting.level import Level
 from sgmethod.rd.rate_control import error_per_bit
 from sgmethod.rd.request import Plan, Stage, State
-from sgmethod.settings.rd import FitSettings
+from sgmethod.scene import Gaussians
 
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
@@ -27,14 +28,10 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         if level.frame.spacing == 1 and state.target.is_due(steps, stage.has_grown):
             state.target.follow(plan.whole.missing(gaussians))
             level = replace(level, target=state.target.now)
-        _, gradient = level.gradients(gaussians)
-        weight = price / plan.whole.values
-        request.backend.add_rate_gradient(gaussians, gradient, state.quantum, weight)
-        rate = _rate(s, progress)
-        request.backend.step(gaussians, gradient, moments, s.optimiser, rate, plan.whole.values)
-        request.backend.keep_in_range(gaussians, plan.whole.frame.width, plan.whole.frame.height)
+        rate = cosine(s.optimiser.final_rate, progress)
+        take_step(plan, level, gaussians, moments, rate, state.quantum, price)
         steps += 1
-        request.recorder.report("joint", steps, sum(plan.lengths), decoded_error, size, state.size)
+        request.recorder.report("joint", steps, plan.all_steps(steps), decoded_error, size, state.size)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 
@@ -54,7 +51,12 @@ def _hide_grain(plan: Plan, state: State, stage: Stage) -> None:
         state.target.follow(missing)
 
 
-def _rate(settings: FitSettings, progress: float) -> float:
-    """A cosine from 1 to the final rate."""
-    final = settings.optimiser.final_rate
-    return final + (1 - final) * 0.5 * (1 + math.cos(math.pi * progress))
+def take_step(
+    plan: Plan, level: Level, gaussians: Gaussians, moments: Moments, rate: float, quantum: float, price: float
+) -> None:
+    """Move Gaussians, in place, by one step on a level. price: squared error of the whole picture that a bit costs."""
+    whole, backend = plan.whole, plan.request.backend
+    _, gradient = level.gradients(gaussians)
+    backend.add_rate_gradient(gaussians, gradient, quantum, price / whole.values)
+    backend.step(gaussians, gradient, moments, plan.settings.fit.optimiser, rate, whole.values)
+    backend.keep_in_range(gaussians, whole.frame.width, whole.frame.height)

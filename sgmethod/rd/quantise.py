@@ -12,6 +12,7 @@ from sgmethod.backend.protocol import Moments, RefineLimits, Target
 from sgmethod.bitstream.payload import is_upright, quantum_code, quantum_of
 from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.rd.fit import take_step
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.rd.request import Plan, State
 from sgmethod.scene import Gaussians
@@ -41,16 +42,12 @@ def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, 
 
 def relaxed(plan: Plan, stream: StreamV4, target: Target, held: NDArray[np.bool_]) -> Gaussians:
     """The Gaussians [N] of a coded picture after some steps on what those of them that are held [N] leave of it."""
-    s, backend = plan.settings, plan.request.backend
-    whole = replace(plan.whole, target=target)
+    s, whole = plan.settings.refine, replace(plan.whole, target=target)
     before = stream.gaussians()
     moving, moments = before.copy(), Moments.none(len(before))
-    weight = s.refine.relaxed_weight * error_per_bit(stream.quantum) / whole.values
-    for _ in range(s.refine.relaxed_steps):
-        _, gradient = whole.gradients(moving)
-        backend.add_rate_gradient(moving, gradient, stream.quantum, weight)
-        backend.step(moving, gradient, moments, s.fit.optimiser, s.refine.relaxed_rate, whole.values)
-        backend.keep_in_range(moving, whole.frame.width, whole.frame.height)
+    price = s.relaxed_weight * error_per_bit(stream.quantum)
+    for _ in range(s.relaxed_steps):
+        take_step(plan, whole, moving, moments, s.relaxed_rate, stream.quantum, price)
         for values, held_at in zip(moving.arrays, before.arrays, strict=True):
             values[held] = held_at[held]
     return moving

@@ -104,6 +104,11 @@ class Plan:
         further = 0 if self.request.rate.psnr is None else self.settings.schedule.rounds_for_psnr
         return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
 
+    def all_steps(self, done: int) -> int:
+        """Steps of the encode, as known after those done: rounds for a missed PSNR count once they have begun."""
+        expected = sum(self.lengths[: self.settings.effort.rounds[-1] + 1])
+        return expected if done <= expected else sum(self.lengths)
+
     def times(self, run: int) -> Times:
         """What is due when in a run: the first, 0, or a round."""
         return self.settings.effort.times if run == 0 else self.settings.schedule.round_times

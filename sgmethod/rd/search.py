@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sgmethod.decoder import draw_whole
 from sgmethod.rd.quantise import Room, quantised, relaxed
 from sgmethod.rd.rate_control import Coded, Selection
 from sgmethod.rd.request import Plan, State
@@ -20,7 +19,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     the others has left, and all are refined again: refining alone finds no single change that helps.
     """
     request, selection = plan.request, Selection(plan.request.rate)
-    texture = request.objective.texture(draw_whole(request.stream(state.gaussians, state.quantum)))
+    texture = request.objective.texture(request.stream(state.gaussians, state.quantum))
     if texture is not None and not selection.affords(texture):
         texture = None
     limit, target = selection.payload_limit(texture), state.target.now

@@ -181,6 +181,12 @@ def test_the_trace_counts_all_steps() -> None:
     assert points[-1].step == points[-1].steps == encoded("bytes", 600, 7).stats.steps
 
 
+def test_the_trace_of_a_psnr_that_is_reached_ends_with_all_steps() -> None:
+    """Rounds for a missed PSNR were counted where none were taken: 64 % at the end."""
+    points = [point for point in encode(crop(), Budget("psnr", 25)).trace if point.phase == "joint"]
+    assert points[-1].step == points[-1].steps
+
+
 def test_a_picture_of_one_colour_takes_no_search() -> None:
     least, most = (encode(flat(), Budget("bytes", 600), effort=effort) for effort in (1, 9))
     assert len(least.data) == len(most.data)
