@@ -35,7 +35,7 @@ from sgmethod.rd import encode as rd
 from sgmethod.rd.rate_control import RateControl
 from sgmethod.rd.request import Request
 from sgmethod.settings.paper import PaperSettings
-from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings, sized
+from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
 from sgmethod.settings.shared import Tune
 from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
 
@@ -192,7 +192,6 @@ def _rd(
 ) -> tuple[builtins.bytes, int]:
     """The file of profile rd for pixels [H, W, 3 or 4], and the steps it took."""
     height, width, channels = pixels.shape
-    settings = sized(settings, width * height)
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
     rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
     request = Request(objective, rate, deadline, Kernels(), settings, recorder, seed)

@@ -91,7 +91,8 @@ class Kernels:
         """As Backend.refine."""
         arrays = *gaussians.arrays, target
         last = limits.price, limits.sweeps, limits.seconds, limits.max_bytes, *_seen(visibility)
-        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last)
+        halvings = limits.spacing.bit_length() - 1
+        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last, halvings=halvings)
 
 
 def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_row: int = 0) -> native.Rasterization:

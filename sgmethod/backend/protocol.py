@@ -118,13 +118,14 @@ class Coding:
 
 @dataclass(frozen=True)
 class RefineLimits:
-    """price: squared error, summed over the picture, that a bit must be worth; sweeps: over all Gaussians, at most;
-    seconds: after which no sweep begins; max_bytes: of the payload."""
+    """price: squared error, summed over the target, that a bit must be worth; sweeps: over all Gaussians, at most;
+    seconds: after which no sweep begins; max_bytes: of the payload; spacing: of the target's frame."""
 
     price: float
     sweeps: int
     seconds: float
     max_bytes: int
+    spacing: int = 1
 
 
 class Backend(Protocol):

@@ -160,15 +160,3 @@ def info_of(stream: Coded, gaussians: int, bits: dict[str, int], file_bytes: int
 def is_upright(factors: FloatArray, with_shear: bool) -> bool:
     """Whether a payload is without shear: where no factors [N, 3] have any, unless it is coded all the same."""
     return not with_shear and not bool(factors[:, 1].any())
-
-
-def background_of(pixels: NDArray[np.uint8]) -> tuple[int, int, int]:
-    """The colour of more than half of an image [H, W, 3], such as a page's white, or the mean of all."""
-    number = pixels.shape[0] * pixels.shape[1]
-    counts = [np.bincount(channel.ravel(), minlength=256) for channel in np.moveaxis(pixels, 2, 0)]
-    most = np.array([count.argmax() for count in counts], np.uint8)
-    if min(count.max() for count in counts) > number / 2 and (pixels == most).all(2).sum() > number / 2:
-        red, green, blue = (int(level) for level in most)
-    else:
-        red, green, blue = (round(float(count @ np.arange(256) / number)) for count in counts)
-    return red, green, blue

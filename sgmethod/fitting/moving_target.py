@@ -48,9 +48,10 @@ class AheadOfCoarseError(MovingTarget):
 
     hides = False
 
-    def __init__(self, target: Target, settings: MovingTargetSettings) -> None:
+    def __init__(self, target: Target, shrink: int, settings: MovingTargetSettings) -> None:
+        """shrink: coarse errors are means over squares of this side, in samples of the target."""
         super().__init__(target)
-        self._settings = settings
+        self._settings, self._shrink = settings, shrink
         self._grain: Target | None = None
         self._by: FloatArray | None = None  # at a fraction of the size
 
@@ -64,10 +65,10 @@ class AheadOfCoarseError(MovingTarget):
 
     def follow(self, error: Rows) -> None:
         """As MovingTarget.follow."""
-        s, (_, height, width) = self._settings, self._original.shape
-        coarse = np.empty((3, -(-height // s.shrink), -(-width // s.shrink)), np.float32)
+        s, shrink, (_, height, width) = self._settings, self._shrink, self._original.shape
+        coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
         for first, end in bands(height, width):
-            here = slice(first // s.shrink, -(-end // s.shrink))
+            here = slice(first // shrink, -(-end // shrink))
             for plane, to in zip(error(first, end), coarse[:, here], strict=True):
                 to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
         np.clip(coarse, -s.furthest, s.furthest, out=coarse)
@@ -89,11 +90,11 @@ class BeyondBlackAndWhite(MovingTarget):
     clamped.
     """
 
-    def __init__(self, target: Target, pixels: NDArray[np.uint8], settings: MovingTargetSettings) -> None:
-        """pixels [H, W, 3]: grey levels, of the target."""
+    def __init__(self, target: Target, background: int, settings: MovingTargetSettings) -> None:
+        """background: the grey level that the target is above."""
         super().__init__(target)
         s = self._settings = settings
-        level = np.ascontiguousarray(pixels[..., 0])
+        level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255).astype(np.uint8)
         ends = [(level == 0).astype(np.float32), (level == 255).astype(np.float32)]
         margin = s.margin + s.of_slope * np.minimum(_slope(level), s.most_slope)
         # From the target to the nearest and the furthest that the picture may be beyond it.

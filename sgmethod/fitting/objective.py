@@ -56,13 +56,15 @@ class Objective:
         """The same for colours [H, W, 3] under alpha [H, W]."""
         return Objective.of(pixels, "visual" if self.for_eye else "psnr", self.settings, alpha)
 
-    def moving_target(self, target: Target) -> MovingTarget:
-        """How the target of the fit moves."""
+    def moving_target(self, target: Target, spacing: int, background: int) -> MovingTarget:
+        """How the target of the fit moves. spacing: of its samples, in pixels; background: the level below it, of
+        alpha."""
         if self.is_alpha:
-            return BeyondBlackAndWhite(target, self.pixels, self.settings.moving)
-        if self.for_eye:
-            return AheadOfCoarseError(target, self.settings.moving)
-        return MovingTarget(target)
+            return BeyondBlackAndWhite(target, background, self.settings.moving)
+        shrink = self.settings.moving.shrink // spacing
+        if self.for_eye and shrink > 1:
+            return AheadOfCoarseError(target, shrink, self.settings.moving)
+        return MovingTarget(target)  # where all errors are coarse, they count alike
 
     def hidden_by(self, effort: Effort) -> int:
         """Coarser sizes whose gains hide a place of growth: few where the target moves, which leaves coarse errors."""

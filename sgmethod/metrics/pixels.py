@@ -1,7 +1,7 @@
 """How close two pictures are: PSNR and MS-SSIM.
 
 Both take two arrays of the same shape and type, uint8 in [0, 255] or floating point in [0, 1], and raise
-ValueError otherwise. Both compute in float64 on the scale [0, 1].
+ValueError otherwise. Sums are in float64; windows of MS-SSIM are in float32, which moves it by less than 1e-6.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from sgmethod.threads import in_parallel
 
 Pixels = npt.NDArray[np.uint8] | npt.NDArray[np.floating[Any]]
+Plane = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
 # Wang, Simoncelli and Bovik, "Multi-scale structural similarity for image quality assessment", 2003:
@@ -60,18 +61,13 @@ def ms_ssim(a: Pixels, b: Pixels) -> float | None:
     if min(a.shape[:2]) < MIN_SIDE:
         return None
 
-    return float(np.mean([_ms_ssim(a[:, :, k], b[:, :, k], peak) for k in range(a.shape[2])]))
-
-
-def _ms_ssim(x: Pixels, y: Pixels, peak: int) -> float:
-    """Of one channel [H, W]."""
-    product = 1.0
+    of_channels = np.ones(a.shape[2])
     for scale, weight in enumerate(SCALE_WEIGHTS, start=1):
         last = scale == len(SCALE_WEIGHTS)
-        product *= max(_ssim(x, y, peak, last), 0.0) ** weight
+        of_channels *= np.maximum(_ssim(a, b, peak, last), 0) ** weight
         if not last:
-            x, y, peak = _halve(x, peak), _halve(y, peak), 1
-    return product
+            a, b, peak = _halve(a, peak), _halve(b, peak), 1
+    return float(of_channels.mean())
 
 
 def _peak(a: Pixels, b: Pixels) -> int:
@@ -84,22 +80,22 @@ def _peak(a: Pixels, b: Pixels) -> int:
     return 255 if a.dtype == np.uint8 else 1
 
 
-def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> float:
-    """The mean of the SSIM map, or of its contrast-structure part alone. In bands of rows: float64 copies of whole
-    planes would take more memory than an encode, and several times the time."""
-    height, width = (side - WINDOW_SIZE + 1 for side in x.shape)
+def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> Float64Array:
+    """[C]: the mean of the SSIM map, or of its contrast-structure part alone. In bands of rows, which stay in the cache."""
+    height, width = (side - WINDOW_SIZE + 1 for side in x.shape[:2])
     rows = max(BAND // width, 1)
 
-    def of_band(start: int) -> float:
+    def of_band(start: int) -> Float64Array:
         band = slice(start, min(start + rows, height) + WINDOW_SIZE - 1)
-        in_band = (np.divide(plane[band], peak, dtype=np.float64) for plane in (x, y))
+        in_band = (np.multiply(plane[band], np.float32(1 / peak), dtype=np.float32) for plane in (x, y))
         return _ssim_sum(*in_band, whole=whole)
 
-    return math.fsum(in_parallel(of_band, range(0, height, rows))) / float(width * height)
+    sums: Float64Array = np.sum(in_parallel(of_band, range(0, height, rows)), axis=0)
+    return sums / (width * height)
 
 
-def _ssim_sum(x: Float64Array, y: Float64Array, *, whole: bool) -> float:
-    """The sum of the SSIM map, or of its contrast-structure part. In place where it can be."""
+def _ssim_sum(x: Plane, y: Plane, *, whole: bool) -> Float64Array:
+    """[C]: the sum of the SSIM map, or of its contrast-structure part. In place where it can be."""
     mean_x, mean_y = _window(x), _window(y)
     mean_xy = mean_x * mean_y
     energy = np.square(mean_x, out=mean_x)
@@ -107,40 +103,47 @@ def _ssim_sum(x: Float64Array, y: Float64Array, *, whole: bool) -> float:
     # The two variances are only ever added, so four filters do instead of five.
     contrast = _window(x * y)
     contrast -= mean_xy
-    contrast *= 2
-    contrast += C2
+    contrast *= np.float32(2)
+    contrast += np.float32(C2)
     variances = _window(x * x + y * y)
     variances -= energy
-    variances += C2
+    variances += np.float32(C2)
     contrast /= variances
     if not whole:
-        return float(contrast.sum())
-    luminance = np.multiply(mean_xy, 2, out=mean_xy)
-    luminance += C1
-    energy += C1
+        return np.asarray(contrast.sum(0, np.float64).sum(0))
+    luminance = np.multiply(mean_xy, np.float32(2), out=mean_xy)
+    luminance += np.float32(C1)
+    energy += np.float32(C1)
     luminance /= energy
     luminance *= contrast
-    return float(luminance.sum())
+    return np.asarray(luminance.sum(0, np.float64).sum(0))
 
 
-def _window(x: Float64Array) -> Float64Array:
-    """Gaussian-weighted means over all windows inside x: [H, W] -> [H - 10, W - 10]."""
+def _window(x: Plane) -> Plane:
+    """Gaussian-weighted means over all windows inside x: [H, W, C] -> [H - 10, W - 10, C]."""
     import cv2  # belongs to the extra "encode"; psnr does without
 
     offsets = np.arange(WINDOW_SIZE) - WINDOW_SIZE // 2
     weights = np.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
     weights /= weights.sum()
     margin = WINDOW_SIZE // 2
-    filtered = np.asarray(cv2.sepFilter2D(x, cv2.CV_64F, weights, weights), dtype=np.float64)
+    filtered = np.asarray(cv2.sepFilter2D(x, cv2.CV_32F, weights, weights), np.float32).reshape(x.shape)
     return filtered[margin:-margin, margin:-margin]
 
 
-def _halve(x: Pixels, peak: int) -> Float64Array:
+def _halve(x: Pixels, peak: int) -> Plane:
     """Means over 2 x 2 pixels, after a row or column of zeros in front where a side is odd; peak becomes 1."""
-    height, width = x.shape
-    even: npt.NDArray[Any] = np.pad(x, ((height % 2, 0), (width % 2, 0))) if height % 2 or width % 2 else x
-    sums: Float64Array = np.add(even[0::2, 0::2], even[1::2, 0::2], dtype=np.float64)
-    sums += even[0::2, 1::2]
-    sums += even[1::2, 1::2]
-    sums /= 4 * peak
-    return sums
+    import cv2
+
+    height, width, channels = x.shape
+    even: npt.NDArray[Any] = np.pad(x, ((height % 2, 0), (width % 2, 0), (0, 0))) if height % 2 or width % 2 else x
+    half = np.empty((len(even) // 2, even.shape[1] // 2, channels), np.float32)
+    rows = max(BAND // width, 1)
+
+    def halve_band(start: int) -> None:
+        band = np.multiply(even[2 * start : 2 * (start + rows)], np.float32(1 / peak), dtype=np.float32)
+        here = half[start : start + rows]
+        here[...] = cv2.resize(band, (here.shape[1], len(here)), interpolation=cv2.INTER_AREA).reshape(here.shape)
+
+    in_parallel(halve_band, range(0, len(half), rows))
+    return half

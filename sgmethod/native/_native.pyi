@@ -213,6 +213,7 @@ def rd_refine(
     max_bytes: int,
     visibility: NDArray[np.int16] | None = None,
     by_eye: bool = True,
+    halvings: int = 0,
 ) -> bytes:
     """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h).
     visibility, by_eye: as in squared_error()."""

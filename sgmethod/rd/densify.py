@@ -61,13 +61,13 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     saturated = price if len(new) < min(room, s.saturated * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
-    if plan.whole.values > MANY_VALUES:
+    if plan.request.samples > MANY_VALUES:
         release_memory()
     gaussians = state.gaussians.with_more(new)
     size = state.size * len(gaussians) // max(n, 1)
     moments = state.moments.with_more(len(new))
     grown = replace(state, gaussians=gaussians, moments=moments, size=size, saturated_price=saturated)
-    return grown.rows(_by_place(gaussians, plan.whole.frame.width))
+    return grown.rows(_by_place(gaussians, plan.request.size[0]))
 
 
 def _found(plan: Plan, state: State, level: Level, most: int, least_gain: float) -> Gaussians:

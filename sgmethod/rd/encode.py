@@ -15,7 +15,6 @@ composed in alpha.py.
 
 from __future__ import annotations
 
-from sgmethod.backend.protocol import Moments
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.level import Pyramid
 from sgmethod.rd.densify import densify, prune, settle
@@ -23,7 +22,7 @@ from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import planned
 from sgmethod.rd.rate_control import Coded, Selection
-from sgmethod.rd.request import Request, State, stages
+from sgmethod.rd.request import Request, stages
 from sgmethod.rd.search import search
 from sgmethod.rd.steer import steer
 from sgmethod.scene import Gaussians
@@ -33,11 +32,10 @@ def encode(request: Request) -> tuple[StreamV4, int]:
     """The coded picture of a request, and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
-    pyramid = Pyramid.of(request.level(), request.settings.pyramid)
+    pyramid = Pyramid.of(request.level(), request.settings.pyramid).for_file(request.rate.expected_gaussians())
     gaussians = place(request, pyramid)
     plan = planned(request, pyramid, gaussians)
-    target = request.objective.moving_target(plan.whole.target)
-    state = State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+    state = plan.begin(gaussians)
     selection, rounds = Selection(request.rate), plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds
     for number, pace in enumerate(request.deadline.runs(plan.lengths)):

@@ -21,12 +21,12 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
 
     def decoded_error() -> float:
         rounded = request.backend.rounded(gaussians, request.coding(state.quantum))
-        return request.backend.error(rounded, plan.whole.frame, plan.whole.target, request.objective.shown)
+        return error_of(plan, rounded)
 
     for progress in stage.pace.until(stage.until):
         level = level_for(plan, state, stage, size)
-        if level.frame.spacing == 1 and state.target.is_due(steps, stage.has_grown):
-            state.target.follow(plan.whole.missing(gaussians))
+        if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
+            state.target.follow(plan.finest.missing(gaussians))
             level = replace(level, target=state.target.now)
         rate = cosine(s.optimiser.final_rate, progress)
         take_step(plan, level, gaussians, moments, rate, state.quantum, price)
@@ -35,18 +35,29 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 
+def error_of(plan: Plan, gaussians: Gaussians) -> float:
+    """The mean squared error of the whole picture, what its finest level cannot show included."""
+    finest, shown = plan.finest, plan.request.objective.shown
+    if shown is not None and finest.frame.spacing > 1:
+        shown = finest.visibility
+    return plan.request.backend.error(gaussians, finest.frame, finest.target, shown)
+
+
 def level_for(plan: Plan, state: State, stage: Stage, gaussians: int) -> Level:
     """The picture that this many Gaussians are fitted to now: the coarsest that will do, the finest in the end."""
-    few = stage.pace.progress < stage.times.halved_until
-    level = plan.pyramid.smallest(gaussians) if few else plan.pyramid.finest
-    return replace(level, target=state.target.now) if level.frame.spacing == 1 else level
+    progress, times, s = stage.pace.progress, stage.times, plan.settings.pyramid
+    if progress >= times.many_from:
+        level = plan.finest
+    else:
+        level = plan.pyramid.coarsest(gaussians * (s.pixels_while_few if progress < times.few_until else s.pixels_per_gaussian))
+    return replace(level, target=state.target.now) if level.frame == plan.finest.frame else level
 
 
 def _hide_grain(plan: Plan, state: State, stage: Stage) -> None:
     """Take grain off the target, once the fit misses about as much of it as it will in the end."""
-    is_whole = plan.pyramid.finest is plan.whole
+    is_whole = plan.finest.frame.spacing == 1
     if is_whole and stage.at >= stage.times.excess_until and not state.target.hides:
-        missing = plan.whole.missing(state.gaussians)
+        missing = plan.finest.missing(state.gaussians)
         state.target.hide(plan.request.objective.grain(missing))
         state.target.follow(missing)
 
@@ -55,8 +66,8 @@ def take_step(
     plan: Plan, level: Level, gaussians: Gaussians, moments: Moments, rate: float, quantum: float, price: float
 ) -> None:
     """Move Gaussians, in place, by one step on a level. price: squared error of the whole picture that a bit costs."""
-    whole, backend = plan.whole, plan.request.backend
+    request, backend = plan.request, plan.request.backend
     _, gradient = level.gradients(gaussians)
-    backend.add_rate_gradient(gaussians, gradient, quantum, price / whole.values)
-    backend.step(gaussians, gradient, moments, plan.settings.fit.optimiser, rate, whole.values)
-    backend.keep_in_range(gaussians, whole.frame.width, whole.frame.height)
+    backend.add_rate_gradient(gaussians, gradient, quantum, price / request.samples)
+    backend.step(gaussians, gradient, moments, plan.settings.fit.optimiser, rate, request.samples)
+    backend.keep_in_range(gaussians, *request.size)

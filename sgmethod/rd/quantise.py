@@ -12,7 +12,7 @@ from sgmethod.backend.protocol import Moments, RefineLimits, Target
 from sgmethod.bitstream.payload import is_upright, quantum_code, quantum_of
 from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.rd.fit import take_step
+from sgmethod.rd.fit import error_of, take_step
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.rd.request import Plan, State
 from sgmethod.scene import Gaussians
@@ -32,22 +32,23 @@ def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, 
     request, s = plan.request, plan.settings
     quantum = quantum_of(quantum_code(quantum))
     upright = is_upright(gaussians.factors, request.with_shear)
-    price = s.refine.weight * error_per_bit(quantum)
-    limits = RefineLimits(price, s.effort.refine_sweeps, request.deadline.left_s(), room.max_bytes)
+    finest, spacing = plan.finest, plan.finest.frame.spacing
+    price = s.refine.weight * error_per_bit(quantum) / spacing**2
+    limits = RefineLimits(price, s.effort.refine_sweeps, request.deadline.left_s(), room.max_bytes, spacing)
     coding = replace(request.coding(quantum), upright=upright)
-    payload = request.backend.refine(gaussians, coding, target, limits, request.objective.visibility)
+    payload = request.backend.refine(gaussians, coding, target, limits, finest.visibility)
     stream = StreamV4(*request.size, quantum, request.background, request.grey, upright, payload, room.texture)
     return Coded(stream, request.objective)
 
 
 def relaxed(plan: Plan, stream: StreamV4, target: Target, held: NDArray[np.bool_]) -> Gaussians:
     """The Gaussians [N] of a coded picture after some steps on what those of them that are held [N] leave of it."""
-    s, whole = plan.settings.refine, replace(plan.whole, target=target)
+    s, level = plan.settings.refine, replace(plan.finest, target=target)
     before = stream.gaussians()
     moving, moments = before.copy(), Moments.none(len(before))
     price = s.relaxed_weight * error_per_bit(stream.quantum)
     for _ in range(s.relaxed_steps):
-        take_step(plan, whole, moving, moments, s.relaxed_rate, stream.quantum, price)
+        take_step(plan, level, moving, moments, s.relaxed_rate, stream.quantum, price)
         for values, held_at in zip(moving.arrays, before.arrays, strict=True):
             values[held] = held_at[held]
     return moving
@@ -61,6 +62,4 @@ def rounded_psnr(plan: Plan, state: State) -> float:
 
 def exact_psnr(plan: Plan, gaussians: Gaussians) -> float:
     """Of Gaussians as they are, in dB."""
-    whole, objective = plan.whole, plan.request.objective
-    error = plan.request.backend.error(gaussians, whole.frame, whole.target, objective.shown)
-    return -10 * math.log10(max(error, 1e-12))
+    return -10 * math.log10(max(error_of(plan, gaussians), 1e-12))

@@ -102,8 +102,11 @@ class RateControl:
     def for_bytes(self, max_bytes: int) -> RateControl:
         """The same for a budget of bytes, or as many as a file can use."""
         max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.most_bytes * self.pixels)
-        bpp = max(8 * max_bytes / self.pixels, 1e-3)
-        return replace(self, quantum=0.15 * (0.25 / bpp) ** 1.1, max_bytes=max_bytes, psnr=None)
+        bits, s = 8 * max_bytes, self.settings
+        # Of a picture with more pixels than its Gaussians need, reduced to as many. Quanta grow with a picture's side.
+        pixels = min(self.pixels, s.pyramid.pixels_per_gaussian * bits / s.rate.bits_per_gaussian)
+        quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
+        return replace(self, quantum=quantum, max_bytes=max_bytes, psnr=None)
 
     def expected_gaussians(self) -> int:
         """A first guess of how many Gaussians there will be."""

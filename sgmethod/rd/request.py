@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Backend, Coding, Frame, Moments
-from sgmethod.bitstream.payload import background_of
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.deadline import Deadline, Pace
-from sgmethod.fitting.level import Level, Pyramid, target_of
+from sgmethod.fitting.level import Level, Pyramid, background_of, target_of
 from sgmethod.fitting.moving_target import MovingTarget
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
@@ -28,7 +27,8 @@ Pixels = NDArray[np.uint8]
 class Request:
     """One picture to encode, without alpha: everything that its pipeline needs to know.
 
-    with_shear: shear is coded even where no Gaussian has any, as an alpha part has no flag that says so.
+    with_shear: shear is coded even where no Gaussian has any, as an alpha part has no flag that says so; spread: of
+    the levels of a channel, at most.
     """
 
     objective: Objective
@@ -41,12 +41,16 @@ class Request:
     with_shear: bool = False
     background: tuple[int, int, int] = field(init=False)
     grey: bool = field(init=False)
+    spread: int = field(init=False)
 
     def __post_init__(self) -> None:
         pixels, background = self.pixels, background_of(self.pixels)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
+        rows = pixels.reshape(len(pixels), -1)
+        lowest, highest = (of_columns.reshape(-1, 3).astype(int) for of_columns in (rows.min(0), rows.max(0)))
         object.__setattr__(self, "background", background)
         object.__setattr__(self, "grey", grey)
+        object.__setattr__(self, "spread", (highest.max(0) - lowest.min(0)).max())
 
     @property
     def pixels(self) -> Pixels:
@@ -59,15 +63,19 @@ class Request:
         return self.pixels.shape[1], self.pixels.shape[0]
 
     @property
+    def samples(self) -> int:
+        """Of the picture, whose mean squared error is minimised."""
+        return self.pixels.size
+
+    @property
     def is_one_colour(self) -> bool:
         """Whether the picture is its background, and needs no Gaussian."""
-        return bool((self.pixels == self.pixels[0, 0]).all())
+        return self.spread == 0
 
     @property
     def is_nearly_flat(self) -> bool:
         """Whether rounding to 8 bits may be all that the background misses."""
-        lowest, highest = self.pixels.min((0, 1)).astype(int), self.pixels.max((0, 1))
-        return bool((highest - lowest <= 2).all())
+        return self.spread <= 2
 
     def level(self) -> Level:
         """The whole picture, for the fit."""
@@ -92,9 +100,9 @@ class Plan:
     pyramid: Pyramid
 
     @property
-    def whole(self) -> Level:
-        """The picture at its own size."""
-        return self.pyramid.whole
+    def finest(self) -> Level:
+        """The picture that the file can show."""
+        return self.pyramid.finest
 
     @property
     def lengths(self) -> list[int]:
@@ -109,9 +117,16 @@ class Plan:
         expected = sum(self.lengths[: self.settings.effort.rounds[-1] + 1])
         return expected if done <= expected else sum(self.lengths)
 
+    def begin(self, gaussians: Gaussians) -> State:
+        """The state of the fit before its first step."""
+        request, finest = self.request, self.finest
+        target = request.objective.moving_target(finest.target, finest.frame.spacing, request.background[0])
+        return State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+
     def times(self, run: int) -> Times:
         """What is due when in a run: the first, 0, or a round."""
-        return self.settings.effort.times if run == 0 else self.settings.schedule.round_times
+        times = self.settings.effort.times if run == 0 else self.settings.schedule.round_times
+        return times if run >= self.settings.effort.rounds[-1] else replace(times, many_from=1.0)
 
 
 @dataclass(frozen=True)

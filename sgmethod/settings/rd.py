@@ -33,13 +33,14 @@ class Times:
     excess_from: float = 0.45
     excess_until: float = 0.88
 
-    # While Gaussians are few, a picture of half the size or less serves as well.
-    halved_until: float = 0.6
+    # Until when few pixels do, and from when the last run takes many (PyramidSettings).
+    few_until: float = 0.6
+    many_from: float = 0.85
 
 
 # For a first look: few growths, no surplus, and smaller pictures for longer.
 QUICK = Times(
-    growth_at=(0.03, 0.1, 0.2, 0.32, 0.46, 0.6), trim_at=(0.72, 0.8, 0.88, 0.94, 0.98), excess=0.0, halved_until=0.85
+    growth_at=(0.03, 0.1, 0.2, 0.32, 0.46, 0.6), trim_at=(0.72, 0.8, 0.88, 0.94, 0.98), excess=0.0, few_until=0.85
 )
 
 # Of a round: more Gaussians than can stay are added to a file that is as large as it may be, and those that gain least
@@ -53,7 +54,7 @@ ROUND = Times(
     finer_early=1.35,
     excess_from=0.0,
     excess_until=0.6,
-    halved_until=0.0,
+    few_until=0.0,
 )
 
 
@@ -93,7 +94,7 @@ class ScheduleSettings:
     dense: float = 0.035  # and from which there are `dense_steps` times as many
     large: tuple[float, float] = (1e6, 8e6)  # pixels; between them the next two come into force
     large_steps: float = 0.85  # times the steps for a large picture, whose last steps gain least for their time
-    large_halved_until: float = 0.8  # for a large picture, if later than its times say
+    large_few_until: float = 0.8  # for a large picture, if later than its times say
     round_steps: float = 0.4  # of the first run's
     round_times: Times = ROUND
     rounds_for_psnr: int = 2  # beyond those of the effort, while a PSNR is missed
@@ -103,9 +104,14 @@ class ScheduleSettings:
 class PyramidSettings:
     """Which size of the picture a part of the fit sees."""
 
-    halvings: int = 3
+    halvings: int = 8
     smallest_side: int = 32  # pixels; smaller pictures are not halved
-    pixels_per_gaussian: float = 20.0
+    # Pixels that a Gaussian needs: while there are few, for most steps, and for the last steps and the file's integers.
+    pixels_while_few: float = 20.0
+    pixels_per_gaussian: float = 100.0
+    pixels_in_the_end: float = 400.0
+    # Samples: a narrower Gaussian has another energy at each place between the samples of a smaller picture.
+    narrowest: float = 0.75
     contrast_kept: float = 0.7  # of the picture's variance; a smaller picture that keeps less misses what matters
 
 
@@ -296,8 +302,8 @@ def sized(settings: RdSettings, pixels: int) -> RdSettings:
     s, effort = settings.schedule, settings.effort
     small, large = s.large
     share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
-    later = max(s.large_halved_until - effort.times.halved_until, 0.0)
-    times = replace(effort.times, halved_until=effort.times.halved_until + share * later)
+    later = max(s.large_few_until - effort.times.few_until, 0.0)
+    times = replace(effort.times, few_until=effort.times.few_until + share * later)
     steps = round(effort.steps * (1 - share * (1 - s.large_steps)))
     return replace(settings, effort=replace(effort, steps=steps, times=times))
 

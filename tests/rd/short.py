@@ -76,8 +76,7 @@ def begun(request: Request) -> tuple[Plan, State]:
     pyramid = Pyramid.of(request.level(), request.settings.pyramid)
     gaussians = place(request, pyramid)
     plan = planned(request, pyramid, gaussians)
-    target = request.objective.moving_target(plan.whole.target)
-    return plan, State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+    return plan, plan.begin(gaussians)
 
 
 def stage_of(plan: Plan, steps: int, at: float = 0.0) -> Stage:

@@ -48,11 +48,12 @@ nb::bytes encode(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows
 
 nb::bytes refine(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, Target target, float cutoff,
                  double price, int sweeps, double seconds, uint64_t max_bytes, std::optional<Visibility> visibility,
-                 bool by_eye) {
+                 bool by_eye, int halvings) {
   const int n = gaussians(means, factors, colors);
-  require_size(target, p.width, p.height);
-  const sg::RefineSettings settings{cutoff, price, sweeps, seconds, max_bytes, values_of(visibility, p.width, p.height),
-                                    by_eye ? sg::kSeenByEye : sg::kSeenAlike};
+  const int width = sg::halved(p.width, halvings), height = sg::halved(p.height, halvings);
+  require_size(target, width, height);
+  const sg::RefineSettings settings{cutoff, price, sweeps, seconds, max_bytes, values_of(visibility, width, height),
+                                    by_eye ? sg::kSeenByEye : sg::kSeenAlike, halvings};
   return bytes_of(
       [&] { return sg::rd_refine(p, means.data(), factors.data(), colors.data(), n, target.data(), settings); });
 }
@@ -96,7 +97,7 @@ void bind_rd(nb::module_& m) {
         "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
   m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "cutoff"_a, "price"_a,
-        "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true);
+        "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true, "halvings"_a = 0);
   m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "cutoff"_a, "pyramid"_a, "texture"_a.none() = nb::none());
   m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
 }

@@ -5,6 +5,8 @@
 
 #include "core/isa.h"
 #include "core/platform.h"
+#include "core/scratch.h"
+#include "core/thread_pool.h"
 #include "raster/levels.h"
 
 namespace sg {
@@ -168,6 +170,46 @@ void Gram::apply(int level, Patch& patch) const {
     const float* root = roots_[static_cast<size_t>(level)].row(patch.x_, patch.y_ + row);
     for (int i = 0; i < columns; ++i) product[i] *= root[i];
   }
+}
+
+void Gram::add(int level, Planes& picture, Planes& reduced) const {
+  constexpr int kTaps = Patch::kTaps, kReach = kTaps / 2;
+  constexpr float kDrawn = 16.0f;  // a level is drawn as a sixteenth of its values
+  const Grid& grid = picture.grid(level);
+  const Band &across = across_[static_cast<size_t>(level)], &down = down_[static_cast<size_t>(level)];
+  const size_t width = static_cast<size_t>(grid.width);
+  const auto root_of = [&](int y) { return roots_.empty() ? nullptr : roots_[static_cast<size_t>(level)].row(0, y); };
+  Scratch halves(3 * width * static_cast<size_t>(grid.height));
+  const auto half = [&](int y, int color) { return halves.get() + (static_cast<size_t>(y) * 3 + color) * width; };
+  parallel_for(grid.height, [&](int y) {
+    std::vector<float> row(width + 2 * kReach);  // with zeros at both ends
+    const float* const root = root_of(y);
+    for (int color = 0; color < 3; ++color) {
+      const float* from = picture.at(level, 0, y) + color * picture.stride(level);
+      for (size_t x = 0; x < width; ++x) row[x + kReach] = kDrawn * from[x] * (root == nullptr ? 1.0f : root[x]);
+      const float* const moved[] = {&row[0], &row[1], &row[2], &row[3], &row[4]};
+      const float* const taps[] = {across.at(0, 0), across.at(1, 0), across.at(2, 0), across.at(3, 0), across.at(4, 0)};
+      weighted_sum(moved, taps, half(y, color), grid.width);
+    }
+  });
+  parallel_for(grid.height, [&](int y) {
+    std::vector<float> sum(width);
+    const float* const root = root_of(y);
+    for (int color = 0; color < 3; ++color) {
+      const float* rows[kTaps];
+      float taps[kTaps];
+      for (int k = 0; k < kTaps; ++k) {
+        const int from = y + k - kReach;
+        const bool within = from >= 0 && from < grid.height;
+        rows[k] = half(within ? from : y, color);
+        taps[k] = within ? *down.at(k, y) : 0.0f;
+      }
+      weighted_sum({rows[0], rows[1], rows[2], rows[3], rows[4]}, {taps[0], taps[1], taps[2], taps[3], taps[4]}, sum.data(),
+                   grid.width);
+      float* to = reduced.at(level, 0, y) + color * reduced.stride(level);
+      for (size_t x = 0; x < width; ++x) to[x] += sum[x] * (root == nullptr ? 1.0f : root[x]);
+    }
+  });
 }
 
 void Gram::project(const Patch& patch, int level, Planes& reduced, float* sums) {

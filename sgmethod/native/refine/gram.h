@@ -46,6 +46,8 @@ class Gram {
 
   // Sets the patch's product with U^T U of a level.
   void apply(int level, Patch& patch) const;
+  // reduced += U^T U of a picture on a whole level, drawn by Rasterization::draw_coarse.
+  void add(int level, Planes& picture, Planes& reduced) const;
   // Sums over the level: the patch's weights times the red, green and blue of a reduced residual, and times its own product.
   static void project(const Patch& patch, int level, Planes& reduced, float* sums);
   // reduced += color [3] times the patch's product.

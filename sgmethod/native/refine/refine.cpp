@@ -16,6 +16,7 @@
 #include <atomic>
 #include <chrono>
 #include <cmath>
+#include <cstring>
 #include <memory>
 #include <numeric>
 
@@ -39,18 +40,19 @@ using Clock = std::chrono::steady_clock;
 class Refinement {
  public:
   Refinement(const RdParameters& p, std::vector<Symbols> all, const int16_t* target, const RefineSettings& settings)
-      : target_(target), gram_(grids_of(0, 0, p.width, p.height, kMaxLevel), settings.visibility),
+      : target_(target), width_(halved(p.width, settings.halvings)), height_(halved(p.height, settings.halvings)),
+        gram_(grids_of(0, 0, width_, height_, kMaxLevel), settings.visibility),
         state_{p, settings, exp_minus(settings.cutoff), std::sqrt(2.0f * settings.cutoff), {}, nullptr, gram_, nullptr, {}},
         all_(std::move(all)) {
-    const int64_t strips = (p.width + kTileWidth - 1) / kTileWidth;
-    values_.assign(strips * p.height * 3 * kTileWidth, 0.0f);
-    state_.left = {values_.data(), p.width, p.height};
+    const int64_t width = width_, height = height_, strips = (width + kTileWidth - 1) / kTileWidth;
+    values_.assign(strips * height * 3 * kTileWidth, 0.0f);
+    state_.left = {values_.data(), width_, height_};
     if (settings.visibility == nullptr) return;
-    visibility_.assign(strips * p.height * kTileWidth, 0.0f);
-    for (int64_t y = 0; y < p.height; ++y)
-      for (int64_t x = 0; x < p.width; ++x)
-        visibility_[(x / kTileWidth * p.height + y) * kTileWidth + x % kTileWidth] =
-            static_cast<float>(settings.visibility[y * p.width + x]) / kVisible;
+    visibility_.assign(strips * height * kTileWidth, 0.0f);
+    for (int64_t y = 0; y < height; ++y)
+      for (int64_t x = 0; x < width; ++x)
+        visibility_[(x / kTileWidth * height + y) * kTileWidth + x % kTileWidth] =
+            static_cast<float>(settings.visibility[y * width + x]) / kVisible;
     state_.visibility = visibility_.data();
   }
 
@@ -78,26 +80,54 @@ class Refinement {
 
   // Draws the picture, and sets what it leaves of the target.
   void look() {
-    const size_t n = all_.size();
-    GaussianArrays g{std::vector<float>(2 * n), std::vector<float>(3 * n), std::vector<float>(3 * n)};
-    levels_.resize(n);
-    parallel_each(static_cast<int>(n), kPatience, [&](int64_t i) {
-      const Candidate c = state_.decoded(all_[i]);
-      std::copy_n(c.mean, 2, &g.means[2 * i]);
-      std::copy_n(c.factor, 3, &g.factors[3 * i]);
-      std::copy_n(c.color, 3, &g.colors[3 * i]);
-      levels_[i] = c.level;
-    });
-    const Canvas canvas{0, 0, state_.p.width, state_.p.height, state_.settings.cutoff, true};
-    const Rasterization raster(g.means.data(), g.factors.data(), static_cast<int>(all_.size()), canvas, -1, kMaxPairs);
+    drawn_ = all_;
+    GaussianArrays g;
+    levels_ = decode(all_, g);
+    const Rasterization raster = rasterised(g);
     reduced_.reset();  // before the next: they are a third of a picture
     reduced_ = std::make_unique<Planes>(raster.grids());
     state_.reduced = reduced_.get();
     leave(raster, g.colors.data(), target_, state_.left, *reduced_, state_.settings.visibility);
   }
 
-  // Visits all Gaussians once, level by level from the top, and returns how many have changed. A level's changes reach
-  // the residuals of the others when these are looked at again.
+  // Takes what has changed above a level since look() from the residual there, which is less work than to look again.
+  void follow(int level) {
+    std::vector<Symbols> changed;
+    for (size_t i = 0; i < all_.size(); ++i)
+      if (levels_[i] > level && std::memcmp(&drawn_[i], &all_[i], sizeof all_[i]) != 0) changed.push_back(drawn_[i]);
+    const size_t before = changed.size();
+    for (size_t i = 0; i < all_.size(); ++i)
+      if (levels_[i] > level && std::memcmp(&drawn_[i], &all_[i], sizeof all_[i]) != 0) changed.push_back(all_[i]);
+    GaussianArrays g;
+    decode(changed, g);
+    for (size_t i = 3 * before; i < g.colors.size(); ++i) g.colors[i] = -g.colors[i];
+    const Rasterization raster = rasterised(g);
+    Planes picture(raster.grids(), Planes::Rows::kWhole, level);
+    raster.draw_coarse(g.colors.data(), level, picture);
+    gram_.add(level, picture, *reduced_);
+  }
+
+  // Sets the Gaussians of symbols, in samples of the target, and returns their levels.
+  std::vector<int> decode(const std::vector<Symbols>& symbols, GaussianArrays& g) const {
+    const size_t n = symbols.size();
+    g = {std::vector<float>(2 * n), std::vector<float>(3 * n), std::vector<float>(3 * n)};
+    std::vector<int> levels(n);
+    parallel_each(static_cast<int>(n), kPatience, [&](int64_t i) {
+      const Candidate c = state_.decoded(symbols[i]);
+      std::copy_n(c.place, 2, &g.means[2 * i]);
+      std::copy_n(c.shape, 3, &g.factors[3 * i]);
+      std::copy_n(c.color, 3, &g.colors[3 * i]);
+      levels[i] = c.level;
+    });
+    return levels;
+  }
+
+  Rasterization rasterised(const GaussianArrays& g) const {
+    const Canvas canvas{0, 0, width_, height_, state_.settings.cutoff, true};
+    return Rasterization(g.means.data(), g.factors.data(), static_cast<int>(g.means.size() / 2), canvas, -1, kMaxPairs);
+  }
+
+  // Visits all Gaussians once, level by level from the top, and returns how many have changed.
   size_t visit_everywhere(bool coarse) {
     look();
     std::vector<std::vector<size_t>> waiting(static_cast<size_t>(reduced_->top()) + 1);
@@ -106,10 +136,9 @@ class Refinement {
     for (int level = coarse ? reduced_->top() : 0; level >= 0; --level) {
       std::vector<size_t>& here = waiting[static_cast<size_t>(level)];
       if (here.empty()) continue;
-      size_t changed_here = visit_cells(level, here);
-      changed_here += visit_all(whole(), here);
-      if (changed_here != 0 && level != 0) look();
-      changed += changed_here;
+      if (changed != 0) level == 0 ? look() : follow(level);
+      changed += visit_cells(level, here);
+      changed += visit_all(whole(), here);
     }
     return changed;
   }
@@ -124,8 +153,8 @@ class Refinement {
     std::vector<std::vector<size_t>> cells(static_cast<size_t>(columns) * rows);
     for (const size_t i : waiting) {
       const Candidate c = state_.decoded(all_[i]);
-      const int column = std::clamp(static_cast<int>(c.mean[0] * samples / side), 0, columns - 1);
-      const int row = std::clamp(static_cast<int>(c.mean[1] * samples / side), 0, rows - 1);
+      const int column = std::clamp(static_cast<int>(c.place[0] * samples / side), 0, columns - 1);
+      const int row = std::clamp(static_cast<int>(c.place[1] * samples / side), 0, rows - 1);
       cells[static_cast<size_t>(row) * columns + column].push_back(i);
     }
     std::atomic<size_t> changed{0};
@@ -208,9 +237,11 @@ class Refinement {
   }
 
   const int16_t* target_;
+  const int width_, height_;  // of the target
   const Gram gram_;
   State state_;
   std::vector<Symbols> all_;
+  std::vector<Symbols> drawn_;  // all_, when last looked at
   std::vector<float> values_;  // of state_.left
   std::vector<float> visibility_;  // of state_.visibility
   std::unique_ptr<Planes> reduced_;

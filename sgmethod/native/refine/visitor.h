@@ -43,7 +43,8 @@ struct BitCounter {
 
 struct Candidate {
   Symbols symbols;
-  float mean[2], factor[3], color[3];
+  float mean[2], factor[3], color[3];  // in pixels of the picture
+  float place[2], shape[3];            // mean and factor in samples of the target
   int level;
   double cost;  // less that of no Gaussian at all
 };
@@ -60,10 +61,13 @@ struct State {
   Models models;
 
   Candidate decoded(const Symbols& s) const {
-    Candidate c{s, {}, {}, {}, 0, 0};
+    Candidate c{s, {}, {}, {}, {}, {}, 0, 0};
     if (s.empty()) return c;  // scales of 0 draw nothing
     dequantise(p, s, Geometry(s, Steps(p, s)), c.mean, c.factor, c.color);
-    c.level = level_of(c.factor);
+    const float samples = std::ldexp(1.0f, -settings.halvings);
+    for (int k = 0; k < 2; ++k) c.place[k] = c.mean[k] * samples;
+    for (int k = 0; k < 3; ++k) c.shape[k] = c.factor[k] * samples;
+    c.level = level_of(c.shape);
     return c;
   }
 
@@ -156,8 +160,8 @@ class Visitor {
       Gram::add(patch_, c.level, scaled, *state_.reduced);
       return;
     }
-    const Footprint f = footprint(c.mean, c.factor);
-    const std::vector<Span>& spans = spans_of(f, c.factor, 0);
+    const Footprint f = footprint(c.place, c.shape);
+    const std::vector<Span>& spans = spans_of(f, c.shape, 0);
     fit_kernels(best_isa()).add(f, state_.floor, spans.data(), static_cast<int>(spans.size()), color, state_.left);
   }
 
@@ -171,8 +175,8 @@ class Visitor {
       products[3] *= gain * gain;
       return;
     }
-    const Footprint f = footprint(c.mean, c.factor);
-    const std::vector<Span>& spans = spans_of(f, c.factor, 0);
+    const Footprint f = footprint(c.place, c.shape);
+    const std::vector<Span>& spans = spans_of(f, c.shape, 0);
     fit_kernels(best_isa()).project(f, state_.floor, spans.data(), static_cast<int>(spans.size()), state_.left,
                                     state_.visibility, products);
   }
@@ -193,7 +197,7 @@ class Visitor {
 
   // Sets the patch to a Gaussian of a coarse level. Returns the gain of its colour; 0 if nothing of it is there.
   float draw(const Candidate& c) {
-    const Levelled g(c.mean, c.factor, c.level);
+    const Levelled g(c.place, c.shape, c.level);
     const Footprint f = footprint(g.mean, g.factor);
     const std::vector<Span>& spans = spans_of(f, g.factor, c.level);
     if (spans.empty()) return 0.0f;
