@@ -90,9 +90,10 @@ class Kernels:
     ) -> bytes:
         """As Backend.refine."""
         arrays = *gaussians.arrays, target
-        last = limits.price, limits.sweeps, limits.seconds, limits.max_bytes, *_seen(visibility)
+        seen = _seen(visibility) or (None, False)
+        last = limits.price, limits.sweeps, limits.seconds, limits.max_bytes, *seen
         halvings = limits.spacing.bit_length() - 1
-        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last, halvings=halvings)
+        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last, halvings)
 
 
 def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_row: int = 0) -> native.Rasterization:

@@ -10,9 +10,6 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sgmethod.bitstream.fields import Field, Header
 from sgmethod.bitstream.stream import OVERLAP, PREFIX_BYTES, Info, LaidOut, Limits
 from sgmethod.errors import BitstreamError

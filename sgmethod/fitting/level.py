@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import takewhile
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +21,6 @@ from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import PyramidSettings
 from sgmethod.threads import in_parallel
 
-
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 
 
@@ -28,7 +28,7 @@ def background_of(pixels: NDArray[np.uint8]) -> tuple[int, int, int]:
     """The colour of more than half of an image [H, W, 3], such as a page's white, or the mean of all."""
     number = pixels.shape[0] * pixels.shape[1]
 
-    def counts_of(band: tuple[int, int]) -> list[NDArray[np.float32]]:
+    def counts_of(band: tuple[int, int]) -> list[NDArray[Any]]:
         return [cv2.calcHist([pixels[slice(*band)]], [c], None, [256], [0, 256]).ravel() for c in range(3)]
 
     counts = np.sum(in_parallel(counts_of, bands(*pixels.shape[:2])), axis=0, dtype=np.float64)
@@ -68,11 +68,11 @@ class Level:
         """Of this level."""
         return self.frame.height * self.frame.width
 
-    def halved(self) -> Level:
-        """The level of half the size: the values of the picture at the centres of its pixels.
+    def halved(self, sharpened: bool = False) -> Level:
+        """The level of half the size: means of four.
 
-        A mean of four blurs by a variance of 1/16 of the new pixels. SHARPEN takes that back, or Gaussians fitted to
-        this level would be too wide and too faint for the whole picture.
+        That blurs by a variance of 1/16 of the new pixels. SHARPEN takes it back, as far as the range of the means
+        goes, or Gaussians that end on this level would be too wide and too faint for the whole picture.
         """
         f = self.frame
         frame = replace(f, height=-(-f.height // 2), width=-(-f.width // 2), spacing=2 * f.spacing)
@@ -80,8 +80,11 @@ class Level:
 
         def halve(plane: int) -> None:
             even = cv2.copyMakeBorder(self.target[plane], 0, f.height % 2, 0, f.width % 2, cv2.BORDER_REPLICATE)
-            small = cv2.resize(even, (frame.width, frame.height), interpolation=cv2.INTER_AREA)
-            cv2.filter2D(small, -1, SHARPEN, dst=target[plane], borderType=cv2.BORDER_REPLICATE)
+            small = cv2.resize(even, (frame.width, frame.height), dst=target[plane], interpolation=cv2.INTER_AREA)
+            if sharpened:
+                least, most, *_ = cv2.minMaxLoc(small)
+                sharp = cv2.filter2D(small, -1, SHARPEN, borderType=cv2.BORDER_REPLICATE)
+                np.clip(sharp, int(least), int(most), out=target[plane])
 
         in_parallel(halve, range(3))
         return replace(self, frame=frame, target=target, visibility=self.visibility and self.visibility.halved())
@@ -152,16 +155,16 @@ class Pyramid:
     settings: PyramidSettings
 
     @classmethod
-    def of(cls, whole: Level, settings: PyramidSettings) -> Pyramid:
-        """The pyramid of a whole picture."""
+    def of(cls, whole: Level, settings: PyramidSettings, gaussians: int) -> Pyramid:
+        """The pyramid of a whole picture, without levels that are finer than a file of so many Gaussians can show."""
         levels = [whole]
-        for _ in range(settings.halvings):
-            if min(levels[-1].frame.height, levels[-1].frame.width) < settings.smallest_side:
-                break
-            levels.append(levels[-1].halved())
+        while min(levels[-1].frame.height, levels[-1].frame.width) >= settings.smallest_side:
+            sharpened = levels[-1].pixels >= 4 * settings.pixels_per_gaussian * gaussians
+            levels.append(levels[-1].halved(sharpened))
         least = settings.contrast_kept * _contrast(whole.target)
         detailed = takewhile(lambda level: _contrast(level.target) >= least, levels)
-        return cls(tuple(levels), tuple(detailed), settings)
+        pyramid = cls(tuple(levels), tuple(detailed), settings)
+        return pyramid.from_level(pyramid.coarsest(settings.pixels_in_the_end * gaussians))
 
     @property
     def finest(self) -> Level:
@@ -179,10 +182,6 @@ class Pyramid:
     def coarsest(self, pixels: float) -> Level:
         """The coarsest level with at least so many pixels; the finest if none has."""
         return [self.finest, *(level for level in self.detailed if level.pixels >= pixels)][-1]
-
-    def for_file(self, gaussians: int) -> Pyramid:
-        """The same, without levels that are finer than a file of this many Gaussians can show."""
-        return self.from_level(self.coarsest(self.settings.pixels_in_the_end * gaussians))
 
 
 def _contrast(target: Target) -> float:

@@ -94,7 +94,9 @@ class BeyondBlackAndWhite(MovingTarget):
         """background: the grey level that the target is above."""
         super().__init__(target)
         s = self._settings = settings
-        level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255).astype(np.uint8)
+        level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255).astype(
+            np.uint8
+        )
         ends = [(level == 0).astype(np.float32), (level == 255).astype(np.float32)]
         margin = s.margin + s.of_slope * np.minimum(_slope(level), s.most_slope)
         # From the target to the nearest and the furthest that the picture may be beyond it.

@@ -81,7 +81,7 @@ def _peak(a: Pixels, b: Pixels) -> int:
 
 
 def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> Float64Array:
-    """[C]: the mean of the SSIM map, or of its contrast-structure part alone. In bands of rows, which stay in the cache."""
+    """[C]: the mean of the SSIM map, or of its contrast-structure part alone. By bands, which stay in the cache."""
     height, width = (side - WINDOW_SIZE + 1 for side in x.shape[:2])
     rows = max(BAND // width, 1)
 

@@ -16,7 +16,6 @@ composed in alpha.py.
 from __future__ import annotations
 
 from sgmethod.bitstream.v4 import StreamV4
-from sgmethod.fitting.level import Pyramid
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
@@ -32,7 +31,7 @@ def encode(request: Request) -> tuple[StreamV4, int]:
     """The coded picture of a request, and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
-    pyramid = Pyramid.of(request.level(), request.settings.pyramid).for_file(request.rate.expected_gaussians())
+    pyramid = request.pyramid()
     gaussians = place(request, pyramid)
     plan = planned(request, pyramid, gaussians)
     state = plan.begin(gaussians)

@@ -48,8 +48,10 @@ def level_for(plan: Plan, state: State, stage: Stage, gaussians: int) -> Level:
     progress, times, s = stage.pace.progress, stage.times, plan.settings.pyramid
     if progress >= times.many_from:
         level = plan.finest
+    elif progress >= times.few_until:
+        level = plan.pyramid.coarsest(s.pixels_per_gaussian * max(gaussians, plan.request.rate.expected_gaussians()))
     else:
-        level = plan.pyramid.coarsest(gaussians * (s.pixels_while_few if progress < times.few_until else s.pixels_per_gaussian))
+        level = plan.pyramid.coarsest(s.pixels_while_few * gaussians)
     return replace(level, target=state.target.now) if level.frame == plan.finest.frame else level
 
 

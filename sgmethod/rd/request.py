@@ -77,10 +77,11 @@ class Request:
         """Whether rounding to 8 bits may be all that the background misses."""
         return self.spread <= 2
 
-    def level(self) -> Level:
-        """The whole picture, for the fit."""
+    def pyramid(self) -> Pyramid:
+        """The picture in the sizes that its file can show."""
         target = target_of(self.pixels, self.background)
-        return Level(self.backend, Frame(*self.size), target, self.objective.visibility)
+        whole = Level(self.backend, Frame(*self.size), target, self.objective.visibility)
+        return Pyramid.of(whole, self.settings.pyramid, self.rate.expected_gaussians())
 
     def coding(self, quantum: float) -> Coding:
         """How a quantum codes this picture."""

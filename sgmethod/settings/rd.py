@@ -104,7 +104,6 @@ class ScheduleSettings:
 class PyramidSettings:
     """Which size of the picture a part of the fit sees."""
 
-    halvings: int = 8
     smallest_side: int = 32  # pixels; smaller pictures are not halved
     # Pixels that a Gaussian needs: while there are few, for most steps, and for the last steps and the file's integers.
     pixels_while_few: float = 20.0

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Backend, Moments
+from sgmethod.backend.protocol import Backend
 from sgmethod.budget import Budget
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.level import Pyramid
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd.place import place
@@ -73,7 +72,7 @@ def requested(
 
 def begun(request: Request) -> tuple[Plan, State]:
     """The plan of a request, and the state before its first step."""
-    pyramid = Pyramid.of(request.level(), request.settings.pyramid)
+    pyramid = request.pyramid()
     gaussians = place(request, pyramid)
     plan = planned(request, pyramid, gaussians)
     return plan, plan.begin(gaussians)

@@ -104,7 +104,7 @@ def test_gaussians_that_are_held_stay(tune: Tune) -> None:
     for before, after in zip(rounded.arrays, moved.arrays, strict=True):
         assert (before[held] == after[held]).all()
         assert (before[~held] != after[~held]).any(1).mean() > 0.9
-    level = replace(plan.whole, target=state.target.now)
+    level = replace(plan.finest, target=state.target.now)
     assert level.gradients(moved)[0] < 0.97 * level.gradients(rounded)[0]
 
 

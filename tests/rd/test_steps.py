@@ -36,8 +36,9 @@ def test_previews_are_files_that_come_nearer() -> None:
 @pytest.mark.parametrize("halvings", [0, 1])
 def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> None:
     plan, state = begun(requested(CROP, BUDGET, "visual"))
-    plan = replace(plan, pyramid=plan.pyramid.from_level(plan.pyramid.levels[halvings]))
     assert isinstance(state.target, AheadOfCoarseError)
+    plan = replace(plan, pyramid=plan.pyramid.from_level(plan.pyramid.levels[halvings]))
+    state = replace(plan.begin(state.gaussians), quantum=state.quantum)
     fit(plan, state, stage_of(plan, 100, at=0.99))
     assert state.target.hides == (halvings == 0)
 
@@ -57,7 +58,7 @@ def test_the_trace_shows_what_would_be_decoded() -> None:
     shown = 10 ** (-recorder.points[-1].psnr / 10)
     assert shown == pytest.approx(wanted, rel=0.01)  # but for 8 bits and what is clamped
     assert recorder.points[-1].psnr == pytest.approx(rounded_psnr(plan, state), abs=1e-3)
-    assert shown > 1.03 * plan.whole.gradients(state.gaussians)[0]
+    assert shown > 1.03 * plan.finest.gradients(state.gaussians)[0]
 
 
 def test_the_size_grows_with_the_gaussians() -> None:

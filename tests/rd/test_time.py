@@ -11,9 +11,8 @@ import pytest
 
 from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Frame, Moments, Target, Visibility
+from sgmethod.backend.protocol import Frame, Target, Visibility
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.level import Pyramid
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify
 from sgmethod.rd.fit import fit, level_for
@@ -85,12 +84,11 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     reserve_s = 1 - Deadline(clock, 1.0).left_s()
     deadline = Deadline(clock, (seconds + spent_s) / RD.deadline.fit_share + reserve_s)
     request = requested(NOISE, Budget("bytes", 2000), deadline=deadline, backend=Timed(clock, any_s))
-    pyramid = Pyramid.of(request.level(), RD.pyramid)
+    pyramid = request.pyramid()
     gaussians = place(request, pyramid)
     clock.now = 0.0
     plan = planned(request, pyramid, gaussians)
-    target = request.objective.moving_target(plan.whole.target)
-    return plan, State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+    return plan, plan.begin(gaussians)
 
 
 def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
@@ -100,7 +98,7 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     assert short_of_time.settings.densify.most == RD.deadline.most_hurried
     assert (short_of_time.pyramid.finest.frame.width, unhurried.pyramid.finest.frame.width) == (20, 160)
     stage = stage_of(short_of_time, 100, at=EFFORTS[1].times.growth_at[0])
-    assert level_for(short_of_time, state, stage, 1000) is short_of_time.pyramid.finest
+    assert level_for(short_of_time, state, stage, 1000).frame == short_of_time.finest.frame
     grown = fit(short_of_time, densify(short_of_time, state, stage), stage)
     added = grown.gaussians.means  # found in the small picture, but in pixels of the whole
     assert len(added) > len(state.gaussians)
@@ -115,10 +113,10 @@ def test_a_smaller_picture_is_fitted_only_as_far_as_it_saves_time() -> None:
     steps = least.lengths[0]
     for in_time, halvings in ((1.1, 0), (0.3, 1), (0.1, 2), (0.01, 3)):
         plan, _ = plan_for(in_time * steps * whole_s)
-        assert plan.pyramid.finest is plan.pyramid.levels[halvings]
+        assert plan.finest.frame.spacing == 1 << halvings
     for part, halvings in ((1.0, 0), (0.1, 2)):  # of what all pixels take, for any picture
         plan, _ = plan_for(0.0, part * whole_s)
-        assert plan.pyramid.finest is plan.pyramid.levels[halvings]
+        assert plan.finest.frame.spacing == 1 << halvings
 
 
 def test_a_fit_that_is_late_takes_some_steps_all_the_same() -> None:
@@ -148,7 +146,7 @@ def test_large_pictures_are_spared_steps() -> None:
     small, *others, large = (sized(RD, pixels) for pixels in (400_000, 2_000_000, 4_000_000, 8_000_000))
     assert small == RD
     assert large == sized(RD, 50_000_000)
-    found = [(one.effort.steps, -one.effort.times.halved_until) for one in (small, *others, large)]
+    found = [(one.effort.steps, -one.effort.times.few_until) for one in (small, *others, large)]
     assert sorted(found, reverse=True) == found
     assert len(set(found)) == 4
     quick = of_effort(1)
