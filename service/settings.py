@@ -201,7 +201,7 @@ class Settings(BaseSettings):
     def _keys_can_be_read(self) -> Settings:
         _ = self.key_names
         if 0 < len(self.link_secret.get_secret_value()) < MIN_SECRET_LENGTH:
-            raise ValueError(f"SG_LINK_SECRET must have {MIN_SECRET_LENGTH} characters or more")
+            raise ValueError(f"SG_LINK_SECRET must have at least {MIN_SECRET_LENGTH} characters")
         return self
 
     @model_validator(mode="after")
@@ -222,7 +222,7 @@ class Settings(BaseSettings):
     @model_validator(mode="after")
     def _limit_before_timeout(self) -> Settings:
         if self.max_time_limit_s >= self.job_timeout_s:
-            raise ValueError("SG_MAX_TIME_LIMIT_S must be less than SG_JOB_TIMEOUT_S, or no encode could use it")
+            raise ValueError("SG_MAX_TIME_LIMIT_S must be less than SG_JOB_TIMEOUT_S")
         return self
 
     @cached_property
@@ -239,10 +239,10 @@ class Settings(BaseSettings):
             except OSError as error:
                 raise ValueError(f"SG_API_KEYS_FILE cannot be read: {error.strerror}") from error
             except UnicodeDecodeError as error:
-                raise ValueError("SG_API_KEYS_FILE is no text") from error
+                raise ValueError("SG_API_KEYS_FILE is not a text file") from error
             keys |= _named_keys("SG_API_KEYS_FILE", text)
         if not keys and (self.api_keys or self.api_keys_file):
-            raise ValueError("SG_API_KEYS and SG_API_KEYS_FILE hold no key, which would leave all open")
+            raise ValueError("SG_API_KEYS and SG_API_KEYS_FILE contain no key, which would leave the service open")
         return keys
 
     @property

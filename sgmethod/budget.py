@@ -81,7 +81,7 @@ class Budget:
     def max_gaussians(self, width: int, height: int) -> int:
         """The number of Gaussians asked for. Raises BudgetError if it is more than pixels."""
         if self.value > width * height:
-            raise BudgetError(f"{int(self.value)} Gaussians are more than the image's {width * height} pixels")
+            raise BudgetError(f"{int(self.value)} Gaussians exceed the image's {width * height} pixels")
         return int(self.value)
 
 

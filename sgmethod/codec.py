@@ -73,11 +73,11 @@ class Stats:
         found = []
         if self.psnr_missed_db is not None and self.psnr_missed_db >= SEEN_DB:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
-            found.append(f"the PSNR asked for is missed by {missed}")
+            found.append(f"the requested PSNR is missed by {missed}")
         if self.psnr_missed_db is None and self.gaussians == 0 and math.isfinite(self.psnr):
-            found.append("the file holds no Gaussian, only a background: it may take a larger budget")
+            found.append("the file contains only a background and no Gaussians: try a larger budget")
         if self.source_bytes is not None and self.bytes > self.source_bytes:
-            found.append(f"the file is larger than its source: {self.bytes:,} bytes in place of {self.source_bytes:,}")
+            found.append(f"the file is larger than its source: {self.bytes:,} bytes, source {self.source_bytes:,}")
         return found
 
     def to_dict(self) -> dict[str, object]:
@@ -208,10 +208,10 @@ def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -
     given = [Budget(kind, value) for kind, value in kinds.items() if value is not None]
     if budget is not None:
         if not isinstance(budget, Budget):
-            raise BudgetError(f"a budget must be a sgmethod.Budget, not {type(budget).__name__}: bpp=0.3, for one")
+            raise BudgetError(f"a budget must be a sgmethod.Budget, not {type(budget).__name__}; or use bpp=0.3")
         given.append(budget)
     if len(given) > 1:
-        raise BudgetError(f"one budget is needed, not {len(given)}: {', '.join(one.kind for one in given)}")
+        raise BudgetError(f"give one budget, not {len(given)}: {', '.join(one.kind for one in given)}")
     return given[0] if given else DEFAULT_BUDGET
 
 

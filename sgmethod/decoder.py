@@ -121,7 +121,7 @@ def _bytes_of(file: File) -> bytes:
         return own_path(file, BitstreamError).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
         return bytes(file)
-    raise BitstreamError(f"an .sg file must be given as its path or its bytes, not as {type(file).__name__}")
+    raise BitstreamError(f"an .sg file must be a path or bytes, not {type(file).__name__}")
 
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:

@@ -49,17 +49,17 @@ def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
     if tune is None:
         return "psnr" if psnr_alone else DEFAULT_TUNE
     if tune not in TUNES:
-        raise BudgetError(f"unknown tuning {tune!r}; use one of {', '.join(TUNES)}")
+        raise BudgetError(f"unknown tune {tune!r}; use one of {', '.join(TUNES)}")
     if tune == "visual" and psnr_alone:
         what = "a budget in dB" if budget.kind == "psnr" else f"profile {profile}"
-        raise BudgetError(f"{what} goes with tuning for psnr alone")
+        raise BudgetError(f"{what} can only be tuned for psnr")
     return TUNES[TUNES.index(tune)]
 
 
 def checked_effort(effort: object) -> int:
     """One of EFFORTS. Raises BudgetError for anything else."""
     if isinstance(effort, bool) or not isinstance(effort, Integral) or effort not in EFFORTS:
-        raise BudgetError(f"effort must be one of {min(EFFORTS)} to {max(EFFORTS)}, got {effort!r}")
+        raise BudgetError(f"effort must be a whole number from {min(EFFORTS)} to {max(EFFORTS)}, got {effort!r}")
     return int(effort)
 
 
@@ -70,5 +70,5 @@ def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
     if isinstance(settings, RdSettings):
         return settings if effort == DEFAULT_EFFORT else replace(settings, effort=EFFORTS[effort])
     if effort != DEFAULT_EFFORT:
-        raise BudgetError("an effort goes with profile rd alone")
+        raise BudgetError("only profile rd has an effort")
     return settings

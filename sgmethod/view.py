@@ -42,9 +42,9 @@ class View:
     def __post_init__(self) -> None:
         scale, prefix = own_number(self.scale), own_number(self.prefix)
         if scale is None or not MIN_SCALE <= scale <= MAX_SCALE:
-            raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {self.scale!r}")
+            raise ViewError(f"scale must be between {MIN_SCALE} and {MAX_SCALE:g}, got {self.scale!r}")
         if prefix is None or not 0 < prefix <= 1:
-            raise ViewError(f"the prefix must lie above 0 and at most at 1, got {self.prefix!r}")
+            raise ViewError(f"prefix must be above 0 and at most 1, got {self.prefix!r}")
         own = {"scale": scale, "region": _own_region(self.region), "prefix": prefix, "texture": bool(self.texture)}
         for name, value in own.items():
             object.__setattr__(self, name, value)
@@ -58,7 +58,7 @@ class View:
         """x, y, width, height of the part drawn. Raises ViewError unless it lies within the picture."""
         x, y, w, h = self.region or (0, 0, width, height)
         if x < 0 or y < 0 or w < 1 or h < 1 or x + w > width or y + h > height:
-            raise ViewError(f"the region {x},{y},{w},{h} does not lie within {width} x {height} pixels")
+            raise ViewError(f"the region {x},{y},{w},{h} is not inside the picture of {width} x {height} pixels")
         return x, y, w, h
 
     def size(self, width: int, height: int) -> tuple[int, int]:
@@ -91,7 +91,7 @@ def _own_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | Non
         return None
     numbers = list(region) if isinstance(region, Iterable) else []
     if [isinstance(n, Integral) for n in numbers] != [True] * 4:
-        raise ViewError(f"a region is four whole numbers x, y, width, height, not {region!r}")
+        raise ViewError(f"a region is four whole numbers (x, y, width, height), not {region!r}")
     x, y, width, height = map(int, numbers)
     return x, y, width, height
 

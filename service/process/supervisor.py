@@ -74,7 +74,7 @@ class Supervised:
         try:
             self.process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
-            log.error("%s did not stop in time and is killed", self.name)
+            log.error("%s did not stop in time: killing it", self.name)
             self.process.kill()
             self.process.wait()
 

@@ -33,7 +33,7 @@ def _as_os_errors() -> Iterator[None]:
         yield
     except (BaseError, FileNotFoundError) as error:
         if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in str(error):
-            raise FileNotFoundError(errno.ENOENT, "there is no such object") from error
+            raise FileNotFoundError(errno.ENOENT, "no such object") from error
         first_line = str(error).strip().partition("\n")[0]
         raise OSError(errno.EIO, f"the object store failed: {first_line}") from error
 

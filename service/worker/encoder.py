@@ -40,7 +40,7 @@ NICENESS = 19
 PARENT_GONE = 3
 END_EARLY = signal.SIGUSR1
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
-NO_MEMORY = b"the encode needs more memory than it may have here"
+NO_MEMORY = b"the encode exceeds the memory limit"
 
 
 @dataclass(frozen=True)

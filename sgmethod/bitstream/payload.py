@@ -115,7 +115,7 @@ def read_gaussians(stream: Coded, prefix: float, limits: Limits) -> Gaussians:
     except RuntimeError as error:
         raise BitstreamError(f"the file is damaged: {error}") from error
     except OverflowError as error:
-        raise BitstreamError(f"the file has more Gaussians than the limit of {limits.max_gaussians}") from error
+        raise BitstreamError(f"the file exceeds the limit of {limits.max_gaussians} Gaussians") from error
 
 
 def lay_out(stream: Coded, prefix: float, pyramid: bool, texture: native.Texture | None = None) -> LaidOut:

@@ -25,7 +25,7 @@ class Limits:
     def check_size(self, width: int, height: int) -> None:
         """Raise BitstreamError for a picture of more pixels."""
         if self.max_pixels is not None and width * height > self.max_pixels:
-            raise BitstreamError(f"{width} x {height} pixels are more than the limit of {self.max_pixels}")
+            raise BitstreamError(f"{width} x {height} pixels exceed the limit of {self.max_pixels}")
 
 
 NO_LIMITS = Limits()

@@ -20,7 +20,7 @@ from sgmethod.view import View
 def run_decode(arguments: argparse.Namespace) -> int:
     """sgmethod decode"""
     if arguments.scale is not None and (arguments.width, arguments.height) != (None, None):
-        raise CommandError("--scale goes with neither --width nor --height")
+        raise CommandError("--scale cannot be combined with --width or --height")
     _view(arguments)  # or every picture would be refused
     conversions = naming.decodes(arguments)
     files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
@@ -46,7 +46,7 @@ def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     kind = _kind(conversion.target)
     notes = []
     if pixels.shape[2] == 4 and kind in OPAQUE:
-        notes.append(f"a {kind} has no alpha: its transparency is laid over white")
+        notes.append(f"{kind} has no alpha channel: transparency is composited over white")
     data = encode_picture(pixels, kind)
     files.write(conversion.target, data)
     height, width = pixels.shape[:2]

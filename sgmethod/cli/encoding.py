@@ -105,7 +105,7 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
 
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
     if arguments.seed != 0:
-        raise CommandError("a server takes no --seed")
+        raise CommandError("--seed cannot be combined with --server")
     client = _client(arguments.server, arguments.quiet)
     encoded = client.encode(image, budget, arguments.profile, **_choices(arguments), on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
@@ -117,7 +117,7 @@ def _client(server: str, quiet: bool) -> Client:
     try:
         from sgmethod.client import Client
     except ImportError as error:
-        raise CommandError(f"--server needs another package ({error}): pip install 'sgmethod[client]'") from error
+        raise CommandError(f"--server needs an extra package ({error}): pip install 'sgmethod[client]'") from error
 
     def say(message: str) -> None:
         if not quiet:
@@ -135,7 +135,5 @@ def _load_encoder(profile: str) -> Callable[..., Encoded]:
         if profile != "rd":  # which alone needs no torch
             import_module("sgmethod.paper.encode")
     except ImportError as error:
-        raise CommandError(
-            f"encoding needs packages that decoding does not ({error}); install them: pip install 'sgmethod[encode]'"
-        ) from error
+        raise CommandError(f"encoding needs extra packages ({error}): pip install 'sgmethod[encode]'") from error
     return encode

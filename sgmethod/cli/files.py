@@ -38,7 +38,7 @@ def read(path: str) -> bytes:
         while block := file.read(1 << 20):
             data += block
             if len(data) > MAX_INPUT_BYTES:
-                raise CommandError(f"cannot read {name_of(path)}: it has more than {MAX_INPUT_BYTES:,} bytes")
+                raise CommandError(f"cannot read {name_of(path)}: it is larger than {MAX_INPUT_BYTES:,} bytes")
     return bytes(data)
 
 
@@ -65,7 +65,7 @@ def _opened(path: str) -> Iterator[BinaryIO]:
         with Path(path).open("rb") as file:
             yield file
     elif sys.stdin is None or sys.stdin.isatty():
-        raise CommandError("standard input is a terminal, or closed: a file was expected there")
+        raise CommandError("standard input is a terminal or closed: pipe a file into it with < or |")
     else:
         yield sys.stdin.buffer
 
@@ -114,7 +114,7 @@ def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
     for path in outputs:
         if path == STREAM:
             if sys.stdout is None or sys.stdout.isatty():
-                raise CommandError("standard output is a terminal: give a file, or send it on with > or |")
+                raise CommandError("standard output is a terminal: name a file, or redirect it with > or |")
         else:
             with _saying("write", path):
                 _check_writable(Path(path))
@@ -123,7 +123,7 @@ def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
         if is_device(path):
             continue
         if (real := os.path.realpath(path)) in taken:
-            raise CommandError(f"the input and what is written must be different files, which {path} is not")
+            raise CommandError(f"{path} is used twice: inputs and outputs must be different files")
         taken[real] = path
 
 

@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except MemoryError:
-        return _fail("there is not enough memory")
+        return _fail("out of memory")
     except (SgError, CommandError) as error:
         return _fail(str(error))
     except OSError as error:

@@ -28,7 +28,7 @@ def run_plot(arguments: argparse.Namespace) -> int:
     if kind is None:
         raise CommandError(f"cannot write {target}: its name must end in {', '.join(KINDS)}")
     if arguments.no_clobber and target != STREAM and Path(target).is_file():
-        said = f"{target} is there already: skipped"
+        said = f"{target} already exists: skipped"
     else:
         points = _points(files.read(source), files.name_of(source))
         files.write(target, _drawn(points, kind))
@@ -49,7 +49,7 @@ def _points(data: bytes, name: str) -> list[Point]:
         if not points:
             raise ValueError
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise CommandError(f"{name} is no trace; encode --trace writes one") from error
+        raise CommandError(f"{name} is not a trace: write one with encode --trace") from error
     return points
 
 
@@ -59,7 +59,7 @@ def _drawn(points: list[Point], kind: str) -> bytes:
         import matplotlib as mpl
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise CommandError(f"plot needs another package ({error}): pip install 'sgmethod[plot]'") from error
+        raise CommandError(f"plot needs an extra package ({error}): pip install 'sgmethod[plot]'") from error
     style = {"svg.hashsalt": "sgmethod", "axes.grid": True, "grid.color": "0.9", "font.size": 9}
     with mpl.rc_context(style):
         figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")

@@ -57,7 +57,7 @@ def without_those_there(conversions: list[Conversion], arguments: argparse.Names
     for one in conversions:
         if arguments.no_clobber and one.target != STREAM and Path(one.target).is_file():
             if not arguments.quiet:
-                print(f"{one_line(one.target)} is there already: skipped", file=out)
+                print(f"{one_line(one.target)} already exists: skipped", file=out)
         else:
             kept.append(one)
     return kept
@@ -132,7 +132,7 @@ def _outcomes(conversions: list[Conversion], convert: Convert, arguments: argpar
                 try:
                     yield future.result()
                 except BrokenProcessPool:
-                    yield Outcome(running[future], error="the process that encoded it, or one beside it, was killed")
+                    yield Outcome(running[future], error="its encoder process, or another, was killed")
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             from multiprocessing import active_children
@@ -166,6 +166,6 @@ def _attempt(convert: Convert, conversion: Conversion, arguments: argparse.Names
     try:
         return convert(conversion, arguments)
     except MemoryError:
-        return Outcome(conversion, error="there is not enough memory")
+        return Outcome(conversion, error="out of memory")
     except (SgError, CommandError) as error:
         return Outcome(conversion, error=str(error))

@@ -161,7 +161,7 @@ class Client:
         """The job once it is done, with its trace. Raises ServerError if it fails or is removed."""
         patience = self._connection.patience()
         while True:
-            why, least_s = ServerError("the stream of the job's events has ended"), 0.0
+            why, least_s = ServerError("the job's event stream ended"), 0.0
             try:
                 for name, data in self._connection.events(job_id):
                     patience.renew()
@@ -229,13 +229,13 @@ def _bytes_of(file: File) -> bytes:
         return Path(file).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
         return bytes(file)
-    raise ServerError(f"a file must be given as its path or its bytes, not as {type(file).__name__}")
+    raise ServerError(f"a file must be a path or bytes, not {type(file).__name__}")
 
 
 def _id_of(answer: httpx.Response) -> str:
     """Of the job that a request has made."""
     if "Location" not in answer.headers:
-        raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is no service of sgmethod: it makes no job")
+        raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is not an sgmethod service: it created no job")
     return str(answer.headers["Location"].rpartition("/")[2])
 
 

@@ -59,17 +59,17 @@ class Connection:
 
     def __init__(self, server: str, api_key: str | None, patience_s: float, on_retry: Say) -> None:
         if api_key and not (api_key.isascii() and api_key.isprintable()):
-            raise ServerError("the API key holds a line break, or another character that no key has")
+            raise ServerError("the API key contains a line break or another invalid character")
         headers = {"Authorization": f"Bearer {api_key}"} if api_key else {}
         self._server, self._patience_s, self._on_retry = server, patience_s, on_retry
         self._has_answered = False
         try:
             url = httpx.URL(server)
             if url.scheme not in ("http", "https") or not url.host:
-                raise ServerError(f"the address of a server must begin with http:// or https://, not {server!r}")
+                raise ServerError(f"the server's address must begin with http:// or https://, got {server!r}")
             self._http = httpx.Client(base_url=url, headers=headers, timeout=SILENCE_S)
         except (httpx.InvalidURL, UnicodeError) as error:
-            raise ServerError(f"{server!r} cannot be used: {error}") from error
+            raise ServerError(f"{server!r} is not a valid address: {error}") from error
 
     def close(self) -> None:
         """Let go of connections."""
@@ -101,7 +101,7 @@ class Connection:
         try:
             found: Json = self.ask(method, path, **request).json()
         except ValueError as error:
-            raise ServerError(f"{self._server} is no service of sgmethod: it does not answer in JSON") from error
+            raise ServerError(f"{self._server} is not an sgmethod service: it does not answer in JSON") from error
         return found
 
     def events(self, job_id: str) -> Iterator[tuple[str, Json]]:

@@ -73,4 +73,4 @@ def own_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Pa
             return Path(name)
     except UnicodeEncodeError:
         pass
-    raise error(f"no file can have the name {name!r}")
+    raise error(f"{name!r} is not a valid file name")

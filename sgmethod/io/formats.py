@@ -43,7 +43,7 @@ READERS = {
 }
 REFUSED = {
     "an .sg file already": (b"SGM",),
-    "a BigTIFF of the byte order that is not read (big end first)": (b"MM\0+",),
+    "a big-endian BigTIFF": (b"MM\0+",),
     "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
     "a PDF": (b"%PDF",),
     "a Photoshop file": (b"8BPS",),
@@ -77,7 +77,7 @@ def name_of(data: bytes) -> str:
     if not data:
         raise ImageError("the file is empty")
     kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
-    kind = "a film, " if FILM_BRANDS & set(brands) else kind
+    kind = "a video, " if FILM_BRANDS & set(brands) else kind
     raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
 
 
@@ -95,7 +95,7 @@ def reader_of(name: str) -> type[ImageFile.ImageFile]:
     try:
         found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
     except ImportError as error:
-        raise ImageError(f"this is a {name} file; to read it: {PLUGINS[name]}") from error
+        raise ImageError(f"reading {name} files needs an extra package: {PLUGINS[name]}") from error
     return found
 
 

@@ -65,8 +65,8 @@ class ImageLimits:
             raise ImageError(f"the image is empty: its header says {width} x {height} pixels")
         if max(width, height) > self.max_side or width * height > self.max_pixels:
             raise ImageError(
-                f"the image is too large: {width} x {height} pixels, where at most "
-                f"{self.max_pixels:,} in all and {self.max_side:,} a side are read"
+                f"the image is too large: {width} x {height} pixels; the limit is "
+                f"{self.max_pixels:,} pixels and {self.max_side:,} per side"
             )
 
 
@@ -100,10 +100,10 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
         except Image.DecompressionBombError as error:  # Pillow's own limit, for callers who allow more
             raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error
         except MemoryError as error:
-            raise ImageError("there is not enough memory to decode the image") from error
+            raise ImageError("not enough memory to decode the image") from error
         except Exception as error:
             reason = str(error).strip().split("\n")[0] or type(error).__name__
-            raise ImageError(f"the {kind} is damaged, cut short or of an unsupported kind ({reason})") from error
+            raise ImageError(f"the {kind} is damaged, truncated or unsupported ({reason})") from error
 
 
 def warn(notes: list[str]) -> None:
@@ -118,14 +118,14 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     try:
         reader = formats.open_reader(data, kind)
     except RuntimeError as error:
-        raise ValueError("its library refuses it") from error  # what that says is for its developers
+        raise ValueError("rejected by its decoder") from error  # what that says is for its developers
     (limits or ImageLimits()).check(*reader.size)
-    notes = [] if is_still(reader, data) else ["it holds more than one picture: the first is taken"]
+    notes = [] if is_still(reader, data) else ["only the first of several pictures is used"]
     if kind == "TIFF":
         _check_tiff(reader)
     _check_tiles(reader, kind)
     if jpeg_xl is not None and jpeg_xl.depth > 8 and reader.mode == "LA":
-        raise ImageError("grey JPEG XL files with alpha of more than 8 bits are not supported")
+        raise ImageError("grey JPEG XL files with more than 8 bits and alpha are not supported")
     if not (reader.mode == "I" and kind == "PPM"):
         check_mode(reader)
     stated, profile_notes = colour_of(reader, data)
@@ -145,7 +145,7 @@ def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
     header = chunks.of_jpeg_xl(data)
     (limits or ImageLimits()).check(header.width, header.height)
     if header.moves:
-        raise ImageError("JPEG XL files that move are not supported")
+        raise ImageError("animated JPEG XL files are not supported")
     return header
 
 
@@ -173,11 +173,11 @@ def _check_tiff(reader: Any) -> None:
     """Raise ImageError on TIFF files that Pillow would read, but not as the picture they hold."""
     tags = reader.tag_v2
     if tags.get(NEW_SUBFILE_TYPE, 0) & 1:
-        raise ImageError("the first picture of the file is only a preview, as in a camera's raw file")
+        raise ImageError("the first picture in the file is only a preview, as in camera raw files")
     if not {*tags.get(SAMPLE_FORMAT, ())} <= {UNSIGNED, UNKNOWN}:
         raise ImageError(ODD_SAMPLES)
     if tags.get(PLANAR) == APART and max(tags.get(BITS_PER_SAMPLE, (1,))) > 8:
-        raise ImageError("TIFF files with 16-bit channels stored apart are not supported")
+        raise ImageError("TIFF files with planar 16-bit channels are not supported")
 
 
 def _check_tiles(reader: Any, kind: str) -> None:
@@ -190,7 +190,7 @@ def _check_tiles(reader: Any, kind: str) -> None:
     planes = len(reader.getbands()) if apart else 1
     boxes = [tile[1] or (0, 0, *reader.size) for tile in reader.tile]
     if sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes) < planes * reader.width * reader.height:
-        raise ImageError("the file does not hold all of its pixels")
+        raise ImageError("the file is missing pixel data")
 
 
 def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str]]:
@@ -202,7 +202,7 @@ def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str
     try:
         return stated_colour(reader, mode, data), []
     except ProfileError as error:
-        return None, [f"its colour profile is left out: {error}"]
+        return None, [f"its colour profile is ignored: {error}"]
 
 
 def orientation_of(block: bytes | None) -> int:

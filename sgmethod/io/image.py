@@ -125,7 +125,7 @@ def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Sam
     width, height = opened.reader.size
     samples = samples_of(opened.reader, data, opened.colour, opened.frame)
     if samples.levels.shape[:2] != (height, width):  # libheif crops as it decodes
-        raise ImageError("its pixels are not of the size that its header says")
+        raise ImageError("the decoded image does not have the size stated in its header")
     if not keep_alpha:
         samples = without_alpha(samples, opened.notes)
     x0, y0, x1, y1 = opened.crop or (0, 0, width, height)
@@ -145,14 +145,14 @@ def _with_end(jpeg: bytes) -> bytes:
     readers = [formats.open_reader(jpeg + bits + restart + bits + chunks.JPEG_END, "JPEG") for bits in BEHIND]
     ended, *others = map(np.asarray, readers)
     if not all(np.array_equal(ended, other) for other in others):
-        raise ImageError("the JPEG is cut short")
+        raise ImageError("the JPEG is truncated")
     return jpeg + chunks.JPEG_END
 
 
 def without_alpha(samples: Samples, notes: list[str]) -> Samples:
     """Over white, which is noted."""
     if samples.alpha is not None:
-        notes.append("its transparency is laid over white")
+        notes.append("transparency is composited over white")
     return samples.over_white()
 
 

@@ -43,7 +43,7 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
     if isinstance(image, str | os.PathLike):
         return read_image_8_bit(own_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
     raise ImageError(
-        "an image must be a path, the bytes of an image file, a picture of Pillow's or a numpy array, "
+        "an image must be a path, the bytes of an image file, a Pillow image or a numpy array, "
         f"not {type(image).__name__}"
     )
 
@@ -71,13 +71,13 @@ def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Uint8Array
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
-        raise ImageError(f"an image must be [height, width], or that with 1, 3 or 4 channels, got {list(pixels.shape)}")
+        raise ImageError(f"an image must be [H, W], or [H, W, C] with 1, 3 or 4 channels, got {list(pixels.shape)}")
     ImageLimits().check(pixels.shape[1], pixels.shape[0])
     if pixels.dtype not in (np.uint8, np.uint16):
         if not np.issubdtype(pixels.dtype, np.floating):
             raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
         if not (pixels.min() >= 0 and pixels.max() <= 1):  # false for what is not a number
-            raise ImageError("the image's values must lie in [0, 1]")
+            raise ImageError("image values must lie in [0, 1]")
     white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
     notes: list[str] = []
     samples = Samples(pixels, white)

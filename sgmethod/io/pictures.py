@@ -57,7 +57,7 @@ def encode_picture(
         Image.fromarray(pixels).save(file, kind, **(OPTIONS[kind] if options is None else options), **profile)
     except (OSError, ValueError) as error:
         reason = str(error) or type(error).__name__
-        raise ImageError(f"{width} x {height} pixels cannot be written as {kind} ({reason})") from error
+        raise ImageError(f"cannot write {width} x {height} pixels as {kind} ({reason})") from error
     return file.getvalue()
 
 

@@ -24,13 +24,8 @@ def test_documents_are_what_the_json_says() -> None:
 
 
 def spoil_rate(content: Any) -> None:
-    content["rows"][0]["psnr"] += 1
-
-
-def spoil_times(content: Any) -> None:
-    """The means stay, the ratios of two pictures do not."""
-    one, other, *_ = (row for row in content["rows"] if (row["codec"], row["max_bpp"]) == ("jpeg", 0.25))
-    one["decode_ms"], other["decode_ms"] = other["decode_ms"] + 10, one["decode_ms"] - 10
+    for row in content["rows"]:
+        row["psnr"] += 1
 
 
 def spoil_origin(content: Any) -> None:
@@ -41,7 +36,6 @@ def spoil_origin(content: Any) -> None:
     ("name", "spoil", "documents"),
     [
         ("rd/kodak", spoil_rate, "results.md and README.md"),
-        ("rd/kodak", spoil_times, "README.md"),
         ("ablation", spoil_origin, "results.md"),
     ],
 )
@@ -57,7 +51,7 @@ def test_a_document_that_differs_is_named(
     assert ran.stderr.startswith(f"{documents}: not what the JSON says")
 
 
-def test_a_broken_rule_of_the_stiff_set_is_told_in_the_readme(tmp_path: Path) -> None:
+def test_a_broken_rule_of_the_stiff_set_is_told(tmp_path: Path) -> None:
     path = copied(tmp_path) / "version4" / "stiff.json"
     content = json.loads(path.read_text())
     for rule in content["rules"]:
@@ -66,9 +60,6 @@ def test_a_broken_rule_of_the_stiff_set_is_told_in_the_readme(tmp_path: Path) ->
     rule |= {"checked": 438, "broken": 3, "worst": {"by": 5.75, "picture": "text", "kind": "bpp", "value": 4}}
     path.write_text(json.dumps(content))
     assert report(tmp_path).stderr == ""
-    readme = " ".join((tmp_path / "README.md").read_text().split())
-    assert "1 of 6 rules of the [stiff set](docs/results.md#stiff-and-extreme-cases) are broken there: -" in readme
-    assert '"A file is no worse than one of fewer bytes": by 3 of 438 files, by 5.8 dB at most (text).' in readme
     assert "| 5.75 (text, bpp 4) | broken 3 times |" in (tmp_path / "docs" / "results.md").read_text()
 
 

@@ -81,7 +81,7 @@ class Gate:
     def _key_bearer(self, scheme: str, key: str) -> Caller:
         owner = self._keys.owner_of(key) if scheme.lower() == "bearer" else None
         if owner is None:
-            raise ProblemError(401, "this API key is not known", headers=CHALLENGE)
+            raise ProblemError(401, "unknown API key", headers=CHALLENGE)
         return Caller(f"key {owner}", owner)
 
     def _link_bearer(self, scope: Scope, address: str) -> Caller:
@@ -92,7 +92,7 @@ class Gate:
             raise ProblemError(401, "an API key is needed: Authorization: Bearer KEY", headers=CHALLENGE)
         link = Link(match[1], match[2], int(expires) if re.fullmatch(r"[0-9]{1,12}", expires, re.ASCII) else 0)
         if not link.is_signed(self._link_secret, signature):
-            raise ProblemError(401, "this link was not made here, or has been altered", headers=CHALLENGE)
+            raise ProblemError(401, "this link is not valid", headers=CHALLENGE)
         if link.expires < time.time():
             raise ProblemError(401, "this link has expired", headers=CHALLENGE)
         return Caller(address, linked_job=link.job_id)

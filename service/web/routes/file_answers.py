@@ -33,7 +33,7 @@ def accepted_format(request: Request) -> PictureFormat:
         if weight > most:
             best, most = kind, weight
     if most == 0:
-        raise ProblemError(406, f"pictures are {', '.join(MEDIA_TYPES.values())}", headers=VARIES)
+        raise ProblemError(406, f"pictures are available as {', '.join(MEDIA_TYPES.values())}", headers=VARIES)
     return best
 
 
@@ -47,7 +47,7 @@ def has_already(request: Request, etag: str | None) -> bool:
     wanted, known = (_tags(request, name) for name in ("if-match", "if-none-match"))
     has = known == ["*"] or (etag is not None and etag in [tag.removeprefix("W/") for tag in known])
     if (wanted not in ([], ["*"]) and etag not in wanted) or (has and request.method != "GET"):
-        raise ProblemError(412, "what lies here is not what the request makes its condition")
+        raise ProblemError(412, "the file does not meet the request's precondition")
     return has
 
 

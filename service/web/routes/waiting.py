@@ -53,7 +53,7 @@ def wished_wait_s(request: Request) -> int:
         raise ProblemError(422, f"the query parameter {WAIT_FIELD} is given twice")
     if given:
         if not re.fullmatch(r"[0-9]{1,6}", given[0], re.ASCII):
-            raise ProblemError(422, f"{WAIT_FIELD} must be a whole number of seconds; at most {MAX_WAIT_S} count")
+            raise ProblemError(422, f"{WAIT_FIELD} must be a whole number of seconds (capped at {MAX_WAIT_S})")
         return min(int(given[0]), MAX_WAIT_S)
     preferred = _PREFER.search(joined(request.headers, "prefer") or "")  # RFC 7240
     return min(int(preferred[1]), MAX_WAIT_S) if preferred else 0

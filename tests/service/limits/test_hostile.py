@@ -373,7 +373,7 @@ def test_animations(strict: Service, format_: str) -> None:
     frames = [Image.new("RGB", (8, 8), colour) for colour in ("red", "blue")]
     frames[0].save(file, format_, save_all=True, append_images=frames[1:])
     answer = strict.post(file.getvalue())
-    assert_problem(answer, 422, "more than one picture")
+    assert_problem(answer, 422, "contains more than one picture")
 
 
 def test_polyglots_come_back_as_pixels_alone(service: Service) -> None:

@@ -179,7 +179,7 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
         lambda: service.client.post(f"{done['status_url']}/encode"),
     ):
         answer = ask()
-        assert_problem(answer, 503, "just now")
+        assert_problem(answer, 503, "right now")
         assert answer.headers["retry-after"]
     assert service.client.get(done["status_url"]).status_code == 200
 
