@@ -16,6 +16,8 @@ MOST_TERMS = 25
 MOST_LINES, MOST_COLUMNS = 110, 120  # two printed pages
 README_LINES, README_WORDS = 130, 1100
 PARTS = ("Question", "Tried", "Figures", "Verdict")
+NOTEBOOK = ROOT / "docs" / "notebook"
+THEMES = sorted(set(NOTEBOOK.glob("*.md")) - {NOTEBOOK / "README.md"})
 # Paths in backticks that begin so are files or folders of the tree.
 FOLDERS = ("benchmarks", "docs", "service", "sgmethod", "tests")
 
@@ -104,11 +106,20 @@ def test_the_design_is_two_pages() -> None:
     assert max(map(len, lines)) <= MOST_COLUMNS
 
 
-def test_notebook_entries_have_their_four_parts() -> None:
-    entries = re.split(r"^### ", prose(ROOT / "docs" / "notebook.md"), flags=re.MULTILINE)[1:]
+@pytest.mark.parametrize("path", THEMES, ids=lambda path: path.name)
+def test_notebook_entries_have_their_four_parts(path: Path) -> None:
+    entries = re.split(r"^## ", prose(path), flags=re.MULTILINE)[1:]
     assert entries
     for entry in entries:
         assert tuple(re.findall(r"^- \*\*(\w+)\.\*\*\s+[^\s-]", entry, re.MULTILINE)) == PARTS, entry.splitlines()[0]
+
+
+def test_the_notebooks_index_has_every_question_and_its_verdict() -> None:
+    questions = [
+        (question, path.name) for path in THEMES for question in re.findall(r"^## (.*)", prose(path), re.MULTILINE)
+    ]
+    listed = re.findall(r"^- \[(.*)\]\((\w+\.md)#\S+\) \S.*\.$", (NOTEBOOK / "README.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(questions)
 
 
 def test_the_glossary_is_short() -> None:

@@ -599,7 +599,8 @@ def test_decode_and_info_load_no_encoder() -> None:
 
 
 def commands_of(document: str) -> list[str]:
-    return re.findall(r"^sgmethod .*", (ROOT / document).read_text(), re.MULTILINE)
+    blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / document).read_text(), re.MULTILINE | re.DOTALL)
+    return [line for block in blocks for line in block.splitlines() if line.startswith("sgmethod ")]
 
 
 def test_the_command_lines_page_names_every_profile() -> None:
