@@ -14,7 +14,7 @@ from benchmarks.report.section import load, mean, number, table
 
 WIDTH = 120  # of a line
 BPP = 0.25
-MARKED = r"<!-- table {} -->\n.*?<!-- end -->"
+MARKED = r"( *)<!-- table {} -->\n.*?<!-- end -->"
 
 # Columns: the codec tuned for PSNR, and for the eye; they differ only where a codec can be tuned.
 CODECS = {
@@ -24,13 +24,13 @@ CODECS = {
     "WebP": ("webp", "webp"),
     "JPEG": ("jpeg", "jpeg"),
 }
-# Rows: column of the JSON, its format, whether more is better, and which of the two codecs is measured.
+# Rows: column of the JSON, its format, whether more is better, which of the two codecs is measured, and a factor.
 ROWS = {
-    "PSNR in dB (higher is better)": ("psnr", ".1f", True, 0),
-    "LPIPS, a learned measure of visible difference (lower is better)": ("lpips", ".2f", False, 1),
-    "SSIMULACRA 2, visual quality (higher is better)": ("ssimulacra2", ".0f", True, 1),
-    "Time to decode, milliseconds": ("decode_ms", ".1f", False, 1),
-    "Time to encode, seconds": ("encode_s", ".2g", False, 1),
+    "PSNR, dB (higher is better)": ("psnr", ".1f", True, 0, 1),
+    "LPIPS (lower is better)": ("lpips", ".2f", False, 1, 1),
+    "SSIMULACRA 2 (higher is better)": ("ssimulacra2", ".0f", True, 1, 1),
+    "Decoding, ms": ("decode_ms", ".1f", False, 1, 1),
+    "Encoding, ms": ("encode_s", ",.0f", False, 1, 1000),
 }
 # Published codecs that the README names, with what their readers know them by.
 RIVALS = {"VTM": "VTM (H.266)", "ELIC": "ELIC", "Cool-Chic 5.0": "Cool-Chic 5.0"}
@@ -40,8 +40,9 @@ def filled(text: str, results: Path) -> str:
     """The README with its figures as the JSON has them. Raises SystemExit where marks are missing."""
     makers: dict[str, Callable[[Path], str]] = {"figures": figures, "slow": slow, "ahead": ahead}
     for name, make in makers.items():
-        made = f"<!-- table {name} -->\n{make(results)}\n<!-- end -->"
-        text, count = re.subn(MARKED.format(name), lambda _, made=made: made, text, flags=re.DOTALL)  # type: ignore[misc]
+        made = f"<!-- table {name} -->\n{make(results)}\n"
+        found = re.compile(MARKED.format(name), re.DOTALL)
+        text, count = found.subn(lambda m, made=made: f"{m[1]}{made}{m[1]}<!-- end -->", text)  # type: ignore[misc]
         if count != 1:
             raise SystemExit(f"the README has {count} tables {name}, and not one")
     return text
@@ -58,11 +59,11 @@ def figures(results: Path) -> str:
     """What the codec wins and loses at 0.25 bits per pixel; the best of each row is bold."""
     average = means(rate.rows_of(load(results, "rd/kodak") or {"rows": []}))
     lines = []
-    for title, (name, form, more, tuned) in ROWS.items():
+    for title, (name, form, more, tuned, factor) in ROWS.items():
         values = [average.get((codecs[tuned], BPP), {}).get(name) for codecs in CODECS.values()]
         known = [value for value in values if value is not None]
         best = (max if more else min)(known, default=None)
-        cells = [number(value, form) for value in values]
+        cells = [number(value if value is None else value * factor, form) for value in values]
         lines.append([title, *(f"**{c}**" if v == best else c for c, v in zip(cells, values, strict=True))])
     made = table(" | ".join(["", *CODECS]), lines)
     ours, grain = (average.get((codec, BPP), {}) for codec in ("rd visual", "avif grain"))
