@@ -233,7 +233,7 @@ class Settings(BaseSettings):
         return self.read_keys()
 
     def read_keys(self) -> dict[str, str]:
-        """The same as they are now."""
+        """The settings with the keys of today's file."""
         keys = _named_keys("SG_API_KEYS", self.api_keys)
         if self.api_keys_file is not None:
             try:

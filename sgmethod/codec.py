@@ -48,9 +48,12 @@ MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
 
 @dataclass(frozen=True)
 class Stats:
-    """The figures of an encode. psnr (dB) and ms_ssim are of the decoded file; ms_ssim is None for sides below 161
-    pixels. With alpha they are means over the picture on black and on white. source_bytes: of the image file, None for
-    arrays; psnr_missed_db: how far the file is below the PSNR asked for, None if none was asked for."""
+    """The figures of an encode.
+
+    psnr (dB) and ms_ssim are of the decoded file; ms_ssim is None for sides below 161 pixels. With alpha, they are
+    means over the picture on black and on white. source_bytes: size of the image file, None for arrays; psnr_missed_db:
+    how far the file is below the requested PSNR, None if none was requested.
+    """
 
     bytes: int
     bpp: float
@@ -69,7 +72,7 @@ class Stats:
 
     @property
     def warnings(self) -> list[str]:
-        """What the caller may not expect of the file, in a sentence each."""
+        """Ways in which the file may disappoint, one sentence each."""
         found = []
         if self.psnr_missed_db is not None and self.psnr_missed_db >= SEEN_DB:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
@@ -88,14 +91,14 @@ class Stats:
 
 @dataclass(frozen=True)
 class Encoded:
-    """An .sg file with its figures and the trace of how it came about."""
+    """An .sg file with its figures and its trace."""
 
     data: bytes = field(repr=False)
     stats: Stats
     trace: list[TracePoint] = field(repr=False)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file, whole or, after an OSError, not at all."""
+        """Write the file, completely or, after an OSError, not at all."""
         write_atomically(own_path(path), self.data)
 
 
@@ -127,24 +130,27 @@ def encode(
     >>> sgmethod.encode(np.zeros((48, 64), np.uint8), psnr=40).stats.width
     64
 
-    image: the path or the bytes of an image file, a picture of Pillow's, or an array [H, W], [H, W, 1], [H, W, 3] or
-    [H, W, 4] of levels in uint8 or uint16 or of values in [0, 1], in sRGB. sgmethod/io/image.py has the rules for
-    files and pictures. Input is rounded to 8 bits, and the figures are against that. Profile rd keeps alpha; the others
-    composite it over white, with a warning.
-    bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which documents each; default 0.3 bpp.
+    image: the path or bytes of an image file, a Pillow image, or an sRGB array [H, W], [H, W, 1], [H, W, 3] or [H, W,
+    4] in uint8, uint16 or floating point in [0, 1]. sgmethod/io/image.py has the rules for files. Input is rounded to 8
+    bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
+    warning.
+    bpp, bytes, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is 0.3
+    bpp.
     profile: one of sgmethod.profiles.PROFILE_NAMES.
-    tune: "psnr" minimises squared error, "visual" the error that the eye sees. "visual" is the default with profile rd,
-    and not available with a budget in dB or another profile.
-    effort: 1, the fastest, to 9, the best; profile rd only.
-    settings: for experiments, all numbers of the method in place of those of profile and effort.
-    seed: of everything random. The same call gives the same file on the same machine, without a time limit.
-    time_limit_s: of the whole encode, which ends with its best file so far. About 0.2 s a megapixel are never cut.
-    on_progress: called with each point of the trace; an exception it raises abandons the encode.
-    stop: polled; once it returns True, the encode ends within the budget, in a quarter of the time so far or 3 s.
-    on_preview: called now and then by profile rd with a file of the state so far, which may exceed the budget.
+    tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
+    profiles support only "psnr".
+    effort: 1 (fastest) to 9 (best file); profile rd only.
+    settings: for experiments, all numbers of the method, instead of profile and effort.
+    seed: random seed. Without a time limit, the same call gives the same file on the same machine.
+    time_limit_s: limit for the whole encode, which then returns its best file so far. About 0.2 s per megapixel are
+    needed in any case.
+    on_progress: called with each point of the trace; if it raises, the encode is abandoned.
+    stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
+    3 s.
+    on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
 
-    Anything dropped from the input raises an ImageWarning. Raises ImageError for anything but a picture, BudgetError
-    for a budget that no file can meet, OSError for a path that cannot be read, MemoryError.
+    Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
+    BudgetError for a budget that no file can meet, OSError for a path that cannot be read, and MemoryError.
     """
     clock, limit_s = Clock(stop), _own_time_limit(time_limit_s)
     seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
@@ -175,7 +181,7 @@ def encode(
 
 
 def _file_bytes(image: Input) -> int | None:
-    """The size of the image file, if it is one."""
+    """The size of the image file, if there is one."""
     if isinstance(image, str | os.PathLike):
         return Path(image).stat().st_size or None  # a pipe has none
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
@@ -204,7 +210,7 @@ def _rd(
 
 
 def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
-    """The one that is given."""
+    """The budget given, or the default. Raises BudgetError for more than one."""
     given = [Budget(kind, value) for kind, value in kinds.items() if value is not None]
     if budget is not None:
         if not isinstance(budget, Budget):

@@ -1,4 +1,4 @@
-"""Names that an encode is asked for by: profile, tuning, effort. No torch here: the service validates with it."""
+"""Profiles, tunings and efforts by name. No PyTorch here, because the service validates with this module."""
 
 from __future__ import annotations
 
@@ -40,10 +40,9 @@ def checked_profile(profile: str) -> str:
 
 
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
-    """The tuning asked for, or the default for this profile and budget.
+    """The requested tuning, or the default for this profile and budget.
 
-    Raises BudgetError for an unknown one, and for "visual" where there is only "psnr": with a budget in dB, and with
-    profiles other than rd.
+    Raises BudgetError for an unknown one, and for "visual" with a budget in dB or a profile other than rd.
     """
     psnr_alone = budget.kind == "psnr" or profile != "rd"
     if tune is None:
@@ -64,8 +63,8 @@ def checked_effort(effort: object) -> int:
 
 
 def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
-    """The settings of a profile with an effort. Raises BudgetError for any effort but the default where there is no
-    choice: with profiles other than rd."""
+    """The settings of a profile with an effort. Raises BudgetError for a non-default effort of profiles other than
+    rd."""
     settings = PROFILES[profile]
     if isinstance(settings, RdSettings):
         return settings if effort == DEFAULT_EFFORT else replace(settings, effort=EFFORTS[effort])

@@ -1,9 +1,8 @@
-"""Any size, any part: Gaussians have no pixels, so a picture is drawn straight at the size asked for.
+"""Any size, any part: Gaussians have no pixels, so a picture is drawn directly at the requested size.
 
-Enlarging draws the same functions on a finer grid. Shrinking first averages, or detail would turn into noise: a pixel
-of a picture shrunk by s stands for 1/s pixels of the original, and the original's pixels were averages already, so
-each Gaussian is widened by the variance that is missing, (1 - s^2) PIXEL_VARIANCE output pixels squared, at the same
-total weight (docs/format.md).
+Enlarging draws the same functions on a finer grid. Reducing needs a low-pass filter against aliasing: each Gaussian is
+widened by the variance that is missing, (1 - s^2) PIXEL_VARIANCE output pixels squared at scale s, with the same total
+weight (docs/format.md).
 """
 
 from __future__ import annotations
@@ -26,12 +25,12 @@ FAR = 1 << 16  # output pixels; coordinates stay below, for single precision. A 
 
 @dataclass(frozen=True)
 class View:
-    """What to draw of a picture.
+    """The part of a picture to draw, and its size.
 
-    scale: output pixels per picture pixel; region: x, y, width, height in picture pixels (None: all), drawn at that
-    scale; prefix: part of the file that may be used, above 0 to 1 (profile rd; largest Gaussians come first); texture:
-    whether texture is drawn, where the file has any.
-    Raises ViewError for values outside their ranges.
+    scale: output pixels per pixel of the picture; region: (x, y, width, height) in pixels of the picture, None for all
+    of it; prefix: fraction of the file to decode, above 0 and up to 1 (profile rd, whose files begin with the largest
+    Gaussians); texture: whether to draw the file's texture, if it has any.
+    Raises ViewError for values out of range.
     """
 
     scale: float = 1.0
@@ -51,7 +50,7 @@ class View:
 
     @property
     def is_whole(self) -> bool:
-        """Whether it is the picture itself, in its own size."""
+        """Whether this is the whole picture at its own size."""
         return self.scale == 1 and self.region is None
 
     def area(self, width: int, height: int) -> tuple[int, int, int, int]:

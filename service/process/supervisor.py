@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 LONGEST_PAUSE_S = 10.0
-STEADY_AFTER_S = 10.0  # a process that lived so long did not die of its start
+STEADY_AFTER_S = 10.0  # a process that lived this long did not fail at its start
 
 
 class Supervised:

@@ -139,7 +139,7 @@ def _part(stream: Coded, prefix: float) -> bytes:
 
 
 def info_of(stream: Coded, gaussians: int, bits: dict[str, int], file_bytes: int, checksum: str) -> CodedInfo:
-    """The description of a file with so many Gaussians."""
+    """The description of a file with this many Gaussians."""
     return CodedInfo(
         bytes=file_bytes,
         bpp=8 * file_bytes / (stream.width * stream.height),

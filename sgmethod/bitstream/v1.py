@@ -198,12 +198,12 @@ class StreamV1:
 
 
 def record_budget_bits(max_bytes: int, groups: int) -> int:
-    """Bits left for records in a file of max_bytes with so many groups; negative when even headers do not fit."""
+    """Bits left for records in a file of max_bytes with this many groups; negative if even headers do not fit."""
     return 8 * (max_bytes - HEADER_BYTES - TABLE_BYTES - GROUP_BYTES * groups)
 
 
 def file_bytes(record_bits: int, groups: int) -> int:
-    """Size of a file with so many bits of records in so many groups, at least one."""
+    """Size of a file with this many bits of records and groups, at least one."""
     return HEADER_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-record_bits // 8)
 
 

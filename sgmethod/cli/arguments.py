@@ -1,4 +1,4 @@
-"""What the command line takes."""
+"""The arguments of the command line."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def one_line(message: str) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Wrong usage is one line on stderr, like every other error."""
+    """Report wrong usage as one line on stderr, like every other error."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         named |= {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
@@ -101,7 +101,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """The version, looked for when it is asked for: that takes longer than all of the parser."""
+    """Look up the version only on request, since that takes longer than the whole parser."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -111,9 +111,9 @@ class _Version(argparse.Action):
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
-    """The command to carry out, as `run`, and its arguments. What is wrong usage ends the process.
+    """Parse a command, as `run`, and its arguments. Wrong usage ends the process.
 
-    Names of files may stand anywhere: argparse takes the first ones alone, up to the next option.
+    File names may appear anywhere, although argparse only takes those before the next option.
     """
     whole = parser(argv)
     arguments, more = whole.parse_known_args(argv)
@@ -125,10 +125,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """What it returns has the name of the command to carry out as `run`.
+    """The parser. Its result names the command as `run`.
 
-    Commands that argv does not name have no arguments: those of encode import every profile, and a decode has no use
-    for them.
+    Only commands named in argv get arguments: those of encode import every profile, which a decode does not need.
     """
     whole = _Parser(prog="sgmethod", description="An image codec of 2D Gaussians.", epilog=EXAMPLES)
     whole.add_argument("--version", action=_Version, nargs=0, help="show the version")

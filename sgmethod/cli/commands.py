@@ -1,4 +1,4 @@
-"""The commands info and compare, neither of which imports torch."""
+"""The commands info and compare, without importing PyTorch."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def run_info(arguments: argparse.Namespace) -> int:
 
 
 def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What people want to know first, then the fields that fit into a line."""
+    """The main facts first, then every field that fits on a line."""
     told = {"width", "height", "bytes", "bpp", "version", "checksum", "profile", "gaussians", "bits"}
     bits = fields["bits"]
     whole = sum(bits.values())
@@ -111,7 +111,7 @@ def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | 
 
 
 def _picture(path: str) -> NDArray[np.uint8]:
-    """Pixels of an image file, or of an .sg file."""
+    """The pixels of an image file or an .sg file."""
     from sgmethod.bitstream.stream import MAGIC
     from sgmethod.errors import ImageError
 

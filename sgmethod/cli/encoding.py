@@ -1,4 +1,4 @@
-"""sgmethod encode: pictures become .sg files, here or by a service."""
+"""sgmethod encode: pictures to .sg files, here or on a server."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _encode_one_of_several(conversion: Conversion, arguments: argparse.Namespace
 
 
 def _encode(conversion: Conversion, arguments: argparse.Namespace, began: float, shown: bool) -> Outcome:
-    """Read, encode, write. began: when somebody began to wait, by perf_counter. Raises whatever keeps it from that."""
+    """Read, encode, write. began: the perf_counter at which the wait began."""
     image = files.read(conversion.source)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
@@ -84,7 +84,7 @@ Show = Callable[[TracePoint], None] | None
 
 
 def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What an encode takes beside budget and profile, here and by a service alike."""
+    """Options besides budget and profile, here and on a server."""
     return {"tune": arguments.tune, "effort": arguments.effort, "time_limit_s": arguments.time_limit}
 
 
@@ -113,7 +113,7 @@ def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, s
 
 @cache
 def _client(server: str, quiet: bool) -> Client:
-    """One for all pictures: that it has been answered before tells a server that restarts from one that never was."""
+    """One client for all pictures: once answered, it can tell a restarting server from a wrong address."""
     try:
         from sgmethod.client import Client
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""Which files become which, by the names that were given."""
+"""Input and output names of conversions."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ PICTURES |= {".pbm", ".pgm", ".pnm", ".qoi", ".avifs", ".dib"}
 
 @dataclass(frozen=True)
 class Conversion:
-    """One file and the one that is made of it."""
+    """An input and its output."""
 
     source: str
     target: str
 
 
 def sg_beside(source: str) -> str:
-    """photo.jpg -> photo.sg, beside it; what is no suffix of a picture stays."""
+    """photo.jpg -> photo.sg in the same folder; unknown extensions are kept."""
     return _renamed(source, {*PICTURES, SUFFIX}, SUFFIX)
 
 
 def png_beside(source: str) -> str:
-    """photo.sg -> photo.png, beside it."""
+    """photo.sg -> photo.png in the same folder."""
     return _renamed(source, {SUFFIX}, ".png")
 
 
@@ -68,7 +68,7 @@ def decodes(arguments: argparse.Namespace) -> list[Conversion]:
 
 
 def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]:
-    """Input and output, which may be left out."""
+    """The input and the optional output."""
     names = [*arguments.names, *([] if arguments.output is None else [arguments.output])]
     if len(names) > 2:
         raise CommandError(
@@ -79,7 +79,7 @@ def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]
 
 
 def _into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
-    """Each file, and each in a folder whose suffix is known, to one of its own name in the output folder."""
+    """Each file, and each file with a known extension in a folder, to its name in the output folder."""
     if arguments.output is not None:
         raise CommandError("--output cannot be combined with --output-dir")
     if STREAM in arguments.names:
@@ -95,7 +95,7 @@ def _into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callab
 
 
 def _files_of(name: str, known: set[str]) -> Iterator[str]:
-    """The file itself; of a folder, those in it whose suffix is known, but hidden ones, by name."""
+    """The file itself; for a folder, its files with a known extension, without hidden ones, by name."""
     if not Path(name).is_dir():
         yield name
         return

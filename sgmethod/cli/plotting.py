@@ -1,4 +1,4 @@
-"""The command plot: the trace of an encode as a picture. Only it needs matplotlib."""
+"""The command plot: the trace of an encode as a picture, with Matplotlib."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def run_plot(arguments: argparse.Namespace) -> int:
 
 
 def _points(data: bytes, name: str) -> list[Point]:
-    """The trace of a file that encode --trace wrote. Raises CommandError."""
+    """The trace from a file written by encode --trace. Raises CommandError."""
     try:
         points: list[Point] = json.loads(data)["trace"]
         for point in points:
@@ -54,7 +54,7 @@ def _points(data: bytes, name: str) -> list[Point]:
 
 
 def _drawn(points: list[Point], kind: str) -> bytes:
-    """PSNR above, size and Gaussians below, against time; phases differ by dashes, so that no colour is needed."""
+    """PSNR above, size and Gaussians below, against time; dashes tell phases apart without colour."""
     try:
         import matplotlib as mpl
         from matplotlib.figure import Figure
@@ -80,7 +80,7 @@ def _drawn(points: list[Point], kind: str) -> bytes:
 
 
 def _draw_errors(axes: Any, points: list[Point]) -> None:
-    """A line for each phase, and a mark at the end: the file."""
+    """A line per phase, and a mark for the file at the end."""
     dashes = cycle(DASHES)
     before: list[Point] = []
     for phase, group in groupby(points[:-1], key=lambda point: point["phase"]):

@@ -1,4 +1,4 @@
-"""Many conversions, one after the other or several at a time: a line for each, and one with the sums."""
+"""Many conversions, one after the other or several at a time: a line for each, and one with the totals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one conversion: the size of its file and what is to be said of it, or why there is none."""
+    """The result of one conversion: the size of its file and a summary, or an error."""
 
     conversion: Conversion
     bytes: int = 0
@@ -44,7 +44,7 @@ Convert = Callable[[Conversion, argparse.Namespace], Outcome]
 
 
 def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
-    """What is left out of a picture, and what the caller may not expect of its file."""
+    """Print what was dropped from a picture, and warnings about its file."""
     if not arguments.quiet:
         source = outcome.conversion.source
         files.print_lines("note", source, outcome.notes)
@@ -52,7 +52,7 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
 
 
 def without_those_there(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
-    """With --no-clobber, those that replace nothing; the others are said to be skipped."""
+    """With --no-clobber, drop conversions whose output exists, and say so."""
     kept = []
     for one in conversions:
         if arguments.no_clobber and one.target != STREAM and Path(one.target).is_file():
@@ -64,7 +64,7 @@ def without_those_there(conversions: list[Conversion], arguments: argparse.Names
 
 
 def convert_all(conversions: list[Conversion], convert: Convert, verb: str, arguments: argparse.Namespace) -> int:
-    """One line for each as it is done, a summary, and at the end those that failed, with exit status 1."""
+    """Print one line per finished conversion, a summary, and the failures, with exit status 1."""
     as_json = getattr(arguments, "json", False)
     beside = sys.stderr if as_json else sys.stdout  # stdout has nothing but JSON then
     wanted = without_those_there(conversions, arguments, beside)
@@ -108,7 +108,7 @@ def _show_count(shown: bool, done: int, whole: int, left: str) -> None:
 
 
 def _outcomes(conversions: list[Conversion], convert: Convert, arguments: argparse.Namespace) -> Iterator[Outcome]:
-    """As they come."""
+    """The outcomes, as they finish."""
     jobs = min(getattr(arguments, "jobs", 1), len(conversions))
     if jobs <= 1:
         yield from (_attempt(convert, conversion, arguments) for conversion in conversions)
@@ -143,7 +143,7 @@ def _outcomes(conversions: list[Conversion], convert: Convert, arguments: argpar
 
 
 def _begin_worker(threads: int) -> None:
-    """In a process of its own: end with the one that started it, and never by Ctrl-C."""
+    """Set up a worker process: it ends with its parent, and ignores Ctrl-C."""
     import signal
     from multiprocessing import parent_process
     from threading import Thread

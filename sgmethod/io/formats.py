@@ -1,4 +1,4 @@
-"""Image formats: known by their first bytes, and each read by the class that Pillow or its plugin has for it.
+"""Image formats: recognised by their first bytes, each read by its class in Pillow or a plugin.
 
 The classes are called directly: Image.open would try its other formats, follow a JPEG into its second picture, and
 apply a pixel limit of its own through a global and a warning.
@@ -63,7 +63,7 @@ logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 
 def name_of(data: bytes) -> str:
-    """One of READERS. Raises ImageError for bytes of no such format."""
+    """The format, one of READERS. Raises ImageError for any other."""
     for name, magics in MAGICS.items():
         if data.startswith(magics):
             return name
@@ -82,7 +82,7 @@ def name_of(data: bytes) -> str:
 
 
 def is_read(first: bytes) -> bool:
-    """Whether a file is in a format that is read here; its first 256 bytes tell."""
+    """Whether a file's format can be read, judged by its first 256 bytes."""
     try:
         return importlib.util.find_spec(READERS[name_of(first)][0]) is not None
     except (ImageError, ModuleNotFoundError):
@@ -90,7 +90,7 @@ def is_read(first: bytes) -> bool:
 
 
 def reader_of(name: str) -> type[ImageFile.ImageFile]:
-    """The class that reads a format. Raises ImageError where its package is missing."""
+    """The class that reads a format. Raises ImageError if its package is missing."""
     module, reader = READERS[name]
     try:
         found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
@@ -100,6 +100,6 @@ def reader_of(name: str) -> type[ImageFile.ImageFile]:
 
 
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
-    """The reader of a file of a format, which has parsed its header. Raises ImageError where its package is missing,
-    and whatever the reader raises."""
+    """A reader that has parsed the file's header. Raises ImageError if its package is missing, and whatever the reader
+    raises."""
     return reader_of(name)(io.BytesIO(chunks.plain_png(data) if name == "PNG" else data))

@@ -1,4 +1,4 @@
-"""What is known of a picture before a pixel of it is decoded, and everything that is refused by then."""
+"""Headers: what is known about a picture before decoding pixels, and every refusal up to then."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a file says of its picture.
+    """The header of an image file.
 
-    format: as the list above names it; width, height: pixels, after EXIF orientation; mode: Pillow's name of the
+    format: one of formats.READERS; width, height: pixels, after EXIF orientation; mode: Pillow's name of the
     stored samples, such as "RGB" (8 or 16 bits each), "RGBA", "L", "P", "CMYK" or "I;16"; still: whether it is the
-    only picture, where reading takes the first.
+    only picture in the file.
     """
 
     format: str
@@ -49,11 +49,11 @@ class ImageHeader:
 
 @dataclass(frozen=True)
 class ImageLimits:
-    """The largest picture that is read.
+    """The largest picture to read.
 
-    max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB
-    and needs 2.3 times that while it works (RGBA, the worst kind measured).
-    max_side: pixels of the longer side. The default is what an .sg file has room for; JPEG allows no more.
+    max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB and needs 2.3
+    times that while working (RGBA, the worst kind measured).
+    max_side: pixels of the longer side. The default is the maximum of an .sg file; JPEG allows no more.
     """
 
     max_pixels: int = 100_000_000
@@ -72,7 +72,7 @@ class ImageLimits:
 
 @dataclass(frozen=True)
 class Opened:
-    """A reader that has parsed its header, and what is known of its picture without a pixel."""
+    """A reader that has parsed its header, and what is known about its picture so far."""
 
     reader: Image.Image
     orientation: int  # still to be undone
@@ -83,14 +83,14 @@ class Opened:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the picture as it is to be seen, but for its orientation."""
+        """Of the picture as displayed, before orientation."""
         x0, y0, x1, y1 = self.crop or (0, 0, *self.reader.size)
         return x1 - x0, y1 - y0
 
 
 @contextmanager
 def only_image_errors(kind: str = "image") -> Iterator[None]:
-    """Everything that Pillow raises on a bad file of a format leaves as ImageError, and its warnings are not shown."""
+    """Turn everything that Pillow raises on a bad file into ImageError, and silence its warnings."""
     with _PILLOW_LOCK, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -107,13 +107,13 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
 
 
 def warn(notes: list[str]) -> None:
-    """Say what is left out, to the caller of whoever reads."""
+    """Warn of anything dropped, at the level of the reader's caller."""
     for note in notes:
         warnings.warn(note, ImageWarning, stacklevel=3)
 
 
 def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
-    """After every check that needs no pixels."""
+    """Open a file after every check that needs no pixels."""
     jpeg_xl = check_jpeg_xl(data, limits) if kind == "JPEG XL" else None
     try:
         reader = formats.open_reader(data, kind)
@@ -138,7 +138,7 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
-    """The header of a JPEG XL, whose reader decodes all of it as it opens, and not each as the picture it holds.
+    """The header of a JPEG XL, checked first because its reader decodes everything on opening, some files wrongly.
 
     Raises ImageError."""
     formats.reader_of("JPEG XL")
@@ -150,14 +150,14 @@ def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
 
 
 def is_still(reader: Image.Image, data: bytes) -> bool:
-    """Whether a file holds one picture alone."""
+    """Whether a file contains only one picture."""
     if reader.format == "TIFF":
         return chunks.holds_one_picture(data)
     return not getattr(reader, "is_animated", False)
 
 
 def frame_of(reader: Image.Image) -> Box | None:
-    """Where on its screen the first picture of a GIF lies; None if it covers it, or in other formats."""
+    """The area of the first frame within a GIF; None if it covers the picture, or in other formats."""
     if reader.format != "GIF" or reader.tell() > 0:
         return None
     box: Box = reader.dispose_extent  # type: ignore[attr-defined]
@@ -194,7 +194,7 @@ def _check_tiles(reader: Any, kind: str) -> None:
 
 
 def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str]]:
-    """What is stated of the colours, and what is to be said of it."""
+    """The stated colours, and notes on them."""
     if reader.mode == "LAB":  # which says it all
         return None, []
     grey = reader.mode in ("1", "L", "LA", "I") or reader.mode.startswith("I;16")

@@ -1,4 +1,4 @@
-"""Pictures in whichever form a caller has them -> pixels: paths, files in memory, Pillow's pictures, arrays."""
+"""Pixels from any kind of input: paths, files in memory, Pillow images, arrays."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Input = str | os.PathLike[str] | bytes | Image.Image | npt.NDArray[Any]
 
 
 def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
-    """uint8 [H, W, 3], sRGB, C-contiguous, of the path or the bytes of an image file (sgmethod/io/image.py has the
-    rules), of a picture of Pillow's, or of an array as from_array() takes it. keep_alpha: [H, W, 4] where anything can
-    be seen through, in place of a mixture with white.
+    """uint8 [H, W, 3], sRGB, C-contiguous, from the path or bytes of an image file (sgmethod/io/image.py has the
+    rules), a Pillow image, or an array as in from_array(). keep_alpha: return [H, W, 4] for a transparent picture
+    instead of compositing it over white.
 
-    Warns with ImageWarning of what is left out. Raises ImageError, and OSError for a path that cannot be read.
+    Warns with ImageWarning of anything dropped. Raises ImageError, and OSError for a path that cannot be read.
     """
     if isinstance(image, np.ndarray):
         return from_array(image, keep_alpha)
@@ -49,7 +49,7 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
 
 
 def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
-    """A picture of Pillow's by the same rules: turned upright, in sRGB."""
+    """A Pillow image by the same rules: upright, in sRGB."""
     with only_image_errors():
         ImageLimits().check(*image.size)
         check_mode(image)

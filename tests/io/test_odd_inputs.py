@@ -36,7 +36,7 @@ FIRST, ALPHA, PROFILE = (
 
 
 class Odd(NamedTuple):
-    """A file, and what comes of it: a colour to within some levels, or words of the refusal; and words of warnings."""
+    """A file, and the outcome: a colour to within some levels, or words of the refusal; and words of warnings."""
 
     data: bytes
     out: tuple[int, int, int] | str

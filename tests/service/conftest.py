@@ -99,7 +99,7 @@ def database_url(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def open_job_table(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
-    """Opens the same table with leases of so many seconds."""
+    """Opens the same table with leases of this many seconds."""
     opened: list[JobTable] = []
 
     def opener(lease_s: float, **options: Any) -> JobTable:

@@ -89,7 +89,7 @@ class _Helper:
 
 
 class Helpers:
-    """Helper processes, as many as there are errands at once. Whoever asks limits that, by turns."""
+    """Helper processes, one per concurrent errand. The caller limits their number, by turns."""
 
     def __init__(self) -> None:
         self._idle: list[_Helper] = []

@@ -19,7 +19,7 @@ _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})", re.ASCII | re.IGNORECA
 
 
 def accepted_format(request: Request) -> PictureFormat:
-    """The format that the Accept header wants most; PNG if it is all the same. Raises ProblemError 406."""
+    """The format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
     accept = joined(request.headers, "accept") or "*/*"
     weights: dict[str, float] = {}
     for entry in accept.split(","):

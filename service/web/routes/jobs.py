@@ -148,7 +148,7 @@ def _kept_image(parts: Parts, job: Job) -> bytes:
 async def _accepted(
     request: Request, response: Response, parts: Parts, job: Job, wait_s: int
 ) -> answers.AcceptedView | Response:
-    """The answer to an accepted job, or what came of it if that is waited for."""
+    """The response for an accepted job, or its result if the client waits for it."""
     view = answers.accepted(job, parts.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     if wait_s:
@@ -202,7 +202,7 @@ def _discard(parts: Parts, key: str) -> None:
 
 
 def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
-    # If the table fails, the image stays for the sweep: the row may have been written all the same.
+    # If the table fails, the image stays for the sweep: the row may have been written anyway.
     limits = parts.settings
     own_limit, own_quota = (limits.max_queued_per_key, limits.quota_bytes_per_key) if new.owner is not None else (0, 0)
     room = Room(limits.queue_length, own_limit, limits.quota_bytes, own_quota)

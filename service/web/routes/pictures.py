@@ -83,7 +83,7 @@ def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
 
 
 def _kept(job: Job, parts: Parts) -> dict[str, str]:
-    """For how long the file may be kept by whoever has it, and is kept here."""
+    """How long clients may cache the file, and how long it is kept here."""
     expires = answers.expires_at(job, parts.settings)
     return {"Cache-Control": IMMUTABLE, **({} if expires is None else {"Expires": format_datetime(expires, True)})}
 

@@ -82,7 +82,7 @@ async def _ended(job: Job, deadline: float, parts: Parts) -> Job | None:
 
 
 async def outcome(request: Request, job: Job, parts: Parts, headers: Mapping[str, str]) -> Response:
-    """What came of a job that has ended: its file, or its decoded picture. Raises ProblemError."""
+    """The result of a finished job: its file, or its decoded picture. Raises ProblemError."""
     if job.error is not None and job.state == "failed":
         status = 422 if job.error.code == "refused" else 500
         raise ProblemError(status, job.error.detail, headers=headers, code=job.error.code, id=job.id)

@@ -48,7 +48,7 @@ def crowded() -> bytes:
 
 @pytest.fixture
 def eve(web: Service) -> Iterator[httpx.Client]:
-    """Who means harm."""
+    """The attacker."""
     with httpx.Client(base_url=web.url, headers={"Authorization": "Bearer eve"}, timeout=100) as client:
         yield client
 

@@ -237,7 +237,7 @@ def test_no_body_is_taken_for_a_request(strict: Service, pause_s: float) -> None
 
 
 def test_very_many_offers_at_once(web: Service) -> None:
-    """Of a service that does not cut off who takes the answers late: all requests are sent before one is read."""
+    """Of a service that does not cut off slow readers: all requests are sent before one is read."""
     offer = b"GET /livez HTTP/1.1\r\nHost: test\r\nConnection: Upgrade\r\nUpgrade: h2c\r\n\r\n"
     answer = web.raw(2000 * offer + b"GET /livez HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n")
     assert answer.count(b"HTTP/1.1 200 OK") == 2001

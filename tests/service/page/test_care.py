@@ -190,7 +190,7 @@ def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) ->
     assert page.run("return location.href") == address
     page.open("about:blank")
     page.open(f"{web.url}/#file-unknown")
-    says(page, "no longer has the file", "#work")
+    says(page, "no longer has this file", "#work")
     assert complaints(page) == []
 
 

@@ -236,7 +236,7 @@ def test_with_a_key(page: Chromium, start_service: StartService) -> None:
     says(page, "needs an API key")
     page.type("#key", "wrong")
     page.click("#again")
-    says(page, "not known")
+    says(page, "Unknown API key")
     assert all("401" in complaint for complaint in complaints(page))
     page.run("document.getElementById('key').value = ''")
     page.type("#key", "secret")

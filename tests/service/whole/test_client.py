@@ -176,7 +176,7 @@ def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> No
             Client(wrong)
     with pytest.raises(ServerError), Client("http://[") as client:
         client.job("0" * 32)
-    with socket.socket() as nobody:  # who has the port, so that nobody else takes it, and does not listen
+    with socket.socket() as nobody:  # holds the port and does not listen
         nobody.bind(("127.0.0.1", 0))
         address = f"http://127.0.0.1:{nobody.getsockname()[1]}"
         with Client(address) as client:
@@ -394,7 +394,7 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
     assert trace["trace"]
 
     (tmp_path / "out.sg").unlink()
-    for refused, words in ((encode(key="wrong"), "not known"), (encode("--seed", "1"), "--seed")):
+    for refused, words in ((encode(key="wrong"), "unknown API key"), (encode("--seed", "1"), "--seed")):
         assert refused.returncode == 2
         assert words in refused.stderr
         assert refused.stderr.count("\n") == 1
