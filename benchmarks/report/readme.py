@@ -109,14 +109,12 @@ def ahead(results: Path) -> str:
     found["Cool-Chic 5.0"] = rate.first(
         against_cool_chic(rate.rows_of(load(results, "rd/kodak") or {"rows": []}), "rd")
     )
-    told = [
-        f"{change:.0f} % more bits than {told_as}"
-        for name, told_as in RIVALS.items()
-        if (change := found.get(name)) is not None and change > 0
-    ]
+    changes = {told_as: found.get(name) for name, told_as in RIVALS.items()}
+    told = [f"{change:.0f} % more than {name}" for name, change in changes.items() if change is not None and change > 0]
     if not told:
         return ""
     return bullet(
         "The highest PSNR, at any cost:",
-        f"VTM or a learned codec. By their published figures, `--tune psnr` needs {', '.join(told)}.",
+        "VTM or a learned codec. Bits that `--tune psnr` needs for the same PSNR, by their published figures: "
+        f"{', '.join(told)}.",
     )
