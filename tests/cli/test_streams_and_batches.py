@@ -271,7 +271,7 @@ def test_what_is_left_out_is_said(run: Run) -> None:
     assert run("encode", "input.png", "out.sg", "--gaussians", "9", "--quiet") == Ran(0, "", "")
     for kind, mode in (("png", "RGBA"), ("webp", "RGBA"), ("avif", "RGBA"), ("jpg", "RGB"), ("ppm", "RGB")):
         ran = run("decode", "out.sg", f"out.{kind}")
-        notes = "" if mode == "RGBA" else f"sgmethod: note: out.sg: a {SUFFIXES[f'.{kind}']} has no alpha: {said}"
+        notes = "" if mode == "RGBA" else f"sgmethod: note: out.sg: {SUFFIXES[f'.{kind}']} has no alpha channel: {said}"
         assert (ran.status, ran.err) == (0, notes)
         picture = Image.open(f"out.{kind}")
         assert picture.mode == mode
