@@ -31,7 +31,7 @@ def test_transparency_is_shown_on_white(page: Chromium, web: Service) -> None:
     assert row[len(row) // 3].tolist() == [255, 255, 255]
     assert row[2 * len(row) // 3].tolist() == [10, 90, 200]
     page.click("#cancel")
-    says(page, "stays transparent in the file", "#note")
+    says(page, "stay transparent in the file", "#note")
     assert complaints(page) == []
 
 
