@@ -79,7 +79,7 @@ def times(results: Path) -> str:
         f"most. By default they are {beside('rd visual', rate.AVIF_FOR_EYES, 'encode_s')} AVIF with `tune=iq`, and "
         f"{beside('rd visual', 'jpeg', 'decode_ms')} libjpeg-turbo. `rd` decodes by both cores, JPEG by one. Each "
         "encode was timed once, ours with the search for what fits, others' without it. [Other sizes and numbers of "
-        "Gaussians](docs/results.md#time-and-memory) have other ratios.",
+        "Gaussians](docs/results/speed.md) have other ratios.",
     )
 
 
@@ -113,7 +113,7 @@ def large(results: Path) -> str:
         "Whoever is in a hurry takes AVIF, the more so the larger the picture is. A time limit is kept as far as the "
         "start and the file allow: on large pictures a short one is exceeded, and its file is poor and uses a part of "
         "its bytes. At 0.25 bits per pixel where a cell says nothing else "
-        "([error against run time](docs/results.md#error-against-run-time)):"
+        "([error against run time](docs/results/speed.md)):"
     )
     return f"{said}\n\n{table(' | '.join(['megapixels', *columns]), lines)}"
 
@@ -137,7 +137,7 @@ def seen(results: Path) -> str:
         f"Tuned for the eye, which is the default, files have {of_avif['lpips']:.2f} times the distance of "
         f"AVIF's (`tune=iq`) by LPIPS, {of_avif['dists']:.2f} times by DISTS, and {abs(points):.1f} points "
         f"{'less' if points < 0 else 'more'} of SSIMULACRA 2, where AVIF leaves {100 - 100 / of_avif['bytes']:.0f} % "
-        "of the bytes ([rate against quality](docs/results.md#rate-against-quality)).",
+        "of the bytes ([rate against quality](docs/results/rate.md)).",
         with_grain,
     )
 
@@ -153,7 +153,7 @@ def ahead(results: Path) -> str:
     return paragraph(
         "By what others published, some codecs are ahead in PSNR, not all of them networks: `rd`, tuned for PSNR, "
         f"needs {', '.join(told)} for the same PSNR "
-        "([beside what others published](docs/results.md#rate-against-quality-beside-what-others-published)).",
+        "([beside what others published](docs/results/rate.md)).",
     )
 
 
