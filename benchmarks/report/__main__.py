@@ -88,7 +88,10 @@ def main() -> None:
     texts = {docs / "results" / f"{page.name}.md": f"{page.text()}\n" for page in made}
     texts |= {docs / "results" / "README.md": index(made)}
     contents = {name: content for page in made for name, content in page.contents.items()}
-    texts |= {results / f"{name}.csv": flat(content["rows"], APART.get(name, "")) for name, content in contents.items()}
+    texts |= {
+        results / "csv" / f"{name}.csv": flat(content["rows"], APART.get(name, ""))
+        for name, content in contents.items()
+    }
     texts |= {root / "README.md": readme.filled((root / "README.md").read_text(), results)}
     if options.check:
         stale = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]

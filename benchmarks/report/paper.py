@@ -50,7 +50,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only ablation,rd",
         contents=contents,
         panels=[partial(draw, rows=fits["rows"])] if fits else [],
-        of="PSNR of N Gaussians in floating point; six pictures of Kodak here, 24 where quoted",
+        of="PSNR of N Gaussians, not coded; six pictures, 24 where quoted",
         appendix=[*(ablation.summary(contents["ablation"]) if "ablation" in contents else [])],
     )
 

@@ -14,6 +14,7 @@ __all__ = ["MISSING", "Content", "Draw", "Page", "load", "mean", "number", "perc
 
 Content = dict[str, Any]  # of a JSON
 Draw = Callable[[Any], None]  # on the axes of matplotlib
+JOIN = "\n\n".join
 MOST_ROWS = 12  # of a page's table
 RESULTS = "../../benchmarks/results"
 
@@ -39,8 +40,8 @@ class Page:
         """Markdown."""
         assert self.table.count("\n") <= MOST_ROWS + 1, f"the table of {self.name} has more than {MOST_ROWS} rows"
         name = ": ".join(filter(None, [self.title, self.of]))
-        folded = f"<details>\n<summary>Appendix</summary>\n\n{_joined(self.appendix)}\n\n</details>"
-        return _joined(
+        folded = f"<details>\n<summary>Appendix</summary>\n\n{JOIN(self.appendix)}\n\n</details>"
+        return JOIN(
             [
                 *(f"# {self.title}", self.question, f"**{self.conclusion}**", f"![{name}](../plots/{self.name}.svg)"),
                 *(self.table, f"## What this does not show\n\n{self.limits}"),
@@ -52,22 +53,16 @@ class Page:
 
     def footer(self) -> str:
         """One line: the rows as CSV and JSON, when, and on what."""
-        files = ", ".join(
-            f"{name} ([CSV]({RESULTS}/{name}.csv), [JSON]({RESULTS}/{name}.json))" for name in self.contents
-        )
+        files = [f"{name} ([CSV]({RESULTS}/csv/{name}.csv), [JSON]({RESULTS}/{name}.json))" for name in self.contents]
         where = self.contents.values()
         dates = sorted(content["date"][:10] for content in where)
         machines = dict.fromkeys(f"{c['machine']['processor']}, {c['machine']['cores']} cores" for c in where)
         commits = dict.fromkeys(content["commit"] for content in where)
         when = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
         return (
-            f"<sub>Data: {files}. Measured {when} on {'; '.join(machines)}, at commits {', '.join(commits)}. The JSON "
-            "has the versions of all libraries, and remarks.</sub>"
+            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, at commits {', '.join(commits)}. "
+            "The JSON has the versions of all libraries, and remarks.</sub>"
         )
-
-
-def _joined(parts: Sequence[str]) -> str:
-    return "\n\n".join(parts)
 
 
 def load(results: Path, name: str) -> Content | None:
