@@ -55,9 +55,10 @@ TAIL = """## Words
 ## Repeat a measurement
 
 The command of each page runs in a checkout after `pip install -e '.[encode,benchmark]'`, or `'.[test]'` for the
-service, and writes to `build/bench`. Take few pictures first: `--pictures kodim05`. KODAK is a folder with the 24 PNG
-files of [Kodak's set](https://r0k.us/graphics/kodak/), WEIGHTS the folder that
-`python -m benchmarks.perceptual.weights WEIGHTS` fills. `make bench` measures a little of everything in ten minutes."""
+service. It writes to `benchmarks/results` and goes on where it was stopped. KODAK is a folder with the 24 PNG files of
+[Kodak's set](https://r0k.us/graphics/kodak/), WEIGHTS the folder that `python -m benchmarks.perceptual.weights WEIGHTS`
+fills. To try a little first: `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --rivals`, or
+`make bench`, which measures some of everything in ten minutes. Both write to `build/bench`."""
 
 
 def pages(results: Path) -> list[Page]:

@@ -60,7 +60,7 @@ class Page:
         commits = dict.fromkeys(content["commit"] for content in where)
         when = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
         return (
-            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, at commits {', '.join(commits)}. "
+            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, commits {', '.join(commits)}. "
             "The JSON has the versions of all libraries, and remarks.</sub>"
         )
 

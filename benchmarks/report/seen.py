@@ -43,8 +43,8 @@ def page(contents: Mapping[str, Content]) -> Page:
         "- Artefacts that no metric is made for, such as streaks and dots in smooth areas.\n"
         "- Pictures that AVIF (here that of imagecodecs) cannot make so small: all means leave them out.\n"
         f"- Texture apart from the rest: it takes {several(texture)} of the bytes, and PSNR counts it as an error.\n"
-        "- Wholly unseen photographs: constants were chosen on others of the same packages, but some values for "
-        "texture were tried on these too.",
+        "- Wholly unseen photographs: `python -m benchmarks.perceptual.photographs` fetches these, and others of the "
+        "same packages on which constants were chosen; some values for texture were tried on these too.",
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only perceptual",
         contents=contents,
         panels=panels,
