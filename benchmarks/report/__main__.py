@@ -103,6 +103,8 @@ def main() -> None:
     for page in made:
         if page.panels:
             save(page.panels, page.title, page.of, docs / "plots" / page.name)
+        if page.more:
+            save(page.more, page.title, "how seconds grow", docs / "plots" / f"{page.name}_more")
     for path, text in texts.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())

@@ -138,7 +138,6 @@ def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
         f"{published if others else ''}- Single pictures, which differ from the mean{spread}, and pictures unlike "
         "Kodak's: text, screenshots, drawings.\n"
         "- What people say: these are metrics ([what people see](seen.md)).\n"
-        "- Rates far above or below those of the plot.\n"
         "- Exact ratios of times: rows were measured in different hours, and other codecs' times leave out the "
         "search for the quality that fits, which ours include ([speed](speed.md)). A dash stands for rows that were "
         "measured beside other work."

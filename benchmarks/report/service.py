@@ -31,8 +31,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         conclusion=f"{answering(load, attacks, allowed)} {surviving(ledgers)}",
         limits="- A network: clients, attackers and service share two cores of one machine.\n"
         "- Attacks from more machines or addresses than were tried, or of kinds that were not.\n"
-        "- A disk that fails, or a machine that loses power, while processes are killed.\n"
-        "- Rows beyond those of the table, which are in the CSV.",
+        "- A disk that fails, or a machine that loses power, while processes are killed.",
         command="python -m benchmarks --full --only service",
         contents=contents,
         panels=[partial(draw, attacks=attacks, most_ms=allowed["p99_ms"])] if attacks else [],

@@ -43,8 +43,6 @@ def page(contents: Mapping[str, Content]) -> Page:
     ends = dict.fromkeys((min(by_size), max(by_size)))
     panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
     speed, growth = contents.get("speed"), contents.get("growth")
-    if growth:
-        panels += [partial(draw_growth, content=growth, axis=axis) for axis in AXES]
     return Page(
         name="speed",
         title="Speed and memory",
@@ -59,7 +57,8 @@ def page(contents: Mapping[str, Content]) -> Page:
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence",
         contents=contents,
         panels=panels,
-        of="PSNR against seconds, means over five pictures" + (", and how seconds grow" if growth else ""),
+        of="PSNR against seconds, means over five pictures",
+        more=[partial(draw_growth, content=growth, axis=axis) for axis in AXES] if growth else (),
         appendix=[*([grows(speed["rows"])] if speed else []), *(growth_of(growth) if growth else [])],
     )
 
