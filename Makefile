@@ -6,7 +6,7 @@
 # make sanitize [MUTATIONS=n] [SEED=n]
 #              the native code under sanitizers: its own tests, golden files, n damaged files
 # make bench [FULL=yes IMAGES=folder WEIGHTS=folder]
-#              a small set of all measurements in at most ten minutes, or everything that docs/results.md shows
+#              a small set of all measurements in at most ten minutes, or everything that docs/results shows
 # make fuzz [MINUTES=n]
 #              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
 # make cross   compile the kernels for other machines, and run what can be run here; takes what compilers there are

@@ -22,13 +22,12 @@ def copied(folder: Path) -> Path:
     """The results in another folder, beside the documents that are made of them."""
     results = folder / "benchmarks" / "results"
     shutil.copytree(RESULTS, results)
-    (folder / "docs").mkdir()
-    for document in ("README.md", "docs/results.md"):
-        shutil.copy(ROOT / document, folder / document)
+    shutil.copytree(ROOT / "docs" / "results", folder / "docs" / "results")
+    shutil.copy(ROOT / "README.md", folder)
     return results
 
 
 def run(module: str, out: Path, *arguments: str, check: bool = True) -> subprocess.CompletedProcess[str]:
-    """Run a command of benchmarks."""
-    command = [sys.executable, "-m", f"benchmarks.{module}", *arguments, "--out", str(out)]
+    """Run a command of benchmarks, or a part of one."""
+    command = [sys.executable, "-m", *f"benchmarks.{module}".split(), *arguments, "--out", str(out)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=check, timeout=300)
