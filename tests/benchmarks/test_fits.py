@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,7 @@ import pytest
 from PIL import Image
 
 from tests.benchmarks.commands import RESULTS, run, sections
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.data import PHOTOGRAPHS, ROOT
 
 
 @pytest.fixture(scope="module")
@@ -139,11 +141,24 @@ def test_a_claim_of_the_paper_has_a_verdict(tmp_path: Path, db: float, verdict: 
     assert f"| regularisation, 30,000 Gaussians | +0.49 dB | {db:+.2f} dB | - | {verdict} |" in text
 
 
-@pytest.mark.parametrize("profile", ["rd", "paper"])
-def test_a_bad_start_is_mended(tmp_path: Path, profile: str) -> None:
-    """A case that spoils no start is broken by an AssertionError."""
+BAD_START = "every second mean not a number at the start"  # which spoils no start: AssertionError
+
+
+def test_a_bad_start_is_mended(tmp_path: Path) -> None:
     out = tmp_path / "stability.json"
-    case = f"photograph, profile {profile}, every second mean not a number at the start"
+    case = f"photograph, profile rd, {BAD_START}"
     run("stability", out, "--sets", "fits", "--cases", case)
     (row,) = json.loads(out.read_text())["rows"]
     assert (row["case"], row["verdict"]) == (case, "kept"), row
+
+
+def test_a_bad_start_of_the_paper_is_mended() -> None:
+    """The same by a tenth of the steps, which the command does not offer."""
+    script = (
+        "from dataclasses import replace; from sgmethod import Budget; from benchmarks.stability import fits as f; "
+        "short = replace(f.PROFILES['paper'], fit_steps=400, tune_steps=250); "
+        f"bad, budget = f.starts('paper')[{BAD_START!r}], Budget('bpp', f.BPP); "
+        "print(f.worse(f.photograph(64), budget, 'paper', 'psnr', bad, settings=short)[0])"
+    )
+    ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True, capture_output=True, text=True)
+    assert ran.stdout == "0.0\n"
