@@ -24,11 +24,14 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     paper/      profiles paper and baseline
     rd/         profile rd
     codec       encode(): a profile's pipeline, then the decoded result measured
+    exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
+    torch/      tensors: the differentiable renderer, files, data sets
     pillow/     .sg files for Pillow
     client/     the same encode by a service elsewhere
     cli/        the command line
 
-Decoding needs numpy, Pillow and the compiled kernels only; torch is imported by profiles paper and baseline alone.
+Decoding needs numpy, Pillow and the compiled kernels only; torch is imported by profiles paper and baseline, by
+sgmethod.torch, and by an encode on another device than the CPU.
 Once this package is imported, Pillow opens and saves .sg files.
 """
 
@@ -47,6 +50,7 @@ if TYPE_CHECKING:
     from sgmethod.errors import (
         BitstreamError,
         BudgetError,
+        GaussiansError,
         ImageError,
         ImageWarning,
         NativeModuleError,
@@ -54,6 +58,9 @@ if TYPE_CHECKING:
         SgError,
         ViewError,
     )
+    from sgmethod.exchange.files import read_npz, read_ply, write_npz, write_ply
+    from sgmethod.exchange.packing import pack
+    from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
     from sgmethod.view import View
 
@@ -64,6 +71,8 @@ __all__ = [
     "Budget",
     "BudgetError",
     "Encoded",
+    "Gaussians",
+    "GaussiansError",
     "ImageError",
     "ImageWarning",
     "Info",
@@ -79,7 +88,12 @@ __all__ = [
     "encode",
     "info",
     "open",
+    "pack",
+    "read_npz",
+    "read_ply",
     "set_threads",
+    "write_npz",
+    "write_ply",
 ]
 
 # Each is imported once it is asked for: numpy takes 0.1 s, torch more.
@@ -89,9 +103,12 @@ _HOMES = {
     "codec": ("Encoded", "Stats", "encode"),
     "decoder": ("SgFile", "decode", "info", "open"),
     "errors": (
-        *("BitstreamError", "BudgetError", "ImageError", "ImageWarning", "NativeModuleError", "ServerError"),
-        *("SgError", "ViewError"),
+        *("BitstreamError", "BudgetError", "GaussiansError", "ImageError", "ImageWarning", "NativeModuleError"),
+        *("ServerError", "SgError", "ViewError"),
     ),
+    "exchange.files": ("read_npz", "read_ply", "write_npz", "write_ply"),
+    "exchange.packing": ("pack",),
+    "scene": ("Gaussians",),
     "trace": ("TracePoint",),
     "view": ("View",),
 }

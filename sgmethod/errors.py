@@ -4,6 +4,7 @@ SgError                 anything this package refuses, with one clear sentence
 ├── ImageError          an input that is not an image we can read, or beyond the limits
 ├── BitstreamError      bytes that are not a whole, intact .sg file
 ├── ViewError           a scale, region or prefix that makes no picture
+├── GaussiansError      arrays that make no Gaussians, or Gaussians that no file can hold
 ├── BudgetError         a budget that is not a positive number, or too small for any file
 ├── ServerError         a service that cannot be reached, refuses, or fails to encode
 └── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
@@ -26,6 +27,10 @@ class BitstreamError(SgError):
 
 class ViewError(SgError):
     """The scale, region or prefix makes no picture."""
+
+
+class GaussiansError(SgError):
+    """The arrays make no Gaussians, or no file can hold them."""
 
 
 class BudgetError(SgError):
