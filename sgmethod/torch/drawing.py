@@ -125,7 +125,7 @@ def _draw_backward(
     means: Tensor, factors: Tensor, colors: Tensor, by_image: Tensor, pyramid: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The gradients by means, factors and colours, given that by the picture [B, 3, height, width]."""
-    out = torch.empty_like(means), torch.empty_like(factors), torch.empty_like(colors)
+    out = _gradients_of(means, factors, colors)
     height, width = by_image.shape[2:]
     for mean, factor, color, by, *to in zip(means, factors, colors, by_image, *out, strict=True):
         if _has_kernels(color):
@@ -136,6 +136,11 @@ def _draw_backward(
             for values, gradient in zip(to, found, strict=True):
                 values[:] = gradient
     return out
+
+
+def _gradients_of(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Room for gradients, contiguous whatever the layout of the others is."""
+    return means.new_empty(means.shape), factors.new_empty(factors.shape), colors.new_empty(colors.shape)
 
 
 def _has_kernels(values: Tensor) -> bool:
@@ -159,7 +164,7 @@ def _(_means: Tensor, _factors: Tensor, colors: Tensor, width: int, height: int,
 def _(
     means: Tensor, factors: Tensor, colors: Tensor, _by_image: Tensor, _pyramid: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    return torch.empty_like(means), torch.empty_like(factors), torch.empty_like(colors)
+    return _gradients_of(means, factors, colors)
 
 
 def _save(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:  # noqa: ARG001 - torch calls it by these names

@@ -99,6 +99,19 @@ def test_leading_dimensions(dtype: torch.dtype) -> None:
     assert render(means[:, :0], factors[:, :0], colors[:, :0], SIZE, 0.25).unique().tolist() == [0.25]
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_any_layout_in_memory(dtype: torch.dtype) -> None:
+    values = stacked(6, 2, dtype)
+    turned = [one.detach().mT.contiguous().mT.requires_grad_() for one in values]
+    assert not turned[0].is_contiguous()
+    images = render(*values, SIZE), render(*turned, SIZE)
+    assert torch.equal(*images)
+    for one, other in zip(
+        *(torch.autograd.grad(i.sum(), v) for i, v in zip(images, (values, turned), strict=True)), strict=True
+    ):
+        assert torch.equal(one, other)
+
+
 @pytest.mark.parametrize("scale", [0.37, 1.0, 2.5])
 def test_it_draws_what_a_file_shows(scale: float) -> None:
     """At every size, to the rounding to 8 bits."""
