@@ -48,12 +48,13 @@ class Tensors(Kernels):
 
         def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:
             pairs, drawn = self._drawn(gaussians, frame)
-            drawn.requires_grad_()
-            mse = loss = (drawn - target).square().mean()
-            if min(target.shape[1:]) >= 3:
-                found, wanted = (conv2d(one[:, None], kernels) for one in (drawn, target))
-                loss = mse + lambda_g * (wanted.abs() * (found - wanted).square()).sum() / target.numel()
-            (by_image,) = torch.autograd.grad(loss, drawn)
+            with torch.enable_grad():  # whatever the caller has
+                drawn.requires_grad_()
+                mse = loss = (drawn - target).square().mean()
+                if min(target.shape[1:]) >= 3:
+                    found, wanted = (conv2d(one[:, None], kernels) for one in (drawn, target))
+                    loss = mse + lambda_g * (wanted.abs() * (found - wanted).square()).sum() / target.numel()
+                (by_image,) = torch.autograd.grad(loss, drawn)
             return mse.item(), self._gradient(pairs, gaussians, frame, by_image)
 
         return evaluate

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 import sgmethod
@@ -17,7 +16,7 @@ from sgmethod.backend.tensors import Tensors
 from sgmethod.metrics import psnr
 from tests.backend.cases import FRAMES, VISIBILITIES, image, over, target, visibility, worst
 from tests.backend.test_encode import BYTES, SIZE, encoded
-from tests.harness.pictures import png
+from tests.harness.data import PHOTOGRAPHS
 
 TENSORS, REFERENCE = Tensors("cpu"), Reference()
 
@@ -49,18 +48,24 @@ def test_error_and_gradients(frame: Frame, kind: str) -> None:
 @every_frame
 def test_regularised(frame: Frame) -> None:
     losses = [backend.regularised(frame, image(0), 0.06) for backend in (TENSORS, REFERENCE)]
-    (mse, gradient), (wanted_mse, wanted) = (loss(over(frame, 0)) for loss in losses)
+    with torch.no_grad():  # as profile paper calls it
+        mse, gradient = losses[0](over(frame, 0))
+    wanted_mse, wanted = losses[1](over(frame, 0))
     assert mse == pytest.approx(wanted_mse, rel=3e-6)
     for by, wanted_by in zip(gradient.arrays, wanted.arrays, strict=True):
         assert worst(by, wanted_by) < 1e-5
 
 
-def test_a_file_is_as_good_as_that_of_the_kernels() -> None:
-    pixels = np.asarray(Image.open(io.BytesIO(png(*SIZE))))
-    files = [encoded(pixels, "psnr", backend) for backend in (Kernels(), TENSORS)]
-    assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
-    of_kernels, of_tensors = (psnr(sgmethod.decode(file), pixels) for file in files)
-    assert of_tensors > of_kernels - 0.05  # dB
+def test_files_are_as_good_as_those_of_the_kernels() -> None:
+    """On average: a fit that begins with other last bits ends some hundredths of a decibel higher or lower."""
+    photo, gains = np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")), []
+    for x, y in ((0, 0), (40, 0), (80, 0), (0, 32)):
+        pixels = np.ascontiguousarray(photo[y : y + SIZE[1], x : x + SIZE[0]])
+        files = [encoded(pixels, "psnr", backend) for backend in (Kernels(), TENSORS)]
+        assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
+        of_kernels, of_tensors = (psnr(sgmethod.decode(file), pixels) for file in files)
+        gains.append(of_tensors - of_kernels)
+    assert np.mean(gains) > -0.05  # dB; seen: 0.006, and -0.08 to 0.07 each
 
 
 def test_devices() -> None:
