@@ -45,8 +45,8 @@ def render(
     size: width and height of the picture in pixels.
     background: below the Gaussians, a number or [..., 3].
     scale: pixels of the result along a side of one of the picture's, 1/64 to 64.
-    pyramid: draw wide Gaussians on coarser levels, as files from version 4 on do. It is faster, and differs by some
-    thousandths.
+    pyramid: draw wide Gaussians on coarser levels, as files from version 4 on do; without, sample every pixel of each.
+    The two differ by 0.002 on average in a fitted photograph (root mean square).
     blend: "accumulated" adds Gaussians up, as files do; "normalised" divides by the sum of their weights.
 
     Gaussians with a value that is not finite, or l1 or l3 <= 0, are not drawn, and get gradients of 0. Raises

@@ -50,12 +50,12 @@ def test_values_and_gradients(dtype: torch.dtype, pyramid: bool, seed: int) -> N
     image, exact_image = render(*found, SIZE, pyramid=pyramid), exact(wanted, pyramid)
     assert image.dtype == dtype
     magnitudes = exact([wanted[0], wanted[1], wanted[2].abs()], pyramid)
-    assert ((image - exact_image).abs() <= 1e-5 * magnitudes + 1e-7).all()
+    assert ((image - exact_image).abs() <= 1e-5 * magnitudes + 1e-7).all()  # worst seen 4.8e-6
     by_image = torch.from_numpy(np.random.default_rng(seed).standard_normal(image.shape))
     image.backward(by_image.to(dtype))
     exact_image.backward(by_image)
     for one, other in zip(found, wanted, strict=True):
-        assert (one.grad - other.grad).abs().max() < 1e-3 * other.grad.abs().max()  # worst seen 5e-6
+        assert (one.grad - other.grad).abs().max() < 1e-3 * other.grad.abs().max()  # worst seen 2.5e-6
 
 
 @pytest.mark.parametrize(("pyramid", "blend", "scale"), [*product((True, False), BLENDS, (1, 0.5))])
