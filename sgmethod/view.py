@@ -24,9 +24,6 @@ PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
 FAR = 1 << 16  # output pixels; coordinates stay below, for single precision. A multiple of every level's samples.
 WHOLE = 50.0  # sigma at which nothing is left of a Gaussian that has no end
-# By the sigma at which a Gaussian ends: how much wider is the nearest one that ends at CUTOFF_V3, of all with the same
-# integral, by least squares. It misses 0.05 and 0.06 of the root of the energy.
-WIDER = {native.CUTOFF_V3: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
 
 
 @dataclass(frozen=True)
@@ -136,12 +133,16 @@ def _resized(
     return Gaussians(means.astype(np.float32), factors, colors)
 
 
-def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float = native.CUTOFF_V3) -> Gaussians:
-    """The nearest Gaussians that end at sigma = new_cutoff, that of files from version 3 on, of ones that end at
-    sigma = cutoff. Both are keys of WIDER."""
+def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
+    """The nearest Gaussians that end at sigma = new_cutoff, by default that of files from version 3 on, of ones that
+    end at sigma = cutoff. Both are cut-offs of a version, or WHOLE."""
+    new_cutoff = native.CUTOFF_V3 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:
         return gaussians
-    wider = WIDER[cutoff] / WIDER[new_cutoff]
+    # How much wider the nearest one is that ends at CUTOFF_V3, of all with the same integral, by least squares. The
+    # root mean square of the difference is 5 % and 6 % of the Gaussian's.
+    wider_by = {native.CUTOFF_V3: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
+    wider = wider_by[cutoff] / wider_by[new_cutoff]
     gain = _integral(cutoff) / (_integral(new_cutoff) * wider**2)
     return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))
 
