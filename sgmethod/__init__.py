@@ -24,12 +24,14 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     paper/      profiles paper and baseline
     rd/         profile rd
     codec       encode(): a profile's pipeline, then the decoded result measured
+    exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
+    torch/      tensors: the differentiable renderer, files, data sets
     pillow/     .sg files for Pillow
     client/     encoding by a service
     cli/        the command line
 
-Decoding needs only NumPy, Pillow and the compiled kernels; only profiles paper and baseline import PyTorch.
-Importing this package lets Pillow open and save .sg files.
+Decoding needs only NumPy, Pillow and the compiled kernels; profiles paper and baseline, sgmethod.torch and encodes on
+another device import PyTorch. Importing this package lets Pillow open and save .sg files.
 """
 
 from __future__ import annotations
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from sgmethod.errors import (
         BitstreamError,
         BudgetError,
+        GaussiansError,
         ImageError,
         ImageWarning,
         NativeModuleError,
@@ -54,6 +57,9 @@ if TYPE_CHECKING:
         SgError,
         ViewError,
     )
+    from sgmethod.exchange.files import read_npz, read_ply, write_npz, write_ply
+    from sgmethod.exchange.packing import pack
+    from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
     from sgmethod.view import View
 
@@ -64,6 +70,8 @@ __all__ = [
     "Budget",
     "BudgetError",
     "Encoded",
+    "Gaussians",
+    "GaussiansError",
     "ImageError",
     "ImageWarning",
     "Info",
@@ -79,7 +87,12 @@ __all__ = [
     "encode",
     "info",
     "open",
+    "pack",
+    "read_npz",
+    "read_ply",
     "set_threads",
+    "write_npz",
+    "write_ply",
 ]
 
 # Each is imported once it is asked for: numpy takes 0.1 s, torch more.
@@ -89,9 +102,12 @@ _HOMES = {
     "codec": ("Encoded", "Stats", "encode"),
     "decoder": ("SgFile", "decode", "info", "open"),
     "errors": (
-        *("BitstreamError", "BudgetError", "ImageError", "ImageWarning", "NativeModuleError", "ServerError"),
-        *("SgError", "ViewError"),
+        *("BitstreamError", "BudgetError", "GaussiansError", "ImageError", "ImageWarning", "NativeModuleError"),
+        *("ServerError", "SgError", "ViewError"),
     ),
+    "exchange.files": ("read_npz", "read_ply", "write_npz", "write_ply"),
+    "exchange.packing": ("pack",),
+    "scene": ("Gaussians",),
     "trace": ("TracePoint",),
     "view": ("View",),
 }

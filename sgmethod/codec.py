@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.devices import backend_on
+from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, own_number, unasked, whole
@@ -120,6 +121,7 @@ def encode(
     on_progress: Progress | None = None,
     stop: Stop | None = None,
     on_preview: Preview | None = None,
+    device: object = None,
 ) -> Encoded:
     """Encode a picture within a budget.
 
@@ -148,9 +150,11 @@ def encode(
     stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
     3 s.
     on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
+    device: a PyTorch device for the fit, such as "cuda"; None and "cpu" mean the compiled kernels.
 
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
-    BudgetError for a budget that no file can meet, OSError for a path that cannot be read, and MemoryError.
+    BudgetError for a budget that no file can meet, SgError for a device that is missing, OSError for a path that cannot
+    be read, and MemoryError.
     """
     clock, limit_s = Clock(stop), _own_time_limit(time_limit_s)
     seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
@@ -158,7 +162,7 @@ def encode(
         budget, {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality, "gaussians": gaussians}
     )
     tuned_for = tuning(tune, checked_profile(profile), budget)
-    effort = checked_effort(effort)
+    effort, backend = checked_effort(effort), backend_on(device)
     settings = settings_of(profile, effort) if settings is None else settings
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
     height, width, channels = pixels.shape
@@ -168,11 +172,11 @@ def encode(
     deadline = Deadline(clock, limit_s, width * height, deadline_settings)
     recorder = Recorder(clock, on_progress, on_preview or shown_to_nobody)
     if isinstance(settings, RdSettings):
-        data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed)
+        data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed, backend)
     else:
         from sgmethod.paper import encode as paper  # and torch with it
 
-        request = paper.Request(pixels, budget, profile, settings, deadline, recorder, Kernels(), seed)
+        request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
     encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort))
     missed_db = max(budget.value - encoded.stats.psnr, 0.0) if budget.kind == "psnr" else None
@@ -195,13 +199,14 @@ def _rd(
     deadline: Deadline,
     recorder: Recorder,
     seed: int,
+    backend: Backend,
 ) -> tuple[builtins.bytes, int]:
     """The file of profile rd for pixels [H, W, 3 or 4], and the steps it took."""
     height, width, channels = pixels.shape
     settings = sized(settings, width * height)
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
     rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
-    request = Request(objective, rate, deadline, Kernels(), settings, recorder, seed)
+    request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:
         stream, steps = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))
     else:

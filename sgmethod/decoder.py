@@ -14,8 +14,8 @@ from sgmethod.budget import whole
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import own_path
 from sgmethod.native import native
-from sgmethod.scene import FloatArray, Scene
-from sgmethod.view import View
+from sgmethod.scene import FloatArray, Gaussians, Scene
+from sgmethod.view import View, recut
 
 File = str | os.PathLike[str] | bytes
 WHOLE = View()
@@ -91,6 +91,24 @@ class SgFile:
     def info(self) -> Info:
         """The header, and how the bits are spent."""
         return self._stream.info(len(self._data), container.checksum(self._data))
+
+    @property
+    def background(self) -> tuple[float, float, float]:
+        """What lies below the Gaussians: red, green and blue, 1 being full white."""
+        red, green, blue = self._stream.background
+        return red / 255, green / 255, blue / 255
+
+    def gaussians(self) -> Gaussians:
+        """The Gaussians, the largest first from version 3 on. Those of alpha, and texture, are not among them.
+
+        >>> sgmethod.open("photo.sg").gaussians().means.dtype
+        dtype('float32')
+
+        Those of version 1, which end farther out, come as the nearest that end where later ones do. Raises
+        BitstreamError and MemoryError.
+        """
+        scene = self._stream.scene()
+        return recut(scene.gaussians, scene.cutoff)
 
     def pixels(
         self,

@@ -4,6 +4,7 @@ SgError                 base of all errors that this package raises, with one cl
 ├── ImageError          the input is not an image that can be read, or exceeds the limits
 ├── BitstreamError      the bytes are not an intact .sg file
 ├── ViewError           the scale, region or prefix is invalid for the picture
+├── GaussiansError      the arrays are no valid Gaussians, or no file can hold them
 ├── BudgetError         the budget is invalid, or too small for any file
 ├── ServerError         the service cannot be reached, refuses, or fails to encode
 └── NativeModuleError   the compiled kernels are missing; the message says how to build them
@@ -26,6 +27,10 @@ class BitstreamError(SgError):
 
 class ViewError(SgError):
     """The scale, region or prefix is invalid for the picture."""
+
+
+class GaussiansError(SgError):
+    """The arrays make no Gaussians, or no file can hold them."""
 
 
 class BudgetError(SgError):

@@ -16,11 +16,13 @@ import numpy as np
 
 from sgmethod.budget import own_number
 from sgmethod.errors import ViewError
+from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene, Texture
 
 PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
 FAR = 1 << 16  # output pixels; coordinates stay below, for single precision. A multiple of every level's samples.
+WHOLE = 50.0  # sigma at which nothing is left of a Gaussian that has no end
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class View:
         scale = width / w, height / h
         # In a pyramid a part keeps its place, so that it is what it would be in the whole picture.
         origin = (int(x * scale[0]) % FAR, int(y * scale[1]) % FAR) if scene.pyramid else (0, 0)
-        widening = PIXEL_VARIANCE / _variance(scene.cutoff)
+        widening = PIXEL_VARIANCE / variance(scene.cutoff)
         gaussians = _resized(scene.gaussians, (x, y), origin, scale, widening)
         if texture is not None:
             texture = _resized_texture(texture, (x, y), origin, scale)
@@ -95,7 +97,7 @@ def _own_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | Non
     return x, y, width, height
 
 
-def _variance(cutoff: float) -> float:
+def variance(cutoff: float) -> float:
     """Of a weight exp(-sigma) - exp(-cutoff), in those of a whole Gaussian: its second moment over its integral."""
     floor = math.exp(-cutoff)
     return (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
@@ -128,3 +130,22 @@ def _resized(
     factors = np.stack([n1, n2, n3], 1).astype(np.float32)
     colors = (gaussians.colors[drawn] * weight[:, None]).astype(np.float32)
     return Gaussians(means.astype(np.float32), factors, colors)
+
+
+def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
+    """The nearest Gaussians that end at sigma = new_cutoff, by default that of files from version 3 on, of ones that
+    end at sigma = cutoff. Both are cut-offs of a version, or WHOLE."""
+    new_cutoff = native.CUTOFF_V3 if new_cutoff is None else new_cutoff
+    if cutoff == new_cutoff:
+        return gaussians
+    # How much wider the nearest one is that ends at CUTOFF_V3, of all with the same integral, by least squares. The
+    # root mean square of the difference is 5 % and 6 % of the Gaussian's.
+    wider_by = {native.CUTOFF_V3: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
+    wider = wider_by[cutoff] / wider_by[new_cutoff]
+    gain = _integral(cutoff) / (_integral(new_cutoff) * wider**2)
+    return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))
+
+
+def _integral(cutoff: float) -> float:
+    """Of a weight exp(-sigma) - exp(-cutoff), in those of a whole Gaussian."""
+    return 1 - math.exp(-cutoff) * (1 + cutoff)
