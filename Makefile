@@ -6,7 +6,7 @@
 # make sanitize [MUTATIONS=n] [SEED=n]
 #              the native code under sanitizers: its own tests, golden files, n damaged files
 # make bench [FULL=yes IMAGES=folder WEIGHTS=folder]
-#              a small set of all measurements in at most ten minutes, or everything that docs/results.md shows
+#              a small set of all measurements in at most ten minutes, or everything that docs/results shows
 # make fuzz [MINUTES=n]
 #              look for inputs that break the decoder, n minutes for each of three targets; needs Clang
 # make cross   compile the kernels for other machines, and run what can be run here; takes what compilers there are
@@ -46,7 +46,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check test measured measured-service measured-whole unmeasured versions sanitize fuzz cross wheel wasm bench
+.PHONY: serve check types test measured measured-service measured-whole unmeasured versions sanitize fuzz cross wheel wasm bench
 
 serve: $(STAMP)
 	$(BIN)/python -m service serve
@@ -62,14 +62,19 @@ check: $(STAMP)
 	  echo "nginx is missing, so nothing will be tested behind it: sudo apt install nginx-light" >&2
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
-	$(BIN)/python -m mypy
 
+types: $(STAMP)
+	$(YIELDING) $(BIN)/python -m mypy
+
+# Measured, four parts at a time: those of the service mostly wait, and leave two cores to the others, of which the longest
+# begin first.
 test: check
 ifeq ($(COVERAGE),)
+	$(BIN)/python -m mypy
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(MAKE) --jobs 3 measured-whole measured-service measured unmeasured $(ALSO)
+	$(MAKE) --jobs 4 measured-whole measured-service measured types $(ALSO) unmeasured
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif

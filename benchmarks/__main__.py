@@ -1,11 +1,10 @@
-"""A small set of all measurements, in ten minutes at most, or what docs/results.md shows.
+"""A small set of all measurements, in ten minutes at most, or what docs/results shows.
 
-    python -m benchmarks [--full --images KODAK --weights FOLDER] [--only rd,needs]
+    python -m benchmarks [--full --images KODAK --weights FOLDER] [--only rd,speed]
 
 The small set takes the pictures of the tests and writes to build/bench. --full writes to benchmarks/results and goes on
 where it was stopped, as long as code and machine are the same; python -m benchmarks.report then makes the documents.
-Each command's own text has its options. Not among them: benchmarks.perceptual and image, which need weights and root,
-the document has their commands; turns, which compares with a second checkout; and again, for results of earlier code.
+Not in --full: `speed growth` and the other photographs of benchmarks.perceptual, which need pictures of their own.
 """
 
 from __future__ import annotations
@@ -15,116 +14,69 @@ import shlex
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.arguments import some_of
 from benchmarks.machine import RESULTS, RUNS
+from benchmarks.rd.rivals import versions
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
-IMAGES = "--images {images}"
+KODAK = "--images {images}"
+SEEN = f"{KODAK} --weights {{weights}}"
+RATES, QUALITIES, PATIENT = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70", "--effort 9 --tune psnr"
 FEW = "--bpp 0.5 --most 1"
+NO_RIVALS = "--methods 'rd,rd visual,paper,baseline,plain Adam,siren'"
+# The JSON of each command, and the command.
+SMALL = {
+    "rd/kodak": f"rd {KODAK} --bpp 0.5",
+    "convergence/kodak": f"convergence {KODAK} {FEW} --megapixels 0.1 --seconds 6 --limits 0.5 --paper-limits 2 --few",
+    "version4/stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
+    "stability": "robustness extremes --seeds 3 --generations 4",
+    "speed": f"speed {KODAK} --megapixels 0.1,0.4 --gaussians 1000,5000 --repeats 1 --steps 100 --rounds 10",
+    "growth": f"speed growth {KODAK} --most 1 --megapixels 0.01 --at-megapixels 0.01 --at-bytes 300 --bytes 150,300",
+    "representation": f"ablation representation {KODAK} --most 1 --gaussians 500 --steps 300",
+    "ablation": f"ablation {KODAK} {FEW} --seeds 1 --steps 100 --fit-steps 200 --tune-steps 100",
+    "service/load": "service load --seconds 5",
+    "service/attacks": "service attacks --seconds 5 --only none,decode,idle",
+}
+FULL = {
+    "rd/kodak": f"rd {SEEN} {RATES} --rivals",
+    "rd/effort": f"rd {SEEN} {PATIENT} --bpp 0.15,0.25,0.4",
+    "rd/settings": f"rd {SEEN} --profiles '' {RATES} --rivals 'jpegxl effort 4'",
+    "rd/patient": f"rd {SEEN} --profiles '' {RATES} --rivals 'avif tune=psnr speed 0'",
+    "rd/quality": f"rd {KODAK} {QUALITIES}",
+    "rd/effort-quality": f"rd {KODAK} {PATIENT} {QUALITIES}",
+    "rd/paper": f"rd {SEEN} --profiles paper --bpp 0.147,0.43",
+    "convergence/kodak": f"convergence {SEEN} --megapixels 0.4",
+    "convergence/2-megapixels": f"convergence {SEEN} --megapixels 2 --few",
+    "convergence/12-megapixels": f"convergence {SEEN} --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 "
+    "--paper-limits 10,30",
+    "convergence/codecs": f"convergence {SEEN} --megapixels 2,12 --settings ',effort 1,10,9,8,7,6,5,4,3,2,1,0' "
+    "--methods 'rd,rd visual,jpeg,jpeg2000,webp,avif,jpegxl,avif visual'",
+    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.1,0.25,0.5 --kinds psnr visual avif",
+    "version4/stiff": "robustness stiff --seeds 1 --only bpp,psnr",
+    "stability": "robustness extremes",
+    "speed": f"speed {KODAK}",
+    "representation": f"ablation representation {SEEN}",
+    "ablation": f"ablation {KODAK}",
+    "service/load": "service load",
+    "service/attacks": "service attacks",
+    "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
+    "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
+}
+COMMANDS = ("rd", "convergence", "speed", "ablation", "robustness", "service", "perceptual")
 
 
-@dataclass(frozen=True)
-class Part:
-    """One command: the JSON that it writes, and its arguments in the small set and in the whole."""
-
-    module: str
-    result: str
-    small: str
-    full: str
-    rivals: str = ""  # added where other codecs are there
-
-
-PARTS = (
-    Part("rd", "rd/kodak", f"{IMAGES} --bpp 0.5", f"{IMAGES} --bpp 0.1,0.15,0.25,0.4", "--rivals"),
-    Part("rd", "rd/effort", "", f"{IMAGES} --effort 9 --tune psnr --bpp 0.15,0.25,0.4"),
-    Part(
-        "rd",
-        "rd/settings",
-        "",
-        f"{IMAGES} --profiles '' --bpp 0.1,0.15,0.25,0.4 --rivals 'jpegxl effort 4'",
-    ),
-    Part(
-        "rd",
-        "rd/patient",
-        "",
-        f"{IMAGES} --profiles '' --bpp 0.1,0.15,0.25,0.4 --rivals 'avif tune=psnr speed 0'",
-    ),
-    Part("rd", "rd/quality", "", f"{IMAGES} --quality 20,30,40,50,60,70"),
-    Part("rd", "rd/effort-quality", "", f"{IMAGES} --effort 9 --tune psnr --quality 20,30,40,50,60,70"),
-    Part("rd", "rd/paper", "", f"{IMAGES} --profiles paper --bpp 0.147,0.43"),
-    Part(
-        "rd",
-        "rd/fitted",
-        "",
-        f"{IMAGES} --most 6 --profiles baseline --steps 20000 --coin --bpp 0.15,0.25,0.4",
-    ),
-    Part(
-        "convergence",
-        "convergence/kodak",
-        f"{IMAGES} {FEW} --megapixels 0.1 --seconds 6 --limits 0.25,0.5,1 --paper-limits 2 --few",
-        f"{IMAGES} --most 5 --megapixels 0.4",
-    ),
-    Part("convergence", "convergence/2-megapixels", "", f"{IMAGES} --most 5 --megapixels 2 --few"),
-    Part(
-        "convergence",
-        "convergence/12-megapixels",
-        "",
-        f"{IMAGES} --most 5 --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 --paper-limits 10,30",
-    ),
-    Part(
-        "convergence",
-        "convergence/codecs",
-        "",
-        f"{IMAGES} --most 5 --megapixels 2,12 --methods 'rd,rd visual,jpeg,jpeg2000,webp,avif,jpegxl,avif visual' "
-        "--settings ',effort 1,10,9,8,7,6,5,4,3,2,1,0'",
-    ),
-    Part("needs", "needs", "--repeats 1", ""),
-    Part("stability", "stability", "--seeds 3 --generations 4 --mutations 2000", "--mutations 1000000 --sanitize"),
-    Part("stiff", "version4/stiff", "--pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp", ""),
-    Part(
-        "speed",
-        "speed",
-        f"{IMAGES} --megapixels 0.1,0.4 --gaussians 1000,5000 --repeats 1 --steps 100 --rounds 10",
-        IMAGES,
-    ),
-    Part("representation", "representation", f"{IMAGES} --most 1 --gaussians 500 --steps 300", IMAGES),
-    Part("ablation", "ablation", f"{IMAGES} {FEW} --seeds 1 --steps 100 --fit-steps 200 --tune-steps 100", IMAGES),
-    Part("load", "service/load", f"{IMAGES} --seconds 5", IMAGES),
-    Part("attacks", "service/attacks", "--seconds 5 --only none,decode,idle", ""),
-    Part("chaos", "service/chaos-sqlite", "", "--jobs 200 --seed 7"),
-    Part("chaos", "service/chaos-postgresql", "", "--jobs 200 --seed 7 --database-url postgresql"),
-    Part("soak", "service/soak", "", ""),
-)
-
-
-def run(part: Part, options: argparse.Namespace) -> float:
+def run(result: str, line: str, folder: Path) -> float:
     """Seconds that the command took. Its failure does not keep others from running."""
-    line = (part.full if options.full else part.small).format(images=shlex.quote(str(options.images)))
-    words = shlex.split(line)
-    if options.weights and part.module in ("rd", "convergence", "representation"):
-        words += ["--weights", str(options.weights)]
-    if part.module == "convergence":
-        words += [] if has_rivals() else ["--methods", "rd,rd visual,paper,baseline,plain Adam,siren,hash grid"]
-    elif has_rivals():
-        words += part.rivals.split()
-    out = (RESULTS if options.full else RUNS) / f"{part.result}.json"
-    print(f"--- {part.module}: {' '.join(words)}", flush=True)
+    module, *words = shlex.split(line)
+    print(f"--- {module} {shlex.join(words)}", flush=True)
     began = time.monotonic()
-    command = [sys.executable, "-m", f"benchmarks.{part.module}", *words, "--out", str(out)]
+    command = [sys.executable, "-m", f"benchmarks.{module}", *words, "--out", str(folder / f"{result}.json")]
     done = subprocess.run(command, cwd=ROOT, check=False)
     if done.returncode != 0:
-        print(f"{part.module} failed with status {done.returncode}", file=sys.stderr)
+        print(f"{module} failed with status {done.returncode}", file=sys.stderr)
     return time.monotonic() - began
-
-
-def has_rivals() -> bool:
-    """Whether other codecs can be measured."""
-    from benchmarks.rd.rivals import versions
-
-    return bool(versions())
 
 
 def main() -> None:
@@ -132,19 +84,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--full", action="store_true")
     parser.add_argument("--images", type=Path, default=PHOTOGRAPHS)
-    modules = list(dict.fromkeys(part.module for part in PARTS))
-    parser.add_argument("--only", type=some_of(modules, "command"), default=",".join(modules), help="commands")
+    parser.add_argument("--only", type=some_of(COMMANDS, "command"), default=",".join(COMMANDS), help="commands")
     parser.add_argument("--weights", type=Path, help="folder as benchmarks.perceptual takes it, for LPIPS and its like")
     options = parser.parse_args()
-    if options.full and options.images == PHOTOGRAPHS:
-        parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
-    if options.full and not options.weights:
-        parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
-    if options.full and not has_rivals():
+    lines = dict(FULL if options.full else SMALL)
+    if not options.full:
+        lines["rd/kodak"] += " --rivals" if versions() else ""
+        lines["convergence/kodak"] += "" if versions() else f" {NO_RIVALS}"
+    wanted = {name: line for name, line in lines.items() if line.split()[0] in options.only}
+    if options.full and not versions():
         parser.error("--full needs the other codecs: pip install -e '.[benchmark]'")
-    wanted = [part for part in PARTS if part.module in options.only and (options.full or part.small)]
-    taken = [(part.result, run(part, options)) for part in wanted]
-    print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken))
+    if any("{weights}" in line for line in wanted.values()) and not options.weights:
+        parser.error("--full needs --weights: python -m benchmarks.perceptual.weights FOLDER fetches them")
+    if options.full and any(KODAK in line for line in wanted.values()) and options.images == PHOTOGRAPHS:
+        parser.error("--full needs --images: a folder with the 24 pictures of Kodak")
+    folders = {name: shlex.quote(str(getattr(options, name))) for name in ("images", "weights")}
+    out = RESULTS if options.full else RUNS
+    wanted = {name: line.format(**folders) for name, line in wanted.items()}
+    taken = {name: run(name, line, out) for name, line in wanted.items()}
+    print("\n".join(f"{name}: {seconds:.0f} s" for name, seconds in taken.items()))
 
 
 if __name__ == "__main__":

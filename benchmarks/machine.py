@@ -9,7 +9,6 @@ import platform
 import shlex
 import subprocess
 import sys
-import time
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -116,29 +115,6 @@ class Record:
         print(", ".join(f"{name} {_short(value)}" for name, value in row.items() if value is not None), flush=True)
 
 
-class Elsewhere:
-    """What processes that are not ours take of the machine, from now on: times were measured beside them."""
-
-    def __init__(self) -> None:
-        self._began = time.monotonic(), _machine_s(), _own_s()
-
-    def cores(self) -> float:
-        """Cores' worth, on average. Ours are this process and those that it has waited for, with theirs."""
-        began, machine_s, own_s = self._began
-        spent_s = _machine_s() - machine_s - (_own_s() - own_s)
-        return round(max(0.0, spent_s / (time.monotonic() - began)), 2)
-
-
-def _machine_s() -> float:
-    """Seconds of all cores that were not idle, or were taken from this machine by another."""
-    ticks = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
-    return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
-
-
-def _own_s() -> float:
-    return sum(os.times()[:4])
-
-
 def command(module: str) -> str:
     """What was typed, but where the JSON goes, after the number of threads if one was set. A folder is named by its
     last part in capitals: where it lies on this machine says nothing."""
@@ -146,7 +122,7 @@ def command(module: str) -> str:
     if "--out" in words:
         del words[words.index("--out") : words.index("--out") + 2]
     threads = os.environ.get("SG_THREADS")
-    return (f"SG_THREADS={threads} " if threads else "") + shlex.join(["python", "-m", module, *words])
+    return (f"SG_THREADS={threads} " if threads else "") + shlex.join(["python", "-m", *module.split(), *words])
 
 
 def write_json(path: Path, content: object) -> None:

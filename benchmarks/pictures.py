@@ -7,12 +7,15 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.io.image import read_image_8_bit
+from tests.harness.data import PHOTOGRAPHS
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp"}
+PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
 RATIO = 4 / 3  # of a mosaic's sides
 Pixels = NDArray[np.uint8]
 
@@ -69,6 +72,15 @@ def sized(paths: Sequence[Path], first: int, megapixels: float) -> Pixels:
         canvas[y : y + band] = laid[:, :width]
         y += band
     return canvas
+
+
+def photograph(side: int) -> Pixels:
+    """The middle of a test picture, brought to size."""
+    pixels = read_image_8_bit(PHOTOGRAPH.read_bytes())
+    least = min(pixels.shape[:2])
+    y, x = (pixels.shape[0] - least) // 2, (pixels.shape[1] - least) // 2
+    shown = cv2.resize(pixels[y : y + least, x : x + least], (side, side), interpolation=cv2.INTER_AREA)
+    return np.asarray(shown, np.uint8)
 
 
 def _middle(pixels: Pixels, height: int, width: int) -> Pixels:

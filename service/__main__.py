@@ -43,7 +43,7 @@ def main() -> int:
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
     for name in unknown_settings(os.environ):
-        print(f"{name} is no setting of this service, and does nothing", file=sys.stderr)
+        print(f"{name} is not a setting of this service and has no effect", file=sys.stderr)
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
     except BrokenPipeError:  # of `check | head`: nobody reads the rest
@@ -60,17 +60,17 @@ def main() -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m service", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("serve", help="run web process and workers, and replace those that die")
-    web = commands.add_parser("web", help="run the web process alone")
-    worker = commands.add_parser("worker", help="run one worker alone")
-    commands.add_parser("check", help="try everything that the service needs, one line each")
-    sweep = commands.add_parser("sweep", help="remove files that no job needs, and jobs older than SG_RETENTION_S")
-    sweep.add_argument("--dry-run", action="store_true", help="only say how many")
+    commands.add_parser("serve", help="run the web process and workers, and restart any that die")
+    web = commands.add_parser("web", help="run only the web process")
+    worker = commands.add_parser("worker", help="run only one worker")
+    commands.add_parser("check", help="check everything that the service needs")
+    sweep = commands.add_parser("sweep", help="delete orphaned files, and jobs older than SG_RETENTION_S")
+    sweep.add_argument("--dry-run", action="store_true", help="only report the numbers")
     sweep.add_argument(
         "--orphan-age-s",
         type=float,
         default=ORPHAN_AGE_S,
-        help="remove files older than this (seconds, default %(default)g); 0 only while nothing else runs",
+        help="minimum age in seconds of an orphaned file (default: %(default)g); use 0 only while nothing else runs",
     )
     web.add_argument("--socket", type=int, help=argparse.SUPPRESS)
     for command in (web, worker):  # both are how "serve" starts its processes

@@ -71,7 +71,7 @@ def _storage(settings: Settings) -> str:
     storage.put(key, data)
     try:
         if storage.get(key) != data:
-            raise CheckError("what was stored came back changed")
+            raise CheckError("a stored file came back changed")
     finally:
         storage.delete(key)
     return f"{settings.storage_url or settings.data_dir}: stored, read and removed a file"
@@ -82,7 +82,7 @@ def _free_disk(settings: Settings) -> str:
     folder = settings.data_dir if uses_data_dir else Path(tempfile.gettempdir())
     free = shutil.disk_usage(folder).free
     if free < UPLOADS_OF_ROOM * settings.max_upload_bytes:
-        raise CheckError(f"{folder}: {free:,} bytes are free, less than {UPLOADS_OF_ROOM} of the largest uploads")
+        raise CheckError(f"{folder}: only {free:,} bytes free, less than {UPLOADS_OF_ROOM} of the largest uploads")
     return f"{folder}: {free:,} bytes"
 
 
@@ -90,7 +90,7 @@ def _kernels(_settings: Settings) -> str:
     from sgmethod.native import native
 
     if find_spec("torch") is None:
-        raise CheckError("encoding needs more packages: pip install '.[encode]'")
+        raise CheckError("encoding needs extra packages: pip install '.[encode]'")
     return ISA_NAMES[native.best_isa()]
 
 
@@ -99,6 +99,6 @@ def _confinement(_settings: Settings) -> str:
     ask = f"from {confinement.MODULE} import confine; print(', '.join(confine()))"
     said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False)
     if said.returncode != 0:
-        raise CheckError("processes that read strangers' pictures cannot be confined")
+        raise CheckError("the processes that read uploads cannot be sandboxed")
     missing = said.stdout.strip()
     return f"this system does not offer {missing}" if missing else "Landlock and seccomp"

@@ -31,7 +31,7 @@ def parse_keys(text: str) -> dict[str, str]:
     for number, word in enumerate(words, 1):
         match = _LINE.fullmatch(word)
         if match is None:
-            raise ValueError(f"key {number} is not a name, a colon and the 64 digits of a SHA-256")
+            raise ValueError(f"key {number} must be a name, a colon and 64 hex digits (SHA-256)")
         keys[match[2]] = match[1]
     return keys
 

@@ -25,7 +25,7 @@ def open_job_table(settings: Settings) -> JobTable:
         try:
             from service.jobs.postgres import PostgresJobTable
         except ImportError as error:
-            raise MissingPackagesError("PostgreSQL needs more packages: pip install '.[postgres]'") from error
+            raise MissingPackagesError("PostgreSQL needs extra packages: pip install '.[postgres]'") from error
         return PostgresJobTable(settings.database_url, rules)
     settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     return SqliteJobTable(settings.database_path, rules)
@@ -38,5 +38,5 @@ def open_storage(settings: Settings) -> Storage:
     try:
         from service.storage.bucket import BucketStorage
     except ImportError as error:
-        raise MissingPackagesError("an object store needs more packages: pip install '.[s3]'") from error
+        raise MissingPackagesError("an object store needs extra packages: pip install '.[s3]'") from error
     return BucketStorage(settings.storage_url)

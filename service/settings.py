@@ -56,7 +56,7 @@ class Settings(BaseSettings):
 
     host: str = Field(default="127.0.0.1", description="address to listen on")
     port: int = Field(default=8000, ge=0, le=65535, description="TCP port; 0 takes a free one")
-    data_dir: Path = Field(default=Path("data"), description="folder of the job table, sources and bitstreams")
+    data_dir: Path = Field(default=Path("data"), description="folder for the job table, sources and bitstreams")
 
     database_url: str = Field(
         default="",
@@ -70,138 +70,140 @@ class Settings(BaseSettings):
         description="sources and bitstreams: empty for the data folder, or s3://bucket/prefix",
     )
     retention_s: float = Field(
-        default=30 * 86_400, ge=0, description="seconds after which finished jobs are removed; 0 for never"
+        default=30 * 86_400, ge=0, description="seconds until finished jobs are removed; 0 for never"
     )
     source_retention_s: float = Field(
         default=3600.0,
         ge=0,
-        description="seconds for which the image of a finished job is kept to be encoded again; 0 for not at all",
+        description="seconds to keep the image of a finished job for re-encoding; 0 to delete it at once",
     )
     min_free_bytes: int = Field(
-        default=2**28, ge=0, description="bytes free in the data folder, below which new jobs get 503 and /readyz fails"
+        default=2**28, ge=0, description="bytes of free disk below which new jobs get 503 and /readyz fails"
     )
-    quota_bytes: int = Field(default=0, ge=0, description="bytes of images and bitstreams in all; 0 for any number")
-    quota_bytes_per_key: int = Field(default=0, ge=0, description="the same of one API key; 0 for any number")
+    quota_bytes: int = Field(default=0, ge=0, description="maximum bytes of all images and bitstreams; 0 for no limit")
+    quota_bytes_per_key: int = Field(default=0, ge=0, description="maximum bytes per API key; 0 for no limit")
     quota_full: Literal["refuse", "oldest"] = Field(
         default="refuse",
-        description="beyond a quota: `refuse` new jobs with 429, or remove the `oldest` that are finished",
+        description="when a quota is full: `refuse` new jobs with 429, or remove the `oldest` finished jobs",
     )
-    log_format: LogFormat = Field(default="text", description="lines of the logs: `text`, or `json` for machines")
+    log_format: LogFormat = Field(default="text", description="log format: `text` or `json`")
 
-    workers: int = Field(default_factory=default_workers, ge=1, description="encodes that run at once")
-    threads: int = Field(default=0, ge=0, description="threads of one encode; 0 divides the cores among the workers")
-    queue_length: int = Field(default=100, ge=1, description="jobs waiting before new ones get 429")
+    workers: int = Field(default_factory=default_workers, ge=1, description="number of concurrent encodes")
+    threads: int = Field(default=0, ge=0, description="threads per encode; 0 divides the cores among the workers")
+    queue_length: int = Field(default=100, ge=1, description="queued jobs before new ones get 429")
 
     api_keys: str = Field(
-        default="", description="names and SHA-256 of API keys, as name:digest, apart by commas; none leaves all open"
+        default="", description="API keys as name:SHA-256, separated by commas; without keys the service is open to all"
     )
-    api_keys_file: Path | None = Field(default=None, description="file of more such keys, one a line")
+    api_keys_file: Path | None = Field(default=None, description="file with further keys, one per line")
     key_request_rate: float = Field(
-        default=50.0, gt=0, description="requests a second of one API key, twice as many at once, before 429"
+        default=50.0, gt=0, description="requests per second and API key (bursts of twice as many) before 429"
     )
     max_queued_per_key: int = Field(
-        default=50, ge=0, description="jobs of one API key waiting before new ones get 429; 0 for any number"
+        default=50, ge=0, description="queued jobs per API key before new ones get 429; 0 for no limit"
     )
     metrics_key: str = Field(
-        default="", description="name of the API key that alone may read /metrics, which names all; empty for any key"
+        default="", description="name of the only API key that may read /metrics; empty for any key"
     )
     link_secret: SecretStr = Field(
-        default=SecretStr(""), description="32 characters or more that sign links; without it there are none"
+        default=SecretStr(""), description="at least 32 characters that sign links; empty disables links"
     )
-    link_max_age_s: int = Field(default=7 * 86_400, ge=1, description="seconds, the longest life of a link")
+    link_max_age_s: int = Field(default=7 * 86_400, ge=1, description="longest lifetime of a link in seconds")
 
     max_connections: int = Field(
-        default=1000, ge=1, description="connections at once before the slowest is closed, or new ones get 503"
+        default=1000, ge=1, description="concurrent connections before the slowest is closed, or new ones get 503"
     )
-    max_connections_per_address: int = Field(
-        default=200, ge=1, description="connections at once of one address before its slowest is closed, or 429"
-    )
+    max_connections_per_address: int = Field(default=200, ge=1, description="the same per client address, with 429")
     trusted_proxies: str = Field(
         default="",
-        description="addresses and networks, apart by commas, whose X-Forwarded-For names the client; no limit on them",
+        description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted; exempt from limits",
     )
     path_prefix: str = Field(
         default="",
         pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$",
-        description="path under which a proxy shows the service, such as /sg, whether or not it cuts it off",
+        description="path under which a proxy serves this, such as /sg, whether or not it strips it",
     )
     cors_origins: str = Field(
         default="",
         pattern=r"^(|\*|https?://[^/,\s*]+(,\s*https?://[^/,\s*]+)*)$",
-        description="origins, apart by commas, whose pages may ask from a browser, or `*` for all",
+        description="origins, separated by commas, whose pages may call the API from a browser; `*` for all",
     )
-    max_header_bytes: int = Field(default=32_768, ge=1024, description="bytes of a request line with its headers")
+    max_header_bytes: int = Field(default=32_768, ge=1024, description="maximum bytes of a request line and headers")
     header_timeout_s: float = Field(
-        default=10.0, gt=0, le=LONGEST_S, description="seconds for a request line with its headers"
+        default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for the request line and headers"
     )
     send_timeout_s: float = Field(
         default=60.0,
         ge=1,
         le=LONGEST_S,
-        description="seconds for which a client may leave 256 KiB of an answer untaken before it is cut off",
+        description="seconds a client may take to read 256 KiB of a response before it is disconnected",
     )
     max_answer_bytes: int = Field(
         default=512 * 2**20,
         ge=1,
-        description="bytes of answers that clients have yet to take before new pictures get 503; one client has half",
+        description="bytes of responses not yet read by clients before new pictures get 503; one client may use half",
     )
     max_uploads: int = Field(
-        default=100, ge=1, description="request bodies coming in at once before new ones get 503; one client has half"
+        default=100, ge=1, description="concurrent uploads before new ones get 503; one client may use half"
     )
     max_event_streams: int = Field(
-        default=100, ge=1, description="streams of events at once before new ones get 503; one client has half"
+        default=100, ge=1, description="concurrent event streams before new ones get 503; one client may use half"
     )
 
-    max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="bytes of one image file")
-    max_pixels: int = Field(default=50_000_000, ge=1, description="pixels (width x height) of one image")
-    max_side: int = Field(default=16_384, ge=1, description="pixels of an image's longer side")
-    body_chunk_timeout_s: float = Field(default=5.0, gt=0, description="seconds without a byte of an upload before 408")
+    max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="maximum bytes of an image file")
+    max_pixels: int = Field(default=50_000_000, ge=1, description="maximum pixels (width x height) of an image")
+    max_side: int = Field(default=16_384, ge=1, description="maximum pixels of an image's longer side")
+    body_chunk_timeout_s: float = Field(
+        default=5.0, gt=0, description="seconds without data during an upload before 408"
+    )
     body_timeout_s: float = Field(default=120.0, gt=0, description="seconds for a whole upload before 408")
     min_upload_rate: int = Field(
-        default=2000, ge=1, description="bytes a second that an upload must bring on average before 408"
+        default=2000, ge=1, description="minimum average bytes per second of an upload, below which it gets 408"
     )
 
     max_time_limit_s: float = Field(
         default=300.0,
         gt=0,
-        description="seconds, the longest time limit of an encode, and the one it has unasked",
+        description="seconds, the longest and default time limit of an encode",
     )
-    job_timeout_s: float = Field(default=600.0, gt=0, description="seconds after which a running encode is ended")
-    job_memory_bytes: int = Field(default=8 * 2**30, ge=2**28, le=2**62, description="bytes of memory of one encode")
+    job_timeout_s: float = Field(default=600.0, gt=0, description="seconds until a running encode is killed")
+    job_memory_bytes: int = Field(
+        default=8 * 2**30, ge=2**28, le=2**62, description="maximum bytes of memory per encode"
+    )
     lease_s: float = Field(
-        default=15.0, ge=1, le=LONGEST_S, description="seconds after which a lost worker's job goes to another"
+        default=15.0, ge=1, le=LONGEST_S, description="seconds until the job of a lost worker goes to another"
     )
-    max_attempts: int = Field(default=4, ge=1, le=MOST, description="crashes after which a job has failed")
+    max_attempts: int = Field(default=4, ge=1, le=MOST, description="crashes until a job fails")
     max_running_per_key: int = Field(
-        default=0, ge=0, le=MOST, description="jobs of one API key that run at once; 0 for any number"
+        default=0, ge=0, le=MOST, description="concurrent jobs per API key; 0 for no limit"
     )
 
-    max_decodes: int = Field(
-        default=3, ge=1, description="pictures decoded at once; one client has all but one at most"
-    )
+    max_decodes: int = Field(default=3, ge=1, description="concurrent decodes; one client may use all but one")
     max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
-    decode_time_s: float = Field(
-        default=10.0, gt=0, le=LONGEST_S, description="seconds of one core that a decode may take"
+    decode_time_s: float = Field(default=10.0, gt=0, le=LONGEST_S, description="maximum CPU seconds per decode")
+    decode_memory_bytes: int = Field(
+        default=2 * 2**30, ge=2**26, le=2**62, description="maximum bytes of memory per decode"
     )
-    decode_memory_bytes: int = Field(default=2 * 2**30, ge=2**26, le=2**62, description="bytes of memory of one decode")
-    decode_cache_bytes: int = Field(default=64 * 2**20, ge=0, description="bytes of picture files kept in memory")
-    max_decode_pixels: int = Field(default=50_000_000, ge=1, description="pixels of one decoded picture or view")
-    max_decode_gaussians: int = Field(
-        default=1_000_000, ge=1, description="Gaussians of a bitstream posted to be decoded"
+    decode_cache_bytes: int = Field(
+        default=64 * 2**20, ge=0, description="bytes of decoded picture files cached in memory"
     )
-    max_bitstream_bytes: int = Field(default=16 * 2**20, ge=1, description="bytes of a bitstream posted to be decoded")
+    max_decode_pixels: int = Field(default=50_000_000, ge=1, description="maximum pixels of a decoded picture or view")
+    max_decode_gaussians: int = Field(default=1_000_000, ge=1, description="maximum Gaussians of an uploaded bitstream")
+    max_bitstream_bytes: int = Field(default=16 * 2**20, ge=1, description="maximum bytes of an uploaded bitstream")
     stall_s: float = Field(
-        default=60.0, gt=0, description="seconds that jobs wait without any worker's sign of life before /readyz fails"
+        default=60.0,
+        gt=0,
+        description="seconds that jobs wait without a sign of life from any worker before /readyz fails",
     )
     stop_grace_s: float = Field(
-        default=10.0, gt=0, le=LONGEST_S, description="seconds to stop in before processes are killed"
+        default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for stopping before processes are killed"
     )
 
     @model_validator(mode="after")
     def _keys_can_be_read(self) -> Settings:
         _ = self.key_names
         if 0 < len(self.link_secret.get_secret_value()) < MIN_SECRET_LENGTH:
-            raise ValueError(f"SG_LINK_SECRET must have {MIN_SECRET_LENGTH} characters or more")
+            raise ValueError(f"SG_LINK_SECRET must have at least {MIN_SECRET_LENGTH} characters")
         return self
 
     @model_validator(mode="after")
@@ -222,7 +224,7 @@ class Settings(BaseSettings):
     @model_validator(mode="after")
     def _limit_before_timeout(self) -> Settings:
         if self.max_time_limit_s >= self.job_timeout_s:
-            raise ValueError("SG_MAX_TIME_LIMIT_S must be less than SG_JOB_TIMEOUT_S, or no encode could use it")
+            raise ValueError("SG_MAX_TIME_LIMIT_S must be less than SG_JOB_TIMEOUT_S")
         return self
 
     @cached_property
@@ -231,7 +233,7 @@ class Settings(BaseSettings):
         return self.read_keys()
 
     def read_keys(self) -> dict[str, str]:
-        """The same as they are now."""
+        """The settings with the keys of today's file."""
         keys = _named_keys("SG_API_KEYS", self.api_keys)
         if self.api_keys_file is not None:
             try:
@@ -239,10 +241,10 @@ class Settings(BaseSettings):
             except OSError as error:
                 raise ValueError(f"SG_API_KEYS_FILE cannot be read: {error.strerror}") from error
             except UnicodeDecodeError as error:
-                raise ValueError("SG_API_KEYS_FILE is no text") from error
+                raise ValueError("SG_API_KEYS_FILE is not a text file") from error
             keys |= _named_keys("SG_API_KEYS_FILE", text)
         if not keys and (self.api_keys or self.api_keys_file):
-            raise ValueError("SG_API_KEYS and SG_API_KEYS_FILE hold no key, which would leave all open")
+            raise ValueError("SG_API_KEYS and SG_API_KEYS_FILE contain no key, which would leave the service open")
         return keys
 
     @property

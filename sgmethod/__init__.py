@@ -1,4 +1,4 @@
-"""sgmethod: photographs as small sets of 2D Gaussians.
+"""sgmethod: an image codec that stores photographs as 2D Gaussians.
 
         sgmethod.encode("photo.jpg", bpp=0.3).save("photo.sg")
         pixels = sgmethod.decode("photo.sg")  # uint8 [H, W, 3]
@@ -6,7 +6,7 @@
 The rooms and modules, in the order of the pipeline; each imports only from those above it:
 
     errors      the tree of errors
-    budget      what an encode may spend; numbers as Python's own
+    budget      what an encode may spend; conversion of numbers
     trace       what an encode reports while it runs
     scene       the set of Gaussians
     settings/   every number of the method
@@ -24,12 +24,14 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     paper/      profiles paper and baseline
     rd/         profile rd
     codec       encode(): a profile's pipeline, then the decoded result measured
+    exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
+    torch/      tensors: the differentiable renderer, files, data sets
     pillow/     .sg files for Pillow
-    client/     the same encode by a service elsewhere
+    client/     encoding by a service
     cli/        the command line
 
-Decoding needs numpy, Pillow and the compiled kernels only; torch is imported by profiles paper and baseline alone.
-Once this package is imported, Pillow opens and saves .sg files.
+Decoding needs only NumPy, Pillow and the compiled kernels; profiles paper and baseline, sgmethod.torch and encodes on
+another device import PyTorch. Importing this package lets Pillow open and save .sg files.
 """
 
 from __future__ import annotations
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     from sgmethod.errors import (
         BitstreamError,
         BudgetError,
+        GaussiansError,
         ImageError,
         ImageWarning,
         NativeModuleError,
@@ -54,6 +57,9 @@ if TYPE_CHECKING:
         SgError,
         ViewError,
     )
+    from sgmethod.exchange.files import read_npz, read_ply, write_npz, write_ply
+    from sgmethod.exchange.packing import pack
+    from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
     from sgmethod.view import View
 
@@ -64,6 +70,8 @@ __all__ = [
     "Budget",
     "BudgetError",
     "Encoded",
+    "Gaussians",
+    "GaussiansError",
     "ImageError",
     "ImageWarning",
     "Info",
@@ -79,7 +87,12 @@ __all__ = [
     "encode",
     "info",
     "open",
+    "pack",
+    "read_npz",
+    "read_ply",
     "set_threads",
+    "write_npz",
+    "write_ply",
 ]
 
 # Each is imported once it is asked for: numpy takes 0.1 s, torch more.
@@ -89,9 +102,12 @@ _HOMES = {
     "codec": ("Encoded", "Stats", "encode"),
     "decoder": ("SgFile", "decode", "info", "open"),
     "errors": (
-        *("BitstreamError", "BudgetError", "ImageError", "ImageWarning", "NativeModuleError", "ServerError"),
-        *("SgError", "ViewError"),
+        *("BitstreamError", "BudgetError", "GaussiansError", "ImageError", "ImageWarning", "NativeModuleError"),
+        *("ServerError", "SgError", "ViewError"),
     ),
+    "exchange.files": ("read_npz", "read_ply", "write_npz", "write_ply"),
+    "exchange.packing": ("pack",),
+    "scene": ("Gaussians",),
     "trace": ("TracePoint",),
     "view": ("View",),
 }
@@ -104,8 +120,11 @@ plugin.register()
 
 
 def set_threads(count: int) -> None:
-    """Threads that rendering and fitting use in this process, 1 to 256. SG_THREADS sets it at the start; else it is the
-    number of cores that this process may run on and its control group's quota allows. Raises SgError."""
+    """Set the number of threads for decoding and encoding in this process, 1 to 256.
+
+    The default is SG_THREADS, or else the number of cores that the process and its control group may use. Raises
+    SgError.
+    """
     from sgmethod.budget import whole
     from sgmethod.native import native
 

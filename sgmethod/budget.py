@@ -1,7 +1,7 @@
 """What an encode may spend: one number and its unit.
 
-Numbers that callers give become Python's own here: NumPy's small ones keep their type in sums and products, and wrap
-round.
+Numbers from callers are converted to Python's own here, because NumPy's small integers would overflow in sums and
+products.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MAX_QUALITY = 100.0
 
 
 def own_number(value: object) -> int | float | None:
-    """A number as Python's int or float; None for what is no finite number."""
+    """A number as a Python int or float; None if it is not a finite number."""
     if isinstance(value, Integral):
         return int(value)
     if not isinstance(value, Real):
@@ -35,7 +35,7 @@ def own_number(value: object) -> int | float | None:
 
 
 def whole(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
-    """A whole number from least to most as Python's int. Raises error for anything else."""
+    """A whole number from least to most as a Python int. Raises error for anything else."""
     if not isinstance(value, Integral) or not least <= int(value) <= most:
         raise error(f"{name} must be a whole number from {least} to {most}, got {value!r}")
     return int(value)
@@ -43,12 +43,12 @@ def whole(value: object, name: str, least: int, most: int, error: type[SgError] 
 
 @dataclass(frozen=True)
 class Budget:
-    """A target for an encode.
+    """The target of an encode.
 
-    kind "bpp" (file bits per pixel) and "bytes" (file size) are upper limits that the file never
-    exceeds; "psnr" (dB, whole picture, 8-bit RGB) is the quality to reach with as few bytes as the
-    profile manages; "quality" (above 0 to 100, profile rd) sets how fine everything is quantised, and with it
-    what a Gaussian has to gain to be kept; "gaussians" is the number of Gaussians, with profile rd at most.
+    kind: "bpp" (bits per pixel) and "bytes" are limits on the file size, never exceeded; "psnr" is the quality to reach
+    (dB, whole picture, 8-bit RGB), in as few bytes as the profile manages; "quality" (above 0 and up to 100, profile rd
+    only) sets how finely everything is quantised, and so what a Gaussian must gain to be kept; "gaussians" is the
+    number of Gaussians, for profile rd a maximum.
 
     Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
     """
@@ -71,7 +71,7 @@ class Budget:
             raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {value}")
 
     def max_bytes(self, width: int, height: int) -> int | None:
-        """Largest file size in bytes this budget allows for an image, or None where it sets no size."""
+        """The largest file size in bytes that this budget allows, or None if it does not limit the size."""
         if self.kind == "bytes":
             return int(min(self.value, 1e15))  # no file is as large; a whole number of 300 digits fits no float
         if self.kind == "bpp":
@@ -79,9 +79,9 @@ class Budget:
         return None
 
     def max_gaussians(self, width: int, height: int) -> int:
-        """The number of Gaussians asked for. Raises BudgetError if it is more than pixels."""
+        """The requested number of Gaussians. Raises BudgetError if it exceeds the number of pixels."""
         if self.value > width * height:
-            raise BudgetError(f"{int(self.value)} Gaussians are more than the image's {width * height} pixels")
+            raise BudgetError(f"{int(self.value)} Gaussians exceed the image's {width * height} pixels")
         return int(self.value)
 
 
@@ -89,6 +89,6 @@ DEFAULT_BUDGET = Budget("bpp", 0.3)
 
 
 def unasked(width: int, height: int, least: int) -> Budget:
-    """The budget of a picture for which none is asked: DEFAULT_BUDGET, or the smallest file, of least bytes."""
+    """The default budget of a picture: DEFAULT_BUDGET, or least bytes if the smallest file is larger."""
     asked = DEFAULT_BUDGET.max_bytes(width, height) or 0
     return DEFAULT_BUDGET if asked >= least else Budget("bytes", least)

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.devices import backend_on
+from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, own_number, unasked, whole
@@ -48,9 +49,12 @@ MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
 
 @dataclass(frozen=True)
 class Stats:
-    """The figures of an encode. psnr (dB) and ms_ssim are of the decoded file; ms_ssim is None for sides below 161
-    pixels. With alpha they are means over the picture on black and on white. source_bytes: of the image file, None for
-    arrays; psnr_missed_db: how far the file is below the PSNR asked for, None if none was asked for."""
+    """The figures of an encode.
+
+    psnr (dB) and ms_ssim are of the decoded file; ms_ssim is None for sides below 161 pixels. With alpha, they are
+    means over the picture on black and on white. source_bytes: size of the image file, None for arrays; psnr_missed_db:
+    how far the file is below the requested PSNR, None if none was requested.
+    """
 
     bytes: int
     bpp: float
@@ -69,15 +73,15 @@ class Stats:
 
     @property
     def warnings(self) -> list[str]:
-        """What the caller may not expect of the file, in a sentence each."""
+        """Ways in which the file may disappoint, one sentence each."""
         found = []
         if self.psnr_missed_db is not None and self.psnr_missed_db >= SEEN_DB:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
-            found.append(f"the PSNR asked for is missed by {missed}")
+            found.append(f"the requested PSNR is missed by {missed}")
         if self.psnr_missed_db is None and self.gaussians == 0 and math.isfinite(self.psnr):
-            found.append("the file holds no Gaussian, only a background: it may take a larger budget")
+            found.append("the file contains only a background and no Gaussians: try a larger budget")
         if self.source_bytes is not None and self.bytes > self.source_bytes:
-            found.append(f"the file is larger than its source: {self.bytes:,} bytes in place of {self.source_bytes:,}")
+            found.append(f"the file is larger than its source: {self.bytes:,} bytes, source {self.source_bytes:,}")
         return found
 
     def to_dict(self) -> dict[str, object]:
@@ -88,14 +92,14 @@ class Stats:
 
 @dataclass(frozen=True)
 class Encoded:
-    """An .sg file with its figures and the trace of how it came about."""
+    """An .sg file with its figures and its trace."""
 
     data: bytes = field(repr=False)
     stats: Stats
     trace: list[TracePoint] = field(repr=False)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file, whole or, after an OSError, not at all."""
+        """Write the file, completely or, after an OSError, not at all."""
         write_atomically(own_path(path), self.data)
 
 
@@ -117,6 +121,7 @@ def encode(
     on_progress: Progress | None = None,
     stop: Stop | None = None,
     on_preview: Preview | None = None,
+    device: object = None,
 ) -> Encoded:
     """Encode a picture within a budget.
 
@@ -127,24 +132,29 @@ def encode(
     >>> sgmethod.encode(np.zeros((48, 64), np.uint8), psnr=40).stats.width
     64
 
-    image: the path or the bytes of an image file, a picture of Pillow's, or an array [H, W], [H, W, 1], [H, W, 3] or
-    [H, W, 4] of levels in uint8 or uint16 or of values in [0, 1], in sRGB. sgmethod/io/image.py has the rules for
-    files and pictures. Input is rounded to 8 bits, and the figures are against that. Profile rd keeps alpha; the others
-    composite it over white, with a warning.
-    bpp, bytes, psnr, quality, gaussians: one of them, or a Budget, which documents each; default 0.3 bpp.
+    image: the path or bytes of an image file, a Pillow image, or an sRGB array [H, W], [H, W, 1], [H, W, 3] or [H, W,
+    4] in uint8, uint16 or floating point in [0, 1]. sgmethod/io/image.py has the rules for files. Input is rounded to 8
+    bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
+    warning.
+    bpp, bytes, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is 0.3
+    bpp.
     profile: one of sgmethod.profiles.PROFILE_NAMES.
-    tune: "psnr" minimises squared error, "visual" the error that the eye sees. "visual" is the default with profile rd,
-    and not available with a budget in dB or another profile.
-    effort: 1, the fastest, to 9, the best; profile rd only.
-    settings: for experiments, all numbers of the method in place of those of profile and effort.
-    seed: of everything random. The same call gives the same file on the same machine, without a time limit.
-    time_limit_s: of the whole encode, which ends with its best file so far. About 0.2 s a megapixel are never cut.
-    on_progress: called with each point of the trace; an exception it raises abandons the encode.
-    stop: polled; once it returns True, the encode ends within the budget, in a quarter of the time so far or 3 s.
-    on_preview: called now and then by profile rd with a file of the state so far, which may exceed the budget.
+    tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
+    profiles support only "psnr".
+    effort: 1 (fastest) to 9 (best file); profile rd only.
+    settings: for experiments, all numbers of the method, instead of profile and effort.
+    seed: random seed. Without a time limit, the same call gives the same file on the same machine.
+    time_limit_s: limit for the whole encode, which then returns its best file so far. About 0.2 s per megapixel are
+    needed in any case.
+    on_progress: called with each point of the trace; if it raises, the encode is abandoned.
+    stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most
+    3 s.
+    on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
+    device: a PyTorch device for the fit, such as "cuda"; None and "cpu" mean the compiled kernels.
 
-    Anything dropped from the input raises an ImageWarning. Raises ImageError for anything but a picture, BudgetError
-    for a budget that no file can meet, OSError for a path that cannot be read, MemoryError.
+    Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
+    BudgetError for a budget that no file can meet, SgError for a device that is missing, OSError for a path that cannot
+    be read, and MemoryError.
     """
     clock, limit_s = Clock(stop), _own_time_limit(time_limit_s)
     seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
@@ -152,7 +162,7 @@ def encode(
         budget, {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality, "gaussians": gaussians}
     )
     tuned_for = tuning(tune, checked_profile(profile), budget)
-    effort = checked_effort(effort)
+    effort, backend = checked_effort(effort), backend_on(device)
     settings = settings_of(profile, effort) if settings is None else settings
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
     height, width, channels = pixels.shape
@@ -162,11 +172,11 @@ def encode(
     deadline = Deadline(clock, limit_s, width * height, deadline_settings)
     recorder = Recorder(clock, on_progress, on_preview or shown_to_nobody)
     if isinstance(settings, RdSettings):
-        data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed)
+        data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed, backend)
     else:
         from sgmethod.paper import encode as paper  # and torch with it
 
-        request = paper.Request(pixels, budget, profile, settings, deadline, recorder, Kernels(), seed)
+        request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
     encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort))
     missed_db = max(budget.value - encoded.stats.psnr, 0.0) if budget.kind == "psnr" else None
@@ -175,7 +185,7 @@ def encode(
 
 
 def _file_bytes(image: Input) -> int | None:
-    """The size of the image file, if it is one."""
+    """The size of the image file, if there is one."""
     if isinstance(image, str | os.PathLike):
         return Path(image).stat().st_size or None  # a pipe has none
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
@@ -189,12 +199,13 @@ def _rd(
     deadline: Deadline,
     recorder: Recorder,
     seed: int,
+    backend: Backend,
 ) -> tuple[builtins.bytes, int]:
     """The file of profile rd for pixels [H, W, 3 or 4], and the steps it took."""
     height, width, channels = pixels.shape
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
     rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
-    request = Request(objective, rate, deadline, Kernels(), settings, recorder, seed)
+    request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:
         stream, steps = alpha.encode(request, np.ascontiguousarray(pixels[..., 3]))
     else:
@@ -203,14 +214,14 @@ def _rd(
 
 
 def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
-    """The one that is given."""
+    """The budget given, or the default. Raises BudgetError for more than one."""
     given = [Budget(kind, value) for kind, value in kinds.items() if value is not None]
     if budget is not None:
         if not isinstance(budget, Budget):
-            raise BudgetError(f"a budget must be a sgmethod.Budget, not {type(budget).__name__}: bpp=0.3, for one")
+            raise BudgetError(f"a budget must be a sgmethod.Budget, not {type(budget).__name__}; or use bpp=0.3")
         given.append(budget)
     if len(given) > 1:
-        raise BudgetError(f"one budget is needed, not {len(given)}: {', '.join(one.kind for one in given)}")
+        raise BudgetError(f"give one budget, not {len(given)}: {', '.join(one.kind for one in given)}")
     return given[0] if given else DEFAULT_BUDGET
 
 

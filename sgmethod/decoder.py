@@ -14,8 +14,8 @@ from sgmethod.budget import whole
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import own_path
 from sgmethod.native import native
-from sgmethod.scene import FloatArray, Scene
-from sgmethod.view import View
+from sgmethod.scene import FloatArray, Gaussians, Scene
+from sgmethod.view import View, recut
 
 File = str | os.PathLike[str] | bytes
 WHOLE = View()
@@ -26,14 +26,14 @@ MAX_PIXELS = (
 
 
 def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, texture: bool = True) -> NDArray[np.uint8]:
-    """The picture in an .sg file, or a view of it: [height, width, 3], 8-bit sRGB, and with alpha [height, width, 4].
+    """Decode an .sg file, or a view of it, to 8-bit sRGB [height, width, 3], or [height, width, 4] with alpha.
 
     >>> sgmethod.decode("photo.sg").shape
     (96, 128, 3)
 
-    data: the path of a file, or its bytes; texture: False leaves texture out, as View(texture=False) does.
-    Raises BitstreamError for what is not a whole, intact file, or a picture or view of more than max_pixels;
-    ViewError for a view that makes no picture of it; OSError for a path that cannot be read; MemoryError.
+    data: the path or bytes of a file; texture: False leaves texture out, like View(texture=False).
+    Raises BitstreamError for a damaged file, and for a picture or view of more than max_pixels; ViewError for an
+    invalid view; OSError for a path that cannot be read; MemoryError.
     """
     if not isinstance(view, View):
         raise ViewError(f"a view must be a sgmethod.View, not {type(view).__name__}")
@@ -41,13 +41,14 @@ def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, text
 
 
 def info(data: File, max_gaussians: int | None = None) -> Info:
-    """What an .sg file says of itself: every header field, and the bits spent on each part.
+    """The header of an .sg file, and how its bits are spent.
 
     >>> sgmethod.info("photo.sg").width
     128
 
-    data: the path of a file, or its bytes.
-    Raises BitstreamError, also for more than max_gaussians, before memory is taken for them; OSError.
+    data: the path or bytes of a file.
+    Raises BitstreamError for a damaged file, and for more than max_gaussians before allocating memory for them;
+    OSError.
     """
     if max_gaussians is not None:
         max_gaussians = whole(max_gaussians, "max_gaussians", 0, MOST)
@@ -55,12 +56,12 @@ def info(data: File, max_gaussians: int | None = None) -> Info:
 
 
 def open(file: File) -> SgFile:
-    """An .sg file, read and checked, by its path or from its bytes. Raises BitstreamError and OSError."""
+    """Open and check an .sg file, given its path or bytes. Raises BitstreamError and OSError."""
     return SgFile(file)
 
 
 class SgFile:
-    """An .sg file, from which any part is drawn at any size.
+    """An open .sg file, which draws any part at any size.
 
     >>> photo = sgmethod.open("photo.sg")
     >>> photo.size
@@ -70,8 +71,8 @@ class SgFile:
     """
 
     def __init__(self, data: File, max_pixels: int = MAX_PIXELS) -> None:
-        """data: the path of a file, or its bytes; max_pixels: of the picture and of each view. Raises BitstreamError
-        and OSError."""
+        """data: the path or bytes of a file; max_pixels: limit for the picture and each view. Raises BitstreamError and
+        OSError."""
         self._limits = Limits(whole(max_pixels, "max_pixels", 0, MOST))
         self._data = _bytes_of(data)
         self._stream = container.parse(self._data, self._limits)
@@ -83,13 +84,31 @@ class SgFile:
 
     @property
     def has_alpha(self) -> bool:
-        """Whether the picture can be seen through: then pixels() gives four channels."""
+        """Whether the picture has transparency; pixels() then returns four channels."""
         return self._stream.alpha is not None
 
     @property
     def info(self) -> Info:
-        """What the file says of itself."""
+        """The header, and how the bits are spent."""
         return self._stream.info(len(self._data), container.checksum(self._data))
+
+    @property
+    def background(self) -> tuple[float, float, float]:
+        """What lies below the Gaussians: red, green and blue, 1 being full white."""
+        red, green, blue = self._stream.background
+        return red / 255, green / 255, blue / 255
+
+    def gaussians(self) -> Gaussians:
+        """The Gaussians, the largest first from version 3 on. Those of alpha, and texture, are not among them.
+
+        >>> sgmethod.open("photo.sg").gaussians().means.dtype
+        dtype('float32')
+
+        Those of version 1, which end farther out, come as the nearest that end where later ones do. Raises
+        BitstreamError and MemoryError.
+        """
+        scene = self._stream.scene()
+        return recut(scene.gaussians, scene.cutoff)
 
     def pixels(
         self,
@@ -98,9 +117,9 @@ class SgFile:
         prefix: float = 1.0,
         texture: bool = True,
     ) -> NDArray[np.uint8]:
-        """[height, width, 3 or 4], as decode() gives it: the whole picture, or a view of it as sgmethod.View has them.
+        """The picture or a view of it, 8-bit sRGB [height, width, 3 or 4]. sgmethod.View documents the arguments.
 
-        Raises ViewError for a view that makes no picture, BitstreamError for one of too many pixels, MemoryError.
+        Raises ViewError for an invalid view, BitstreamError for one with too many pixels, and MemoryError.
         """
         return self._draw(View(scale, region, prefix, texture))
 
@@ -121,7 +140,7 @@ def _bytes_of(file: File) -> bytes:
         return own_path(file, BitstreamError).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
         return bytes(file)
-    raise BitstreamError(f"an .sg file must be given as its path or its bytes, not as {type(file).__name__}")
+    raise BitstreamError(f"an .sg file must be a path or bytes, not {type(file).__name__}")
 
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:

@@ -1,14 +1,15 @@
 """The errors a caller can expect.
 
-SgError                 anything this package refuses, with one clear sentence
-├── ImageError          an input that is not an image we can read, or beyond the limits
-├── BitstreamError      bytes that are not a whole, intact .sg file
-├── ViewError           a scale, region or prefix that makes no picture
-├── BudgetError         a budget that is not a positive number, or too small for any file
-├── ServerError         a service that cannot be reached, refuses, or fails to encode
-└── NativeModuleError   the compiled kernels are missing; the message names the command that builds them
+SgError                 base of all errors that this package raises, with one clear sentence
+├── ImageError          the input is not an image that can be read, or exceeds the limits
+├── BitstreamError      the bytes are not an intact .sg file
+├── ViewError           the scale, region or prefix is invalid for the picture
+├── GaussiansError      the arrays are no valid Gaussians, or no file can hold them
+├── BudgetError         the budget is invalid, or too small for any file
+├── ServerError         the service cannot be reached, refuses, or fails to encode
+└── NativeModuleError   the compiled kernels are missing; the message says how to build them
 
-ImageWarning            what of an image is left out, where the rest of it is used
+ImageWarning            something was dropped from the image, and the rest is used
 """
 
 
@@ -21,19 +22,23 @@ class ImageError(SgError):
 
 
 class BitstreamError(SgError):
-    """The bytes are not a valid bitstream."""
+    """The bytes are not an intact .sg file."""
 
 
 class ViewError(SgError):
-    """The scale, region or prefix makes no picture."""
+    """The scale, region or prefix is invalid for the picture."""
+
+
+class GaussiansError(SgError):
+    """The arrays make no Gaussians, or no file can hold them."""
 
 
 class BudgetError(SgError):
-    """The budget is not a positive finite number, or no file fits in it."""
+    """The budget is invalid, or too small for any file."""
 
 
 class ServerError(SgError):
-    """The service cannot be reached, refuses what is asked of it, or failed to encode."""
+    """The service cannot be reached, refuses the request, or failed to encode."""
 
 
 class NativeModuleError(SgError):
@@ -41,4 +46,4 @@ class NativeModuleError(SgError):
 
 
 class ImageWarning(UserWarning):
-    """Something of the image is left out: further pictures, transparency, a damaged profile."""
+    """Something was dropped from the image: further pictures, transparency, a damaged profile."""

@@ -1,4 +1,4 @@
-"""Names that an encode is asked for by: profile, tuning, effort. No torch here: the service validates with it."""
+"""Profiles, tunings and efforts by name. No PyTorch here, because the service validates with this module."""
 
 from __future__ import annotations
 
@@ -40,35 +40,34 @@ def checked_profile(profile: str) -> str:
 
 
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
-    """The tuning asked for, or the default for this profile and budget.
+    """The requested tuning, or the default for this profile and budget.
 
-    Raises BudgetError for an unknown one, and for "visual" where there is only "psnr": with a budget in dB, and with
-    profiles other than rd.
+    Raises BudgetError for an unknown one, and for "visual" with a budget in dB or a profile other than rd.
     """
     psnr_alone = budget.kind == "psnr" or profile != "rd"
     if tune is None:
         return "psnr" if psnr_alone else DEFAULT_TUNE
     if tune not in TUNES:
-        raise BudgetError(f"unknown tuning {tune!r}; use one of {', '.join(TUNES)}")
+        raise BudgetError(f"unknown tune {tune!r}; use one of {', '.join(TUNES)}")
     if tune == "visual" and psnr_alone:
         what = "a budget in dB" if budget.kind == "psnr" else f"profile {profile}"
-        raise BudgetError(f"{what} goes with tuning for psnr alone")
+        raise BudgetError(f"{what} can only be tuned for psnr")
     return TUNES[TUNES.index(tune)]
 
 
 def checked_effort(effort: object) -> int:
     """One of EFFORTS. Raises BudgetError for anything else."""
     if isinstance(effort, bool) or not isinstance(effort, Integral) or effort not in EFFORTS:
-        raise BudgetError(f"effort must be one of {min(EFFORTS)} to {max(EFFORTS)}, got {effort!r}")
+        raise BudgetError(f"effort must be a whole number from {min(EFFORTS)} to {max(EFFORTS)}, got {effort!r}")
     return int(effort)
 
 
 def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
-    """The settings of a profile with an effort. Raises BudgetError for any effort but the default where there is no
-    choice: with profiles other than rd."""
+    """The settings of a profile with an effort. Raises BudgetError for a non-default effort of profiles other than
+    rd."""
     settings = PROFILES[profile]
     if isinstance(settings, RdSettings):
         return settings if effort == DEFAULT_EFFORT else replace(settings, effort=EFFORTS[effort])
     if effort != DEFAULT_EFFORT:
-        raise BudgetError("an effort goes with profile rd alone")
+        raise BudgetError("only profile rd has an effort")
     return settings

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
+Floats = NDArray[np.floating]  # of any precision
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,21 @@ class Gaussians:
     def empty(cls, n: int) -> Gaussians:
         """n Gaussians whose values are not set."""
         return cls(*(np.empty((n, width), np.float32) for width in (2, 3, 3)))
+
+    @classmethod
+    def from_covariances(cls, means: Floats, covariances: Floats, colors: Floats) -> Gaussians:
+        """The same from covariances [N, 2, 2] in pixels squared. What is not positive definite gets factors of nan."""
+        (xx, xy), (_, yy) = np.moveaxis(np.asarray(covariances, np.float64), 0, -1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            l1 = np.sqrt(xx)
+            factors = np.stack([l1, xy / l1, np.sqrt(yy - (xy / l1) ** 2)], 1)
+        return cls(*(np.asarray(values, np.float32) for values in (means, factors, colors)))
+
+    @property
+    def covariances(self) -> FloatArray:
+        """[N, 2, 2] in pixels squared."""
+        l1, l2, l3 = self.factors.T
+        return np.stack([l1 * l1, l1 * l2, l1 * l2, l2 * l2 + l3 * l3], 1).reshape(-1, 2, 2)
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""What a fit reports while it runs: error against time."""
+"""What an encode reports while it runs: error against time."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass
 
 @dataclass(frozen=True)
 class TracePoint:
-    """One line of a fit's trace.
+    """One point of an encode's trace.
 
-    seconds: since the encode began; step of steps: optimiser steps done and scheduled (the schedule may be cut
-    short by convergence or a time limit); psnr: dB over all channels of the picture as it would decode
-    then (unquantised in phase "fit"); bytes: estimated size of the file, 0 while unknown;
-    phase: "joint" (profile rd), "fit" or "tune" (the others), at last "done".
+    seconds: since the encode began; step, steps: optimiser steps done and scheduled (convergence or a time limit may
+    end the schedule early); psnr: dB over all channels of the picture as it would decode now (unquantised in phase
+    "fit"); bytes: estimated file size, 0 while unknown; phase: "joint" (profile rd), "fit" or "tune" (the others),
+    finally "done".
     """
 
     seconds: float
@@ -35,4 +35,4 @@ Preview = Callable[[bytes], None]
 
 
 def shown_to_nobody(_: bytes) -> None:
-    """A preview that nobody asked for."""
+    """The default preview callback."""

@@ -14,7 +14,10 @@ from tests.harness.data import ROOT
 
 MOST_TERMS = 25
 MOST_LINES, MOST_COLUMNS = 110, 120  # two printed pages
+README_LINES, README_WORDS = 130, 1100
 PARTS = ("Question", "Tried", "Figures", "Verdict")
+NOTEBOOK = ROOT / "docs" / "notebook"
+THEMES = sorted(set(NOTEBOOK.glob("*.md")) - {NOTEBOOK / "README.md"})
 # Paths in backticks that begin so are files or folders of the tree.
 FOLDERS = ("benchmarks", "docs", "service", "sgmethod", "tests")
 
@@ -81,13 +84,20 @@ def test_paths_in_documents_exist(path: Path) -> None:
     assert [name for name in named if not (ROOT / name).exists()] == []
 
 
-def test_curl_in_the_readme_fails_when_the_service_does() -> None:
+def test_curl_in_the_readmes_fails_when_the_service_does() -> None:
     """Or an error would lie in photo.sg; and it waits for less than the 60 s after which proxies give up."""
-    commands = re.findall(r"^curl .*", (ROOT / "README.md").read_text(), re.MULTILINE)
-    assert len(commands) > 3
-    for command in commands:
-        assert "--fail" in command, command
-        assert all(int(seconds) < 60 for seconds in re.findall(r"wait=(\d+)", command)), command
+    for document in ("README.md", "service/README.md"):
+        commands = re.findall(r"^curl .*", (ROOT / document).read_text(), re.MULTILINE)
+        assert len(commands) > 1
+        for command in commands:
+            assert "--fail" in command, command
+            assert all(int(seconds) < 60 for seconds in re.findall(r"wait=(\d+)", command)), command
+
+
+def test_the_readme_is_read_in_a_minute() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= README_LINES
+    assert len(text.split()) <= README_WORDS
 
 
 def test_the_design_is_two_pages() -> None:
@@ -96,11 +106,20 @@ def test_the_design_is_two_pages() -> None:
     assert max(map(len, lines)) <= MOST_COLUMNS
 
 
-def test_notebook_entries_have_their_four_parts() -> None:
-    entries = re.split(r"^### ", prose(ROOT / "docs" / "notebook.md"), flags=re.MULTILINE)[1:]
+@pytest.mark.parametrize("path", THEMES, ids=lambda path: path.name)
+def test_notebook_entries_have_their_four_parts(path: Path) -> None:
+    entries = re.split(r"^## ", prose(path), flags=re.MULTILINE)[1:]
     assert entries
     for entry in entries:
         assert tuple(re.findall(r"^- \*\*(\w+)\.\*\*\s+[^\s-]", entry, re.MULTILINE)) == PARTS, entry.splitlines()[0]
+
+
+def test_the_notebooks_index_has_every_question_and_its_verdict() -> None:
+    questions = [
+        (question, path.name) for path in THEMES for question in re.findall(r"^## (.*)", prose(path), re.MULTILINE)
+    ]
+    listed = re.findall(r"^- \[(.*)\]\((\w+\.md)#\S+\) \S.*\.$", (NOTEBOOK / "README.md").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(questions)
 
 
 def test_the_glossary_is_short() -> None:

@@ -26,9 +26,19 @@ CODE = ("sgmethod", "service", "tests", "benchmarks", "docs")
 ENCODER = r"sgmethod\.(codec|rd|paper|fitting|start)\b|from sgmethod import .*\b(codec|encode)\b|(import|from) torch"
 
 EXPORTED = {
-    *("BitstreamError", "Budget", "BudgetError", "Encoded", "ImageError", "ImageWarning", "Info", "NativeModuleError"),
-    *("ServerError", "SgError", "SgFile", "Stats", "TracePoint", "View", "ViewError"),
-    *("decode", "encode", "info", "open", "set_threads"),
+    *(
+        "BitstreamError",
+        "Budget",
+        "BudgetError",
+        "Encoded",
+        "Gaussians",
+        "GaussiansError",
+        "ImageError",
+        "ImageWarning",
+    ),
+    *("Info", "NativeModuleError", "ServerError", "SgError", "SgFile", "Stats", "TracePoint", "View", "ViewError"),
+    *("decode", "encode", "info", "open", "pack", "set_threads"),
+    *("read_npz", "read_ply", "write_npz", "write_ply"),
 }
 
 

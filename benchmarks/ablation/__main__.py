@@ -3,27 +3,25 @@
     python -m benchmarks.ablation --images FOLDER [--tables parts,regularisation,ratio,quantisation,positions]
                                   [--most 6] [--pictures kodim05] [--seeds 3] [--bpp 0.25] [--steps N]
                                   [--fit-steps 2000] [--tune-steps 1000]
+    python -m benchmarks.ablation representation [--help]    N Gaussians before any is coded, profile paper's parts
 
 parts: files of profile rd. regularisation, ratio: float fits of profile paper at half the size, as dense as 50,000 to
 70,000 Gaussians are on 768x512 pixels. quantisation, positions: files of profile paper from whole pictures, with 1,000,
-3,000 and 7,000 Gaussians. The paper's own table of parts is in benchmarks.representation.
-
-On two quiet cores a picture of 768x512 with one seed takes about 40 s for parts, 80 s for regularisation, 2 minutes for
-ratio, 7.5 for quantisation and 3 for positions: 4.5 hours in all. What is there already is not measured again, so that
-tables, pictures and seeds can be added to a run.
+3,000 and 7,000 Gaussians. All of it takes 4.5 hours on two cores; a run can be extended by tables, pictures and seeds.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from benchmarks.ablation import paper, parts
-from benchmarks.ablation.report import section
-from benchmarks.arguments import some_of
+from benchmarks.ablation import paper, parts, representation
+from benchmarks.ablation.report import summary
+from benchmarks.arguments import run_part, some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import add_options, named_in
 from sgmethod.settings.rd import RD
@@ -75,8 +73,9 @@ def main() -> None:
                 measure_parts(record, picture, seed, options.bpp, options.steps)
             of_paper = [name for name in paper.TABLES if name in options.tables]
             measure_paper(record, of_paper, picture, seed, (options.fit_steps, options.tune_steps))
-    print(f"\n{section({**record.content, 'rows': record.rows}).text()}")
+    print("", *summary({"rows": record.rows}), sep="\n\n")
 
 
 if __name__ == "__main__":
-    main()
+    parts_of_command = {"tables": main, "representation": representation.main}
+    sys.exit(run_part(parts_of_command, __doc__, default="tables"))

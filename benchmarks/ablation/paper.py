@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.ablation.fits import FLOAT, by_paper, fit_of_paper
 from benchmarks.pictures import Pixels
-from benchmarks.representation.fits import FLOAT, by_paper, fit_of_paper
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v1 import file_bytes
 from sgmethod.decoder import draw
@@ -103,7 +103,7 @@ def _float(pixels: Pixels, settings: PaperSettings, number: int, seed: int) -> d
     n = _as_dense(number, pixels)
     began = time.perf_counter()
     fitted = by_paper(pixels, n, replace(settings, start=start), seed)
-    seconds, shown = time.perf_counter() - began, fitted.draw()
+    seconds, shown = time.perf_counter() - began, draw(fitted)
     return {"gaussians": n, "psnr": psnr(shown, pixels), "ms_ssim": ms_ssim(shown, pixels), "seconds": seconds}
 
 

@@ -6,9 +6,9 @@
 
 The clock is wall time since the method got the pixels; it stands while networks and plain Adam are measured. rd, paper
 and baseline: the trace of one encode, whose last point is the file, and a file under each time limit; rd again with
-each effort. plain Adam: as many Gaussians as rd's file has, never coded. siren, hash grid: as many bytes as the budget,
+each effort. plain Adam: as many Gaussians as rd's file has, never coded. siren: as many bytes as the budget,
 in half precision. Other codecs: each speed or effort at the best quality within the budget. rd visual, avif visual:
-tuned for the eye (tune=iq), where rd and avif are tuned for PSNR.
+tuned for the eye (tune=iq), where rd and avif are tuned for PSNR. avif reduced: on half the sides, as people do.
 --seconds: for all but rd and other codecs, where no limit is shorter. --few: two or three settings of each other codec,
 three efforts of rd. --weights: a folder as benchmarks.perceptual takes it, for LPIPS.
 """
@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.arguments import numbers, some_of
-from benchmarks.convergence.learned import Shown, hash_grid, plain_adam, siren
+from benchmarks.convergence.learned import Shown, plain_adam, siren
 from benchmarks.machine import RUNS, Record, found
 from benchmarks.pictures import Pixels, add_options, chosen_from, named_in, sized
-from benchmarks.rd.rivals import AvifForEyes, AvifForPsnr, Jpeg, Jpeg2000, JpegXl, Rival, WebP, versions
+from benchmarks.rd.rivals import AvifForEyes, AvifForPsnr, Jpeg, Jpeg2000, JpegXl, ReducedAvif, Rival, WebP, versions
 from sgmethod import Budget, decode, encode
 from sgmethod.metrics import psnr
 from sgmethod.metrics.perceptual import Networks
@@ -37,7 +37,7 @@ WARMED_ON = 64  # pixels along a side, by profile paper
 OTHER_EFFORTS = tuple(effort for effort in EFFORTS if effort != DEFAULT_EFFORT)  # that one has nothing set
 FEW_EFFORTS = (1, 3, 7)
 Start = Callable[[Pixels, float, int], Shown]
-NETWORKS: dict[str, Start] = {"siren": siren, "hash grid": hash_grid}
+NETWORKS: dict[str, Start] = {"siren": siren}
 # Every setting, and a few: the quickest first, since its quality is where the search of the next one begins.
 RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]]] = {
     "jpeg": (lambda _: Jpeg(), (0,), (0,)),
@@ -45,6 +45,7 @@ RIVALS: dict[str, tuple[Callable[[int], Rival], tuple[int, ...], tuple[int, ...]
     "webp": (WebP, tuple(range(7)), (0, 4)),
     "avif": (AvifForPsnr, tuple(range(10, -1, -1)), (10, 6, 4)),
     "avif visual": (AvifForEyes, tuple(range(10, -1, -1)), (10, 6)),
+    "avif reduced": (ReducedAvif, (10, 6, 4), (10, 6, 4)),
     "jpegxl": (JpegXl, tuple(range(1, 10)), (3, 7)),
 }
 METHODS = (*OURS, VISUAL, "plain Adam", *NETWORKS, *RIVALS)

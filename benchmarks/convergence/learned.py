@@ -1,4 +1,4 @@
-"""Other ways to fit the same picture: plain Adam on the raw numbers of Gaussians, and two networks of the file's bytes.
+"""Other ways to fit the same picture: plain Adam on the raw numbers of Gaussians, and a network of the file's bytes.
 
 Each yields its picture at growing times, the whole of it now and then and at the end. In between a network shows the
 pixels of every few rows and columns of a large one, since it takes a minute to draw all of 12 megapixels. The clock
@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import torch
 
-from benchmarks import networks
-from benchmarks.networks import Network, Training, drawn, levels_of
+from benchmarks.convergence import network as networks
+from benchmarks.convergence.network import Training, drawn, levels_of
 from benchmarks.pictures import Pixels
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Frame
@@ -58,18 +58,6 @@ def plain_adam(pixels: Pixels, seconds: float, gaussians: int) -> Shown:
     yield from watched(step, show, seconds, began)
 
 
-def siren(pixels: Pixels, seconds: float, size: int) -> Shown:
-    """As wide as so many bytes allow."""
-    began = time.perf_counter()
-    return trained(networks.siren(pixels, size // BYTES_OF_NUMBER), pixels, seconds, began)
-
-
-def hash_grid(pixels: Pixels, seconds: float, size: int) -> Shown:
-    """With tables as long as so many bytes allow."""
-    began = time.perf_counter()
-    return trained(networks.hash_grid(pixels, size // BYTES_OF_NUMBER), pixels, seconds, began)
-
-
 def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: float, began: float) -> Shown:
     """Repeat a step for so many seconds, and show what has become at times that grow by a factor, or further
     apart where a look takes long. show: is told whether to show the whole."""
@@ -89,8 +77,10 @@ def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: flo
             due = run + max(run * (GROWTH - 1), 0 if whole else looked * REST)
 
 
-def trained(network: Network, pixels: Pixels, seconds: float, began: float) -> Shown:
-    """What is shown has its numbers rounded to half precision."""
+def siren(pixels: Pixels, seconds: float, size: int) -> Shown:
+    """As wide as so many bytes allow. What is shown has its numbers rounded to half precision."""
+    began = time.perf_counter()
+    network = networks.siren(size // BYTES_OF_NUMBER)
     torch.set_num_threads(native.thread_count())
     training = Training(network, pixels)
 

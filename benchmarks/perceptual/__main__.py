@@ -19,7 +19,7 @@ from benchmarks.machine import RUNS, Record, in_words
 from benchmarks.perceptual.means import KINDS, TITLES, lines
 from benchmarks.pictures import Pixels, pictures_in
 from benchmarks.rd.rivals import Avif
-from benchmarks.report.section import table
+from benchmarks.tables import table
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr

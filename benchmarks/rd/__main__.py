@@ -1,14 +1,14 @@
 """Rate and quality over a folder of pictures: real files, decoded again and measured.
 
     python -m benchmarks.rd --images FOLDER [--most N] [--pictures kodim05] [--profiles rd,paper,baseline]
-                            [--bpp 0.15,0.25] [--effort N] [--tune psnr] [--steps N] [--rivals [NAME ...]]
-                            [--coin] [--coin-seconds 600] [--weights FOLDER]
+                            [--bpp 0.15,0.25] [--effort N] [--tune psnr] [--rivals [NAME ...]]
+                            [--weights FOLDER]
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
 an interrupted run goes on where it stopped. Each file is the best of at most so many bits per pixel, or the smallest
 that its codec makes where none is. Profile rd comes twice, tuned for PSNR and for the eye. Others come with --rivals
-and --coin (pip install -e '.[benchmark]'); rivals.py and coin.py say how each is set.
+(pip install -e '.[benchmark]'); rivals.py says how each is set.
 
 --quality: profile rd at one quality for all pictures, as published means over pictures mostly are; they may only be
 compared with such. --weights: a folder as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS too.
@@ -31,8 +31,7 @@ from benchmarks.arguments import numbers, some_of
 from benchmarks.machine import RUNS, Record, in_words
 from benchmarks.pictures import Pixels, add_options, named_in
 from benchmarks.rd.codecs import FITTED, Codec, Sg
-from benchmarks.rd.coin import Coin
-from benchmarks.rd.report import Row, report
+from benchmarks.rd.report import Row, means, means_table
 from benchmarks.rd.rivals import RIVALS, USUAL, versions
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
@@ -69,7 +68,7 @@ def measure(codec: Codec, image: str, pixels: Pixels, aim: float, networks: Netw
     )
     if isinstance(codec, Sg):
         effort = codec.effort if codec.profile == "rd" else None
-        row = replace(row, effort=effort, steps=codec.steps)
+        row = replace(row, effort=effort)
         row = replace(row, max_bpp=None, quality=aim) if codec.one_quality else row
     if networks is None or min(pixels.shape[:2]) < MIN_SIDE:
         return row
@@ -84,19 +83,18 @@ def codecs_of(options: argparse.Namespace) -> list[Codec]:
     codecs: list[Codec] = []
     for name in options.profiles:
         if name in FITTED:
-            codecs.append(Sg(name, steps=options.steps))
+            codecs.append(Sg(name))
         else:
             codecs += [Sg(name, tune, options.effort) for tune in options.tune]
-    codecs += [rival() for name, rival in RIVALS.items() if name in options.rivals]
-    return [*codecs, Coin(options.coin_seconds)] if options.coin else codecs
+    return [*codecs, *(rival() for name, rival in RIVALS.items() if name in options.rivals)]
 
 
 def checked(parser: argparse.ArgumentParser) -> argparse.Namespace:
     """The options. Exits with one clear line for what makes no sense."""
     options = parser.parse_args()
     options.rivals = [] if options.rivals is None else options.rivals or [rival.name for rival in USUAL]
-    if options.quality and (options.rivals or options.coin):
-        parser.error("--quality is for profile rd alone, without --rivals and --coin")
+    if options.quality and options.rivals:
+        parser.error("--quality is for profile rd alone, without --rivals")
     if min(options.bpp) <= 0 or options.most < 1:
         parser.error("--bpp and --most take numbers above 0")
     if options.quality and not all(0 < quality <= 100 for quality in options.quality):
@@ -123,17 +121,13 @@ def main() -> None:
     parser.add_argument("--quality", type=numbers, help="in place of --bpp: qualities of profile rd")
     parser.add_argument("--effort", type=int, choices=EFFORTS, default=DEFAULT_EFFORT, help="of profile rd")
     parser.add_argument("--tune", nargs="+", choices=TUNES, default=TUNES, help="of profile rd; all if none is named")
-    parser.add_argument("--steps", type=int, help="of the fits of profiles paper and baseline")
     parser.add_argument(
         "--rivals", nargs="*", choices=RIVALS, help="the usual ones, with one setting each, where none is named"
     )
-    parser.add_argument("--coin", action="store_true", help="COIN, fitted here")
-    parser.add_argument("--coin-seconds", type=float, default=600, help="for each picture and rate")
     parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
     parser.add_argument("--out", type=Path, default=RUNS / "rd" / "kodak.json")
     options = checked(parser)
     settings: dict[str, Any] = {"codecs": versions() if options.rivals else [], "seen": options.weights is not None}
-    settings |= {"coin_seconds": options.coin_seconds} if options.coin else {}
     networks = Networks(options.weights) if options.weights else None
     record = Record(options.out, "benchmarks.rd", settings)
     kept = {row.key: row for row in (Row(**kept) for kept in record.rows)}
@@ -149,7 +143,7 @@ def main() -> None:
                     record.add(asdict(kept[key]))
                 wanted.append(kept[key])
     libraries = [f"Other codecs: {', '.join(settings['codecs'])}."] if settings["codecs"] else []
-    print("", report(wanted), *libraries, in_words(record.content), sep="\n\n")
+    print("", means_table(means(wanted)), *libraries, in_words(record.content), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from benchmarks.pictures import Pixels
 from sgmethod import Budget, decode, encode, info
 from sgmethod.profiles import DEFAULT_EFFORT, Tune
-from sgmethod.settings.paper import BASELINE, PAPER
 
-FITTED = {"paper": PAPER, "baseline": BASELINE}
+FITTED = ("paper", "baseline")
 
 
 @dataclass(frozen=True)
@@ -40,14 +39,12 @@ class Codec(Protocol):
 class Sg:
     """One profile of this project.
 
-    tune, effort: of profile rd; steps: of a fit of profiles paper and baseline, their own number if not told;
-    one_quality: what is aimed at is a quality and not bits per pixel.
+    tune, effort: of profile rd; one_quality: what is aimed at is a quality and not bits per pixel.
     """
 
     profile: str
     tune: Tune = "psnr"
     effort: int = DEFAULT_EFFORT
-    steps: int | None = None
     one_quality: bool = False
 
     @property
@@ -56,7 +53,6 @@ class Sg:
         parts = {
             "visual": self.tune == "visual",
             f"effort {self.effort}": self.effort != DEFAULT_EFFORT,
-            f"{self.steps} steps": self.steps is not None,
             "one quality": self.one_quality,
         }
         return " ".join([self.profile, *(part for part, said in parts.items() if said)])
@@ -64,7 +60,6 @@ class Sg:
     def run(self, pixels: Pixels, aim: float) -> Run:
         """As Codec.run."""
         budget = Budget("quality" if self.one_quality else "bpp", aim)
-        settings = None if self.steps is None else replace(FITTED[self.profile], fit_steps=self.steps)
         began = time.perf_counter()
-        made = encode(pixels, budget, self.profile, tune=self.tune, effort=self.effort, settings=settings)
+        made = encode(pixels, budget, self.profile, tune=self.tune, effort=self.effort)
         return Run(made.data, time.perf_counter() - began, decode, info(made.data).gaussians)

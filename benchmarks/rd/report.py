@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from benchmarks import published
-from benchmarks.report.section import MISSING, mean, number, table
+from benchmarks.tables import MISSING, mean, number, table
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,6 @@ Point = tuple[float, float]  # bits per pixel, quality
 Curve = Sequence[tuple[float | None, ...]]  # bits per pixel, PSNR, MS-SSIM
 Means = dict[tuple[str, float], dict[str, float | None]]  # by codec and rate or quality, then by figure
 ONE_QUALITY = "one quality"  # in the name of a codec whose pictures have one quality, and not one rate
-ANCHORS = ("avif tune=psnr", "baseline")  # how the names of those begin that others are compared with
-LOW_DB = 32
 FORMATS = {"images": "g", "bytes": ".0f", "bpp": ".3f", "psnr": ".2f", "ms_ssim": ".4f"}
 SEEN = {"ssimulacra2": ".1f", "lpips": ".3f", "dists": ".3f"}
 COSTS = {"gaussians": ".0f", "encode_s": ".3f", "decode_ms": ".2f"}
@@ -148,15 +146,6 @@ def quality(figure: str, value: float) -> float:
     return -10 * math.log10(error) if error > 0 else math.inf
 
 
-def against_means(average: Means, codec: str, anchor: str, figure: str) -> float | None:
-    """BD-rate for the same figure, of means over pictures. None where the two share none of it."""
-    curves = (
-        known([(m["bpp"], m[figure]) for (name, _), m in average.items() if name == wanted], figure)
-        for wanted in (anchor, codec)
-    )
-    return bd_rate(*curves)
-
-
 def against(rows: Sequence[Row], codec: str, anchor: str, figure: str = "psnr") -> tuple[float, int] | None:
     """The mean over pictures of each one's BD-rate for the same figure, and how many they are. None where one of the
     pictures that both have has no such rate."""
@@ -182,17 +171,12 @@ def points(rows: Sequence[Row], codec: str, image: str, figure: str = "psnr") ->
     return list(dict.fromkeys(known(pairs, figure)))
 
 
-def against_cool_chic(rows: Sequence[Row], codec: str, below: float | None = None) -> tuple[float, int] | None:
-    """Against the points that Cool-Chic published for each picture. below: dB, where only our points below it count,
-    and pictures that have two of them."""
+def against_cool_chic(rows: Sequence[Row], codec: str) -> tuple[float, int] | None:
+    """Against the points that Cool-Chic published for each picture."""
     anchors: dict[str, Sequence[Point]] = {
         row.image: published.cool_chic().get(Path(row.image).stem, []) for row in rows
     }
-    if below is None:
-        return mean_rate(anchors, rows, codec)
-    low = [row for row in rows if row.psnr is not None and row.psnr < below]
-    anchors = {image: anchor for image, anchor in anchors.items() if len(points(low, codec, image)) > 1}
-    return mean_rate(anchors, low, codec)
+    return mean_rate(anchors, rows, codec)
 
 
 def against_quoted(average: Means, codec: str, other: str, column: int = 1) -> float | None:
@@ -229,11 +213,6 @@ def _shared(average: Means, codec: str, other: str) -> tuple[float, float] | Non
     return (low, high) if low < high else None
 
 
-def is_kodak(rows: Sequence[Row]) -> bool:
-    """Whether the pictures are those that published means are of."""
-    return {Path(row.image).stem for row in rows} == {f"kodim{i:02}" for i in range(1, 25)}
-
-
 def means_table(average: Means) -> str:
     """A line for each codec and rate; figures that nothing has are left out."""
     columns = {name: form for name, form in (FORMATS | SEEN | COSTS).items() if any(m[name] for m in average.values())}
@@ -244,26 +223,3 @@ def means_table(average: Means) -> str:
         for (codec, aim), m in sorted(average.items(), key=lambda item: item[0][1])
     ]
     return table(" | ".join(titles), lines)
-
-
-def rates_table(rows: Sequence[Row]) -> str:
-    """BD-rates for the same PSNR against what was measured, picture by picture, and what was published."""
-    average, kodak = means(rows), is_kodak(rows)
-    lines = []
-    codecs = dict.fromkeys(row.codec for row in rows)
-    for codec in codecs:
-        for anchor in (name for name in codecs if name.startswith(ANCHORS)):
-            if anchor != codec and (found := against(rows, codec, anchor)):
-                lines.append([codec, f"{anchor}, measured", f"mean over {found[1]} pictures", f"{found[0]:+.1f} %"])
-        for below, what in ((None, "Cool-Chic 5.0, quoted"), (LOW_DB, f"Cool-Chic 5.0, quoted, below {LOW_DB} dB")):
-            if found := against_cool_chic(rows, codec, below):
-                lines.append([codec, what, f"mean over {found[1]} pictures", f"{found[0]:+.1f} %"])
-        for other, quoted in published.kodak().items() if kodak else ():
-            if (rate := against_quoted(average, codec, other)) is not None:
-                lines.append([codec, f"{other}, quoted", f"of means {quoted['averaged']}", f"{rate:+.1f} %"])
-    return table("codec | against | how | BD-rate, PSNR", lines) if lines else ""
-
-
-def report(rows: Sequence[Row]) -> str:
-    """Markdown: means over the pictures, then differences in rate, below 0 % for fewer bits."""
-    return "\n\n".join(filter(None, [means_table(means(rows)), rates_table(rows)]))

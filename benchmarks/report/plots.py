@@ -25,8 +25,7 @@ def style(k: int) -> dict[str, Any]:
 
 
 def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
-    """Write path.svg and path.png: the panels one below the other on one axis, what they name in one legend. of: what
-    the title is of, in a line below it."""
+    """Write path.svg and path.png: the panels one below the other, and one legend. of: a second line of the title."""
     try:
         import matplotlib as mpl
         from cycler import cycler
@@ -37,13 +36,12 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
     settings |= {"axes.prop_cycle": cycler(color=COLOURS), "axes.grid": True, "grid.color": "0.9"}
     with mpl.rc_context(settings | {"svg.fonttype": "none"}):
         figure = Figure(layout="constrained")
-        all_axes = figure.subplots(len(panels), squeeze=False, sharex=True)[:, 0]
+        all_axes = figure.subplots(len(panels), squeeze=False)[:, 0]
         named: dict[str, Any] = {}
         for draw, axes in zip(panels, all_axes, strict=True):
             draw(axes)
             for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
                 named.setdefault(name, handle)
-            axes.label_outer()
         all_axes[0].set_title(f"{title}\n{of}".strip(), loc="left", fontsize=9)
         if named:
             options = {"loc": "outside lower left", "ncols": LEGEND_COLUMNS, "handlelength": 4}

@@ -1,17 +1,15 @@
-"""Rate against quality on Kodak: measured here, and quoted."""
+"""Rate against quality on Kodak, beside other codecs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from scipy.interpolate import PchipInterpolator
-
 from benchmarks import published
-from benchmarks.rd.report import COSTS, FORMATS, SEEN, TITLES, Means, Row, against, against_means, curve, means, scaled
+from benchmarks.published.report import ahead
+from benchmarks.rd.report import SEEN, TITLES, Means, Row, against, against_cool_chic, curve, means, scaled
 from benchmarks.report.plots import style
-from benchmarks.report.section import Content, Draw, Section, folded, number, table
+from benchmarks.report.section import Content, Draw, Page, number, percent, several, table
 
 NAMES = {
     "rd": "`rd`, tuned for PSNR",
@@ -29,24 +27,18 @@ NAMES = {
     "jpegxl effort 4": "JPEG XL, effort 4",
     "mozjpeg": "mozjpeg, 4:2:0",
     "jpeg": "JPEG, 4:2:0",
-    "coin": "COIN",
 }
-RATES = (0.15, 0.25, 0.4)
 ANCHOR = "GaussianImage"
-BD_SEEN = ("ms_ssim", *SEEN)
-MAX_BPP, SORTED_AT_BPP = 0.5, 0.2  # of the plot, and of its legend
-MUCH_LEFT_PERCENT = 2  # of the bytes, from where on it is said
+BPP = 0.25  # of the table
+MAX_BPP = 0.5  # of the plot
 AVIF, AVIF_FOR_EYES = "avif tune=psnr", "avif tune=iq"  # its rows that are compared with
 PATIENT = "rd effort 9", "avif tune=psnr speed 0"  # whatever it takes
-UNTIMED = {"encode_s": None, "decode_ms": None}
-NOTE = (
-    '"Above it": where a codec makes no file so small, its smallest stands, and its means are of more bytes. Some '
-    "leave a part of the bytes, as their qualities are whole numbers{left}: BD-rates compare better than lines. "
-    "Seconds of other codecs are those of one encode, without the search for the quality that fits; those of `rd` have "
-    "it in them. A row that was measured beside other work or on another processor has none. Effort 9 was measured in "
-    "another hour, so that its seconds compare with no other row. `rd` and JPEG XL are decoded by every thread; AVIF "
-    "and JPEG 2000 gain nothing from a second."
+SHOWN = (
+    *("rd", "rd visual", PATIENT[0], AVIF, PATIENT[1], AVIF_FOR_EYES),
+    *("heic", "jpegxl", "jpeg2000", "webp", "mozjpeg", "jpeg"),
 )
+PLOTTED = ("rd", "rd visual", AVIF, AVIF_FOR_EYES, "heic", "jpegxl", "webp", "jpeg")
+UNTIMED = {"encode_s": None, "decode_ms": None}
 
 
 def rows_of(*contents: Content) -> list[Row]:
@@ -72,41 +64,83 @@ def name_of(codec: str) -> str:
     return ", ".join(part for part in (NAMES.get(known, ""), codec.removeprefix(known).strip()) if part)
 
 
-def section(
-    main: Content | None,
-    effort: Content | None,
-    paper: Content | None,
-    fitted: Content | None = None,
-    settings: Content | None = None,
-    patient: Content | None = None,
-) -> Section:
-    """From rd/kodak.json, rd/effort.json, rd/paper.json, rd/fitted.json, rd/settings.json and rd/patient.json, as far
-    as there are."""
-    at_rates = [content for content in (main, effort, paper, settings, patient) if content]
+def page(contents: Mapping[str, Content]) -> Page:
+    """From rd/*.json, as far as there are."""
+    at_rates = [contents[f"rd/{n}"] for n in ("kodak", "effort", "settings", "patient") if f"rd/{n}" in contents]
     rows = rows_of(*at_rates)
     average = means(rows)
-    told = []
-    for codec, rival in (("rd", AVIF), ("rd visual", AVIF_FOR_EYES), PATIENT):
-        if (rate := first(against(rows, codec, rival))) is not None:
-            least, most = by_picture(rows, codec, rival)
-            spread = f"(by picture {least:+.0f} to {most:+.0f} %)"
-            told.append(f"{name_of(codec)}, needs {fewer(rate)} {spread} than {name_of(rival)}")
-    said = (
-        "How many bits does each codec need for the same PSNR, by the sizes of real files and the pixels decoded from "
-        f"them? Profile {'; '.join(told)}. {best_seen(average)}Kodak alone is no statement on other "
-        "pictures, and a figure is none on what an eye sees."
-    )
-    tables = [measured(average), NOTE.format(left=left(average)), every_pair(rows, average, "psnr")]
     panels: list[Draw] = [lambda axes: draw_psnr(axes, average)]
     if any(row.lpips is not None for row in rows):
-        tables += [seen(average), rates_seen(rows, average)]
-        tables += [folded(f"BD-rates by {TITLES[name]}", every_pair(rows, average, name)) for name in BD_SEEN]
         panels.append(lambda axes: draw_lpips(axes, average))
-    tables += [on_fewer(rows, rows_of(fitted))] if fitted else []
-    pictures = len({row.image for row in rows})
-    contents = [*at_rates, *([fitted] if fitted else [])]
-    return Section(
-        "rate", "Rate against quality", said, tables, contents, panels, f"means of {pictures} pictures of Kodak"
+    return Page(
+        name="rate",
+        title="Rate against quality",
+        question="How many bits does each codec need for the same quality? Sizes are those of real files, and quality "
+        "is that of the pixels decoded from them.",
+        table=codecs_table(rows, average),
+        conclusion=f"{for_psnr(rows)} {for_eyes(average)}",
+        limits=limits(rows, contents.get("rd/quality")),
+        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only rd",
+        contents=contents,
+        panels=panels,
+        of=f"means of {len({row.image for row in rows})} pictures of Kodak",
+    )
+
+
+def codecs_table(rows: Sequence[Row], average: Means) -> str:
+    """At BPP, the best PSNR first; bits are those for the same PSNR over all rates."""
+    found = {codec: average[codec, BPP] for codec in SHOWN if (codec, BPP) in average}
+    forms = {"psnr": ".2f", **SEEN, "encode_s": ".2g", "decode_ms": ".2g"}
+    lines = []
+    for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
+        bits = percent(first(against(rows, codec, AVIF))) if codec != AVIF else ""
+        above = f" (above it on {m['above']:g} of {m['images']:g})" if m["above"] else ""
+        lines.append([name_of(codec) + above, *(number(m[name], form) for name, form in forms.items()), bits])
+    titles = [f"codec, at most {BPP:g} bits per pixel", *(TITLES.get(name, name) for name in forms)]
+    return table(" | ".join([*titles, f"bits for the same PSNR, against {name_of(AVIF)}"]), lines)
+
+
+def for_psnr(rows: Sequence[Row]) -> str:
+    """One sentence on bits for the same PSNR."""
+    told = []
+    for rival in (AVIF, "heic", "webp"):
+        if (rate := first(against(rows, "rd", rival))) is not None:
+            told.append(f"{fewer(rate)} than {name_of(rival).partition(',')[0]}")
+    return f"For the same PSNR, `rd` tuned for PSNR needs {several(told)}."
+
+
+def for_eyes(average: Means) -> str:
+    """One sentence on metrics that follow the eye, at BPP."""
+    ours, avif = average.get(("rd visual", BPP)), average.get((AVIF_FOR_EYES, BPP))
+    if not ours or not avif or ours["lpips"] is None:
+        return "No metric that follows the eye was measured."
+    better: list[str] = []
+    worse: list[str] = []
+    for name, form in SEEN.items():
+        mine, theirs = ours[name] or 0, avif[name] or 0
+        is_better = mine > theirs if name == "ssimulacra2" else mine < theirs
+        (better if is_better else worse).append(f"{TITLES[name]} ({mine:{form}} against {theirs:{form}})")
+    parts = [f"ahead of AVIF by {several(better)}"] * bool(better) + [f"behind by {several(worse)}"] * bool(worse)
+    return f"At {BPP:g} bits per pixel the default, tuned for the eye, is {' and '.join(parts)}."
+
+
+def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
+    """Other codecs, other pictures, other rates."""
+    told = dict(ahead(rows_of(one_quality)) if one_quality else {})
+    told["Cool-Chic 5.0"] = first(against_cool_chic(rows, "rd"))
+    others = several([f"{fewer(rate)} than {name}" for name, rate in told.items() if rate is not None])
+    published = f"- Codecs that were not run here: by what others published, `rd` needs {others} for the same PSNR.\n"
+    spread = ""
+    if first(against(rows, "rd", AVIF)) is not None:
+        least, most = by_picture(rows, "rd", AVIF)
+        spread = f" (against AVIF from {least:+.0f} to {most:+.0f} % by picture)"
+    return (
+        f"{published if others else ''}- Single pictures, which differ from the mean{spread}, and pictures unlike "
+        "Kodak's: text, screenshots, drawings.\n"
+        "- What people say: these are metrics ([what people see](seen.md)).\n"
+        "- Exact ratios of times: rows were measured in different hours, and other codecs' times leave out the "
+        "search for the quality that fits, which ours include ([speed](speed.md)). A dash stands for rows that were "
+        "measured beside other work."
     )
 
 
@@ -118,115 +152,9 @@ def by_picture(rows: Sequence[Row], codec: str, anchor: str) -> tuple[float, flo
     return min(rates), max(rates)
 
 
-def best_seen(average: Means) -> str:
-    """Who is ahead by each figure that follows the eye, in a sentence; none where there are no such figures."""
-    told = []
-    for figure in SEEN:
-        pick = max if figure == "ssimulacra2" else min
-        values = [(m[figure], codec) for (codec, limit), m in average.items() if limit == RATES[1]]
-        known = [(value, codec) for value, codec in values if value is not None]
-        if known:
-            told.append(f"{name_of(pick(known)[1])} by {TITLES[figure]}")
-    return f"At {RATES[1]:g} bpp the best for the eye is {'; '.join(told)}. " if told else ""
-
-
-def left(average: Means) -> str:
-    """Which codecs leave bytes that they may have, and how many, in brackets."""
-    parts: dict[str, list[float]] = {}
-    for (codec, limit), m in average.items():
-        if not m["above"] and m["bpp"] is not None:
-            parts.setdefault(codec, []).append(100 - 100 * m["bpp"] / limit)
-    found = {codec: (min(some), max(some)) for codec, some in parts.items() if max(some) >= MUCH_LEFT_PERCENT}
-    told = "; ".join(f"{name_of(codec)}: {least:.0f} to {most:.0f} %" for codec, (least, most) in found.items())
-    return f" ({told})" if told else ""
-
-
-def measured(average: Means, more: dict[str, str] | None = None) -> str:
-    """Means over the pictures for each codec and rate; how many, where that differs. more: further figures and their
-    forms."""
-    forms = {"images": "g", "above": "g"} | FORMATS | {"bpp": ".4f"} | (more or {}) | COSTS
-    del forms["bytes"]  # which bits per pixel say already, and the page is narrow
-    if len({m["images"] for m in average.values()}) == 1:
-        del forms["images"]
-    titles = " | ".join(["codec", "bpp at most", *(TITLES.get(name, name) for name in forms)])
-    cells = [
-        [name_of(codec), f"{limit:g}", *(number(m[name], form) for name, form in forms.items())]
-        for (codec, limit), m in sorted(average.items(), key=lambda item: (item[0][1], -(item[1]["psnr"] or 0)))
-    ]
-    return table(titles, cells)
-
-
 def fewer(rate: float) -> str:
     """A difference in words."""
     return f"{abs(rate):.1f} % {'fewer' if rate < 0 else 'more'} bits"
-
-
-def every_pair(rows: Sequence[Row], average: Means, figure: str) -> str:
-    """BD-rates of every codec that has a figure against every other, averaged either way."""
-    codecs = list(dict.fromkeys(row.codec for row in rows if getattr(row, figure) is not None))
-    lines = []
-    for codec in codecs:
-        cells = []
-        for anchor in codecs:
-            found = first(against(rows, codec, anchor, figure)), against_means(average, codec, anchor, figure)
-            cells.append("-" if codec == anchor else " / ".join(number(rate, "+.1f") for rate in found))
-        lines.append([name_of(codec), *cells])
-    note = (
-        f"BD-rate for the same {TITLES[figure]}, in percent, below 0 for fewer bits, of each row against each column: "
-        "mean of pictures / of means. No figure where on some picture the two share none, or a curve falls. Figures "
-        "over other qualities do not compare."
-    )
-    return f"{note}\n\n" + table(" | ".join(["codec", *map(name_of, codecs)]), lines)
-
-
-def seen(average: Means) -> str:
-    """Metrics that follow the eye, beside AVIF as it is tuned for that."""
-    limits = sorted({limit for codec, limit in average if codec == AVIF_FOR_EYES})
-    lines = []
-    for limit in limits:
-        mine = {codec: m for (codec, at), m in average.items() if at == limit and m["lpips"] is not None}
-        for codec, m in sorted(mine.items(), key=lambda item: item[1]["lpips"] or 0):
-            cells = [number(m[name], form) for name, form in ({"bpp": ".3f"} | SEEN).items()]
-            lines.append([f"{limit:g}", name_of(codec), *cells])
-    note = (
-        "SSIMULACRA 2 (higher is better), LPIPS (AlexNet) and DISTS (lower is better), the lowest LPIPS first. AVIF's "
-        "row with `tune=iq`, which libavif takes by default, is the fair one to compare with."
-    )
-    return f"{note}\n\n" + table("bpp at most | codec | bpp | SSIMULACRA 2 | LPIPS | DISTS", lines)
-
-
-def rates_seen(rows: Sequence[Row], average: Means) -> str:
-    """BD-rates for the same of each figure that follows the eye, against AVIF as it is tuned for that."""
-    codecs = list(dict.fromkeys(row.codec for row in rows if row.lpips is not None and row.codec != AVIF_FOR_EYES))
-    lines = []
-    for codec in codecs:
-        of_pictures = [first(against(rows, codec, AVIF_FOR_EYES, figure)) for figure in BD_SEEN]
-        of_means = [against_means(average, codec, AVIF_FOR_EYES, figure) for figure in BD_SEEN]
-        lines.append([name_of(codec), *map(percent, [*of_pictures, *of_means])])
-    titles = [f"{TITLES[figure]}, {how}" for how in ("mean of pictures", "of means") for figure in BD_SEEN]
-    note = (
-        "BD-rate against AVIF with `tune=iq` for the same of each figure, below 0 for fewer bits, averaged either way. "
-        "No figure where on some picture the two share no quality, or a curve falls."
-    )
-    return f"{note}\n\n" + table(" | ".join(["codec", *titles]), lines)
-
-
-def on_fewer(rows: Sequence[Row], fitted: Sequence[Row]) -> str:
-    """What takes minutes for a picture, beside the others on the same pictures."""
-    images = {row.image for row in fitted}
-    others = {"rd", AVIF}
-    beside = [row for row in rows if row.image in images and row.codec in others]
-    note = f"On {len(images)} of the pictures, what is fitted for minutes, beside `rd` and AVIF on the same ones."
-    if any(row.codec == "coin" for row in fitted):
-        note += (
-            " COIN's authors fit each picture on a GPU, with some hundred times the work: it can reach more than here."
-        )
-    return f"{note}\n\n" + measured(means([*fitted, *beside]), SEEN)
-
-
-def percent(rate: float | None) -> str:
-    """A difference in rate."""
-    return number(rate, "+.1f") + (" %" if rate is not None else "")
 
 
 def first(found: tuple[float, int] | None) -> float | None:
@@ -234,19 +162,10 @@ def first(found: tuple[float, int] | None) -> float | None:
     return found[0] if found else None
 
 
-def at(points: Sequence[tuple[Any, ...]], rate: float, column: int) -> float | None:
-    """A published quality at a rate, None beyond the points."""
-    known = sorted((p[0], p[column]) for p in points if p[column] is not None)
-    if len(known) < 2 or not known[0][0] <= rate <= known[-1][0]:
-        return None
-    rates, values = np.array(known).T
-    return float(PchipInterpolator(np.log(rates), values)(np.log(rate)))
-
-
 def lines_of(average: Means) -> dict[str, dict[str, Any]]:
     """Every codec that has a curve, the best first, and how its line looks."""
-    codecs = dict.fromkeys(codec for codec, _ in average)
-    levels = {codec: at(curve(average, codec), SORTED_AT_BPP, 1) for codec in codecs}
+    codecs = [codec for codec in PLOTTED if (codec, BPP) in average]
+    levels = {codec: average.get((codec, BPP), {}).get("psnr") for codec in codecs}
     found = sorted(codecs, key=lambda codec: -(levels[codec] or 0))
     return {codec: style(k) | {"label": name_of(codec).replace("`", "")} for k, codec in enumerate(found)}
 

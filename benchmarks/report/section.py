@@ -1,52 +1,70 @@
-"""What a section of the document is made of."""
+"""What a page of results is made of: a question, a plot, a table, a conclusion, its limits and a command."""
 
 from __future__ import annotations
 
 import json
-import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.machine import in_words
+from benchmarks.tables import MISSING, mean, number, table
+
+__all__ = ["MISSING", "Content", "Draw", "Page", "load", "mean", "number", "percent", "several", "table"]
 
 Content = dict[str, Any]  # of a JSON
 Draw = Callable[[Any], None]  # on the axes of matplotlib
-MISSING = "-"
+JOIN = "\n\n".join
+MOST_ROWS = 12  # of a page's table
+RESULTS = "../../benchmarks/results"
 
 
 @dataclass(frozen=True)
-class Section:
-    """One question. said: what was asked, what came out, what it does not show; contents: the JSON of each table and
-    plot; panels: of its plot, if there is one, from the top; of: which pictures and files the plot is of; how: what
-    else a reader of the tables must know of the way in which they were measured."""
+class Page:
+    """One question. conclusion: two sentences; limits: what it does not show; contents: each JSON by its name; panels:
+    of the plot, from the top; of: which pictures the plot is of; appendix: further tables, folded."""
 
     name: str
     title: str
-    said: str
-    tables: Sequence[str]
-    contents: Sequence[Content]
+    question: str
+    table: str
+    conclusion: str
+    limits: str
+    command: str
+    contents: Mapping[str, Content]
     panels: Sequence[Draw] = ()
     of: str = ""
-    how: str = ""
+    appendix: Sequence[str] = ()
+    more: Sequence[Draw] = ()  # of a second plot, in the appendix
 
     def text(self) -> str:
         """Markdown."""
+        assert self.table.count("\n") <= MOST_ROWS + 1, f"the table of {self.name} has more than {MOST_ROWS} rows"
         name = ": ".join(filter(None, [self.title, self.of]))
-        plot = [f"![{name}](plots/{self.name}.svg)"] if self.panels else []
-        how = [f"How it was measured: {self.how}"] if self.how else []
-        return "\n\n".join([f"## {self.title}", self.said, *plot, *self.tables, *how, *map(origin, self.contents)])
+        second = [f"![{self.title}, in the appendix](../plots/{self.name}_more.svg)"] if self.more else []
+        folded = f"<details>\n<summary>Appendix</summary>\n\n{JOIN([*self.appendix, *second])}\n\n</details>"
+        return JOIN(
+            [
+                *(f"# {self.title}", self.question, f"**{self.conclusion}**", f"![{name}](../plots/{self.name}.svg)"),
+                *(self.table, f"## What this does not show\n\n{self.limits}"),
+                f"## Measure it\n\n```sh\n{self.command}\n```",
+                *([folded] if self.appendix else []),
+                f"---\n\n{self.footer()}",
+            ]
+        )
 
-
-def origin(content: Content) -> str:
-    """By which command, where and when; and what else must be known."""
-    remark = f" {content['remark']}" if content.get("remark") else ""
-    libraries = ", ".join(content.get("settings", {}).get("codecs", ()))
-    versions = f" With {libraries}." if libraries else ""
-    packages = content["machine"]["packages"].items()
-    ours = ", ".join([f"Python {content['machine']['python']}", *(f"{name} {has}" for name, has in packages if has)])
-    return f"`{content['command']}`: {in_words(content)}; {ours}.{versions}{remark}"
+    def footer(self) -> str:
+        """One line: the rows as CSV and JSON, when, and on what."""
+        files = [f"{name} ([CSV]({RESULTS}/csv/{name}.csv), [JSON]({RESULTS}/{name}.json))" for name in self.contents]
+        where = self.contents.values()
+        dates = sorted(content["date"][:10] for content in where)
+        machines = dict.fromkeys(f"{c['machine']['processor']}, {c['machine']['cores']} cores" for c in where)
+        commits = dict.fromkeys(content["commit"] for content in where)
+        when = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
+        return (
+            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, commits {', '.join(commits)}. "
+            "The JSON has the versions of all libraries, and remarks.</sub>"
+        )
 
 
 def load(results: Path, name: str) -> Content | None:
@@ -56,29 +74,11 @@ def load(results: Path, name: str) -> Content | None:
     return content
 
 
-def table(titles: str, rows: Sequence[Sequence[object]]) -> str:
-    """Markdown; titles separated by bars."""
-    names = [title.strip() for title in titles.split("|")]
-    lines = [names, ["---"] * len(names), *[[str(cell) for cell in row] for row in rows]]
-    return (
-        "\n".join("| " + " | ".join(line) + " |" for line in lines).replace("| --- ", "|---").replace("--- |", "---|")
-    )
+def percent(rate: float | None) -> str:
+    """A difference in rate."""
+    return MISSING if rate is None else number(rate, "+.1f") + " %"
 
 
-def folded(title: str, text: str) -> str:
-    """What few want to see: behind a line that opens it."""
-    return f"<details>\n<summary>{title}</summary>\n\n{text}\n\n</details>"
-
-
-def mean(values: Sequence[float | None]) -> float | None:
-    """None where there is none, or one is missing."""
-    known = [value for value in values if value is not None]
-    return statistics.fmean(known) if known and len(known) == len(values) else None
-
-
-def number(value: float | None, form: str) -> str:
-    """With so many digits, or a dash. What rounds to nothing has no sign of a loss."""
-    if value is None:
-        return MISSING
-    rounded = format(value, form)
-    return rounded if set(rounded) - set("+-0.,") else format(abs(value), form)
+def several(words: Sequence[str]) -> str:
+    """As a list in a sentence."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -1,193 +1,174 @@
-"""Time and memory."""
+"""Time and memory: by size beside other codecs, and how they grow."""
 
 from __future__ import annotations
 
 import math
 import statistics
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from benchmarks import published
-from benchmarks.report.section import MISSING, Content, Section, table
-from benchmarks.speed import OPERATIONS
+from benchmarks.report.plots import style
+from benchmarks.report.section import MISSING, Content, Draw, Page, several, table
+from benchmarks.speed.growth import AXES, exponent, growth_table, means
 
-REACHED_BY = {"arithmetic": "a product of matrices", "memory": "a copy"}
-MOVED = {"forward": 12, "forward + backward": 24}  # bytes of a pixel: three float32 written, and as many read
-PIXELS = 768 * 512  # of the picture that kernels draw
-PAPERS = {"parts, Kodak, 30,000 Gaussians": 30_000, "representation, Kodak, 70,000 Gaussians": 70_000}  # with frames
-DEFAULT_STEPS = 50_000  # of GSImage's train.py, https://github.com/Xinjie-Q/GaussianImage
+SIZES = ("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels")
+METHODS = {
+    ("rd", "effort 1"): "`rd`, effort 1, tuned for PSNR",
+    ("rd", ""): "`rd`, tuned for PSNR",
+    ("rd visual", "effort 1"): "`rd`, effort 1, tuned for the eye",
+    ("rd visual", ""): "`rd`, tuned for the eye (the default)",
+    ("avif", "10"): "AVIF, speed 10",
+    ("avif", "6"): "AVIF, speed 6",
+    ("avif", "4"): "AVIF, speed 4",
+    ("jpegxl", "7"): "JPEG XL, effort 7",
+    ("webp", "4"): "WebP, method 4",
+    ("jpeg", "0"): "JPEG",
+    ("siren", ""): "SIREN, a network",
+    ("plain Adam", ""): "as many Gaussians by plain Adam, no file",
+}
+# Lines of the plot: methods that are fitted have a curve, others a point for each setting.
+FITTED = ("plain Adam", "siren")
+DRAWN = ("rd", "rd visual", "paper", "baseline", *FITTED, "avif", "jpegxl", "webp", "jpeg")
+LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
+DECODERS = {"jpeg": "libjpeg-turbo", "avif": "AVIF"}
 Rows = Sequence[dict[str, Any]]
 
 
-def section(content: Content) -> Section:
-    """From speed.json."""
-    kinds = ("size", "file", "gaussians", "kernel")
-    by_what = {what: [r for r in content["rows"] if r["what"] == what] for what in kinds}
-    ceilings = {row["ceiling"]: row["value"] for row in content["rows"] if row["what"] == "ceiling"}
-    makers = {"size": sizes_table, "file": numbers_table, "gaussians": gaussians_table}
-    tables = [make(by_what[what]) for what, make in makers.items() if by_what[what]]
-    if gpu := beside_the_gpu(by_what["gaussians"], content["settings"]["steps"]):
-        tables.append(gpu)
-    if by_what["kernel"]:
-        tables.append(kernels_table(by_what["kernel"], ceilings))
-    said = (
-        "How do time and memory grow with the picture and the Gaussians, and how near do kernels come to what the "
-        f"machine can do? {found(by_what)} Medians of one machine are no promise for another, and ratios count "
-        "more than seconds."
-    )
-    how = (
-        "sizes are of one picture each at the same bits per pixel, tuned for PSNR; pictures larger than the folder's "
-        "are mosaics. Each of our encodes is the first of a process, so that its memory is its own, where other "
-        "codecs' come after a search and are warm: in the README's table ours are warm as well, and the ratio to AVIF "
-        "is smaller. Other codecs' files have at most as many bytes, and there is a dash where they make none so "
-        "small; AVIF is 4:2:0, `tune=iq`, speed 4, JPEG XL of effort 7, HEIC x265's preset slow. Where Gaussians are "
-        "asked for, those not worth their bits are left out of the file. Kernels draw 5,000 on one picture. Times of "
-        "other sections are of other hours."
-    )
-    return Section("speed", "Time and memory", said, tables, [content], how=how)
-
-
-def found(by_what: Mapping[str, Rows]) -> str:
-    """What came out."""
-    parts = []
-    sizes, files, gaussians = by_what["size"], by_what["file"], by_what["gaussians"]
-    if len(sizes) > 1:
-        pixels = [row["pixels"] for row in sizes]
-        columns = (
-            [statistics.median(row["encode_s"]) for row in sizes],
-            [row["decode_ms"] for row in sizes],
-            [row["encode_mib"] for row in sizes],
-        )
-        encode, decode, memory = (exponent(pixels, values) for values in columns)
-        last = [exponent(pixels[-2:], values[-2:]) for values in columns]
-        parts.append(
-            f"with the pixels to the power of {encode:.2f} an encode, {decode:.2f} a decode, {memory:.2f} an encode's "
-            f"memory, of which {sizes[0]['encode_mib']:.0f} MiB are there for the smallest (from the last size but one "
-            f"to the last: {', '.join(f'{power:.2f}' for power in last)})"
-        )
-    powers = []
-    counts = [row["gaussians"] for row in files]
-    if len({*counts}) > 1:
-        encode = exponent(counts, [statistics.median(row["encode_s"]) for row in files])
-        powers = [f"{encode:.2f} an encode", f"{exponent(counts, [row['decode_ms'] for row in files]):.2f} a decode"]
-    if len(gaussians) > 1:
-        counts = [row["gaussians"] for row in gaussians]
-        drawing, step = (exponent(counts, [row[name] for row in gaussians]) for name in ("forward_ms", "step_ms"))
-        powers += [f"{drawing:.2f} drawing them", f"{step:.2f} a step of a fit"]
-    if powers:
-        parts.append(f"with the Gaussians to the power of {', '.join(powers)}")
-    if not parts and by_what["kernel"]:
-        rows = by_what["kernel"]
-        most = max(row["threads"] for row in rows)
-        best = [row for row in rows if row["threads"] == most and row["isa"] == rows[-1]["isa"]]
-        parts = [f"{row['job']} takes {row['median_ms']:.2f} ms with {most} threads" for row in best]
-    sentence = "; ".join(parts)
-    return f"{sentence[:1].upper()}{sentence[1:]}."
-
-
-def exponent(x: Sequence[float], y: Sequence[float]) -> float:
-    """The slope of the line through the logarithms."""
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
-
-
-def sizes_table(rows: Rows) -> str:
-    """By megapixels."""
-    return beside_table("megapixels", [f"{row['megapixels']:g}" for row in rows], rows)
-
-
-def numbers_table(rows: Rows) -> str:
-    """By number of Gaussians."""
-    size = f"{rows[0]['megapixels']:g} megapixels"
-    return beside_table(f"Gaussians asked for, at {size}", [f"{row['asked']:,}" for row in rows], rows)
-
-
-def beside_table(title: str, labels: Sequence[str], rows: Rows) -> str:
-    """Our figures, and below them the other codecs' times as ratios. labels: the first column, of that title."""
-    names = list(dict.fromkeys(name for row in rows for name in row["rivals_decode_ms"]))
-    own, ratios = [], []
-    for label, row in zip(labels, rows, strict=True):
-        encode = statistics.median(row["encode_s"])
-        spread = f"{min(row['encode_s']):.2f} to {max(row['encode_s']):.2f}"
-        sizes = [f"{row['bytes']:,}", f"{row['psnr']:.2f}", f"{row['gaussians']:,}"]
-        memory = [f"{row[name]:,.0f}" for name in ("encode_mib", "decode_mib")]
-        own.append([label, *sizes, f"{encode:.2f}", spread, f"{row['decode_ms']:.2f}", *memory])
-        small = {name for name in names if row["rivals_bytes"].get(name, math.inf) <= row["bytes"]}
-        pairs = (encode, row["rivals_encode_s"]), (row["decode_ms"], row["rivals_decode_ms"])
-        ratios.append(
-            [label, *(ratio(ours / of[name]) if name in small else MISSING for ours, of in pairs for name in names)]
-        )
-    titles = "bytes | PSNR | Gaussians in the file | encode s | from, to | decode ms | encode MiB | decode MiB"
-    beside = [f"{what} over {name}'s" for what in ("encode", "decode") for name in names]
-    return (
-        f"{table(f'{title} | {titles}', own)}\n\n{table(' | '.join([title, *beside]), ratios) if names else ''}".strip()
+def page(contents: Mapping[str, Content]) -> Page:
+    """From convergence/*.json, speed.json and growth.json, as far as there are."""
+    by_size = {size_of(content): content["rows"] for name, content in contents.items() if name in SIZES}
+    ends = dict.fromkeys((min(by_size), max(by_size)))
+    panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
+    speed, growth = contents.get("speed"), contents.get("growth")
+    return Page(
+        name="speed",
+        title="Speed and memory",
+        question="How long do an encode and a decode take, at 0.25 bits per pixel on the same cores, and how does that "
+        "grow? Each pair of figures is seconds of one encode and the PSNR it reached.",
+        table=sizes_table(by_size),
+        conclusion=f"{hurry(by_size)} {decoding(speed['rows']) if speed else ''}".strip(),
+        limits="- Photographs of 2 and 12 megapixels from a camera: larger pictures are mosaics of Kodak's.\n"
+        "- Single encodes: a time may be a third longer in another hour, and ratios count more than seconds.\n"
+        "- Other codecs' search for the quality that fits a size, which their times leave out.\n"
+        "- Networks at their best: SIREN has 60 seconds of torch on a processor, and no GPU.",
+        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence",
+        contents=contents,
+        panels=panels,
+        of="PSNR against seconds, means over five pictures",
+        more=[partial(draw_growth, content=growth, axis=axis) for axis in AXES] if growth else (),
+        appendix=[*([grows(speed["rows"])] if speed else []), *(growth_of(growth) if growth else [])],
     )
 
 
-def ratio(value: float) -> str:
-    """With as many digits as matter."""
-    return f"{value:,.0f}" if value >= 100 else f"{value:.2f}"
+def size_of(content: Content) -> float:
+    """Megapixels of its pictures."""
+    return float(content["rows"][0]["megapixels"])
 
 
-def gaussians_table(rows: Rows) -> str:
-    """By number of Gaussians."""
-    lines = [
-        [
-            f"{r['gaussians']:,}",
-            *(f"{r[name]:.2f}" for name in ("binning_ms", "forward_ms", "forward + backward_ms", "step_ms")),
-        ]
-        for r in rows
-    ]
-    return table("Gaussians at 768x512 | binning ms | forward ms | forward and backward ms | step of a fit ms", lines)
+def at(rows: Rows, method: str, setting: str) -> tuple[float, float] | None:
+    """Mean seconds and dB."""
+    mine = [row for row in rows if (row["method"], row["setting"]) == (method, setting)]
+    if not mine:
+        return None
+    return statistics.fmean(row["seconds"] for row in mine), statistics.fmean(row["psnr"] for row in mine)
 
 
-def kernels_table(rows: Rows, ceilings: dict[str, float]) -> str:
-    """By instruction set and threads, and how near drawing and its gradients come to what the machine reaches:
-    operations on covered pixels alone, and bytes of the pictures alone."""
+def sizes_table(by_size: Mapping[float, Rows]) -> str:
+    """A line for each method, a column for each size."""
     lines = []
-    most = max(row["threads"] for row in rows)
-    for row in rows:
-        parts = ["-", "-"]
-        if row["job"] in OPERATIONS and row.get("covered") and ceilings and row["threads"] == most:
-            done = OPERATIONS[row["job"]] * row["covered"], MOVED[row["job"]] * PIXELS
-            rates = [amount / row["median_ms"] / 1e6 for amount in done]
-            reached = ceilings["arithmetic, GFLOP/s"], ceilings["memory, GB/s"]
-            parts = [f"{rate:.1f} ({100 * rate / of:.0f} %)" for rate, of in zip(rates, reached, strict=True)]
-        times = [f"{row[name]:.2f}" for name in ("median_ms", "p10_ms", "p90_ms")]
-        lines.append([row["job"], row["isa"], row["threads"], *times, *parts])
-    units = ((name.split(", "), value) for name, value in ceilings.items())
-    told = " and ".join(f"{value:.1f} {unit} in {REACHED_BY[of]}" for (of, unit), value in units)
-    titles = "job | instruction set | threads | median ms | p10 | p90 | GFLOP/s, of a product of matrices | "
-    titles += "GB/s, of a copy"
-    note = (
-        f"The machine reaches {told}. Operations are the fewest that are known to do: {OPERATIONS['forward']} for a "
-        f"Gaussian on a pixel, {OPERATIONS['forward + backward']} with its gradients; bytes are those of the picture "
-        "and of the gradient by its pixels.\n\n"
-    )
-    return (note if told else "") + table(titles, lines)
+    for key, name in METHODS.items():
+        found = [at(rows, *key) for rows in by_size.values()]
+        if any(found):
+            lines.append([name, *(f"{one[0]:.2g} s, {one[1]:.1f} dB" if one else MISSING for one in found)])
+    return table(" | ".join(["method", *(f"{size:g} megapixels" for size in by_size)]), lines)
 
 
-def beside_the_gpu(rows: Rows, steps: int) -> str:
-    """The paper's frames a second and seconds of training for as many Gaussians, and ours. steps: of ours that were
-    timed."""
-    paper = published.paper()
-    ours = {row["gaussians"]: row for row in rows}
-    lines = []
-    for title, asked in PAPERS.items():
-        if asked in ours:
-            quoted = [row for row in paper["rows_of"][title] if row["method"] in ("the paper", "GSImage")]
-            hardware = f"quoted, {paper['hardware']}"
-            lines += [
-                [f"{asked:,}", f"{row['method']}, {hardware}", f"{row['fps']:,.0f}", f"{row['seconds']:.0f}"]
-                for row in quoted
-            ]
-            frames, seconds = 1e3 / ours[asked]["forward_ms"], DEFAULT_STEPS * ours[asked]["step_ms"] / 1e3
-            lines.append([f"{asked:,}", "here", f"{frames:,.0f}", f"({seconds:.0f})"])
-    titles = "Gaussians | who | frames a second | seconds of training"
-    note = (
-        f"Quoted seconds are those of a whole training, whose steps the paper does not say. GSImage's code has "
-        f"{DEFAULT_STEPS:,} by default; ours, in brackets, are so many times a step's mean of {steps:,} steps of "
-        "profile `paper`, and nobody ran them. A file then takes tuning on top."
+def hurry(by_size: Mapping[float, Rows]) -> str:
+    """The smallest and the largest size beside AVIF, in a sentence."""
+    told = []
+    for size in dict.fromkeys((min(by_size), max(by_size))):
+        ours, avif = (at(by_size[size], *key) for key in (("rd", ""), ("avif", "6")))
+        if ours and avif:
+            change = f"{'gains' if ours[1] > avif[1] else 'loses'} {abs(ours[1] - avif[1]):.1f} dB"
+            told.append(f"at {size:g} megapixels it takes {ours[0] / avif[0]:.0f} times as long and {change}")
+    if not told:
+        return "AVIF was not measured beside it."
+    return f"An encode tuned for PSNR beside AVIF's at speed 6: {'; '.join(told)}."
+
+
+def decoding(rows: Rows) -> str:
+    """Milliseconds of a decode at about Kodak's size and of the largest, beside others, in a sentence."""
+    told = []
+    sizes = [row for row in rows if row["what"] == "size"]
+    for row in (row for row in sizes if row["megapixels"] in (0.4, sizes[-1]["megapixels"])):
+        others = row["rivals_decode_ms"]
+        pairs = [(title, others[name]) for name, title in DECODERS.items() if name in others]
+        beside = several([f"{row['decode_ms'] / theirs:.1f} times {title}'s" for title, theirs in pairs])
+        told.append(f"{row['decode_ms']:.1f} ms at {row['megapixels']:g} megapixels ({beside})")
+    return f"A decode takes {several(told)}." if told else ""
+
+
+def grows(rows: Rows) -> str:
+    """The powers with which time and memory grow, in a sentence."""
+    sizes = [row for row in rows if row["what"] == "size"]
+    pixels = [row["pixels"] for row in sizes]
+    figures = {
+        "an encode": [statistics.median(row["encode_s"]) for row in sizes],
+        "a decode": [row["decode_ms"] for row in sizes],
+        "an encode's memory": [row["encode_mib"] for row in sizes],
+    }
+    told = [f"{exponent(pixels, values) or 0:.2f} for {what}" for what, values in figures.items()]
+    most = f"{sizes[-1]['encode_mib']:,.0f} MiB at {sizes[-1]['megapixels']:g} megapixels"
+    return f"With the pixels, costs grow to the power of {several(told)} ({most}); the CSV of speed has each size."
+
+
+def growth_of(content: Content) -> list[str]:
+    """Seconds along both axes, with the power of each."""
+    fixed = content["settings"]
+    titles = {
+        "megapixels": f"Files of {fixed['max_bytes']:,} bytes, by megapixels",
+        "max_bytes": f"Pictures of {fixed['megapixels']:g} megapixels, by bytes",
+    }
+    note = " Reduced: the picture is reduced first, as people do, and enlarged after decoding."
+    return [f"{titles[axis]}.{note}\n\n{growth_table(content['rows'], fixed, axis)}" for axis in AXES]
+
+
+def draw(axes: Any, rows: Rows, size: float) -> None:
+    """PSNR against seconds at one size."""
+    lows = []
+    for k, method in enumerate(DRAWN):
+        mine = [row for row in rows if row["method"] == method]
+        if not mine:
+            continue
+        if method in FITTED:
+            points, look = mean_curve([row["curve"] for row in mine]), {"marker": ""}
+        else:
+            settings = dict.fromkeys(row["setting"] for row in mine)
+            found = (at(mine, method, setting) for setting in settings)
+            points, look = (
+                sorted(point for point in found if point),
+                {"linestyle": "none"} if method in ("webp", "jpeg") else {},
+            )
+        axes.plot(*zip(*points, strict=True), **style(k) | look | {"label": LABELS.get(method, method)})
+        lows.append(max(db for _, db in points))
+    axes.set(
+        xscale="log", xlabel=f"seconds, {size:g} megapixels", ylabel="PSNR, dB", ylim=(math.floor(min(lows)) - 4, None)
     )
-    return f"{note}\n\n{table(titles, lines)}" if lines else ""
+
+
+def mean_curve(curves: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[float, float]]:
+    """The mean of the errors at each time at which one was looked at, from the first time that all have one."""
+    start = max(curve[0][0] for curve in curves)
+    times = sorted({seconds for curve in curves for seconds, _ in curve if seconds >= start})
+    levels = [np.interp(times, [s for s, _ in curve], [db for _, db in curve]) for curve in curves]
+    return list(zip(times, np.mean(levels, axis=0).tolist(), strict=True))
+
+
+def draw_growth(axes: Any, content: Content, axis: str) -> None:
+    """Seconds along an axis."""
+    for k, (name, points) in enumerate(means(content["rows"], content["settings"], axis)):
+        axes.plot([at for at, *_ in points], [seconds for _, seconds, _ in points], **style(k) | {"label": name})
+    axes.set(xscale="log", yscale="log", xlabel=axis.replace("max_", "").replace("_", " "), ylabel="seconds")

@@ -1,24 +1,25 @@
 """Time and memory: by size of the picture, by number of Gaussians, of the kernels alone.
 
+    python -m benchmarks.speed growth [--help]    seconds by megapixels for fixed bytes and the other way, beside AVIF
     python -m benchmarks.speed [--images FOLDER] [--only sizes,gaussians,kernels] [--megapixels 0.1,0.4,1.6,6,24]
                                [--gaussians 1000,3000,10000,30000,70000] [--bpp 0.25] [--repeats 3] [--out FILE]
 
 sizes: encode, decode and peak of memory of profile rd, each in a process of its own, beside other codecs on the same
 cores. gaussians: the same of files of so many at 0.4 megapixels, and drawing and gradients of them alone. kernels:
-every instruction set, one thread and all, beside what a product of matrices and a copy reach. Pictures larger than
-those of the folder are mosaics of them.
+every instruction set, one thread and all. Pictures larger than those of the folder are mosaics of them.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
-from benchmarks.arguments import integers, numbers, some_of
+from benchmarks.arguments import integers, numbers, run_part, some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import chosen_from
 from benchmarks.rd.rivals import versions
-from benchmarks.speed import kernels, sizes
+from benchmarks.speed import growth, kernels, sizes
 from sgmethod import Budget
 from sgmethod.native import native
 from tests.harness.data import PHOTOGRAPHS
@@ -35,7 +36,7 @@ def measure_gaussians(record: Record, path: Path, numbers: list[int], steps: int
         if record.has(what="gaussians", gaussians=n):
             continue
         p, step_s = kernels.fitted(pixels, n, steps)
-        row = {"what": "gaussians", "gaussians": n, "covered": kernels.covered(p), "step_ms": round(1e3 * step_s, 3)}
+        row = {"what": "gaussians", "gaussians": n, "step_ms": round(1e3 * step_s, 3)}
         for found in kernels.measure(kernels.Jobs(p), rounds, best):
             if found["threads"] == native.thread_count():
                 row[f"{found['job']}_ms"] = found["median_ms"]
@@ -43,14 +44,12 @@ def measure_gaussians(record: Record, path: Path, numbers: list[int], steps: int
 
 
 def measure_kernels(record: Record, path: Path, steps: int, rounds: int) -> None:
-    """Every instruction set and number of threads, and the ceilings."""
+    """Every instruction set and number of threads."""
     if record.has(what="kernel"):
         return
-    for ceiling in kernels.ceilings(rounds):
-        record.add({"what": "ceiling", **ceiling})
     p, _ = kernels.fitted(kernels.load(path), 5000, steps)
     for found in kernels.measure(kernels.Jobs(p), rounds, range(native.best_isa() + 1)):
-        record.add({"what": "kernel", **found, "covered": kernels.covered(p)})
+        record.add({"what": "kernel", **found})
 
 
 def main() -> None:
@@ -85,4 +84,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_part({"sizes": main, "growth": growth.main}, __doc__, default="sizes"))

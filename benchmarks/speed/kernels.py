@@ -1,4 +1,4 @@
-"""Time of rendering and of its gradients, on Gaussians that were fitted to a picture, and what the machine can do.
+"""Time of rendering and of its gradients, on Gaussians that were fitted to a picture.
 
 Fitted Gaussians matter: random ones are of other sizes and overlap differently. Laying the Gaussians over the
 tiles is part of every time, because a fit does it at every step and a decoder once per picture; it is measured
@@ -7,7 +7,6 @@ alone too. All configurations take turns in every round, so that a busy moment o
 
 from __future__ import annotations
 
-import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -16,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
@@ -31,8 +29,6 @@ from sgmethod.settings.paper import PAPER
 from sgmethod.start.placement import place
 
 SIZE = (768, 512)
-MATRIX = 1536  # rows of the matrices whose product shows what arithmetic the machine can do
-BLOCK = 1 << 26  # numbers that are copied to show what its memory can do
 
 
 def load(path: Path) -> NDArray[np.uint8]:
@@ -98,27 +94,3 @@ def measure(jobs: Jobs, rounds: int, isas: range) -> Iterator[dict[str, Any]]:
         median, p10, p90 = (round(float(q), 3) for q in np.percentile(times, (50, 10, 90)))
         found = {"job": name, "isa": ISA_NAMES[isa], "threads": threads}
         yield {**found, "median_ms": median, "p10_ms": p10, "p90_ms": p90}
-
-
-def covered(gaussians: Gaussians) -> float:
-    """Pixels that Gaussians cover, each counted once for every Gaussian; those outside of the picture too."""
-    return float(2 * math.pi * native.CUTOFF_V1 * (gaussians.factors[:, 0] * gaussians.factors[:, 2]).sum())
-
-
-def ceilings(rounds: int) -> Iterator[dict[str, Any]]:
-    """What one product of matrices and one copy reach with every core: the best of the rounds."""
-    torch.set_num_threads(native.thread_count())
-    a, b = torch.rand(MATRIX, MATRIX), torch.rand(MATRIX, MATRIX)
-    source, target = torch.rand(BLOCK), torch.empty(BLOCK)
-    yield {"ceiling": "arithmetic, GFLOP/s", "value": 2e-9 * MATRIX**3 / _best(lambda: torch.mm(a, b), rounds)}
-    yield {"ceiling": "memory, GB/s", "value": 8e-9 * BLOCK / _best(lambda: target.copy_(source), rounds)}
-    torch.set_num_threads(1)
-
-
-def _best(run: Callable[[], object], rounds: int) -> float:
-    times = []
-    for _ in range(rounds):
-        began = time.perf_counter()
-        run()
-        times.append(time.perf_counter() - began)
-    return min(times)

@@ -61,7 +61,7 @@ class Engine:
             except asyncio.CancelledError:  # how _serve ends when it is to stop
                 continue
             except (ProcrastinateException, psycopg.Error) as error:
-                log.warning("the engine is out of reach: %s", in_words(error))
+                log.warning("the queue engine is unreachable: %s", in_words(error))
             stop.wait(PAUSE_AFTER_TROUBLE_S)
 
     async def _serve(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
@@ -98,13 +98,13 @@ class Engine:
                         await app.job_manager.retry_job(token)
                 await asyncio.to_thread(top_up)
             except ProcrastinateException as error:
-                log.warning("cannot tidy the engine: %s", in_words(error))
+                log.warning("cannot clean up the queue engine: %s", in_words(error))
             await asyncio.sleep(TIDY_S)
 
 
 def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     error = context.get("exception")
-    log.warning("the engine: %s", in_words(error) if error else context["message"])
+    log.warning("queue engine: %s", in_words(error) if error else context["message"])
 
 
 def in_words(error: BaseException) -> str:

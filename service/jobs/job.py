@@ -22,7 +22,7 @@ _JOB_ID = re.compile(r"[0-9a-f]{32}")
 
 
 def new_job_id() -> str:
-    """128 random bits: who holds an id may read the job, so ids cannot be guessed."""
+    """128 random bits: anyone with the id may read the job, so ids cannot be guessed."""
     return secrets.token_hex(16)
 
 

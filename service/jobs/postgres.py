@@ -117,7 +117,7 @@ class PostgresJobTable(SqlJobTable):
             versions = {row["part"]: row["version"] for row in db.execute("SELECT * FROM version").fetchall()}
             written = int(versions.get("jobs", 0))
             if written > SCHEMA_VERSION:
-                raise JobTableError("the database was written by a newer version of this service")
+                raise JobTableError("the database was written by a newer version of this service: upgrade it")
             if written == 0:
                 db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
             if written in UPGRADES:
@@ -167,7 +167,7 @@ class PostgresJobTable(SqlJobTable):
                 for _ in range(rows - tokens):
                     self._wake(db)
         except JobTableError as error:
-            log.warning("cannot top up the engine: %s", error)
+            log.warning("cannot refill the queue engine: %s", error)
 
     def close(self) -> None:
         self._pool.close()

@@ -61,7 +61,7 @@ class SqliteJobTable(SqlJobTable):
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
             if version > SCHEMA_VERSION:
-                raise JobTableError(f"{self._path} was written by a newer version of this service")
+                raise JobTableError(f"{self._path} was written by a newer version of this service: upgrade it")
             if version < SCHEMA_VERSION:
                 for statement in SCRIPTS[version].split(";")[:-1]:
                     db.execute(statement)

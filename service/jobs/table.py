@@ -47,7 +47,7 @@ class KeyReusedError(Exception):
 class Room:
     """How much there is for new jobs; 0 for any number.
 
-    queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: bytes stored, likewise.
+    queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: the same for bytes stored.
     """
 
     queue_length: int
@@ -139,7 +139,7 @@ class JobTable(Protocol):
         ...
 
     def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
-        """The trace points of the job's latest attempt, oldest first, without so many at the beginning."""
+        """The trace points of the job's latest attempt, oldest first, without the first `first`."""
         ...
 
     def remove(self, job_id: str) -> Job | None:
@@ -167,7 +167,7 @@ class JobTable(Protocol):
         ...
 
     def sign_off(self, worker: str) -> None:
-        """The worker has ended as it was told to."""
+        """The worker has stopped on request."""
         ...
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:

@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 LONGEST_PAUSE_S = 10.0
-STEADY_AFTER_S = 10.0  # a process that lived so long did not die of its start
+STEADY_AFTER_S = 10.0  # a process that lived this long did not fail at its start
 
 
 class Supervised:
@@ -74,7 +74,7 @@ class Supervised:
         try:
             self.process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
-            log.error("%s did not stop in time and is killed", self.name)
+            log.error("%s did not stop in time: killing it", self.name)
             self.process.kill()
             self.process.wait()
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
 
 ENDPOINT = "AWS_ENDPOINT_URL"
-# A store that accepts a connection and never answers is out of reach after so long, since clients wait meanwhile.
+# A store that accepts a connection and never answers counts as unreachable after this long, since clients wait.
 SILENCE = timedelta(seconds=5)
 SMALL_BYTES = 1 << 20  # are written within that time
 TIMEOUT = timedelta(seconds=60)  # of one request; the largest image fits in at 1 MB a second
@@ -33,7 +33,7 @@ def _as_os_errors() -> Iterator[None]:
         yield
     except (BaseError, FileNotFoundError) as error:
         if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in str(error):
-            raise FileNotFoundError(errno.ENOENT, "there is no such object") from error
+            raise FileNotFoundError(errno.ENOENT, "no such object") from error
         first_line = str(error).strip().partition("\n")[0]
         raise OSError(errno.EIO, f"the object store failed: {first_line}") from error
 

@@ -92,9 +92,9 @@ async def _reload_keys(parts: Parts) -> None:
         seen = version
         try:
             parts.keys.replace(await to_thread.run_sync(parts.settings.read_keys))
-            log.info("the API keys were read anew")
+            log.info("reloaded the API keys")
         except ValueError as error:
-            log.error("the API keys stay as they were: %s", error)
+            log.error("kept the previous API keys: %s", error)
 
 
 def _version_of(path: Path) -> tuple[int, int, int] | None:
@@ -122,7 +122,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
     app = FastAPI(
         title="sgmethod",
         version=VERSION,
-        description="Photographs to small sets of 2D Gaussians and back.",
+        description="Encode photographs as 2D Gaussians, and decode them.",
         lifespan=_lifespan,
         servers=[{"url": settings.path_prefix}] if settings.path_prefix else None,
         docs_url=None,  # both pages load scripts from elsewhere, and break the policy of ours

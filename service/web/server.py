@@ -26,7 +26,7 @@ ACCEPTED_AT_ONCE = 16  # connections, in one turn of the event loop
 def run_web(settings: Settings, listen: Callable[[], socket.socket]) -> None:
     """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
 
-    listen is asked for the socket once the application has all that it needs: whoever is told of it can rely on that.
+    listen is asked for the socket once the application has all that it needs: so its callers can rely on that.
     Raises JobTableError, MissingPackagesError, OSError.
     """
     limits = ConnectionLimits(

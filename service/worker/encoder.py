@@ -40,7 +40,7 @@ NICENESS = 19
 PARENT_GONE = 3
 END_EARLY = signal.SIGUSR1
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
-NO_MEMORY = b"the encode needs more memory than it may have here"
+NO_MEMORY = b"the encode exceeds the memory limit"
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def limit_memory(limit_bytes: int) -> None:
 
 
 def limit_time(limit_s: int) -> None:
-    """End this process after so many seconds of a core. The worker ends it before, unless it is stopped itself."""
+    """End this process after this much CPU time. The worker ends it before, unless it is stopped itself."""
     resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
 
 
@@ -112,7 +112,7 @@ def _now_and_then(show: Callable[[bytes], None]) -> Callable[[bytes], None]:
 
 
 def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
-    """Encode the image and send what comes of it."""
+    """Encode the image and send the result."""
     stopped = threading.Event()
     signal.signal(END_EARLY, lambda *_: stopped.set())
     from sgmethod.budget import Budget

@@ -82,7 +82,7 @@ class Worker:
         try:
             self._publisher.conclude(claim, self._encode(claim, heartbeat), heartbeat)
         except ClaimLostError:
-            log.warning("job %s: attempt %d is no longer ours", claim.job_id, claim.attempt)
+            log.warning("job %s: attempt %d was taken over by another worker", claim.job_id, claim.attempt)
         except StoppedError:
             log.info("job %s: handed back", claim.job_id)
             self._table.release(claim)

@@ -82,7 +82,7 @@ class Publisher:
             try:
                 return last_word()
             except JobTableError as error:
-                log.warning("job %s: its end cannot be written down yet: %s", claim.job_id, error)
+                log.warning("job %s: its result cannot be recorded yet: %s", claim.job_id, error)
                 if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
                     raise
 

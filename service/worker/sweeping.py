@@ -80,7 +80,7 @@ class Sweeper(threading.Thread):
             try:
                 swept = sweep(self._table, self._storage, retention_s=jobs_s, source_retention_s=images_s)
                 if swept != Swept(0, 0):
-                    log.info("removed %d finished jobs and %d files that no job needs", swept.jobs, swept.files)
+                    log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
             except (JobTableError, OSError) as error:
                 log.error("cannot sweep: %s", error)
             self._until.wait(pause_s(*self._kept_s))

@@ -44,7 +44,7 @@ def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
 
 def _stream_of(version: int) -> type[Stream]:
     if version not in STREAMS:
-        raise BitstreamError(f"version {version} of the format is not known to this decoder")
+        raise BitstreamError(f"format version {version} is not supported: update sgmethod")
     module, name = STREAMS[version].split(".")
     found: type[Stream] = getattr(importlib.import_module(f"sgmethod.bitstream.{module}"), name)
     return found

@@ -47,7 +47,7 @@ class Header:
         values, at = {}, 0
         for f in self.fields:
             if len(data) < at + f.bytes:
-                raise BitstreamError("the file ends within its header")
+                raise BitstreamError("the file is truncated in its header")
             value = int.from_bytes(data[at : at + f.bytes], "big")
             if not f.allows(value):
                 raise BitstreamError(f"header field {f.name} is {value}, outside {f.range}")

@@ -112,7 +112,7 @@ def read_gaussians(stream: Coded, prefix: float, limits: Limits) -> Gaussians:
     except RuntimeError as error:
         raise BitstreamError(f"the file is damaged: {error}") from error
     except OverflowError as error:
-        raise BitstreamError(f"the file has more Gaussians than the limit of {limits.max_gaussians}") from error
+        raise BitstreamError(f"the file exceeds the limit of {limits.max_gaussians} Gaussians") from error
 
 
 def lay_out(stream: Coded, prefix: float, pyramid: bool, texture: native.Texture | None = None) -> LaidOut:
@@ -136,7 +136,7 @@ def _part(stream: Coded, prefix: float) -> bytes:
 
 
 def info_of(stream: Coded, gaussians: int, bits: dict[str, int], file_bytes: int, checksum: str) -> CodedInfo:
-    """The description of a file with so many Gaussians."""
+    """The description of a file with this many Gaussians."""
     return CodedInfo(
         bytes=file_bytes,
         bpp=8 * file_bytes / (stream.width * stream.height),

@@ -25,7 +25,7 @@ class Limits:
     def check_size(self, width: int, height: int) -> None:
         """Raise BitstreamError for a picture of more pixels."""
         if self.max_pixels is not None and width * height > self.max_pixels:
-            raise BitstreamError(f"{width} x {height} pixels are more than the limit of {self.max_pixels}")
+            raise BitstreamError(f"{width} x {height} pixels exceed the limit of {self.max_pixels}")
 
 
 NO_LIMITS = Limits()
@@ -33,9 +33,9 @@ NO_LIMITS = Limits()
 
 @dataclass(frozen=True, kw_only=True)
 class Info:
-    """What a file says of itself: its header, and the bits spent on each part. Each version adds fields of its own.
+    """The header of a file, and how its bits are spent. Each format version adds its own fields.
 
-    bytes: the file's size; bpp: bits per pixel; checksum: hexadecimal; bits: their sum is the file's size.
+    bytes: file size; bpp: bits per pixel; checksum: hexadecimal; bits: by part of the file, summing up to its size.
     """
 
     bytes: int

@@ -104,7 +104,7 @@ class StreamV1:
         limits.check_size(header["width"], header["height"])
         if header["groups"] == 0:
             if len(body) != at:
-                raise BitstreamError("the file has bytes after its end")
+                raise BitstreamError("the file has trailing bytes")
             empty = np.zeros((2, 2), np.float32), np.zeros((3, 2), np.float32), np.zeros((2, 8, 3), np.float16)
             return cls(profile, *size, *empty, ())
         tables = _read_tables(body[at : at + TABLE_BYTES])
@@ -159,7 +159,7 @@ class StreamV1:
     def scene(self, prefix: float = 1.0) -> Scene:
         """What is to be drawn. Raises ViewError for a prefix below 1."""
         if prefix < 1:
-            raise ViewError(f"profile {self.profile} has no order that a prefix could follow")
+            raise ViewError(f"a file of profile {self.profile} cannot be decoded from a prefix")
         return Scene(self.dequantised(), self.width, self.height, self.background, native.CUTOFF_V1)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
@@ -198,12 +198,12 @@ class StreamV1:
 
 
 def record_budget_bits(max_bytes: int, groups: int) -> int:
-    """Bits left for records in a file of max_bytes with so many groups; negative when even headers do not fit."""
+    """Bits left for records in a file of max_bytes with this many groups; negative if even headers do not fit."""
     return 8 * (max_bytes - HEADER_BYTES - TABLE_BYTES - GROUP_BYTES * groups)
 
 
 def file_bytes(record_bits: int, groups: int) -> int:
-    """Size of a file with so many bits of records in so many groups, at least one."""
+    """Size of a file with this many bits of records and groups, at least one."""
     return HEADER_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-record_bits // 8)
 
 
@@ -217,9 +217,9 @@ def _widths(position_bits: int, bitwidth: int) -> tuple[int, ...]:
 
 def _check_count(gaussians: int, pixels: int, limits: Limits) -> None:
     if gaussians > pixels:
-        raise BitstreamError(f"the file claims more Gaussians than its picture's {pixels} pixels")
+        raise BitstreamError(f"the file claims more Gaussians than its {pixels} pixels")
     if limits.max_gaussians is not None and gaussians > limits.max_gaussians:
-        raise BitstreamError(f"the file has more Gaussians than the limit of {limits.max_gaussians}")
+        raise BitstreamError(f"the file exceeds the limit of {limits.max_gaussians} Gaussians")
 
 
 def _levels(codes: NDArray[Any], value_range: FloatArray, bits: int) -> FloatArray:
@@ -234,13 +234,13 @@ Tables = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float16]]
 
 def _read_tables(data: memoryview) -> Tables:
     if len(data) < TABLE_BYTES:
-        raise BitstreamError("the file ends within its tables")
+        raise BitstreamError("the file is truncated in its tables")
     factors_at = POSITION_TABLE_BYTES + FACTOR_TABLE_BYTES
     positions = np.frombuffer(data[:POSITION_TABLE_BYTES], ">f4").astype(np.float32).reshape(2, 2)
     factors = np.frombuffer(data[POSITION_TABLE_BYTES:factors_at], ">f4").astype(np.float32).reshape(3, 2)
     codebooks = np.frombuffer(data[factors_at:], ">f2").astype(np.float16).reshape(2, 8, 3)
     if not all(np.isfinite(table).all() for table in (positions, factors, codebooks)):
-        raise BitstreamError("a table of the file holds a value that is not finite")
+        raise BitstreamError("a table in the file contains a value that is not finite")
     return positions, factors, codebooks
 
 
@@ -258,7 +258,7 @@ def _records_to_bits(group: Group, position_bits: int) -> NDArray[np.uint8]:
 def _read_groups(data: memoryview, position_bits: int, counts: list[tuple[int, int]]) -> tuple[Group, ...]:
     total = sum(n * _record_bits(position_bits, bitwidth) for bitwidth, n in counts)
     if len(data) != -(-total // 8):
-        raise BitstreamError(f"the file holds {len(data)} bytes of records, its header says {-(-total // 8)}")
+        raise BitstreamError(f"the file has {len(data)} bytes of records, its header says {-(-total // 8)}")
     if total % 8 and data[-1] & 0xFF >> total % 8:
         raise BitstreamError("the file's padding is not zero")
     groups, at = [], 0

@@ -149,10 +149,10 @@ def _unpack_alpha(data: bytes, width: int, height: int) -> tuple[StreamV4, int]:
     """The alpha that data begin with, of a picture in pixels, and how many bytes it took. Raises BitstreamError."""
     begin = ALPHA_HEADER.size
     if len(data) < begin:
-        raise BitstreamError("the file is damaged: its alpha is cut short")
+        raise BitstreamError("the file is damaged: its alpha is truncated")
     said = ALPHA_HEADER.read(data)
     end = begin + said["bytes"]
     if len(data) < end:
-        raise BitstreamError("the file is damaged: its alpha is cut short")
+        raise BitstreamError("the file is damaged: its alpha is truncated")
     quantum, background = quantum_of(said["quantum"]), (said["background"],) * 3
     return StreamV4(width, height, quantum, background, grey=True, upright=False, payload=data[begin:end]), end

@@ -1,4 +1,4 @@
-"""What the command line takes."""
+"""The arguments of the command line."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any, NoReturn
 
 BAD_INPUT = 2
 BUDGET_HELP = {
-    "bpp": ("F", "at most so many bits per pixel ({default} if no budget is given)"),
-    "bytes": ("N", "at most so many bytes: 20000, 20k, 1.5MB"),
-    "psnr": ("DB", "this quality in as few bytes as can be found"),
-    "quality": ("Q", "a fineness, above 0 to 100, of profile rd alone"),
-    "gaussians": ("N", "this number of Gaussians"),
+    "bpp": ("F", "maximum size in bits per pixel (default: {default})"),
+    "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
+    "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
+    "quality": ("Q", "quality, above 0 and up to 100 (profile rd only)"),
+    "gaussians": ("N", "number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
 MAX_JOBS = 256
@@ -34,22 +34,22 @@ EXAMPLES = """examples:
   sgmethod encode photo.jpg                        writes photo.sg
   sgmethod decode photo.sg photo.png
   sgmethod compare photo.jpg photo.sg
-each command has examples of its own: sgmethod encode --help"""
+each command has its own examples: sgmethod encode --help"""
 ENCODE = (
     "Encode pictures as .sg files.",
-    """PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF, PPM, QOI, and with their packages HEIC and JPEG XL are read, and converted
-to sRGB.
+    """Reads PNG, JPEG, WebP, AVIF, TIFF, BMP, GIF, PPM and QOI; HEIC and JPEG XL need an extra package. Colours are
+converted to sRGB.
 
 examples:
-  sgmethod encode photo.jpg                        writes photo.sg, of at most 0.3 bits per pixel
+  sgmethod encode photo.jpg                        writes photo.sg, at most 0.3 bits per pixel
   sgmethod encode photo.jpg -o small.sg --bytes 20k
   sgmethod encode - - --psnr 35 <photo.jpg >photo.sg
   sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
-  sgmethod encode photos --output-dir out          of each picture in the folder""",
+  sgmethod encode photos --output-dir out          encodes every picture in the folder""",
 )
 DECODE = (
-    "Decode .sg files, or views of them.",
-    """The suffix of OUT decides the format: .png, .jpg, .webp, .avif or .ppm.
+    "Decode .sg files, whole or in part, at any size.",
+    """The extension of OUT sets the format: .png, .jpg, .webp, .avif or .ppm.
 
 examples:
   sgmethod decode photo.sg photo.png
@@ -59,15 +59,15 @@ examples:
   sgmethod decode *.sg --output-dir out            writes out/NAME.png for each""",
 )
 INFO = (
-    "Print what an .sg file says of itself, and the bits spent on each part.",
+    "Show the header of an .sg file and where its bits go.",
     """examples:
   sgmethod info photo.sg
   sgmethod info photo.sg --json""",
 )
 COMPARE = (
-    "Print how close two pictures are, or a picture and an .sg file.",
-    """PSNR, MS-SSIM and SSIMULACRA 2 are higher for closer pictures, LPIPS and DISTS lower. What cannot be
-measured says why. A is the one that B is compared with.
+    "Measure how close B is to the original A. Either may be a picture or an .sg file.",
+    """Higher is better for PSNR, MS-SSIM and SSIMULACRA 2; lower is better for LPIPS and DISTS. A metric that cannot
+be computed says why.
 
 examples:
   sgmethod compare photo.jpg photo.sg
@@ -75,8 +75,8 @@ examples:
   sgmethod compare a.png b.png --json""",
 )
 PLOT = (
-    "Draw the trace of an encode: error against time.",
-    """The suffix of OUT decides the format: .svg, .png or .pdf. It takes matplotlib: pip install 'sgmethod[plot]'.
+    "Plot the trace of an encode: error against time.",
+    """The extension of OUT sets the format: .svg, .png or .pdf. Needs matplotlib: pip install 'sgmethod[plot]'.
 
 examples:
   sgmethod encode photo.jpg --trace fit.json
@@ -90,7 +90,7 @@ def one_line(message: str) -> str:
 
 
 class _Parser(argparse.ArgumentParser):
-    """Wrong usage is one line on stderr, like every other error."""
+    """Report wrong usage as one line on stderr, like every other error."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         named |= {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
@@ -101,7 +101,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """The version, looked for when it is asked for: that takes longer than all of the parser."""
+    """Look up the version only on request, since that takes longer than the whole parser."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -111,9 +111,9 @@ class _Version(argparse.Action):
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
-    """The command to carry out, as `run`, and its arguments. What is wrong usage ends the process.
+    """Parse a command, as `run`, and its arguments. Wrong usage ends the process.
 
-    Names of files may stand anywhere: argparse takes the first ones alone, up to the next option.
+    File names may appear anywhere, although argparse only takes those before the next option.
     """
     whole = parser(argv)
     arguments, more = whole.parse_known_args(argv)
@@ -125,13 +125,12 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """What it returns has the name of the command to carry out as `run`.
+    """The parser. Its result names the command as `run`.
 
-    Commands that argv does not name have no arguments: those of encode import every profile, and a decode has no use
-    for them.
+    Only commands named in argv get arguments: those of encode import every profile, which a decode does not need.
     """
-    whole = _Parser(prog="sgmethod", description="Photographs as small sets of 2D Gaussians.", epilog=EXAMPLES)
-    whole.add_argument("--version", action=_Version, nargs=0, help="print the version")
+    whole = _Parser(prog="sgmethod", description="An image codec of 2D Gaussians.", epilog=EXAMPLES)
+    whole.add_argument("--version", action=_Version, nargs=0, help="show the version")
     commands = whole.add_subparsers(metavar="COMMAND", required=True)
 
     for name, (texts, add) in {
@@ -158,43 +157,46 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=_path,
         metavar="IN [OUT.sg]",
-        help="- for standard input and output; OUT.sg is IN's name otherwise",
+        help="input and output, - for stdin and stdout (default output: IN with .sg)",
     )
-    _add_output_arguments(parser, "all names are of pictures, or folders of them; write DIR/NAME.sg for each")
+    _add_output_arguments(parser, "encode every IN, a picture or a folder of them, to DIR/NAME.sg")
     _add_budget_arguments(parser)
     parser.add_argument(
         "--jobs",
         type=_whole_number("a number of jobs", 1, MAX_JOBS),
         default=1,
         metavar="N",
-        help="so many pictures at a time (default: 1)",
+        help="encode N pictures at a time (default: 1)",
     )
     parser.add_argument(
-        "--profile", choices=PROFILE_NAMES, default=DEFAULT_PROFILE, help=f"method (default: {DEFAULT_PROFILE})"
+        "--profile",
+        choices=PROFILE_NAMES,
+        default=DEFAULT_PROFILE,
+        help=f"method (default: {DEFAULT_PROFILE})",
     )
     parser.add_argument(
-        "--tune", choices=TUNES, help=f"for squared error, or for the eye (default: {DEFAULT_TUNE}; with --psnr: psnr)"
+        "--tune", choices=TUNES, help=f"optimise for PSNR or for the eye (default: {DEFAULT_TUNE}; with --psnr: psnr)"
     )
     parser.add_argument(
         "--effort",
         type=_whole_number("an effort", min(EFFORTS), max(EFFORTS)),
         default=DEFAULT_EFFORT,
         metavar="N",
-        help=f"from {min(EFFORTS)}, the fastest, to {max(EFFORTS)}, the best (default: {DEFAULT_EFFORT})",
+        help=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file (default: {DEFAULT_EFFORT})",
     )
-    parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="be done after so long, for each picture")
-    parser.add_argument("--server", metavar="URL", help="have a service encode it; its API key from SG_API_KEY")
+    parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="time limit for each picture")
+    parser.add_argument("--server", metavar="URL", help="encode on this server; SG_API_KEY holds its API key")
     parser.add_argument(
         "--seed",
         type=_whole_number("a seed", 0, MAX_SEED),
         default=0,
         metavar="N",
-        help="of everything random (default: 0)",
+        help="random seed (default: 0)",
     )
     parser.add_argument(
-        "--trace", type=_path, metavar="FILE.json", help="write error against time of the fit, of one picture"
+        "--trace", type=_path, metavar="FILE.json", help="write the fit's error over time (one picture only)"
     )
-    parser.add_argument("--json", action="store_true", help="print the figures as a JSON object for each picture")
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object per picture")
     _add_common_arguments(parser)
 
 
@@ -214,57 +216,61 @@ def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:
     from sgmethod.view import MAX_SCALE, MIN_SCALE
 
     parser.add_argument(
-        "names", nargs="+", type=_path, metavar="IN.sg OUT", help="- for standard input, and output, as PNG"
+        "names", nargs="+", type=_path, metavar="IN.sg OUT", help="input and output, - for stdin and stdout (as PNG)"
     )
-    _add_output_arguments(parser, "all names are of .sg files, or folders of them; write DIR/NAME.png for each")
+    _add_output_arguments(parser, "decode every IN.sg, a file or a folder of them, to DIR/NAME.png")
     scales = f"{MIN_SCALE} to {MAX_SCALE:g} (default: 1)"
-    parser.add_argument("--scale", type=float, metavar="S", help=f"pixels drawn for a pixel, {scales}")
+    parser.add_argument("--scale", type=float, metavar="S", help=f"output pixels per pixel of the picture, {scales}")
     for side in ("width", "height"):
         parser.add_argument(
             f"--{side}",
             type=_whole_number(f"a {side}", 1, MAX_SIDE),
             metavar="N",
-            help=f"this {side} in pixels; the other side follows, and with both the picture stays within them",
+            help=f"output {side} in pixels; the aspect ratio is kept",
         )
-    parser.add_argument("--region", type=_region, metavar="X,Y,W,H", help="this part of the picture, in its own pixels")
+    parser.add_argument("--region", type=_region, metavar="X,Y,W,H", help="only this part, in pixels of the picture")
     parser.add_argument(
-        "--prefix", type=float, default=1.0, metavar="P", help="from this part of the file, of profile rd alone"
+        "--prefix",
+        type=float,
+        default=1.0,
+        metavar="P",
+        help="only this fraction of the file (profile rd only)",
     )
-    parser.add_argument("--no-texture", action="store_true", help="leave out the texture that a file may ask for")
+    parser.add_argument("--no-texture", action="store_true", help="do not draw synthesised texture")
     _add_common_arguments(parser)
 
 
 def _add_info_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", type=_path, metavar="IN.sg", help="- for standard input")
-    parser.add_argument("--json", action="store_true", help="print one JSON object, with every field")
+    parser.add_argument("input", type=_path, metavar="IN.sg", help="an .sg file, - for stdin")
+    parser.add_argument("--json", action="store_true", help="print every field as one JSON object")
 
 
 def _add_compare_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("first", type=_path, metavar="A")
-    parser.add_argument("second", type=_path, metavar="B")
-    parser.add_argument("--weights", type=_path, metavar="DIR", help="weights of the networks of LPIPS and DISTS")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("first", type=_path, metavar="A", help="the original")
+    parser.add_argument("second", type=_path, metavar="B", help="what to measure")
+    parser.add_argument("--weights", type=_path, metavar="DIR", help="folder of the LPIPS and DISTS weights")
+    parser.add_argument("--json", action="store_true", help="print the figures as one JSON object")
 
 
 def _add_plot_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", type=_path, metavar="TRACE.json", help="- for standard input")
-    parser.add_argument("output", type=_path, metavar="OUT", help="- for standard output, as SVG")
+    parser.add_argument("input", type=_path, metavar="TRACE.json", help="the trace, - for stdin")
+    parser.add_argument("output", type=_path, metavar="OUT", help="the plot, - for stdout, as SVG")
     _add_common_arguments(parser)
 
 
 def _add_output_arguments(parser: argparse.ArgumentParser, several: str) -> None:
-    parser.add_argument("-o", "--output", type=_path, metavar="OUT", help="the output, in place of a second name")
+    parser.add_argument("-o", "--output", type=_path, metavar="OUT", help="output file, instead of a second name")
     parser.add_argument("--output-dir", type=_path, metavar="DIR", help=several)
 
 
 def _add_common_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--no-clobber", action="store_true", help="skip what would replace a file")
-    parser.add_argument("--quiet", action="store_true", help="print errors alone")
+    parser.add_argument("--no-clobber", action="store_true", help="skip outputs that already exist")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 
 def _path(text: str) -> str:
     if not text:
-        raise argparse.ArgumentTypeError("'' is no name of a file")
+        raise argparse.ArgumentTypeError("a file name must not be empty")
     return text
 
 
@@ -273,7 +279,7 @@ def _size(text: str) -> float:
     if parts := SIZE.fullmatch(text):
         with suppress(InvalidOperation):
             return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, in which 1.001k is whole
-    raise argparse.ArgumentTypeError(f"a size is a number of bytes such as 20000, 20k or 1.5MB, not {text!r}")
+    raise argparse.ArgumentTypeError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
 
 
 def _region(text: str) -> tuple[int, int, int, int]:

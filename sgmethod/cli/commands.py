@@ -1,4 +1,4 @@
-"""The commands info and compare, neither of which imports torch."""
+"""The commands info and compare, without importing PyTorch."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SEEN = {"ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
-SMALL = "not defined for sides below {} pixels"
+SMALL = "undefined for sides below {} pixels"
 
 
 def run_info(arguments: argparse.Namespace) -> int:
@@ -33,7 +33,7 @@ def run_info(arguments: argparse.Namespace) -> int:
 
 
 def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """What people want to know first, then the fields that fit into a line."""
+    """The main facts first, then every field that fits on a line."""
     told = {"width", "height", "bytes", "bpp", "version", "checksum", "profile", "gaussians", "bits"}
     bits = fields["bits"]
     whole = sum(bits.values())
@@ -61,7 +61,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     first, second = _picture(arguments.first), _picture(arguments.second)
     sizes = [f"{pixels.shape[1]} x {pixels.shape[0]}" for pixels in (first, second)]
     if sizes[0] != sizes[1]:
-        raise CommandError(f"the pictures are of different sizes: {sizes[0]} and {sizes[1]} pixels")
+        raise CommandError(f"the pictures differ in size: {sizes[0]} and {sizes[1]} pixels")
     db = psnr(first, second)
     similarity, seen = _similarity(first, second), _seen(first, second, arguments.weights)
     if arguments.json:
@@ -85,7 +85,7 @@ def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> Measur
     try:
         found = ms_ssim(picture, source)
     except ImportError:
-        return "needs other packages: pip install 'sgmethod[encode]'"
+        return "needs extra packages: pip install 'sgmethod[encode]'"
     return SMALL.format(MIN_SIDE) if found is None else found
 
 
@@ -94,24 +94,24 @@ def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | 
     try:
         from sgmethod.metrics import perceptual
     except ImportError:
-        return dict.fromkeys(SEEN, "needs other packages: pip install 'sgmethod[compare]'")
+        return dict.fromkeys(SEEN, "needs extra packages: pip install 'sgmethod[compare]'")
     if min(source.shape[:2]) < perceptual.MIN_SIDE:
         return dict.fromkeys(SEEN, SMALL.format(perceptual.MIN_SIDE))
     found: dict[str, Measured] = dict.fromkeys(SEEN, "needs --weights (docs/command_line.md)")
     try:
         found["ssimulacra2"] = perceptual.ssimulacra2(picture, source)
     except ImportError:
-        found["ssimulacra2"] = "needs another package: pip install 'sgmethod[compare]'"
+        found["ssimulacra2"] = "needs an extra package: pip install 'sgmethod[compare]'"
     if weights is not None:
         try:
             found |= perceptual.Networks(Path(weights))(picture, source)
         except (OSError, ValueError) as error:
-            raise CommandError(f"cannot use the weights of {weights}: {error}") from error
+            raise CommandError(f"cannot use the weights in {weights}: {error}") from error
     return found
 
 
 def _picture(path: str) -> NDArray[np.uint8]:
-    """Pixels of an image file, or of an .sg file."""
+    """The pixels of an image file or an .sg file."""
     from sgmethod.bitstream.stream import MAGIC
     from sgmethod.errors import ImageError
 
@@ -120,7 +120,7 @@ def _picture(path: str) -> NDArray[np.uint8]:
         pixels = decode(data)
         if pixels.shape[2] == 3:
             return pixels
-        files.print_lines("note", path, ["its transparency is laid over white"])
+        files.print_lines("note", path, ["transparency is composited over white"])
         return laid_over(pixels, WHITE)
     try:
         pixels, notes = files.read_pixels(data)

@@ -1,4 +1,4 @@
-"""sgmethod decode: .sg files become pictures. It imports no torch."""
+"""sgmethod decode: .sg files to pictures, without importing PyTorch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sgmethod.view import View
 def run_decode(arguments: argparse.Namespace) -> int:
     """sgmethod decode"""
     if arguments.scale is not None and (arguments.width, arguments.height) != (None, None):
-        raise CommandError("--scale goes with neither --width nor --height")
+        raise CommandError("--scale cannot be combined with --width or --height")
     _view(arguments)  # or every picture would be refused
     conversions = naming.decodes(arguments)
     files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
@@ -39,14 +39,14 @@ def run_decode(arguments: argparse.Namespace) -> int:
 
 
 def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
-    """Read, decode, write. Raises whatever keeps it from that."""
+    """Read, decode, write."""
     file = SgFile(files.read(conversion.source))
     view = _sized(_view(arguments), arguments, file)
     pixels = file.pixels(view.scale, view.region, view.prefix, view.texture)
     kind = _kind(conversion.target)
     notes = []
     if pixels.shape[2] == 4 and kind in OPAQUE:
-        notes.append(f"a {kind} has no alpha: its transparency is laid over white")
+        notes.append(f"{kind} has no alpha channel: transparency is composited over white")
     data = encode_picture(pixels, kind)
     files.write(conversion.target, data)
     height, width = pixels.shape[:2]
@@ -55,7 +55,7 @@ def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
 
 
 def _kind(target: str) -> str:
-    """The format that a name asks for."""
+    """The format for a file name."""
     kind = "PNG" if files.is_device(target) else SUFFIXES.get(Path(target).suffix.lower())
     if kind is None:
         raise CommandError(f"cannot write {target}: its name must end in {', '.join(SUFFIXES)}")
@@ -63,13 +63,13 @@ def _kind(target: str) -> str:
 
 
 def _view(arguments: argparse.Namespace) -> View:
-    """What to draw, but for --width and --height. Raises ViewError."""
+    """The view without --width and --height. Raises ViewError."""
     scale = 1.0 if arguments.scale is None else arguments.scale
     return View(scale, arguments.region, arguments.prefix, not arguments.no_texture)
 
 
 def _sized(view: View, arguments: argparse.Namespace, file: SgFile) -> View:
-    """The largest that --width and --height have room for. Raises ViewError."""
+    """The largest view that fits --width and --height. Raises ViewError."""
     _, _, *part = view.area(*file.size)
     wanted = (arguments.width, arguments.height)
     scales = [side / whole for side, whole in zip(wanted, part, strict=True) if side is not None]

@@ -1,4 +1,4 @@
-"""sgmethod encode: pictures become .sg files, here or by a service."""
+"""sgmethod encode: pictures to .sg files, here or on a server."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def _encode_one_of_several(conversion: Conversion, arguments: argparse.Namespace
 
 
 def _encode(conversion: Conversion, arguments: argparse.Namespace, began: float, shown: bool) -> Outcome:
-    """Read, encode, write. began: when somebody began to wait, by perf_counter. Raises whatever keeps it from that."""
+    """Read, encode, write. began: the perf_counter at which the wait began."""
     image = files.read(conversion.source)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
@@ -84,7 +84,7 @@ Show = Callable[[TracePoint], None] | None
 
 
 def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What an encode takes beside budget and profile, here and by a service alike."""
+    """Options besides budget and profile, here and on a server."""
     return {"tune": arguments.tune, "effort": arguments.effort, "time_limit_s": arguments.time_limit}
 
 
@@ -105,7 +105,7 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
 
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
     if arguments.seed != 0:
-        raise CommandError("a server takes no --seed")
+        raise CommandError("--seed cannot be combined with --server")
     client = _client(arguments.server, arguments.quiet)
     encoded = client.encode(image, budget, arguments.profile, **_choices(arguments), on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
@@ -113,11 +113,11 @@ def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, s
 
 @cache
 def _client(server: str, quiet: bool) -> Client:
-    """One for all pictures: that it has been answered before tells a server that restarts from one that never was."""
+    """One client for all pictures: once answered, it can tell a restarting server from a wrong address."""
     try:
         from sgmethod.client import Client
     except ImportError as error:
-        raise CommandError(f"--server needs another package ({error}): pip install 'sgmethod[client]'") from error
+        raise CommandError(f"--server needs an extra package ({error}): pip install 'sgmethod[client]'") from error
 
     def say(message: str) -> None:
         if not quiet:
@@ -135,7 +135,5 @@ def _load_encoder(profile: str) -> Callable[..., Encoded]:
         if profile != "rd":  # which alone needs no torch
             import_module("sgmethod.paper.encode")
     except ImportError as error:
-        raise CommandError(
-            f"encoding needs packages that decoding does not ({error}); install them: pip install 'sgmethod[encode]'"
-        ) from error
+        raise CommandError(f"encoding needs extra packages ({error}): pip install 'sgmethod[encode]'") from error
     return encode

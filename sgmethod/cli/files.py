@@ -1,4 +1,4 @@
-"""What the commands read and write, and the errors of both in one sentence with the path as it was given."""
+"""Reading and writing for the commands. Errors are one sentence with the path as given."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncom
 
 
 class CommandError(Exception):
-    """What keeps a command from being carried out, in one sentence."""
+    """The reason why a command failed, in one sentence."""
 
 
 def read(path: str) -> bytes:
@@ -38,7 +38,7 @@ def read(path: str) -> bytes:
         while block := file.read(1 << 20):
             data += block
             if len(data) > MAX_INPUT_BYTES:
-                raise CommandError(f"cannot read {name_of(path)}: it has more than {MAX_INPUT_BYTES:,} bytes")
+                raise CommandError(f"cannot read {name_of(path)}: it is larger than {MAX_INPUT_BYTES:,} bytes")
     return bytes(data)
 
 
@@ -54,7 +54,7 @@ def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.u
 
 
 def print_lines(kind: str, path: str, texts: Sequence[str]) -> None:
-    """Say something of a file on stderr, in a line each."""
+    """Print lines about a file to stderr."""
     for text in texts:
         print(f"sgmethod: {kind}: {one_line(name_of(path))}: {one_line(text)}", file=sys.stderr)
 
@@ -65,13 +65,13 @@ def _opened(path: str) -> Iterator[BinaryIO]:
         with Path(path).open("rb") as file:
             yield file
     elif sys.stdin is None or sys.stdin.isatty():
-        raise CommandError("standard input is a terminal, or closed: a file was expected there")
+        raise CommandError("standard input is a terminal or closed: pipe a file into it with < or |")
     else:
         yield sys.stdin.buffer
 
 
 def write(path: str, data: bytes) -> None:
-    """Write a file, whole or not at all, or standard output."""
+    """Write a file, completely or not at all, or standard output."""
     with _saying("write", path):
         if path == STREAM:
             sys.stdout.buffer.write(data)
@@ -87,19 +87,19 @@ def output(path: str) -> str:
 
 
 def listed(folder: str) -> list[Path]:
-    """What lies in a folder, by name. Raises CommandError."""
+    """The contents of a folder, by name. Raises CommandError."""
     with _saying("read", folder):
         return sorted(Path(folder).iterdir())
 
 
 def name_of(path: str, stream: str = "standard input") -> str:
-    """The path as a sentence names it."""
+    """The path, as named in a message."""
     return stream if path == STREAM else path
 
 
 @contextmanager
 def _saying(verb: str, path: str) -> Iterator[None]:
-    """What the system refuses becomes one sentence with the path as it was given."""
+    """Turn OSError into a CommandError with the path as given."""
     try:
         yield
     except BrokenPipeError:  # nobody reads any more, which is no error
@@ -110,11 +110,11 @@ def _saying(verb: str, path: str) -> Iterator[None]:
 
 
 def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
-    """Raise CommandError if one of the files cannot be written, or would replace an input or another."""
+    """Raise CommandError if an output cannot be written, or would replace an input or another output."""
     for path in outputs:
         if path == STREAM:
             if sys.stdout is None or sys.stdout.isatty():
-                raise CommandError("standard output is a terminal: give a file, or send it on with > or |")
+                raise CommandError("standard output is a terminal: name a file, or redirect it with > or |")
         else:
             with _saying("write", path):
                 _check_writable(Path(path))
@@ -123,23 +123,23 @@ def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
         if is_device(path):
             continue
         if (real := os.path.realpath(path)) in taken:
-            raise CommandError(f"the input and what is written must be different files, which {path} is not")
+            raise CommandError(f"{path} is used twice: inputs and outputs must be different files")
         taken[real] = path
 
 
 def is_device(path: str) -> bool:
-    """Whether it is what data goes to or comes from, and no file with a name to keep."""
+    """Whether the path is a stream or device instead of a regular file."""
     return path == STREAM or (Path(path).exists() and not Path(path).is_file() and not Path(path).is_dir())
 
 
 def make_folder(path: str) -> None:
-    """Make a folder, and those that it lies in. Raises CommandError."""
+    """Create a folder and its parents. Raises CommandError."""
     with _saying("write", path):
         Path(path).mkdir(parents=True, exist_ok=True)
 
 
 def _check_writable(target: Path) -> None:
-    """Raise OSError as writing would. Links are followed by the system: a pipe that is named by one has no path."""
+    """Raise OSError as writing would. The system follows links: a pipe named by one has no path."""
     mode = None
     with suppress(FileNotFoundError):
         mode = target.stat().st_mode

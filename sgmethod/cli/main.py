@@ -1,8 +1,8 @@
 """The command line: sgmethod encode, decode, info, compare and plot.
 
-Exit status: 0 when all is done; 1 when some of several files could not be encoded or decoded; 2 when it cannot be done
-as asked, with one line on stderr that says why; 130 after Ctrl-C; 141 when nobody reads stdout any more. A file is
-written whole or not at all, and whether it can be written is known before the work begins.
+Exit status: 0 for success; 1 when some of several files failed; 2 when the command failed, with one line on stderr that
+says why; 130 after Ctrl-C; 141 when the reader of stdout has gone. A file is written completely or not at all, and
+outputs are checked before the work begins.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ INTERRUPTED, NO_READER = 130, 141  # 128 and the number of SIGINT, and of SIGPIP
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit status, except for --help, --version and wrong usage, which exit."""
+    """Run one command and return the exit status. --help, --version and wrong usage exit instead."""
     began = time.perf_counter()  # all that takes long is imported later
     ends_here = argv is None  # and not in somebody's process
     argv = sys.argv[1:] if argv is None else argv
@@ -45,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except MemoryError:
-        return _fail("there is not enough memory")
+        return _fail("out of memory")
     except (SgError, CommandError) as error:
         return _fail(str(error))
     except OSError as error:
@@ -57,7 +57,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    """Each command imports what it needs, once it is known: most of a short command's time goes there."""
+    """Import only what the command needs: imports take most of a short command's time."""
     if arguments.run == "encode":
         from sgmethod.cli.encoding import run_encode
 
@@ -77,7 +77,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _check_threads() -> None:
-    """The kernels would take another number in its place. Raises CommandError."""
+    """Raises CommandError for an invalid SG_THREADS, which the kernels would silently replace."""
     from sgmethod.cli.arguments import MAX_THREADS
     from sgmethod.cli.files import CommandError
 
@@ -87,7 +87,7 @@ def _check_threads() -> None:
 
 
 def _abandon_stdout() -> None:
-    """What is left in stdout's buffer goes nowhere, or the interpreter would fail on it once more at its end."""
+    """Discard what is left in stdout's buffer, or the interpreter would fail on it again at exit."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

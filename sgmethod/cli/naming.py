@@ -1,4 +1,4 @@
-"""Which files become which, by the names that were given."""
+"""Input and output names of conversions."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ PICTURES |= {".pbm", ".pgm", ".pnm", ".qoi", ".avifs", ".dib"}
 
 @dataclass(frozen=True)
 class Conversion:
-    """One file and the one that is made of it."""
+    """An input and its output."""
 
     source: str
     target: str
 
 
 def sg_beside(source: str) -> str:
-    """photo.jpg -> photo.sg, beside it; what is no suffix of a picture stays."""
+    """photo.jpg -> photo.sg in the same folder; unknown extensions are kept."""
     return _renamed(source, {*PICTURES, SUFFIX}, SUFFIX)
 
 
 def png_beside(source: str) -> str:
-    """photo.sg -> photo.png, beside it."""
+    """photo.sg -> photo.png in the same folder."""
     return _renamed(source, {SUFFIX}, ".png")
 
 
@@ -43,19 +43,17 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
     """Pictures to .sg files. Raises CommandError."""
     if arguments.output_dir is not None:
         if arguments.trace is not None:
-            raise CommandError("--trace is of one picture, and does not go with --output-dir")
+            raise CommandError("--trace cannot be combined with --output-dir")
         return _into_folder(arguments, PICTURES, sg_beside)
     source, target = _pair(arguments, "out.sg")
     if target is None:
         if Path(source).is_dir():
-            raise CommandError(f"{source} is a folder: to encode what is in it, name another: --output-dir out")
+            raise CommandError(f"{source} is a folder: to encode the pictures in it, use --output-dir out")
         if source.lower().endswith(SUFFIX):
-            raise CommandError(f"{source} is an .sg file by its name; if it is a picture, name the output too")
+            raise CommandError(f"{source} is named like an .sg file; if it is a picture, name the output too")
         target = STREAM if source == STREAM else sg_beside(source)
     elif not (target.lower().endswith(SUFFIX) or files.is_device(target)):
-        raise CommandError(
-            f"{target} is no name of an .sg file; to encode several pictures, name a folder: --output-dir out"
-        )
+        raise CommandError(f"the output {target} must end in .sg; to encode several pictures, use --output-dir out")
     return [Conversion(source, target)]
 
 
@@ -65,27 +63,27 @@ def decodes(arguments: argparse.Namespace) -> list[Conversion]:
         return _into_folder(arguments, {SUFFIX}, png_beside)
     source, target = _pair(arguments, "out.png")
     if target is None:
-        raise CommandError("OUT is missing: name a picture, such as out.png, or a folder: --output-dir out")
+        raise CommandError("OUT is missing: name a picture, such as out.png, or use --output-dir out")
     return [Conversion(source, target)]
 
 
 def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]:
-    """Input and output, which may be left out."""
+    """The input and the optional output."""
     names = [*arguments.names, *([] if arguments.output is None else [arguments.output])]
     if len(names) > 2:
         raise CommandError(
-            f"{len(names)} files are named where one input becomes one output, such as {example}; "
-            "for several inputs, name a folder: --output-dir out"
+            f"{len(names)} names given, expected an input and an output such as {example}; "
+            "for several inputs, use --output-dir out"
         )
     return names[0], files.output(names[1]) if len(names) == 2 else None
 
 
 def _into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
-    """Each file, and each in a folder whose suffix is known, to one of its own name in the output folder."""
+    """Each file, and each file with a known extension in a folder, to its name in the output folder."""
     if arguments.output is not None:
-        raise CommandError("--output names one file, and does not go with --output-dir")
+        raise CommandError("--output cannot be combined with --output-dir")
     if STREAM in arguments.names:
-        raise CommandError("--output-dir does not go with standard input")
+        raise CommandError("--output-dir cannot be combined with standard input")
     made: dict[str, Conversion] = {}
     for source in (one for name in arguments.names for one in _files_of(name, known)):
         target = str(Path(arguments.output_dir) / Path(renamed(source)).name)
@@ -97,11 +95,11 @@ def _into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callab
 
 
 def _files_of(name: str, known: set[str]) -> Iterator[str]:
-    """The file itself; of a folder, those in it whose suffix is known, but hidden ones, by name."""
+    """The file itself; for a folder, its files with a known extension, without hidden ones, by name."""
     if not Path(name).is_dir():
         yield name
         return
     found = [path for path in files.listed(name) if path.suffix.lower() in known and not path.name.startswith(".")]
     if not found:
-        raise CommandError(f"{name} holds no file whose name ends in {', '.join(sorted(known))}")
+        raise CommandError(f"{name} contains no file ending in {', '.join(sorted(known))}")
     yield from map(str, found)

@@ -1,4 +1,4 @@
-"""The command plot: the trace of an encode as a picture. Only it needs matplotlib."""
+"""The command plot: the trace of an encode as a picture, with Matplotlib."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run_plot(arguments: argparse.Namespace) -> int:
     if kind is None:
         raise CommandError(f"cannot write {target}: its name must end in {', '.join(KINDS)}")
     if arguments.no_clobber and target != STREAM and Path(target).is_file():
-        said = f"{target} is there already: skipped"
+        said = f"{target} already exists: skipped"
     else:
         points = _points(files.read(source), files.name_of(source))
         files.write(target, _drawn(points, kind))
@@ -39,7 +39,7 @@ def run_plot(arguments: argparse.Namespace) -> int:
 
 
 def _points(data: bytes, name: str) -> list[Point]:
-    """The trace of a file that encode --trace wrote. Raises CommandError."""
+    """The trace from a file written by encode --trace. Raises CommandError."""
     try:
         points: list[Point] = json.loads(data)["trace"]
         for point in points:
@@ -49,17 +49,17 @@ def _points(data: bytes, name: str) -> list[Point]:
         if not points:
             raise ValueError
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
-        raise CommandError(f"{name} is no trace; encode --trace writes one") from error
+        raise CommandError(f"{name} is not a trace: write one with encode --trace") from error
     return points
 
 
 def _drawn(points: list[Point], kind: str) -> bytes:
-    """PSNR above, size and Gaussians below, against time; phases differ by dashes, so that no colour is needed."""
+    """PSNR above, size and Gaussians below, against time; dashes tell phases apart without colour."""
     try:
         import matplotlib as mpl
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise CommandError(f"plot needs another package ({error}): pip install 'sgmethod[plot]'") from error
+        raise CommandError(f"plot needs an extra package ({error}): pip install 'sgmethod[plot]'") from error
     style = {"svg.hashsalt": "sgmethod", "axes.grid": True, "grid.color": "0.9", "font.size": 9}
     with mpl.rc_context(style):
         figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")
@@ -80,7 +80,7 @@ def _drawn(points: list[Point], kind: str) -> bytes:
 
 
 def _draw_errors(axes: Any, points: list[Point]) -> None:
-    """A line for each phase, and a mark at the end: the file."""
+    """A line per phase, and a mark for the file at the end."""
     dashes = cycle(DASHES)
     before: list[Point] = []
     for phase, group in groupby(points[:-1], key=lambda point: point["phase"]):

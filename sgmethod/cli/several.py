@@ -1,4 +1,4 @@
-"""Many conversions, one after the other or several at a time: a line for each, and one with the sums."""
+"""Many conversions, one after the other or several at a time: a line for each, and one with the totals."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Figures = dict[str, Any]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one conversion: the size of its file and what is to be said of it, or why there is none."""
+    """The result of one conversion: the size of its file and a summary, or an error."""
 
     conversion: Conversion
     bytes: int = 0
@@ -44,7 +44,7 @@ Convert = Callable[[Conversion, argparse.Namespace], Outcome]
 
 
 def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
-    """What is left out of a picture, and what the caller may not expect of its file."""
+    """Print what was dropped from a picture, and warnings about its file."""
     if not arguments.quiet:
         source = outcome.conversion.source
         files.print_lines("note", source, outcome.notes)
@@ -52,19 +52,19 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
 
 
 def without_those_there(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
-    """With --no-clobber, those that replace nothing; the others are said to be skipped."""
+    """With --no-clobber, drop conversions whose output exists, and say so."""
     kept = []
     for one in conversions:
         if arguments.no_clobber and one.target != STREAM and Path(one.target).is_file():
             if not arguments.quiet:
-                print(f"{one_line(one.target)} is there already: skipped", file=out)
+                print(f"{one_line(one.target)} already exists: skipped", file=out)
         else:
             kept.append(one)
     return kept
 
 
 def convert_all(conversions: list[Conversion], convert: Convert, verb: str, arguments: argparse.Namespace) -> int:
-    """One line for each as it is done, a summary, and at the end those that failed, with exit status 1."""
+    """Print one line per finished conversion, a summary, and the failures, with exit status 1."""
     as_json = getattr(arguments, "json", False)
     beside = sys.stderr if as_json else sys.stdout  # stdout has nothing but JSON then
     wanted = without_those_there(conversions, arguments, beside)
@@ -108,7 +108,7 @@ def _show_count(shown: bool, done: int, whole: int, left: str) -> None:
 
 
 def _outcomes(conversions: list[Conversion], convert: Convert, arguments: argparse.Namespace) -> Iterator[Outcome]:
-    """As they come."""
+    """The outcomes, as they finish."""
     jobs = min(getattr(arguments, "jobs", 1), len(conversions))
     if jobs <= 1:
         yield from (_attempt(convert, conversion, arguments) for conversion in conversions)
@@ -132,7 +132,7 @@ def _outcomes(conversions: list[Conversion], convert: Convert, arguments: argpar
                 try:
                     yield future.result()
                 except BrokenProcessPool:
-                    yield Outcome(running[future], error="the process that encoded it, or one beside it, was killed")
+                    yield Outcome(running[future], error="its encoder process, or another, was killed")
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             from multiprocessing import active_children
@@ -143,7 +143,7 @@ def _outcomes(conversions: list[Conversion], convert: Convert, arguments: argpar
 
 
 def _begin_worker(threads: int) -> None:
-    """In a process of its own: end with the one that started it, and never by Ctrl-C."""
+    """Set up a worker process: it ends with its parent, and ignores Ctrl-C."""
     import signal
     from multiprocessing import parent_process
     from threading import Thread
@@ -166,6 +166,6 @@ def _attempt(convert: Convert, conversion: Conversion, arguments: argparse.Names
     try:
         return convert(conversion, arguments)
     except MemoryError:
-        return Outcome(conversion, error="there is not enough memory")
+        return Outcome(conversion, error="out of memory")
     except (SgError, CommandError) as error:
         return Outcome(conversion, error=str(error))

@@ -1,4 +1,4 @@
-"""What the command line shows on a terminal, and what it keeps off it."""
+"""Progress on a terminal, and silence of C libraries."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BAR_CELLS = 24
 
 @contextmanager
 def silent_stderr() -> Iterator[None]:
-    """Nothing that C libraries print reaches stderr; Python's own stderr is meant to be idle."""
+    """Keep what C libraries print off stderr; Python's own stderr must be idle."""
     try:
         saved = os.dup(2)
     except OSError:  # there is no stderr
@@ -37,7 +37,7 @@ def silent_stderr() -> Iterator[None]:
 
 @contextmanager
 def progress_line(shown: bool, began: float) -> Iterator[Progress | None]:
-    """A callback that redraws one line on stderr, which is gone afterwards; None if not shown. began: see bar()."""
+    """A callback that redraws one line on stderr, cleared afterwards; None if not shown. began: see bar()."""
     if not shown:
         yield None
         return
@@ -48,15 +48,15 @@ def progress_line(shown: bool, began: float) -> Iterator[Progress | None]:
 
 
 def redraw(stream: TextIO, text: str) -> None:
-    """Put the text in place of the line that is being written, cut to the terminal's width."""
+    """Replace the current line by the text, cut to the terminal's width."""
     columns = shutil.get_terminal_size().columns
     stream.write(f"\r{text[: columns - 1]}\x1b[K")  # to the line's start, the text, clear the rest
     stream.flush()
 
 
 def bar(point: TracePoint, waited_s: float) -> str:
-    """The progress of a fit in one line, and the seconds waited. Without its PSNR, which a fit tuned for the eye lowers
-    on purpose."""
+    """The progress of a fit and the seconds waited, in one line. PSNR is not shown, since tuning for the eye lowers
+    it."""
     done = point.step / point.steps if point.steps else 1.0
     filled = round(done * BAR_CELLS)
     bar = "#" * filled + "." * (BAR_CELLS - filled)
@@ -65,7 +65,7 @@ def bar(point: TracePoint, waited_s: float) -> str:
 
 
 def remaining(seconds: float, done: float) -> str:
-    """How long it will take yet, if it goes on as it did until now."""
+    """The estimated time left."""
     if not 0 < done < 1:
         return ""
     left = seconds * (1 - done) / done

@@ -1,7 +1,7 @@
 """A client of the service: the same encode, on another machine.
 
-An image file and a budget come in, and go out over HTTP.
-The .sg file leaves, with its figures and its trace; whatever goes wrong is a ServerError.
+An image file and a budget come in and go to a server.
+The .sg file leaves, with its figures and its trace; every failure is a ServerError.
 """
 
 from sgmethod.client.client import Client, RemoteEncoded

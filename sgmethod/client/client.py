@@ -3,8 +3,8 @@
     with Client("http://127.0.0.1:8000") as client:
         encoded = client.encode("photo.jpg", Budget("bpp", 0.3))
 
-Needs httpx (pip install 'sgmethod[client]'). Whatever goes wrong is a ServerError with one clear sentence, but for a
-path that cannot be read, which is an OSError.
+Needs httpx (pip install 'sgmethod[client]'). Every failure is a ServerError with one clear sentence, except for a path
+that cannot be read, which is an OSError.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ WAIT_S = 50  # of one request: less than what proxies, and this client, take for
 
 @dataclass(frozen=True)
 class RemoteEncoded:
-    """An .sg file, the server's figures of it (sgmethod.Stats as a dictionary), the trace, and notes: what of the image
-    is left out."""
+    """An .sg file, its figures (sgmethod.Stats as a dictionary), its trace, and notes on anything dropped from the
+    image."""
 
     data: bytes
     figures: Json
@@ -47,8 +47,11 @@ class RemoteEncoded:
 
 
 class Client:
-    """One service. patience_s: how long to go on trying while it is busy or, once it has answered, out of reach, in
-    seconds; on_retry: is told each time, in a sentence, and logs a warning unless you give another."""
+    """A client of one service.
+
+    patience_s: how many seconds to keep trying while the service is busy or, once it has answered, unreachable;
+    on_retry: called with a sentence before each new attempt, logs a warning by default.
+    """
 
     def __init__(
         self, server: str, api_key: str | None = None, *, patience_s: float = 60.0, on_retry: Say = log.warning
@@ -64,7 +67,7 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Let go of connections."""
+        """Close the connections."""
         self._connection.close()
 
     def encode(
@@ -79,11 +82,10 @@ class Client:
         priority: Priority = "interactive",
         on_progress: Progress | None = None,
     ) -> RemoteEncoded:
-        """The bitstream of an image file, with its figures and its trace; its job is removed, whatever happens.
-        image: the path of the file, or its bytes.
+        """Encode an image file (path or bytes) on the server, and remove the job afterwards in any case.
 
-        Without on_progress one request brings the bitstream, if the server has it soon enough. Whoever interrupts that
-        request leaves the job behind.
+        Without on_progress, a single request fetches the bitstream if it is done soon enough. Interrupting that request
+        leaves the job behind.
         """
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         try:
@@ -116,8 +118,7 @@ class Client:
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
     ) -> str:
-        """The id of a new job. image: the path of the file, or its bytes. Tried again where that helps; the image is
-        never accepted twice."""
+        """Submit an image file (path or bytes) and return the id of its job. Retries never create a second job."""
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         return _id_of(self._submit("/encode", query, _bytes_of(image)))
 
@@ -132,8 +133,9 @@ class Client:
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
     ) -> str:
-        """The id of a new job with the image of another, which is not sent a second time. Raises ServerError once the
-        server keeps it no longer.
+        """Submit the image of an existing job again, without another upload, and return the id of the new job.
+
+        Raises ServerError once the server has deleted the image.
         """
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         return _id_of(self._submit(f"/jobs/{job_id}/encode", query))
@@ -145,11 +147,11 @@ class Client:
         return self._connection.ask("POST", path, params=query, content=image, headers=headers)
 
     def job(self, job_id: str) -> Json:
-        """State, progress, trace, result and error of a job."""
+        """A job's state, progress, trace, result and error."""
         return self._connection.ask_json("GET", f"/jobs/{job_id}")
 
     def jobs(self, state: JobState | None = None) -> Iterator[Json]:
-        """All jobs that this client may see, or those in one state, newest first, without their traces."""
+        """All jobs visible to this client, newest first, without traces; optionally only those in one state."""
         path: str | None = f"/jobs?limit={PAGE}" + ("" if state is None else f"&state={state}")
         while path is not None:
             page: Json = self._connection.ask_json("GET", path)
@@ -158,10 +160,10 @@ class Client:
             path = page["next"] and f"/jobs?{urlsplit(page['next']).query}"
 
     def wait(self, job_id: str, on_progress: Progress | None = None) -> Json:
-        """The job once it is done, with its trace. Raises ServerError if it fails or is removed."""
+        """Wait for a job and return it with its trace. Raises ServerError if it fails or is removed."""
         patience = self._connection.patience()
         while True:
-            why, least_s = ServerError("the stream of the job's events has ended"), 0.0
+            why, least_s = ServerError("the job's event stream ended"), 0.0
             try:
                 for name, data in self._connection.events(job_id):
                     patience.renew()
@@ -183,30 +185,30 @@ class Client:
             patience.pause(why, least_s)
 
     def bitstream(self, job_id: str) -> bytes:
-        """The .sg file of a job that is done."""
+        """The .sg file of a finished job."""
         return self._connection.ask("GET", f"/bitstreams/{job_id}.sg").content
 
     def picture(self, job_id: str, kind: str = "png", **view: float | str) -> bytes:
-        """The picture of a job that is done, as "png", "jpg", "webp" or "avif".
+        """The picture of a finished job, as "png", "jpg", "webp" or "avif".
 
-        view: as in the service's requests, such as width=320, height=240, fit="crop" or region="x,y,w,h".
+        view: parameters of the request, such as width=320, height=240, fit="crop" or region="x,y,w,h".
         """
         return self._connection.ask("GET", f"/decode/{job_id}.{kind}", params=view).content
 
     def stop(self, job_id: str) -> None:
-        """End the fit of a running job early: it is done soon, with what is there. Raises ServerError if it waits."""
+        """Finish a running job early, keeping its result so far. Raises ServerError if the job is queued."""
         self._connection.ask("POST", f"/jobs/{job_id}/stop")
 
     def decode(self, bitstream: File, kind: str = "png", **view: float | str) -> bytes:
-        """A picture of an .sg file (path or bytes), which the server does not keep; otherwise as `picture`."""
+        """Decode an .sg file (path or bytes) on the server, which does not store it; otherwise like `picture`."""
         return self._connection.ask("POST", f"/decode.{kind}", params=view, content=_bytes_of(bitstream)).content
 
     def links(self, job_id: str, expires_s: int = 3600) -> Json:
-        """URLs of picture and bitstream, on this server, that need no key for so many seconds."""
+        """URLs of a job's picture and bitstream that need no API key for expires_s seconds."""
         return self._connection.ask_json("POST", f"/jobs/{job_id}/links", params={"expires_s": expires_s})
 
     def remove(self, job_id: str) -> None:
-        """Cancel the job if it is not done, and have the service forget it."""
+        """Cancel the job if it is not done, and delete everything stored for it."""
         self._connection.ask("DELETE", f"/jobs/{job_id}")
 
     def _remove_if_there(self, job_id: str) -> None:
@@ -217,7 +219,7 @@ class Client:
 def _query(
     budget: Budget, profile: str, tune: str | None, effort: int, time_limit_s: float | None, priority: Priority
 ) -> Json:
-    """The fields of an encode."""
+    """The options of an encode."""
     wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
     wanted |= {"priority": priority, "time_limit_s": time_limit_s}
     wanted |= {"effort": None if effort == DEFAULT_EFFORT else effort}  # which older servers do not know
@@ -229,13 +231,13 @@ def _bytes_of(file: File) -> bytes:
         return Path(file).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
         return bytes(file)
-    raise ServerError(f"a file must be given as its path or its bytes, not as {type(file).__name__}")
+    raise ServerError(f"a file must be a path or bytes, not {type(file).__name__}")
 
 
 def _id_of(answer: httpx.Response) -> str:
-    """Of the job that a request has made."""
+    """The id of the job that a request has created."""
     if "Location" not in answer.headers:
-        raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is no service of sgmethod: it makes no job")
+        raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is not an sgmethod service: it created no job")
     return str(answer.headers["Location"].rpartition("/")[2])
 
 

@@ -1,4 +1,4 @@
-"""One service over HTTP: asked again while it is busy or, once it has answered, out of reach."""
+"""HTTP requests to one service, retried while it is busy or, once it has answered, unreachable."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ log = logging.getLogger("sgmethod.client")
 
 
 class RefusedError(ServerError):
-    """The server refused. problem: its document (RFC 9457), empty if it sent none; again_s: in how many seconds it may
-    take the same request, at the least; None if never."""
+    """The server refused. problem: its problem document (RFC 9457), empty if it sent none; again_s: seconds after which
+    to retry, None for never."""
 
     def __init__(self, detail: str, problem: Json, again_s: float | None) -> None:
         super().__init__(detail)
@@ -33,19 +33,19 @@ class RefusedError(ServerError):
 
 
 class Patience:
-    """How long something is tried again: until the deadline, in growing pauses."""
+    """Retries until a deadline, with growing pauses."""
 
     def __init__(self, seconds: float, say: Say) -> None:
         self._seconds, self._say = seconds, say
         self.renew()
 
     def renew(self) -> None:
-        """Begin anew: it has worked."""
+        """Start over after a success."""
         self._deadline = time.monotonic() + self._seconds
         self._pause_s = PAUSE_S
 
     def pause(self, error: ServerError, least_s: float = 0.0) -> None:
-        """Say what went wrong and wait before the next try. Raises the error if the time for that is over."""
+        """Report the error and wait before the next attempt. Raises the error if the deadline would pass."""
         pause_s = max(self._pause_s, least_s)
         if time.monotonic() + pause_s > self._deadline:
             raise error
@@ -55,32 +55,32 @@ class Patience:
 
 
 class Connection:
-    """patience_s: how long to go on trying, in seconds; on_retry: is told each time."""
+    """patience_s: how many seconds to keep trying; on_retry: called before each new attempt."""
 
     def __init__(self, server: str, api_key: str | None, patience_s: float, on_retry: Say) -> None:
         if api_key and not (api_key.isascii() and api_key.isprintable()):
-            raise ServerError("the API key holds a line break, or another character that no key has")
+            raise ServerError("the API key contains a line break or another invalid character")
         headers = {"Authorization": f"Bearer {api_key}"} if api_key else {}
         self._server, self._patience_s, self._on_retry = server, patience_s, on_retry
         self._has_answered = False
         try:
             url = httpx.URL(server)
             if url.scheme not in ("http", "https") or not url.host:
-                raise ServerError(f"the address of a server must begin with http:// or https://, not {server!r}")
+                raise ServerError(f"the server's address must begin with http:// or https://, got {server!r}")
             self._http = httpx.Client(base_url=url, headers=headers, timeout=SILENCE_S)
         except (httpx.InvalidURL, UnicodeError) as error:
-            raise ServerError(f"{server!r} cannot be used: {error}") from error
+            raise ServerError(f"{server!r} is not a valid address: {error}") from error
 
     def close(self) -> None:
-        """Let go of connections."""
+        """Close the connections."""
         self._http.close()
 
     def patience(self) -> Patience:
-        """For one thing that is asked."""
+        """For one request."""
         return Patience(self._patience_s, self._on_retry)
 
     def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
-        """The answer, if it is one of success; tried again while that may help."""
+        """The successful response, after retries if they may help."""
         patience = self.patience()
         while True:
             try:
@@ -97,11 +97,11 @@ class Connection:
             patience.pause(refusal, refusal.again_s)
 
     def ask_json(self, method: str, path: str, **request: Any) -> Json:
-        """The answer of a request that is answered in JSON."""
+        """The JSON of a successful response."""
         try:
             found: Json = self.ask(method, path, **request).json()
         except ValueError as error:
-            raise ServerError(f"{self._server} is no service of sgmethod: it does not answer in JSON") from error
+            raise ServerError(f"{self._server} is not an sgmethod service: it does not answer in JSON") from error
         return found
 
     def events(self, job_id: str) -> Iterator[tuple[str, Json]]:
@@ -115,7 +115,7 @@ class Connection:
                 yield event.event, event.json()
 
     def out_of_reach(self, error: httpx.TransportError) -> ServerError:
-        """What to say of it, if it may pass; raised at once if it will not."""
+        """The error to report if it may pass; raised at once if it will not."""
         said = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
         if "CERTIFICATE_VERIFY_FAILED" in str(error):
             said = ServerError(f"the certificate of {self._server} is not trusted; SSL_CERT_FILE may name one: {error}")

@@ -1,7 +1,7 @@
 """Pictures and files, in and out.
 
-Image files of ten formats come in, pictures of Pillow's and arrays too, and leave as levels of sRGB.
-Decoded pixels leave in five formats, and every file that is written is whole or absent.
+Image files, Pillow images and arrays come in, and leave as sRGB levels.
+Decoded pixels leave in five file formats; every file is written completely or not at all.
 """
 
 from __future__ import annotations

@@ -228,7 +228,7 @@ class _Bits:
 
     def take(self, count: int) -> int:
         if count > self.count:
-            raise ValueError("its header is cut short")
+            raise ValueError("its header is truncated")
         taken = self.value & ((1 << count) - 1)
         self.value >>= count
         self.count -= count

@@ -112,7 +112,7 @@ class Space:
         with np.errstate(all="ignore"):
             converted = space._converted([curve(values) for curve, values in zip(curves, probe.T, strict=True)])
         if not np.isfinite(converted).all() or np.ptp(converted, 0).min() < 0.1:
-            raise ProfileError("it describes no colours")
+            raise ProfileError("it does not describe colours")
         return None if np.abs(converted - probe).max() < UNSEEN else space
 
     def _converted(self, light: list[Values]) -> Values:
@@ -180,9 +180,9 @@ def of_code_points(primaries: int, transfer: int) -> Colour:
     """By H.273. Raises ImageError for PQ and HLG, ProfileError for what is not known."""
     if transfer in (PQ, HLG):
         name = "PQ" if transfer == PQ else "HLG"
-        raise ImageError(f"the picture has a high dynamic range ({name}); only standard dynamic range is encoded")
+        raise ImageError(f"high dynamic range ({name}) is not supported; convert the picture to SDR first")
     if primaries not in PRIMARIES or transfer not in (*SRGB_LIKE, *GAMMAS):
-        raise ProfileError(f"its code points {primaries} and {transfer} are not known")
+        raise ProfileError(f"unknown code points {primaries} and {transfer}")
     curve = from_srgb if transfer in SRGB_LIKE else _gamma(GAMMAS[transfer])
     return Space.of((curve,) * 3, _to_d50(PRIMARIES[primaries]))
 
@@ -202,7 +202,7 @@ def of_png(info: Mapping[Any, Any]) -> Colour:
     try:
         to_d50 = _to_d50(primaries)
     except (ArithmeticError, np.linalg.LinAlgError) as error:
-        raise ProfileError("its primaries are not those of colours") from error
+        raise ProfileError("its primaries are invalid") from error
     return Space.of((curve,) * 3, to_d50)
 
 
@@ -214,7 +214,7 @@ def inflated(iccp: bytes) -> bytes:
     except zlib.error as error:
         raise ProfileError("it is damaged") from error
     if not inflater.eof:
-        raise ProfileError(f"it is cut short, or larger than {MAX_PROFILE_BYTES >> 20} MiB")
+        raise ProfileError(f"it is truncated, or larger than {MAX_PROFILE_BYTES >> 20} MiB")
     return profile
 
 
@@ -228,7 +228,7 @@ def of_profile(profile: bytes, mode: str) -> Colour:
         return of_code_points(cicp[8], cicp[9])
     channels = {b"GRAY": "L", b"RGB ": "RGB", b"CMYK": "CMYK"}.get(profile[16:20])
     if channels != mode and (channels, mode) != ("RGB", "L"):  # grey of red, green and blue alike
-        raise ProfileError("it is for other channels than the picture's")
+        raise ProfileError("its channels do not match the picture's")
     names = (b"kTRC",) if channels == "L" else (b"rTRC", b"gTRC", b"bTRC")
     by_table = any(name in tags for name in (b"A2B0", b"A2B1", b"D2B0", b"D2B1"))
     if channels == "CMYK" or by_table or profile[20:24] != b"XYZ " or not all(name in tags for name in names):
@@ -248,7 +248,7 @@ def _tags(profile: bytes) -> dict[bytes, bytes]:
         raise ProfileError("it is not an ICC profile")
     (count,) = struct.unpack_from(">I", profile, 128)
     if 132 + 12 * count > len(profile):
-        raise ProfileError("it is cut short")
+        raise ProfileError("it is truncated")
     entries = struct.iter_unpack(">4sII", profile[132 : 132 + 12 * count])
     return {name: profile[start : start + length] for name, start, length in entries}
 
@@ -263,14 +263,14 @@ def _curve(tag: bytes) -> Curve:
         (kind,) = struct.unpack_from(">H", tag, 8)
         return _parametric(kind, [value / 65536 for value in struct.unpack_from(f">{(1, 3, 4, 5, 7)[kind]}i", tag, 12)])
     if tag[:4] != b"curv":
-        raise ProfileError("its curves are of an unknown kind")
+        raise ProfileError("it has curves of an unknown type")
     (count,) = struct.unpack_from(">I", tag, 8)
     if count == 0:
         return _gamma(1)
     if count == 1:
         return _gamma(struct.unpack_from(">H", tag, 12)[0] / 256)
     if 12 + 2 * count > len(tag):
-        raise ProfileError("it is cut short")
+        raise ProfileError("it is truncated")
     values = np.frombuffer(tag, ">u2", count, 12) / 65535
     return lambda x: np.interp(x, np.linspace(0, 1, count), values)
 

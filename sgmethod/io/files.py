@@ -1,4 +1,4 @@
-"""Files that are whole or absent."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from sgmethod.errors import SgError
 
 
 def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: Path | None = None) -> None:
-    """Write data to path, which then holds all of it or, after any failure, what it held before.
+    """Write data to path, or leave path unchanged after any failure.
 
-    The bytes go to a new file and to the disk, and only then take the target's name, with the permissions and, if we
-    may, the owner of the file that they replace. The new file lies beside the target, or in the folder `unfinished` of
-    the same file system, where a power cut may leave it to be swept up. A link is followed; a device or pipe is written
-    directly. Raises OSError, having removed the new file; only if the disk fails to take the new name at the very end,
-    the target holds the data all the same.
+    The data is written to a new file and synced, and only then renamed to the target, with the permissions and, if
+    allowed, the owner of the file it replaces. The new file is created beside the target, or in the folder `unfinished`
+    of the same file system, where a power cut may leave it to be swept up. Links are followed; devices and pipes are
+    written directly. Raises OSError after removing the new file; only if syncing the folder at the very end fails does
+    the target hold the data all the same.
     """
     # Before links are resolved: /dev/stdout and >(...) are links to pipes that have no path.
     if Path(path).exists() and not Path(path).is_file():
@@ -66,11 +66,11 @@ def sync_folder(folder: Path) -> None:
 
 
 def own_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Path:
-    """A path. Raises error for a name that no file can have."""
+    """The path. Raises error for an invalid file name."""
     name = os.fsdecode(path)
     try:
         if b"\0" not in os.fsencode(name):
             return Path(name)
     except UnicodeEncodeError:
         pass
-    raise error(f"no file can have the name {name!r}")
+    raise error(f"{name!r} is not a valid file name")

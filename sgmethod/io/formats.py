@@ -1,4 +1,4 @@
-"""Image formats: known by their first bytes, and each read by the class that Pillow or its plugin has for it.
+"""Image formats: recognised by their first bytes, each read by its class in Pillow or a plugin.
 
 The classes are called directly: Image.open would try its other formats, follow a JPEG into its second picture, and
 apply a pixel limit of its own through a global and a warning.
@@ -43,7 +43,7 @@ READERS = {
 }
 REFUSED = {
     "an .sg file already": (b"SGM",),
-    "a BigTIFF of the byte order that is not read (big end first)": (b"MM\0+",),
+    "a big-endian BigTIFF": (b"MM\0+",),
     "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
     "a PDF": (b"%PDF",),
     "a Photoshop file": (b"8BPS",),
@@ -63,7 +63,7 @@ logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 
 def name_of(data: bytes) -> str:
-    """One of READERS. Raises ImageError for bytes of no such format."""
+    """The format, one of READERS. Raises ImageError for any other."""
     for name, magics in MAGICS.items():
         if data.startswith(magics):
             return name
@@ -77,12 +77,12 @@ def name_of(data: bytes) -> str:
     if not data:
         raise ImageError("the file is empty")
     kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
-    kind = "a film, " if FILM_BRANDS & set(brands) else kind
+    kind = "a video, " if FILM_BRANDS & set(brands) else kind
     raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
 
 
 def is_read(first: bytes) -> bool:
-    """Whether a file is in a format that is read here; its first 256 bytes tell."""
+    """Whether a file's format can be read, judged by its first 256 bytes."""
     try:
         return importlib.util.find_spec(READERS[name_of(first)][0]) is not None
     except (ImageError, ModuleNotFoundError):
@@ -90,16 +90,16 @@ def is_read(first: bytes) -> bool:
 
 
 def reader_of(name: str) -> type[ImageFile.ImageFile]:
-    """The class that reads a format. Raises ImageError where its package is missing."""
+    """The class that reads a format. Raises ImageError if its package is missing."""
     module, reader = READERS[name]
     try:
         found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
     except ImportError as error:
-        raise ImageError(f"this is a {name} file; to read it: {PLUGINS[name]}") from error
+        raise ImageError(f"reading {name} files needs an extra package: {PLUGINS[name]}") from error
     return found
 
 
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
-    """The reader of a file of a format, which has parsed its header. Raises ImageError where its package is missing,
-    and whatever the reader raises."""
+    """A reader that has parsed the file's header. Raises ImageError if its package is missing, and whatever the reader
+    raises."""
     return reader_of(name)(io.BytesIO(chunks.plain_png(data) if name == "PNG" else data))

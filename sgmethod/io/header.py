@@ -1,4 +1,4 @@
-"""What is known of a picture before a pixel of it is decoded, and everything that is refused by then."""
+"""Headers: what is known about a picture before decoding pixels, and every refusal up to then."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a file says of its picture.
+    """The header of an image file.
 
-    format: as the list above names it; width, height: pixels, after EXIF orientation; mode: Pillow's name of the
+    format: one of formats.READERS; width, height: pixels, after EXIF orientation; mode: Pillow's name of the
     stored samples, such as "RGB" (8 or 16 bits each), "RGBA", "L", "P", "CMYK" or "I;16"; still: whether it is the
-    only picture, where reading takes the first.
+    only picture in the file.
     """
 
     format: str
@@ -49,11 +49,11 @@ class ImageHeader:
 
 @dataclass(frozen=True)
 class ImageLimits:
-    """The largest picture that is read.
+    """The largest picture to read.
 
-    max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB
-    and needs 2.3 times that while it works (RGBA, the worst kind measured).
-    max_side: pixels of the longer side. The default is what an .sg file has room for; JPEG allows no more.
+    max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB and needs 2.3
+    times that while working (RGBA, the worst kind measured).
+    max_side: pixels of the longer side. The default is the maximum of an .sg file; JPEG allows no more.
     """
 
     max_pixels: int = 100_000_000
@@ -65,14 +65,14 @@ class ImageLimits:
             raise ImageError(f"the image is empty: its header says {width} x {height} pixels")
         if max(width, height) > self.max_side or width * height > self.max_pixels:
             raise ImageError(
-                f"the image is too large: {width} x {height} pixels, where at most "
-                f"{self.max_pixels:,} in all and {self.max_side:,} a side are read"
+                f"the image is too large: {width} x {height} pixels; the limit is "
+                f"{self.max_pixels:,} pixels and {self.max_side:,} per side"
             )
 
 
 @dataclass(frozen=True)
 class Opened:
-    """A reader that has parsed its header, and what is known of its picture without a pixel."""
+    """A reader that has parsed its header, and what is known about its picture so far."""
 
     reader: Image.Image
     orientation: int  # still to be undone
@@ -83,14 +83,14 @@ class Opened:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the picture as it is to be seen, but for its orientation."""
+        """Of the picture as displayed, before orientation."""
         x0, y0, x1, y1 = self.crop or (0, 0, *self.reader.size)
         return x1 - x0, y1 - y0
 
 
 @contextmanager
 def only_image_errors(kind: str = "image") -> Iterator[None]:
-    """Everything that Pillow raises on a bad file of a format leaves as ImageError, and its warnings are not shown."""
+    """Turn everything that Pillow raises on a bad file into ImageError, and silence its warnings."""
     with _PILLOW_LOCK, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -100,32 +100,32 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
         except Image.DecompressionBombError as error:  # Pillow's own limit, for callers who allow more
             raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error
         except MemoryError as error:
-            raise ImageError("there is not enough memory to decode the image") from error
+            raise ImageError("not enough memory to decode the image") from error
         except Exception as error:
             reason = str(error).strip().split("\n")[0] or type(error).__name__
-            raise ImageError(f"the {kind} is damaged, cut short or of an unsupported kind ({reason})") from error
+            raise ImageError(f"the {kind} is damaged, truncated or unsupported ({reason})") from error
 
 
 def warn(notes: list[str]) -> None:
-    """Say what is left out, to the caller of whoever reads."""
+    """Warn of anything dropped, at the level of the reader's caller."""
     for note in notes:
         warnings.warn(note, ImageWarning, stacklevel=3)
 
 
 def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
-    """After every check that needs no pixels."""
+    """Open a file after every check that needs no pixels."""
     jpeg_xl = check_jpeg_xl(data, limits) if kind == "JPEG XL" else None
     try:
         reader = formats.open_reader(data, kind)
     except RuntimeError as error:
-        raise ValueError("its library refuses it") from error  # what that says is for its developers
+        raise ValueError("rejected by its decoder") from error  # what that says is for its developers
     (limits or ImageLimits()).check(*reader.size)
-    notes = [] if is_still(reader, data) else ["it holds more than one picture: the first is taken"]
+    notes = [] if is_still(reader, data) else ["only the first of several pictures is used"]
     if kind == "TIFF":
         _check_tiff(reader)
     _check_tiles(reader, kind)
     if jpeg_xl is not None and jpeg_xl.depth > 8 and reader.mode == "LA":
-        raise ImageError("grey JPEG XL files with alpha of more than 8 bits are not supported")
+        raise ImageError("grey JPEG XL files with more than 8 bits and alpha are not supported")
     if not (reader.mode == "I" and kind == "PPM"):
         check_mode(reader)
     stated, profile_notes = colour_of(reader, data)
@@ -138,26 +138,26 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
-    """The header of a JPEG XL, whose reader decodes all of it as it opens, and not each as the picture it holds.
+    """The header of a JPEG XL, checked first because its reader decodes everything on opening, some files wrongly.
 
     Raises ImageError."""
     formats.reader_of("JPEG XL")
     header = chunks.of_jpeg_xl(data)
     (limits or ImageLimits()).check(header.width, header.height)
     if header.moves:
-        raise ImageError("JPEG XL files that move are not supported")
+        raise ImageError("animated JPEG XL files are not supported")
     return header
 
 
 def is_still(reader: Image.Image, data: bytes) -> bool:
-    """Whether a file holds one picture alone."""
+    """Whether a file contains only one picture."""
     if reader.format == "TIFF":
         return chunks.holds_one_picture(data)
     return not getattr(reader, "is_animated", False)
 
 
 def frame_of(reader: Image.Image) -> Box | None:
-    """Where on its screen the first picture of a GIF lies; None if it covers it, or in other formats."""
+    """The area of the first frame within a GIF; None if it covers the picture, or in other formats."""
     if reader.format != "GIF" or reader.tell() > 0:
         return None
     box: Box = reader.dispose_extent  # type: ignore[attr-defined]
@@ -173,11 +173,11 @@ def _check_tiff(reader: Any) -> None:
     """Raise ImageError on TIFF files that Pillow would read, but not as the picture they hold."""
     tags = reader.tag_v2
     if tags.get(NEW_SUBFILE_TYPE, 0) & 1:
-        raise ImageError("the first picture of the file is only a preview, as in a camera's raw file")
+        raise ImageError("the first picture in the file is only a preview, as in camera raw files")
     if not {*tags.get(SAMPLE_FORMAT, ())} <= {UNSIGNED, UNKNOWN}:
         raise ImageError(ODD_SAMPLES)
     if tags.get(PLANAR) == APART and max(tags.get(BITS_PER_SAMPLE, (1,))) > 8:
-        raise ImageError("TIFF files with 16-bit channels stored apart are not supported")
+        raise ImageError("TIFF files with planar 16-bit channels are not supported")
 
 
 def _check_tiles(reader: Any, kind: str) -> None:
@@ -190,11 +190,11 @@ def _check_tiles(reader: Any, kind: str) -> None:
     planes = len(reader.getbands()) if apart else 1
     boxes = [tile[1] or (0, 0, *reader.size) for tile in reader.tile]
     if sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes) < planes * reader.width * reader.height:
-        raise ImageError("the file does not hold all of its pixels")
+        raise ImageError("the file is missing pixel data")
 
 
 def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str]]:
-    """What is stated of the colours, and what is to be said of it."""
+    """The stated colours, and notes on them."""
     if reader.mode == "LAB":  # which says it all
         return None, []
     grey = reader.mode in ("1", "L", "LA", "I") or reader.mode.startswith("I;16")
@@ -202,7 +202,7 @@ def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str
     try:
         return stated_colour(reader, mode, data), []
     except ProfileError as error:
-        return None, [f"its colour profile is left out: {error}"]
+        return None, [f"its colour profile is ignored: {error}"]
 
 
 def orientation_of(block: bytes | None) -> int:

@@ -1,32 +1,31 @@
 """Image files to arrays.
 
-read_header looks at a file without decoding a pixel of it; read_image decodes it. The same rules hold for
-both, and whatever they refuse is an ImageError with one clear sentence; what they leave out is an ImageWarning:
+read_header reads a header without decoding pixels; read_image decodes the picture. Both follow the same rules. Refusals
+raise an ImageError with one clear sentence; anything dropped raises an ImageWarning:
 
     formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI; HEIC with the extra
-                   `heif`, JPEG XL with the extra `jxl`; known by their first bytes, never by a file name
+                   `heif`, JPEG XL with the extra `jxl`; recognised by their first bytes, never by file name
     size           checked against ImageLimits from the header, before pixels are decoded
-    frames         the first, with a warning if there are others. A JPEG with pictures behind its own (a preview, a
-                   gain map) is one picture, as is a TIFF with previews and masks behind its first. A JPEG XL that
-                   moves is refused. Where a GIF's first frame does not cover its screen, nothing is seen.
-    whole          a file that is cut short or leaves pixels unset is refused, as is a PNG with any damage;
-                   damage inside other formats can go unseen, because they carry no checksum. A JPEG may lack its end
-                   marker.
-    orientation    the EXIF orientation is applied; EXIF data that cannot be parsed counts as absent. So are rotation,
-                   mirroring and clean aperture of AVIF and HEIC.
-    colour         sRGB comes out. What a file states is converted, relative colorimetric with black-point
-                   compensation: PNG's cICP, ICC profile, sRGB, gAMA and cHRM, the first of them that it has; ICC
-                   profiles of the others, BMP among them; the code points of AVIF and HEIC. A profile that cannot be
-                   used is left out, with a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes
-                   are expanded; CMYK without a profile, YCbCr and LAB are converted by Pillow's plain formulas. That a
-                   QOI file holds light is not believed: Pillow writes so into each.
-    depth          16-bit grey and 16-bit RGB(A) keep all their bits, through the conversion of colours too unless the
-                   profile is one of tables; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's grey with alpha, TIFF's
-                   premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are refused,
-                   because they do not say which value is white.
-    transparency   kept where the caller keeps it, in 8 bits; else composited over white, in values of sRGB,
+    frames         the first, with a warning if there are others. Further pictures inside a JPEG (previews, gain maps)
+                   and previews and masks in a TIFF do not count. Animated JPEG XL is refused. Outside the first
+                   frame of a GIF, the picture is transparent.
+    whole          truncated files, files with missing pixels and damaged PNGs are refused; damage in other formats can
+                   go unnoticed, because they have no checksums. A JPEG may lack its end marker.
+    orientation    EXIF orientation is applied, as are rotation, mirroring and clean aperture of AVIF and HEIC. Invalid
+                   EXIF data is ignored.
+    colour         the result is sRGB. Stated colours are converted, relative colorimetric with black-point
+                   compensation: the first present of PNG's cICP, ICC profile, sRGB, gAMA and cHRM; ICC profiles of
+                   other formats, including BMP; the code points of AVIF and HEIC. An unusable profile is ignored, with
+                   a warning. PQ and HLG are refused. Grey becomes three equal channels, palettes are expanded; CMYK
+                   without a profile, YCbCr and LAB are converted by Pillow's plain formulas. QOI's flag for linear
+                   light is ignored, because Pillow always sets it.
+    depth          16-bit grey and RGB(A) keep all their bits, also through colour conversion unless the profile uses
+                   tables; AVIF, HEIC, JPEG XL and rarer 16-bit kinds (PNG's grey with alpha, TIFF's
+                   premultiplied alpha, CMYK, PPM) keep the upper 8. Floats and integers beyond 16 bits are
+                   refused, because they do not say which value is white.
+    transparency   kept in 8 bits if the caller wants it; else composited over white in sRGB values,
                    value * alpha + (1 - alpha), with a warning
-    the rest       other metadata is left out
+    the rest       other metadata is dropped
 """
 
 from __future__ import annotations
@@ -65,8 +64,8 @@ Values = TypeVar("Values", bound=npt.NDArray[Any])
 def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     """The header of an image file, read without decoding pixels.
 
-    Raises ImageError if data is none of the formats, has a damaged header, samples of an unknown range, colours of
-    high dynamic range, or a size of zero or beyond limits. A file that passes can still have damaged pixels.
+    Raises ImageError for an unknown format, a damaged header, samples of an unknown range, high dynamic range, or a
+    size of zero or beyond limits. A file that passes can still have damaged pixels.
     """
     kind = formats.name_of(data)
     with only_image_errors(kind):
@@ -83,7 +82,7 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
 def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:
     """Decode an image file by the rules at the top of this module.
 
-    Returns float32 [H, W, 3] in [0, 1], sRGB, C-contiguous. Warns with ImageWarning of what is left out.
+    Returns float32 [H, W, 3] in [0, 1], sRGB, C-contiguous. Warns with ImageWarning of anything dropped.
     Raises ImageError where read_header does, and if pixel data are damaged or missing.
     """
     samples, notes = _read(data, limits, keep_alpha=False)
@@ -95,10 +94,10 @@ def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:
 
 
 def read_image_8_bit(data: bytes, limits: ImageLimits | None = None, *, keep_alpha: bool = False) -> Uint8Array:
-    """The same picture, uint8 [H, W, 3]: all that an encode uses of it, in a quarter of the memory.
+    """The same picture as uint8 [H, W, 3]: all that an encode uses, in a quarter of the memory.
 
-    keep_alpha: [H, W, 4] in place of a mixture with white where anything can be seen through. Samples of more bits,
-    and mixtures, are rounded.
+    keep_alpha: return [H, W, 4] for a transparent picture instead of compositing it over white. More than 8 bits are
+    rounded.
     """
     samples, notes = _read(data, limits, keep_alpha)
     warn(notes)
@@ -106,7 +105,7 @@ def read_image_8_bit(data: bytes, limits: ImageLimits | None = None, *, keep_alp
 
 
 def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool) -> tuple[Samples, list[str]]:
-    """The picture as it is to be seen, and what is left out of it."""
+    """The picture as displayed, and notes on what was dropped."""
     kind = formats.name_of(data)
     with only_image_errors(kind):
         opened = open_file(data, kind, limits)
@@ -121,11 +120,11 @@ def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool) -> tuple[Sa
 
 
 def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Samples:
-    """Turned as the picture is to be seen, and over white unless alpha is kept, which is noted."""
+    """Turned as displayed, and composited over white unless alpha is kept, with a note."""
     width, height = opened.reader.size
     samples = samples_of(opened.reader, data, opened.colour, opened.frame)
     if samples.levels.shape[:2] != (height, width):  # libheif crops as it decodes
-        raise ImageError("its pixels are not of the size that its header says")
+        raise ImageError("the decoded image does not have the size stated in its header")
     if not keep_alpha:
         samples = without_alpha(samples, opened.notes)
     x0, y0, x1, y1 = opened.crop or (0, 0, width, height)
@@ -138,21 +137,22 @@ def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Sam
 
 
 def _with_end(jpeg: bytes) -> bytes:
-    """A JPEG that lacks its end marker. Raises ImageError if it lacks pixels: other bits behind it then make others."""
+    """Complete a JPEG without an end marker. Raises ImageError if pixels are missing too: then other trailing bits
+    decode to other pixels."""
     jpeg = jpeg.rstrip(b"\xff")  # the first half of a marker
     number = int.from_bytes(([b"\7", *re.findall(rb"\xff([\xd0-\xd7])", jpeg)])[-1], "big")
     restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # where pixels may be due to go on, if they do
     readers = [formats.open_reader(jpeg + bits + restart + bits + chunks.JPEG_END, "JPEG") for bits in BEHIND]
     ended, *others = map(np.asarray, readers)
     if not all(np.array_equal(ended, other) for other in others):
-        raise ImageError("the JPEG is cut short")
+        raise ImageError("the JPEG is truncated")
     return jpeg + chunks.JPEG_END
 
 
 def without_alpha(samples: Samples, notes: list[str]) -> Samples:
-    """Over white, which is noted."""
+    """Composited over white, with a note."""
     if samples.alpha is not None:
-        notes.append("its transparency is laid over white")
+        notes.append("transparency is composited over white")
     return samples.over_white()
 
 

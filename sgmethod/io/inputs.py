@@ -1,4 +1,4 @@
-"""Pictures in whichever form a caller has them -> pixels: paths, files in memory, Pillow's pictures, arrays."""
+"""Pixels from any kind of input: paths, files in memory, Pillow images, arrays."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ Input = str | os.PathLike[str] | bytes | Image.Image | npt.NDArray[Any]
 
 
 def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
-    """uint8 [H, W, 3], sRGB, C-contiguous, of the path or the bytes of an image file (sgmethod/io/image.py has the
-    rules), of a picture of Pillow's, or of an array as from_array() takes it. keep_alpha: [H, W, 4] where anything can
-    be seen through, in place of a mixture with white.
+    """uint8 [H, W, 3], sRGB, C-contiguous, from the path or bytes of an image file (sgmethod/io/image.py has the
+    rules), a Pillow image, or an array as in from_array(). keep_alpha: return [H, W, 4] for a transparent picture
+    instead of compositing it over white.
 
-    Warns with ImageWarning of what is left out. Raises ImageError, and OSError for a path that cannot be read.
+    Warns with ImageWarning of anything dropped. Raises ImageError, and OSError for a path that cannot be read.
     """
     if isinstance(image, np.ndarray):
         return from_array(image, keep_alpha)
@@ -43,13 +43,13 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
     if isinstance(image, str | os.PathLike):
         return read_image_8_bit(own_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
     raise ImageError(
-        "an image must be a path, the bytes of an image file, a picture of Pillow's or a numpy array, "
+        "an image must be a path, the bytes of an image file, a Pillow image or a numpy array, "
         f"not {type(image).__name__}"
     )
 
 
 def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
-    """A picture of Pillow's by the same rules: turned upright, in sRGB."""
+    """A Pillow image by the same rules: upright, in sRGB."""
     with only_image_errors():
         ImageLimits().check(*image.size)
         check_mode(image)
@@ -71,13 +71,13 @@ def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Uint8Array
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     if pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or 0 in pixels.shape:
-        raise ImageError(f"an image must be [height, width], or that with 1, 3 or 4 channels, got {list(pixels.shape)}")
+        raise ImageError(f"an image must be [H, W], or [H, W, C] with 1, 3 or 4 channels, got {list(pixels.shape)}")
     ImageLimits().check(pixels.shape[1], pixels.shape[0])
     if pixels.dtype not in (np.uint8, np.uint16):
         if not np.issubdtype(pixels.dtype, np.floating):
             raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
         if not (pixels.min() >= 0 and pixels.max() <= 1):  # false for what is not a number
-            raise ImageError("the image's values must lie in [0, 1]")
+            raise ImageError("image values must lie in [0, 1]")
     white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
     notes: list[str] = []
     samples = Samples(pixels, white)

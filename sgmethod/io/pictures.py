@@ -1,7 +1,7 @@
-"""Pixels to picture files of five formats, all said to be sRGB but PPM, which cannot say.
+"""Pixels to picture files of five formats, tagged as sRGB except for PPM, which has no tags.
 
-PNG and PPM keep every level. The others are lossy, by default at qualities where that is not seen: 47 to 50 dB above
-what they are given (a photograph of 768x512 at 0.3 bpp).
+PNG and PPM are lossless. The defaults of the others are visually lossless: 47 to 50 dB (a photograph of 768x512 at 0.3
+bpp).
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ def encode_picture(
     options: Mapping[str, Any] | None = None,
     compress: Compress = zlib_compress,
 ) -> bytes:
-    """The file of pixels, uint8 [H, W, 3], or [H, W, 4] with alpha, sRGB, in a format of SUFFIXES. JPEG and PPM have no
-    alpha, and get them laid over white.
+    """Encode sRGB pixels, uint8 [H, W, 3] or [H, W, 4] with alpha, in a format of SUFFIXES. JPEG and PPM composite
+    alpha over white.
 
-    options: for Pillow's writer of JPEG, WebP or AVIF, in place of OPTIONS; compress: for a PNG, as encode_png has it.
+    options: for Pillow's JPEG, WebP or AVIF writer, instead of OPTIONS; compress: for PNG, see encode_png.
 
-    Raises ImageError for a picture that the format cannot hold, or a format that this Pillow cannot write.
+    Raises ImageError for a picture too large for the format, or a format that this Pillow cannot write.
     """
     if kind == "PNG":
         return encode_png(pixels, compress)
@@ -57,7 +57,7 @@ def encode_picture(
         Image.fromarray(pixels).save(file, kind, **(OPTIONS[kind] if options is None else options), **profile)
     except (OSError, ValueError) as error:
         reason = str(error) or type(error).__name__
-        raise ImageError(f"{width} x {height} pixels cannot be written as {kind} ({reason})") from error
+        raise ImageError(f"cannot write {width} x {height} pixels as {kind} ({reason})") from error
     return file.getvalue()
 
 

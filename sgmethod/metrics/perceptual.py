@@ -55,7 +55,7 @@ class Networks:
             dists = torch.load(weights / "dists_alpha_beta.pt", map_location="cpu", weights_only=True)
             alpha, beta = dists["alpha"].flatten(), dists["beta"].flatten()
         except (KeyError, pickle.UnpicklingError, zipfile.BadZipFile) as error:
-            raise ValueError(f"{weights} holds other weights: {error}") from error
+            raise ValueError(f"{weights} has the wrong weights: {error}") from error
         whole = alpha.sum() + beta.sum()
         channels = [3, 64, 128, 256, 512, 512]
         self._alpha, self._beta = (part.div(whole).split(channels) for part in (alpha, beta))

@@ -59,7 +59,7 @@ def encode(request: Request) -> tuple[bytes, int]:
         elif budget.kind == "gaussians":
             stream, steps = run(request, budget.max_gaussians(*request.size), None)
         elif budget.kind == "quality":
-            raise BudgetError(f"profile {request.profile} has no quality scale; give bpp, bytes, psnr or gaussians")
+            raise BudgetError(f"profile {request.profile} has no quality scale; use bpp, bytes, psnr or gaussians")
         else:
             stream, steps = within_bytes(request, budget.max_bytes(*request.size) or 0)
     return container.serialise(stream), steps
@@ -151,7 +151,7 @@ def _memory_errors() -> Iterator[None]:
     except RuntimeError as error:
         if "can't allocate memory" not in str(error):
             raise
-        raise MemoryError("there is not enough memory for this encode") from error
+        raise MemoryError("not enough memory for this encode") from error
 
 
 def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most: int) -> int:

@@ -1,5 +1,5 @@
-"""Pillow's side: .sg files as one of its formats.
+"""The Pillow plugin for .sg files.
 
-An .sg file comes in through Image.open, and leaves as a picture; a picture leaves through its save as an .sg file.
-The package registers it when it is imported itself; numpy and torch wait for the first picture.
+Image.open reads an .sg file as a picture; save writes a picture as an .sg file.
+Importing sgmethod registers the plugin; NumPy and the encoder are imported with the first picture.
 """

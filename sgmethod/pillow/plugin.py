@@ -20,7 +20,7 @@ OPTIONS = (
 
 
 class SgImageFile(ImageFile.ImageFile):
-    """An .sg file as Pillow reads it: drawn when it is loaded, and for thumbnail() in the size that is needed.
+    """An .sg file opened by Pillow. It is drawn when loaded; thumbnail() draws it directly at the size needed.
 
     >>> with Image.open("photo.sg") as photo:
     ...     photo.thumbnail((64, 64))
@@ -49,7 +49,7 @@ class SgImageFile(ImageFile.ImageFile):
         self.tile = [ImageFile._Tile("raw", (0, 0, *size), 0, self._mode)]
 
     def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
-        """Have it drawn smaller, but not below size, by Pillow's rules."""
+        """Reduce the size at which it will be drawn, but not below size."""
         from sgmethod.view import MIN_SCALE, View
 
         del mode  # it is drawn in its own alone
@@ -61,7 +61,7 @@ class SgImageFile(ImageFile.ImageFile):
         return self.mode, (0, 0, *self.size)
 
     def load(self) -> Any:
-        """Draw it, once. Raises OSError for a file whose drawing would take unbounded time."""
+        """Draw it, once. Raises OSError for a file that would take unbounded time to draw."""
         if self.tile:
             try:
                 pixels = self._file.pixels(self._scale)
@@ -73,18 +73,18 @@ class SgImageFile(ImageFile.ImageFile):
         return super().load()
 
     def load_seek(self, pos: int) -> None:
-        """What load() brings begins where it is."""
+        """Nothing to seek: load() provides the pixels from their start."""
 
 
 def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
-    """With the arguments of sgmethod.encode; as other formats do, it lets pass what it does not know."""
+    """Takes the arguments of sgmethod.encode, and ignores unknown ones as other formats do."""
     from sgmethod.codec import encode
 
     file.write(encode(image, **{name: value for name, value in image.encoderinfo.items() if name in OPTIONS}).data)
 
 
 def register() -> None:
-    """Make .sg files known to Pillow."""
+    """Register .sg files with Pillow."""
     Image.register_open(FORMAT, SgImageFile, lambda prefix: prefix.startswith(b"SGM"))
     Image.register_save(FORMAT, _save)
     Image.register_extension(FORMAT, ".sg")

@@ -15,7 +15,7 @@ from tests.harness.data import PHOTOGRAPHS, ROOT
 
 
 def test_curves_of_every_method(tmp_path: Path) -> None:
-    methods = ["rd", "paper", "plain Adam", "siren", "hash grid"]
+    methods = ["rd", "paper", "plain Adam", "siren"]
     out = tmp_path / "convergence.json"
     sizes = ["--images", str(PHOTOGRAPHS), "--most", "1", "--megapixels", "0.002", "--bpp", "4", "--few"]
     times = ["--seconds", "0.4", "--limits", "0.3", "--paper-limits", "0.2", "--methods", ",".join(methods)]
@@ -68,64 +68,29 @@ def a_curve(method: str, setting: str = "", **more: object) -> dict[str, object]
     [
         [a_curve("rd", "8 s")],
         [a_curve("paper")],
-        [a_curve("siren")],  # as before LPIPS was measured on the way
-        [a_curve("siren", lpips_curve=[[1.0, 0.5]]), a_curve("rd", lpips=None)],
+        [a_curve("siren")],
+        [a_curve("siren"), a_curve("rd"), a_curve("rd", "effort 1"), a_curve("avif", "6", curve=None, psnr=29.0)],
         [a_curve("jpeg", "0", curve=None)],
     ],
-    ids=["one limit", "paper alone", "an old network", "one without LPIPS", "another codec alone"],
+    ids=["one limit", "paper alone", "a network alone", "ours beside AVIF", "another codec alone"],
 )
-def test_few_rows_make_a_section(rows: list[dict[str, object]], tmp_path: Path) -> None:
+def test_few_rows_make_a_page(rows: list[dict[str, object]], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    content = {"command": "c", "commit": "0", "date": "d", "settings": {"bpp": 0.25, "seconds": 60.0}, "rows": rows}
+    content = {"command": "c", "commit": "0", "date": "2026-01-01", "settings": {"bpp": 0.25}, "rows": rows}
     machine = {"processor": "p", "cores": 2, "instruction_set": "AVX2", "python": "3", "packages": {"torch": "2"}}
     script = (
-        "from pathlib import Path; from benchmarks.report import convergence, plots; "
-        f"s = convergence.whole({content | {'machine': machine}!r}); "
+        "from pathlib import Path; from benchmarks.report import speed, plots; "
+        f"s = speed.page({{'convergence/kodak': {content | {'machine': machine}!r}}}); "
         f"plots.save(s.panels, s.title, s.of, Path({str(tmp_path / 'plot')!r})); print(s.text())"
     )
     ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True, capture_output=True, text=True)
-    assert "30.00" in ran.stdout
+    assert ("at 0.4 megapixels it takes 1 times as long and gains 1.0 dB" in ran.stdout) == (len(rows) == 4)
     assert (tmp_path / "plot.svg").stat().st_size > 0
-
-
-def test_every_setting_of_other_codecs_is_told_beside_ours() -> None:
-    found = {"4": (29.0, 0.3, 2.0), "0": (31.0, 0.6, 20.0)}
-    others = [
-        a_curve("avif", setting, psnr=psnr, lpips=lpips, seconds=seconds, curve=None)
-        for setting, (psnr, lpips, seconds) in found.items()
-    ]
-    ours = [a_curve("rd"), a_curve("rd", "effort 1", psnr=28.0, seconds=0.4), a_curve("rd visual", lpips=0.2)]
-    rows = [*ours, *others]
-    script = f"from benchmarks.report import convergence as c; rows = {rows!r}; "
-    script += "print(c.best_of_others(12, rows)); print(c.curves(rows))"
-    ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True, capture_output=True, text=True)
-    told, curves = ran.stdout.splitlines()
-    assert told == (
-        "At 12 megapixels rd, tuned for PSNR, has 30.00 dB after 1.0 s, the best of other codecs 31.00 dB after 20.0 s "
-        "(avif, tune=psnr speed 0); rd, tuned for the eye, has LPIPS 0.200 after 1.0 s, the best of other codecs LPIPS "
-        "0.300 after 2.0 s (avif, tune=psnr speed 4)."
-    )
-    assert ast.literal_eval(curves) == [("rd, efforts", [(0.4, 28.0), (1.0, 30.0)])]  # no limits, so no line of them
-
-
-def test_more_effort_or_time_that_is_worse_is_told() -> None:
-    rows = [
-        *(a_curve("rd", f"effort {effort}", psnr=psnr) for effort, psnr in ((9, 31.0), (1, 28.0), (3, 30.5))),
-        *(a_curve("paper", setting, psnr=psnr) for setting, psnr in (("", 29.0), ("10 s", 29.05), ("3 s", 28.0))),
-        *(a_curve("rd visual", setting, psnr=psnr) for setting, psnr in (("", 20.0), ("effort 1", 25.0))),
-        a_curve("rd"),
-    ]
-    script = f"from benchmarks.report import convergence as c; print(c.worse_for_more({rows!r}))"
-    ran = subprocess.run([sys.executable, "-c", script], cwd=ROOT, check=True, capture_output=True, text=True)
-    assert ran.stdout == (
-        "More time or effort made a file worse by more than 0.1 dB: rd, efforts, 1 of 3 times, by 0.50 dB at most "
-        "(a, 0.4 megapixels, effort 3 to nothing set).\n"
-    )
 
 
 def test_a_network_is_looked_at_on_some_of_its_pixels() -> None:
     script = (
-        "from benchmarks import networks as n; network = n.hash_grid(n.np.zeros((10, 13, 3), n.np.uint8), 900); "
+        "from benchmarks.convergence import network as n; network = n.siren(900); "
         "whole, some = n.drawn(network, (10, 13, 3)), n.drawn(network, (10, 13, 3), 3); "
         "print(some.shape, (whole[::3, ::3] == some).all())"
     )

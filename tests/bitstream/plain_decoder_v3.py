@@ -292,7 +292,7 @@ def exponential(x: float) -> float:
 
 
 def halvings(q: float, most: int) -> int:
-    """The least number of halvings n >= 0, or at most so many, with 4^n > q."""
+    """The least number of halvings n >= 0, up to a maximum, with 4^n > q."""
     return min(max((math.frexp(q)[1] - 1 >> 1) + 1, 0), most)
 
 

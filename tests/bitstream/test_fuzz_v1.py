@@ -105,7 +105,7 @@ CONTENTS: list[Mutator] = [flip, picture_size, table_value, table_value]
 
 
 def crowded() -> bytes:
-    """So many Gaussians that larger ones would overlap beyond the limit."""
+    """Enough Gaussians for larger ones to overlap beyond the limit."""
     rng = np.random.default_rng(0)
     n = 3000
     positions, factors = rng.integers(0, 4096, (n, 2)), rng.integers(0, 256, (n, 3))

@@ -40,7 +40,7 @@ def test_many_files_are_decoded(run: Run) -> None:
     )
     assert ran.status == 1
     skipped, done, summary = ran.out.splitlines()
-    assert skipped == "out/two.png is there already: skipped"
+    assert skipped == "out/two.png already exists: skipped"
     assert re.fullmatch(r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, \d+ s left\)", done)
     assert re.fullmatch(r"1 decoded, 1 skipped, 2 failed: [\d,]+ bytes, \d+\.\d s", summary)
     bad, gone = ran.err.splitlines()
@@ -146,8 +146,8 @@ def warnings_of(err: str) -> list[str]:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("--psnr 60 --time-limit 0.05", ["the PSNR asked for is missed by"]),
-        ("--bytes 20", ["the file holds no Gaussian, only a background"]),
+        ("--psnr 60 --time-limit 0.05", ["the requested PSNR is missed by"]),
+        ("--bytes 20", ["the file contains only a background and no Gaussians"]),
         ("--bpp 6", ["larger than its source"]),
         ("--psnr 12", []),  # a background alone is as good
         ("--bpp 0.3", []),

@@ -64,7 +64,7 @@ def test_an_encode_of_one_point_is_drawn() -> None:
 def test_what_is_no_trace_is_refused(content: str, capsys: pytest.CaptureFixture[str]) -> None:
     Path("bad.json").write_text(content)
     assert cli.main(["plot", "bad.json", "out.svg"]) == 2
-    assert capsys.readouterr() == ("", "sgmethod: bad.json is no trace; encode --trace writes one\n")
+    assert capsys.readouterr() == ("", "sgmethod: bad.json is not a trace: write one with encode --trace\n")
     assert not Path("out.svg").exists()
 
 

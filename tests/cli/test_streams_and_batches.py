@@ -116,7 +116,7 @@ def test_a_picture_that_a_format_cannot_hold(run: Run) -> None:
     assert ran.status == 0
     ran = run("decode", "wide.sg", "wide.webp", "--scale", "64", "--region", "0,0,128,1", "--scale", "64")
     assert ran.status == 0  # 8,192 wide
-    with pytest.raises(Exception, match="cannot be written as WebP"):
+    with pytest.raises(Exception, match=r"cannot write .* as WebP"):
         encode_picture(np.zeros((1, 17_000, 3), np.uint8), "WebP")
 
 
@@ -141,9 +141,9 @@ def test_odd_names() -> None:
 
 def test_no_clobber(run: Run) -> None:
     before = Path(GOLDEN).read_bytes()
-    skipped = f"{GOLDEN} is there already: skipped\n"
+    skipped = f"{GOLDEN} already exists: skipped\n"
     assert run("encode", "photo.png", GOLDEN, "--no-clobber") == Ran(0, skipped, "")
-    assert run("decode", GOLDEN, "photo.png", "--no-clobber").out == "photo.png is there already: skipped\n"
+    assert run("decode", GOLDEN, "photo.png", "--no-clobber").out == "photo.png already exists: skipped\n"
     assert run("encode", "photo.png", GOLDEN, "--no-clobber", "--quiet") == Ran(0, "", "")
     assert Path(GOLDEN).read_bytes() == before
     with Image.open("photo.png") as kept:
@@ -165,12 +165,12 @@ def test_several_pictures(run: Run, jobs: str) -> None:
     ran = run("encode", *pictures, *settings)
     assert ran.status == 1
     *lines, summary = ran.out.splitlines()
-    assert lines[0] == "out/two.sg is there already: skipped"
+    assert lines[0] == "out/two.sg already exists: skipped"
     assert {line.split(": ")[0] for line in lines[1:]} == {"one.png -> out/one.sg", "moves.gif -> out/moves.sg"}
     size = Path("out/one.sg").stat().st_size + Path("out/moves.sg").stat().st_size
     assert re.fullmatch(rf"2 encoded, 1 skipped, 2 failed: {size} bytes, \d+\.\d s", summary)
     note, *errors = ran.err.splitlines()
-    assert note == "sgmethod: note: moves.gif: it holds more than one picture: the first is taken"
+    assert note == "sgmethod: note: moves.gif: only the first of several pictures is used"
     assert any(line.startswith("sgmethod: bad.jpg: the file is not a PNG") for line in errors)
     assert any(line.startswith("sgmethod: missing.png: cannot read missing.png: No such file") for line in errors)
     assert len(errors) == 2
@@ -194,7 +194,7 @@ def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize("after", [0, 2])
 def test_interrupted_jobs_end(after: float) -> None:
-    """Ctrl-C, while two processes start or encode, so many seconds after both are there; and none is left."""
+    """Ctrl-C, while two processes start or encode, this long after both are there; and none is left."""
     for name in ("one.png", "two.png", "three.png"):
         PHOTO.resize((512, 384)).save(name)
     pictures = ["one.png", "two.png", "three.png"]
@@ -242,7 +242,7 @@ def test_compare(run: Run) -> None:
     db = psnr(decode(Path("out.sg").read_bytes()), np.asarray(PHOTO))
     assert ran.out.splitlines() == [
         f"PSNR            {db:.2f} dB",
-        "MS-SSIM         not defined for sides below 161 pixels",
+        "MS-SSIM         undefined for sides below 161 pixels",
         f"SSIMULACRA 2    {ssimulacra2(decode('out.sg'), np.asarray(PHOTO)):.4g}",
         "LPIPS           needs --weights (docs/command_line.md)",
         "DISTS           needs --weights (docs/command_line.md)",
@@ -253,7 +253,7 @@ def test_compare(run: Run) -> None:
     assert found == {"psnr": None, "ms_ssim": 1.0, "ssimulacra2": found["ssimulacra2"], "lpips": None, "dists": None}
     assert found["ssimulacra2"] == pytest.approx(100, abs=0.01)
     PHOTO.resize((200, 63)).save("small.png")
-    assert run("compare", "small.png", "small.png").out.count("not defined for sides below 64 pixels") == 3
+    assert run("compare", "small.png", "small.png").out.count("undefined for sides below 64 pixels") == 3
     Path("bad.png").write_bytes(b"hello")
     Path("folder").mkdir()
     ran = run("compare", "large.png", "bad.png")
@@ -265,13 +265,13 @@ def test_what_is_left_out_is_said(run: Run) -> None:
     Image.new("RGBA", (64, 48), (10, 200, 30, 99)).save("input.png", compress_level=0)  # larger than its .sg files
     ran = run("encode", "input.png", "out.sg", "--gaussians", "9")
     assert (ran.status, ran.err) == (0, "")
-    said = "its transparency is laid over white\n"
+    said = "transparency is composited over white\n"
     ran = run("encode", "input.png", "paper.sg", "--gaussians", "9", "--profile", "paper", "--time-limit", "0.3")
     assert (ran.status, ran.err) == (0, f"sgmethod: note: input.png: {said}")
     assert run("encode", "input.png", "out.sg", "--gaussians", "9", "--quiet") == Ran(0, "", "")
     for kind, mode in (("png", "RGBA"), ("webp", "RGBA"), ("avif", "RGBA"), ("jpg", "RGB"), ("ppm", "RGB")):
         ran = run("decode", "out.sg", f"out.{kind}")
-        notes = "" if mode == "RGBA" else f"sgmethod: note: out.sg: a {SUFFIXES[f'.{kind}']} has no alpha: {said}"
+        notes = "" if mode == "RGBA" else f"sgmethod: note: out.sg: {SUFFIXES[f'.{kind}']} has no alpha channel: {said}"
         assert (ran.status, ran.err) == (0, notes)
         picture = Image.open(f"out.{kind}")
         assert picture.mode == mode

@@ -165,7 +165,7 @@ def test_no_scale_falls_below_the_least() -> None:
 
 
 def falling(rates: list[float] | None = None, until: int = 10**9) -> Step:
-    """A step whose error falls by a hundredth, so many times. rates: where it notes those that it is given."""
+    """A step whose error falls by a hundredth each time. rates: records the rates it is given."""
     taken = 0
 
     def step(rate: float) -> tuple[float, int, int]:

@@ -15,7 +15,7 @@ from tests.harness.pictures import SMALL
 
 
 def tiff_of_many_strips(strips: int) -> bytes:
-    """A TIFF of 1 x 16,000 pixels that lists so many strips of a byte each."""
+    """A TIFF of 1 x 16,000 pixels that lists many strips of one byte."""
     after = 8 + 2 + 10 * 12 + 4
     tags = [
         *((256, 4, 1, 1), (257, 4, 1, 16_000), (258, 3, 1, 8), (259, 3, 1, 1), (262, 3, 1, 1)),
@@ -27,13 +27,13 @@ def tiff_of_many_strips(strips: int) -> bytes:
 
 
 def png_of_many_chunks(chunks: int) -> bytes:
-    """A small PNG with so many empty chunks."""
+    """A small PNG with many empty chunks."""
     chunk = struct.pack(">I4sI", 0, b"abCd", zlib.crc32(b"abCd"))
     return SMALL[:33] + chunk * chunks + SMALL[33:]
 
 
 def jpeg_of_many_markers(markers: int) -> bytes:
-    """A small JPEG with so many application markers."""
+    """A small JPEG with many application markers."""
     file = io.BytesIO()
     Image.open(io.BytesIO(SMALL)).save(file, "JPEG")
     jpeg = file.getvalue()

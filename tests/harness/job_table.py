@@ -57,7 +57,7 @@ def open_table(database_url: str, folder: Path, lease_s: float, **options: Any) 
 
 
 def what_all_say(target: Callable[..., None], number: int, *arguments: Any) -> list[Any]:
-    """What so many processes that start together put into the queue they are given."""
+    """What processes that start together put into their queue."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([__name__])  # else each process loads everything anew
     said = context.SimpleQueue()

@@ -64,7 +64,7 @@ def state_of(number: int) -> str:
 
 
 def encoder_of(job_id: str) -> int | None:
-    """The process that encodes a job, if there is one, whoever started it."""
+    """The process that encodes a job, if there is one."""
     for number, process in processes().items():
         if COMMANDS["encoder"] in process.command and job_id in process.command:
             return number

@@ -129,7 +129,7 @@ class Service(ServiceProcess):
         return self.accepted(SLOW, bpp=1, time_limit_s=100)
 
     def accepted_long(self, seconds: float) -> str:
-        """The id of a new job that takes about so many seconds."""
+        """The id of a new job that takes about this many seconds."""
         return self.accepted(SLOW, bpp=1, time_limit_s=seconds)
 
     def job(self, job_id: str) -> dict[str, Any]:

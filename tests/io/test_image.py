@@ -25,7 +25,7 @@ from tests.harness.data import PHOTOGRAPHS, golden_path
 pillow_heif.register_heif_opener()
 PHOTO = Image.open(PHOTOGRAPHS / "kodim05-crop.png").convert("RGB").crop((20, 30, 68, 62))  # 48 x 32
 PIXELS = np.asarray(PHOTO)
-SEE_THROUGH = pytest.mark.filterwarnings("ignore:its transparency is laid over white:sgmethod.ImageWarning")
+SEE_THROUGH = pytest.mark.filterwarnings("ignore:transparency is composited over white:sgmethod.ImageWarning")
 EXACT = 1e-6  # float32 rounding; the worst error seen is 9e-8
 
 

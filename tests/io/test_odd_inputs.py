@@ -28,11 +28,15 @@ OTHER = Image.new("RGB", SIZE, (10, 20, 200))
 IN_P3 = (216, 69, 50)  # what RED in Display P3 is in sRGB, by Little CMS in double precision
 
 P3 = profiles.rgb(profiles.DISPLAY_P3)
-FIRST, ALPHA, PROFILE = "more than one picture: the first", "transparency is laid over white", "colour profile is left"
+FIRST, ALPHA, PROFILE = (
+    "first of several pictures",
+    "transparency is composited",
+    "colour profile is ignored",
+)
 
 
 class Odd(NamedTuple):
-    """A file, and what comes of it: a colour to within some levels, or words of the refusal; and words of warnings."""
+    """A file, and the outcome: a colour to within some levels, or words of the refusal; and words of warnings."""
 
     data: bytes
     out: tuple[int, int, int] | str
@@ -194,7 +198,7 @@ ODD = {
     "jpeg xl in boxes": Odd(JXL["in boxes"], RED, off=0),
     "jpeg xl in Display P3": Odd(JXL["Display P3"], IN_P3),
     "jpeg xl in PQ": Odd(JXL["PQ"], "range (PQ)"),
-    "jpeg xl of grey with alpha in 16 bits": Odd(JXL["grey with alpha in 16 bits"], "of more than 8 bits"),
+    "jpeg xl of grey with alpha in 16 bits": Odd(JXL["grey with alpha in 16 bits"], "with more than 8 bits"),
     "two colours": Odd(saved("PNG", Image.new("1", SIZE, 1)), (255, 255, 255), off=0),
     "grey in 16 bits": Odd(chunked(depth=16, colour=0, sample=(0x8080,)), (128, 128, 128), off=0),
     "grey with alpha in 16 bits": Odd(chunked(depth=16, colour=4, sample=(0, 0x8000)), (127, 127, 127), ALPHA),
@@ -228,7 +232,7 @@ ODD = {
     "webp that moves": Odd(saved("WEBP", save_all=True, append_images=[OTHER], lossless=True), RED, FIRST, 0),
     "apng": Odd(saved("PNG", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "avif that moves": Odd(saved("AVIF", save_all=True, append_images=[OTHER], quality=100), RED, FIRST, 3),
-    "jpeg xl that moves": Odd(JXL["moves"], "that move"),
+    "jpeg xl that moves": Odd(JXL["moves"], "animated JPEG XL"),
     "tiff of two pages": Odd(saved("TIFF", save_all=True, append_images=[OTHER]), RED, FIRST, 0),
     "jpeg with a second picture": Odd(saved("MPO", save_all=True, append_images=[OTHER], quality=100), RED, off=2),
     # Broken ones
@@ -236,23 +240,23 @@ ODD = {
     "words": Odd(b"hello", "not a PNG, JPEG"),
     "an .sg file": Odd(golden_path("v4-color.sg").read_bytes(), "an .sg file already"),
     "a jpeg xl of zeros": Odd(b"\xff\x0a" + bytes(50), "the JPEG XL is damaged"),
-    "half a jpeg xl": Odd(JXL["plain"][:38], "the JPEG XL is damaged, cut short"),
-    "a jpeg xl without its last box": Odd(JXL["in boxes"][:40], "the JPEG XL is damaged, cut short"),
+    "half a jpeg xl": Odd(JXL["plain"][:38], "the JPEG XL is damaged, truncated"),
+    "a jpeg xl without its last box": Odd(JXL["in boxes"][:40], "the JPEG XL is damaged, truncated"),
     "a huge jpeg xl": Odd(b"\xff\x0a" + (0b11 << 1 | 0xFFFFF << 3).to_bytes(5, "little") + bytes(9), "too large"),
-    "a header of jpeg xl": Odd(b"\xff\x0a" + bytes(3), "the JPEG XL is damaged, cut short"),
-    "half a gif": Odd(saved("GIF", PHOTO)[:2000], "damaged, cut short"),
-    "half a png": Odd(saved("PNG", PHOTO)[:2000], "the PNG is damaged, cut short"),
-    "half an avif": Odd(saved("AVIF", PHOTO)[:900], "damaged, cut short"),
-    "half a heic": Odd(heic(PHOTO)[:1500], "the HEIC is damaged, cut short"),
-    "half a ppm": Odd(ppm(6, 255, bytes(RED) * (PIXELS // 2)), "damaged, cut short"),
-    "half a pgm of text": Odd(ppm(2, 100, b"50 " * (PIXELS // 2)), "damaged, cut short"),
-    "half a qoi": Odd(qoi(bytes(RED), cut=1500), "damaged, cut short"),
-    "a header alone": Odd(b"GIF89a", "damaged, cut short"),
+    "a header of jpeg xl": Odd(b"\xff\x0a" + bytes(3), "the JPEG XL is damaged, truncated"),
+    "half a gif": Odd(saved("GIF", PHOTO)[:2000], "damaged, truncated"),
+    "half a png": Odd(saved("PNG", PHOTO)[:2000], "the PNG is damaged, truncated"),
+    "half an avif": Odd(saved("AVIF", PHOTO)[:900], "damaged, truncated"),
+    "half a heic": Odd(heic(PHOTO)[:1500], "the HEIC is damaged, truncated"),
+    "half a ppm": Odd(ppm(6, 255, bytes(RED) * (PIXELS // 2)), "damaged, truncated"),
+    "half a pgm of text": Odd(ppm(2, 100, b"50 " * (PIXELS // 2)), "damaged, truncated"),
+    "half a qoi": Odd(qoi(bytes(RED), cut=1500), "damaged, truncated"),
+    "a header alone": Odd(b"GIF89a", "damaged, truncated"),
     "a huge gif": Odd(saved("GIF").replace(struct.pack("<HH", *SIZE), b"\xff\xff\xff\xff", 1), "too large"),
     "a huge ppm": Odd(ppm(6, 255, b"", 10**9, 10**9), "too large"),
     "a huge qoi": Odd(qoi(bytes(RED), width=2**31, height=2**31), "too large"),
-    "a huge avif": Odd(saved("AVIF").replace(struct.pack(">II", *SIZE), b"\xff\xff\xff\xff" * 2), "damaged, cut short"),
-    "an empty ppm": Odd(ppm(6, 255, b"", 0, 5), "damaged, cut short"),
+    "a huge avif": Odd(saved("AVIF").replace(struct.pack(">II", *SIZE), b"\xff\xff\xff\xff" * 2), "damaged, truncated"),
+    "an empty ppm": Odd(ppm(6, 255, b"", 0, 5), "damaged, truncated"),
     "a huge bmp": Odd(bmp(2_000_000_000, 2_000_000_000), "too large"),
     "a preview in a raw file": Odd(tiff(4, 1, 8, bytes(4), t254=1), "preview"),
 }
@@ -332,5 +336,5 @@ def test_16_bits_are_kept_through_the_conversion() -> None:
 
 def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    with pytest.raises(ImageError, match=r"this is a HEIC file; to read it: pip install 'sgmethod\[heif\]'"):
+    with pytest.raises(ImageError, match=r"reading HEIC files needs an extra package: pip install 'sgmethod\[heif\]'"):
         read_image(heic())

@@ -25,12 +25,12 @@ from sgmethod.trace import Stop
 
 
 def short(steps: int, **of_effort: Any) -> RdSettings:
-    """The settings of the default effort with a first run of so many steps."""
+    """The settings of the default effort with a first run of `steps` steps."""
     return replace(RD, effort=replace(RD.effort, steps=steps, **of_effort))
 
 
 def shortened(steps: int, phase_steps: tuple[int, int] | None = None) -> dict[str, RdSettings | PaperSettings]:
-    """Settings of all profiles with a first run of so many steps, and phases of paper and baseline of so many."""
+    """Settings of all profiles with a short first run, and short phases of paper and baseline."""
     fit, tune = phase_steps or (steps, steps)
     others = {
         name: replace(s, fit_steps=fit, tune_steps=tune) for name, s in (("paper", PAPER), ("baseline", BASELINE))
@@ -79,7 +79,7 @@ def begun(request: Request) -> tuple[Plan, State]:
 
 
 def stage_of(plan: Plan, steps: int, at: float = 0.0) -> Stage:
-    """A stage of so many steps, which has reached this part of the first run."""
+    """A stage of `steps` steps that has reached this part of the first run."""
     pace = Deadline(Clock()).pace(steps)
     pace.progress = at
     return Stage(pace, plan.times(0), at, 1.0)

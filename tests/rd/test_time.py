@@ -78,7 +78,7 @@ class Timed(Kernels):
 
 
 def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
-    """For 160 x 128 pixels, where so many seconds are left to fit once gradients are timed; and a first state."""
+    """For 160 x 128 pixels, with this many seconds left to fit once gradients are timed; and a first state."""
     clock = WorkClock()
     spent_s = 3 * (any_s + PIXEL_S * NOISE[..., 0].size)
     reserve_s = 1 - Deadline(clock, 1.0).left_s()

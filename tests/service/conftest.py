@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
@@ -86,6 +87,11 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     yield run
     for number, handler in handlers.items():
         signal.signal(number, handler)
+    # The command's log goes where nobody listens any more: each request of a later test would leave a traceback there.
+    root = logging.getLogger()
+    for told in [told for told in root.handlers if type(told) is logging.StreamHandler]:
+        root.removeHandler(told)
+    root.setLevel(logging.WARNING)
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -99,7 +105,7 @@ def database_url(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def open_job_table(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
-    """Opens the same table with leases of so many seconds."""
+    """Opens the same table with leases of this many seconds."""
     opened: list[JobTable] = []
 
     def opener(lease_s: float, **options: Any) -> JobTable:

@@ -84,7 +84,7 @@ class _Connection(HttpToolsProtocol):
         address, crowd = self._address, self.CROWD
         one = address != UNKNOWN and not is_within(address, self.LIMITS.trusted)
         if one and crowd.size(address) >= self.LIMITS.most_of_one and not self._close(crowd.quietest(address)):
-            detail = "there are too many connections from this address"
+            detail = "too many connections from this address"
             self._refuse(ProblemError(429, detail, reason="own_connections"))
             return False
         if crowd.size() >= self.LIMITS.most and not self._close(crowd.quietest()):

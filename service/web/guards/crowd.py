@@ -1,4 +1,4 @@
-"""Who is connected, by address, and who of them has asked for nothing for longest."""
+"""Connected clients, by address, and which of them has been idle for longest."""
 
 from __future__ import annotations
 
@@ -57,5 +57,5 @@ class Crowd(Generic[T]):
                 del self._members_of[address]
 
     def quietest(self, address: str | None = None) -> T | None:
-        """Who has been quiet for longest, of one address or of all."""
+        """The client idle for longest, of one address or of all."""
         return next(iter(self._quiet if address is None else self._quiet_of.get(address, ())), None)

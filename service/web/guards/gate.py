@@ -1,4 +1,4 @@
-"""Who calls, and whether they may: answered before a byte of the body is read."""
+"""Identifies and authorises callers before a byte of the body is read."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})(\.[a-z]{2,4})?")
 
 @dataclass(frozen=True)
 class Caller:
-    """client: who takes turns with others, the owner of a key or else an address; owner: whose key came with the
+    """client: takes turns with others, the owner of a key or else an address; owner: whose key came with the
     request; linked_job: the one job that a link lets its bearer read.
 
     The latter two are None where the service has no keys, and everything is everyone's.
@@ -47,7 +47,7 @@ def _without_link(scope: Scope) -> bytes:
 
 
 class Gate:
-    """Middleware: finds out who calls, for the routes to use, or answers 401 or 429 itself."""
+    """Middleware that identifies the caller for the routes, or answers 401 or 429 itself."""
 
     def __init__(self, app: ASGIApp, keys: KeyRing, rate: RateLimit, link_secret: str) -> None:
         self._app = app
@@ -81,7 +81,7 @@ class Gate:
     def _key_bearer(self, scheme: str, key: str) -> Caller:
         owner = self._keys.owner_of(key) if scheme.lower() == "bearer" else None
         if owner is None:
-            raise ProblemError(401, "this API key is not known", headers=CHALLENGE)
+            raise ProblemError(401, "unknown API key", headers=CHALLENGE)
         return Caller(f"key {owner}", owner)
 
     def _link_bearer(self, scope: Scope, address: str) -> Caller:
@@ -92,7 +92,7 @@ class Gate:
             raise ProblemError(401, "an API key is needed: Authorization: Bearer KEY", headers=CHALLENGE)
         link = Link(match[1], match[2], int(expires) if re.fullmatch(r"[0-9]{1,12}", expires, re.ASCII) else 0)
         if not link.is_signed(self._link_secret, signature):
-            raise ProblemError(401, "this link was not made here, or has been altered", headers=CHALLENGE)
+            raise ProblemError(401, "this link is not valid", headers=CHALLENGE)
         if link.expires < time.time():
             raise ProblemError(401, "this link has expired", headers=CHALLENGE)
         return Caller(address, linked_job=link.job_id)

@@ -117,7 +117,7 @@ class _Exchange:
         try:
             return await asyncio.wait_for(self._receive(), timeout_s)
         except TimeoutError:
-            raise ProblemError(408, "the body came too slowly") from None
+            raise ProblemError(408, "the request body arrived too slowly") from None
 
     def _too_large(self) -> ProblemError:
         limit = self._limits.max_bytes

@@ -58,7 +58,7 @@ class Pace:
             return
         line = self._lines.setdefault(client, deque())
         if len(line) >= self._most_waiting:
-            detail = "too many of your requests wait already"
+            detail = "too many of your requests are already waiting"
             raise ProblemError(429, detail, reason="own_requests", headers=RETRY_AFTER)
         place = asyncio.get_running_loop().create_future()
         line.append(place)

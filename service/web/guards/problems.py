@@ -130,14 +130,14 @@ async def _on_invalid_parameters(request: Request, error: Exception) -> Response
 
 
 async def _on_table_unavailable(request: Request, error: Exception) -> Response:
-    log.error("the job table cannot be reached: %s", error)
-    detail = "the job table cannot be reached just now"
+    log.error("the job table is unreachable: %s", error)
+    detail = "the job table is unreachable right now"
     return refused(request, ProblemError(503, detail, reason="table", headers={"Retry-After": RETRY_SOON_S}))
 
 
 async def _on_storage_unavailable(request: Request, error: Exception) -> Response:
-    log.error("the storage cannot be reached: %s", error)
-    detail = "the storage cannot be reached just now"
+    log.error("the storage is unreachable: %s", error)
+    detail = "the storage is unreachable right now"
     return refused(request, ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S}))
 
 

@@ -66,6 +66,6 @@ class Shares:
 
 
 def client_of(scope: Scope) -> str:
-    """Who asks, once the gate has seen the request."""
+    """The caller, once the gate has seen the request."""
     caller = scope.get("state", {}).get("caller")
     return "" if caller is None else str(caller.client)

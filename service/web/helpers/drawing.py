@@ -38,11 +38,11 @@ class Wish:
 
     def __post_init__(self) -> None:
         if self.scale is not None and (self.width, self.height) != (None, None):
-            raise ViewError("give scale, or width and height, not both")
+            raise ViewError("use either scale or width and height, not both")
         if self.fit != "contain" and None in (self.width, self.height):
-            raise ViewError(f"to {self.fit} takes a width and a height")
+            raise ViewError(f"fit={self.fit} needs both width and height")
         if self.quality is not None and self.kind not in DEFAULT_QUALITY:
-            raise ViewError(f"a {self.kind} file has no quality")
+            raise ViewError(f"quality does not apply to {self.kind} files")
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ class Drawing:
         view = View(scale, None if part == (0, 0, *size) else part, wish.prefix, wish.texture)
         width, height = view.size(*size)
         if width * height > max_pixels or max(width, height) > MAX_SIDES[wish.kind]:
-            limit = f"{max_pixels:,} pixels and {MAX_SIDES[wish.kind]:,} a side"
-            raise ViewError(f"{width} x {height} pixels are more than the limit of {limit}")
+            limit = f"{max_pixels:,} pixels and {MAX_SIDES[wish.kind]:,} per side"
+            raise ViewError(f"{width} x {height} pixels exceed the limit of {limit}")
         return cls(
             wish.kind,
             view,

@@ -79,7 +79,7 @@ def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     if errand.wish is None:
         header = read_header(file, ImageLimits(errand.max_pixels, errand.max_side))
         if not header.still:
-            raise ImageError(f"this {header.format} holds more than one picture; one still picture is needed")
+            raise ImageError(f"this {header.format} contains more than one picture; send a single still picture")
         return {"format": header.format, "width": header.width, "height": header.height}, b""
     info = sgmethod.info(file, errand.max_gaussians)  # a few kilobytes can hold millions of equal ones
     drawing = Drawing.of(errand.wish, (info.width, info.height), errand.max_pixels)
@@ -96,7 +96,7 @@ def _answer(errand: Errand, descriptor: int) -> tuple[dict[str, Any], bytes]:
     except SgError as error:
         return {"refused": type(error).__name__, "detail": str(error)}, b""
     except MemoryError:
-        return {"refused": "MemoryError", "detail": "it takes more memory than it may"}, b""
+        return {"refused": "MemoryError", "detail": "it exceeds the memory limit"}, b""
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
 

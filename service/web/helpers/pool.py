@@ -89,7 +89,7 @@ class _Helper:
 
 
 class Helpers:
-    """Helper processes, as many as there are errands at once. Whoever asks limits that, by turns."""
+    """Helper processes, one per concurrent errand. The caller limits their number, by turns."""
 
     def __init__(self) -> None:
         self._idle: list[_Helper] = []
@@ -106,16 +106,16 @@ class Helpers:
                 answer = await asyncio.wait_for(self._asked(helper, errand, file), PATIENCE_S)
             except _EndedError:
                 if await self._end(helper) == -signal.SIGPROF:
-                    raise TooMuchError("it takes more time than it may") from None
+                    raise TooMuchError("it exceeds the time limit") from None
                 continue
             except BaseException as error:
                 await self._end(helper)
                 if isinstance(error, TimeoutError):
-                    raise TooMuchError("it takes more time than it may") from None
+                    raise TooMuchError("it exceeds the time limit") from None
                 raise
             self._idle.append(helper)
             return _judged(*answer)
-        raise HelperError("what reads it crashed")
+        raise HelperError("its decoder crashed")
 
     async def _asked(self, helper: _Helper, errand: Errand, file: BinaryIO) -> tuple[Json, bytes]:
         return await to_thread.run_sync(helper.ask, errand, file, abandon_on_cancel=True, limiter=self._threads)

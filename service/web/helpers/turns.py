@@ -50,10 +50,10 @@ class Turns:
         if not place.done():
             if self.waiting > self._max_waiting:
                 self._forget(client, place)
-                raise ProblemError(503, "too many pictures are being worked on", reason="turns", headers=RETRY_AFTER)
+                raise ProblemError(503, "too many pictures are being processed", reason="turns", headers=RETRY_AFTER)
             if len(self._lines[client]) > self._own_waiting:
                 self._forget(client, place)
-                detail = "too many of your pictures wait already"
+                detail = "too many of your pictures are already waiting"
                 raise ProblemError(429, detail, reason="own_turns", headers=RETRY_AFTER)
         try:
             await place

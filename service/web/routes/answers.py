@@ -64,21 +64,21 @@ class AcceptedView(BaseModel):
 
     model_config = _example(EXAMPLE_ACCEPTED)
 
-    id: str = Field(description="32 hexadecimal digits; who knows them may read the job")
+    id: str = Field(description="32 hexadecimal digits; anyone who knows them can read the job")
     status_url: str
     decode_url: str
     bitstream_url: str
 
 
 class BudgetView(BaseModel):
-    """What the encode may spend."""
+    """The budget of an encode."""
 
     kind: str = Field(description='"bpp", "bytes", "psnr", "quality" or "gaussians"')
     value: float
 
 
 class ImageView(BaseModel):
-    """What the source image's header says."""
+    """The source image, from its header."""
 
     format: str
     width: int = Field(description="pixels")
@@ -89,7 +89,7 @@ class ImageView(BaseModel):
 class ErrorView(BaseModel):
     """Why a job failed."""
 
-    code: str = Field(description='"refused" by the codec, "crashed" or "timed_out"')
+    code: str = Field(description='"refused" (by the codec), "crashed" or "timed_out"')
     detail: str
 
 
@@ -99,37 +99,37 @@ class JobSummary(AcceptedView):
     model_config = _example(EXAMPLE_SUMMARY)
 
     state: JobState
-    position: int | None = Field(description="place in the queue from 1, while queued")
+    position: int | None = Field(description="position in the queue, from 1, while queued")
     budget: BudgetView
     profile: str
     tune: str = Field(description='"psnr" or "visual"')
-    effort: int = Field(description="from 1, the fastest, to 9, the best")
+    effort: int = Field(description="1 (fastest) to 9 (best file)")
     time_limit_s: float
     priority: Priority
     image: ImageView
-    attempt: int = Field(description="how often the job was started")
+    attempt: int = Field(description="number of times the job has been started")
     created_at: datetime
-    started_at: datetime | None = Field(description="of the latest attempt")
+    started_at: datetime | None = Field(description="start of the latest attempt")
     finished_at: datetime | None
-    expires_at: datetime | None = Field(description="when all that is kept of it is removed, once finished")
-    image_expires_at: datetime | None = Field(description="until when its image can be encoded again, once finished")
+    expires_at: datetime | None = Field(description="when the finished job is deleted")
+    image_expires_at: datetime | None = Field(description="until when the image of the finished job can be re-encoded")
     result: dict[str, Figure | list[str]] | None = Field(
-        description="the codec's figures, once done; warnings: a missed target, a file larger than the image's, "
-        "a file without a Gaussian, in a sentence each"
+        description="figures of the finished file; warnings has one sentence each for a missed target, a file larger "
+        "than its source, and a file without Gaussians"
     )
-    notes: list[str] = Field(description="what is left out of the image, once done")
+    notes: list[str] = Field(description="what was dropped from the image, once done")
     error: ErrorView | None = Field(description="once failed")
 
 
 class TraceView(BaseModel):
-    """How the fit went, or what of it is new."""
+    """The trace of the fit, or its new points."""
 
     model_config = _example(EXAMPLE_TRACE)
 
-    progress: float = Field(description="estimated share of the work that is done, 0 to 1; never falls")
+    progress: float = Field(description="estimated progress, 0 to 1; never decreases")
     trace: list[dict[str, Figure]] = Field(
         description="seconds, step, steps, psnr (dB), bytes, gaussians and phase, oldest first; "
-        f"{MAX_TRACE_POINTS} of them at most, evenly spread"
+        f"at most {MAX_TRACE_POINTS} points, evenly spaced"
     )
 
 
@@ -143,13 +143,13 @@ class JobPage(BaseModel):
     """Jobs, newest first."""
 
     jobs: list[JobSummary]
-    next: str | None = Field(description="where older jobs are, if there are any")
+    next: str | None = Field(description="URL of the next page, if there are older jobs")
 
 
 class LinksView(BaseModel):
     """URLs that need no key until they expire."""
 
-    decode_url: str = Field(description="the picture; extension and view may be changed")
+    decode_url: str = Field(description="URL of the picture; its extension and view parameters can be changed")
     bitstream_url: str
     expires_at: datetime
 

@@ -19,27 +19,27 @@ Side = Annotated[int | None, Field(ge=1, le=65_535)]
 class ViewQuery(BaseModel):
     """The query parameters that choose a view, the quality of its file, and a name to save it under."""
 
-    scale: Annotated[float | None, Field(ge=MIN_SCALE, le=MAX_SCALE, description="output pixels for a pixel")] = None
-    width: Annotated[Side, Field(description="of the output in pixels; instead of scale")] = None
-    height: Annotated[Side, Field(description="of the output in pixels; instead of scale")] = None
+    scale: Annotated[float | None, Field(ge=MIN_SCALE, le=MAX_SCALE, description="output pixels per pixel")] = None
+    width: Annotated[Side, Field(description="output size in pixels, instead of scale")] = None
+    height: Annotated[Side, Field(description="output size in pixels, instead of scale")] = None
     fit: Annotated[
         Fit,
-        Field(description="with width and height: stay within them, cover them, or crop to them around the middle"),
+        Field(description="with width and height: fit inside them, cover them, or crop to them from the centre"),
     ] = "contain"
     region: Annotated[
         str | None,
         Field(
             pattern=r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$",
-            description="x,y,width,height: this part alone, in pixels of the picture",
+            description="x,y,width,height: decode only this part, in pixels of the picture",
             examples=["0,0,8,8"],
         ),
     ] = None
-    prefix: Annotated[float, Field(gt=0, le=1, description="part of the file that is used; less is coarser")] = 1.0
-    texture: Annotated[bool, Field(description="whether the texture that a file may ask for is drawn")] = True
-    quality: Annotated[int | None, Field(ge=1, le=100, description="of a jpg, webp or avif file")] = None
+    prefix: Annotated[float, Field(gt=0, le=1, description="fraction of the file to decode; less is coarser")] = 1.0
+    texture: Annotated[bool, Field(description="draw the file's synthesised texture")] = True
+    quality: Annotated[int | None, Field(ge=1, le=100, description="quality of a jpg, webp or avif file")] = None
     download: Annotated[
         str | None,
-        Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_. -]{0,99}$", description="name of a file to save it under"),
+        Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_. -]{0,99}$", description="file name to save the picture under"),
     ] = None
 
     def wish(self, kind: PictureFormat) -> Wish:

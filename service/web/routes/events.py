@@ -34,22 +34,22 @@ async def _place(parts: UseParts, caller: UseCaller) -> AsyncIterator[None]:
     "/jobs/{job_id}/events",
     response_class=EventSourceResponse,
     responses=problems(404, 429, 503),
-    summary="Watch a job",
+    summary="Follow a job",
     dependencies=[Depends(_place)],  # which come first: too many streams are refused before a job is looked up
     openapi_extra=curl("-N HOST/jobs/ID/events"),
 )
 async def events(job: KnownJob, parts: UseParts) -> AsyncIterator[ServerSentEvent]:
-    """The job as it goes on: "state" with the job whenever it has changed, "trace" with new points and the progress,
-    at last "done" or "failed" with the job, or "removed".
+    """Server-sent events: "state" with the job whenever it changes, "trace" with new points and the progress, and
+    finally "done" or "failed" with the job, or "removed".
 
-    Every stream tells the whole story, so one that broke is simply opened again; a state with another attempt
-    begins a new trace.
+    Every stream starts from the beginning, so after a broken connection simply open a new one. A new attempt starts
+    a new trace.
     """
     try:
         async for event in _story(job, parts):
             yield event
     except JobTableError as error:
-        log.error("a stream of events ends early: %s", error)
+        log.error("an event stream ended early: %s", error)
 
 
 async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:

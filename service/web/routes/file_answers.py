@@ -19,7 +19,7 @@ _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})", re.ASCII | re.IGNORECA
 
 
 def accepted_format(request: Request) -> PictureFormat:
-    """The format that the Accept header wants most; PNG if it is all the same. Raises ProblemError 406."""
+    """The format that the Accept header prefers; PNG without a preference. Raises ProblemError 406."""
     accept = joined(request.headers, "accept") or "*/*"
     weights: dict[str, float] = {}
     for entry in accept.split(","):
@@ -33,7 +33,7 @@ def accepted_format(request: Request) -> PictureFormat:
         if weight > most:
             best, most = kind, weight
     if most == 0:
-        raise ProblemError(406, f"pictures are {', '.join(MEDIA_TYPES.values())}", headers=VARIES)
+        raise ProblemError(406, f"pictures are available as {', '.join(MEDIA_TYPES.values())}", headers=VARIES)
     return best
 
 
@@ -47,7 +47,7 @@ def has_already(request: Request, etag: str | None) -> bool:
     wanted, known = (_tags(request, name) for name in ("if-match", "if-none-match"))
     has = known == ["*"] or (etag is not None and etag in [tag.removeprefix("W/") for tag in known])
     if (wanted not in ([], ["*"]) and etag not in wanted) or (has and request.method != "GET"):
-        raise ProblemError(412, "what lies here is not what the request makes its condition")
+        raise ProblemError(412, "the file does not meet the request's precondition")
     return has
 
 

@@ -36,7 +36,7 @@ async def _gone(request: Request) -> None:
 
 
 async def set_within(event: asyncio.Event, seconds: float) -> bool:
-    """Whether the event is set before so many seconds have passed."""
+    """Whether the event is set within this many seconds."""
     try:
         await asyncio.wait_for(event.wait(), seconds)
     except TimeoutError:

@@ -25,25 +25,25 @@ PATIENCE_S = 2.0  # a table that takes longer is no better than none
 
 
 @router.get("/healthz", include_in_schema=False)  # the name before there was /readyz
-@router.get("/livez", summary="Does the web process answer?", openapi_extra=curl("HOST/livez"))
+@router.get("/livez", summary="Liveness", openapi_extra=curl("HOST/livez"))
 async def live() -> answers.HealthView:
-    """Whether the web process answers; waits for nothing."""
+    """200 as long as the web process answers."""
     return answers.HealthView(status="ok", version=VERSION)
 
 
-@router.get("/readyz", responses=problems(503), summary="Are jobs worked on?", openapi_extra=curl("HOST/readyz"))
+@router.get("/readyz", responses=problems(503), summary="Readiness", openapi_extra=curl("HOST/readyz"))
 async def ready(parts: UseParts) -> answers.HealthView:
-    """Whether jobs are accepted and worked on: table and storage answer, and the queue does not stall."""
+    """200 if jobs are accepted and processed: the job table and storage respond, and workers take jobs."""
     census = await _census(parts)
     if census is None:
-        raise ProblemError(503, "the job table does not answer", reason="table")
+        raise ProblemError(503, "the job table is not responding", reason="table")
     free_bytes = await _free_bytes(parts)
     if free_bytes < parts.settings.min_free_bytes:
-        raise ProblemError(503, f"the disk is full: {free_bytes:,.0f} bytes are free", reason="disk")
+        raise ProblemError(503, f"the disk is almost full: {free_bytes:,.0f} bytes free", reason="disk")
     if census.waiting_s is not None:
         stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
         if stalled_s > parts.settings.stall_s:
-            detail = f"jobs wait, and no worker has been heard from for {stalled_s:.0f} s"
+            detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
             raise ProblemError(503, detail, reason="stall")
     return answers.HealthView(status="ok", version=VERSION)
 
@@ -52,14 +52,14 @@ async def ready(parts: UseParts) -> answers.HealthView:
     "/metrics",
     response_class=Response,
     responses={200: {"content": {"text/plain": {}}}, **problems(403)},
-    summary="Figures for Prometheus",
+    summary="Prometheus metrics",
     openapi_extra=curl("HOST/metrics"),
 )
 async def metrics(parts: UseParts, caller: UseCaller) -> Response:
-    """Figures for Prometheus."""
+    """Metrics in Prometheus' text format."""
     reader = parts.settings.metrics_key
     if reader and caller.owner != reader:
-        raise ProblemError(403, "this API key may not read figures of the service")
+        raise ProblemError(403, "this API key may not read metrics")
     parts.metrics.observe(await _census(parts))
     with suppress(ProblemError):
         parts.metrics.free_bytes.set(await _free_bytes(parts))
@@ -72,7 +72,7 @@ async def _census(parts: Parts) -> Census | None:
         with fail_after(PATIENCE_S):
             return await to_thread.run_sync(parts.table.census, limiter=parts.watching, abandon_on_cancel=True)
     except (JobTableError, TimeoutError) as error:
-        log.error("the job table does not answer: %r", error)
+        log.error("the job table is not responding: %r", error)
         return None
 
 
@@ -82,8 +82,8 @@ async def _free_bytes(parts: Parts) -> float:
         with fail_after(PATIENCE_S):
             return await to_thread.run_sync(_room, parts, limiter=parts.watching, abandon_on_cancel=True)
     except (OSError, TimeoutError) as error:
-        log.error("the storage does not answer: %r", error)
-        raise ProblemError(503, "the storage does not answer", reason="storage") from error
+        log.error("the storage is not responding: %r", error)
+        raise ProblemError(503, "the storage is not responding", reason="storage") from error
 
 
 def _room(parts: Parts) -> float:

@@ -60,7 +60,7 @@ ENCODE_PARAMETERS = [
 ENCODE_EXTRA: dict[str, Any] = {
     "requestBody": {
         "required": True,
-        "description": "a form with the image and the fields, or the image alone and the fields in the query",
+        "description": "a form with the image and the options, or the image itself with the options in the query",
         "content": {FORM_TYPE: {"schema": FORM}, "image/*": {"schema": BINARY}},
     },
     "parameters": ENCODE_PARAMETERS,
@@ -69,7 +69,7 @@ AGAIN_FORM: dict[str, Any] = {"type": "object", "additionalProperties": False, "
 AGAIN_EXTRA: dict[str, Any] = {
     "requestBody": {
         "required": False,
-        "description": "the fields, unless they are in the query",
+        "description": "the options, unless they are in the query",
         "content": {FORM_TYPE: {"schema": AGAIN_FORM}},
     },
     "parameters": ENCODE_PARAMETERS,
@@ -78,12 +78,12 @@ AGAIN_EXTRA: dict[str, Any] = {
 
 def _queue_full() -> ProblemError:
     retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
-    return ProblemError(429, "the queue is full; try later", reason="queue", headers=retry)
+    return ProblemError(429, "the queue is full; try again later", reason="queue", headers=retry)
 
 
 def _own_queue_full(limit: int) -> ProblemError:
     retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
-    detail = f"{limit} jobs of this API key wait already; try later"
+    detail = f"this API key already has {limit} jobs waiting; try again later"
     return ProblemError(429, detail, reason="own_queue", headers=retry)
 
 
@@ -98,8 +98,8 @@ def _own_queue_full(limit: int) -> ProblemError:
 async def encode(
     request: Request, response: Response, parts: UseParts, caller: UseCaller
 ) -> answers.AcceptedView | Response:
-    """Accept an image to be encoded, within one budget at most. With `wait` the answer is the file itself, or the
-    decoded picture if the Accept header wants one, when the job is done in time; else 202, and the job in JSON.
+    """Submit an image for encoding, with at most one budget. With `wait`, the response is the finished file (or the
+    decoded picture, if the Accept header asks for one) when the job is done in time; otherwise 202 and the job as JSON.
     """
     check_content_type(request)
     wait_s, key = wished_wait_s(request), idempotency_key(request)
@@ -119,14 +119,14 @@ async def encode(
     status_code=202,
     response_model=answers.AcceptedView,
     responses={**ENCODED, **problems(400, 404, 406, 408, 409, 410, 413, 415, 422, 429, 500, 503)},
-    summary="Encode the image of a job again",
+    summary="Re-encode a job's image",
     openapi_extra={**AGAIN_EXTRA, **curl("-X POST 'HOST/jobs/ID/encode?bpp=0.5'")},
 )
 async def encode_again(
     job: KnownJob, request: Request, response: Response, parts: UseParts, caller: UseCaller
 ) -> answers.AcceptedView | Response:
-    """A new job with the image of another, which is not sent a second time: 410 once it is no longer kept. The fields
-    are in the query or in a form, and as those of `POST /encode` where they are not given.
+    """Start a new job with the image of an existing one, without uploading it again; 410 once that image has been
+    deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
     wait_s, key = wished_wait_s(request), idempotency_key(request)
     asked = (await fields_without_image(request)).asked(parts.settings.max_time_limit_s)
@@ -148,7 +148,7 @@ def _kept_image(parts: Parts, job: Job) -> bytes:
 async def _accepted(
     request: Request, response: Response, parts: Parts, job: Job, wait_s: int
 ) -> answers.AcceptedView | Response:
-    """The answer to an accepted job, or what came of it if that is waited for."""
+    """The response for an accepted job, or its result if the client waits for it."""
     view = answers.accepted(job, parts.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     if wait_s:
@@ -184,7 +184,7 @@ def _accept(parts: Parts, new: NewJob, image: bytes) -> Job:
     except OSError as error:
         log.error("an image cannot be stored: %s", error)
         retry = {"Retry-After": RETRY_AFTER_QUEUE_S}
-        raise ProblemError(503, "the image cannot be stored just now", reason="storage", headers=retry) from error
+        raise ProblemError(503, "the image cannot be stored right now", reason="storage", headers=retry) from error
     job, accepted = _submit(parts, new)
     if accepted:
         parts.metrics.accept(new.owner)
@@ -202,7 +202,7 @@ def _discard(parts: Parts, key: str) -> None:
 
 
 def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
-    # If the table fails, the image stays for the sweep: the row may have been written all the same.
+    # If the table fails, the image stays for the sweep: the row may have been written anyway.
     limits = parts.settings
     own_limit, own_quota = (limits.max_queued_per_key, limits.quota_bytes_per_key) if new.owner is not None else (0, 0)
     room = Room(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
@@ -216,14 +216,14 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
             return parts.table.submit(new, room)
     except QuotaError as error:
         whose, reason = ("this API key", "own_quota") if error.of_owner else ("the service", "quota")
-        detail = f"{whose} stores as much as it may; remove jobs first"
+        detail = f"{whose} has reached its storage quota; remove jobs first"
         refusal = ProblemError(429, detail, reason=reason, headers={"Retry-After": RETRY_AFTER_QUEUE_S})
     except OwnQueueFullError:
         refusal = _own_queue_full(own_limit)
     except QueueFullError:
         refusal = _queue_full()
     except KeyReusedError:
-        refusal = ProblemError(422, "this Idempotency-Key was used for another request")
+        refusal = ProblemError(422, "this Idempotency-Key was already used for a different request")
     _discard(parts, source_key(new.id))
     raise refusal
 
@@ -242,9 +242,9 @@ def _make_room(parts: Parts, new: NewJob, of_owner: bool) -> None:
         surplus -= job.stored_bytes
 
 
-@router.get("/jobs/{job_id}", responses=problems(404, 503), summary="Look at a job", openapi_extra=curl("HOST/jobs/ID"))
+@router.get("/jobs/{job_id}", responses=problems(404, 503), summary="Get a job", openapi_extra=curl("HOST/jobs/ID"))
 def status(job: KnownJob, parts: UseParts, response: Response) -> answers.JobView:
-    """State, place in the queue, progress, trace so far, and result or error."""
+    """State, queue position, progress, trace so far, and the result or error."""
     response.headers.update(NEVER_STORED)
     return answers.with_trace(job, parts.table.trace(job.id), parts.settings)
 
@@ -261,9 +261,9 @@ def jobs(
     response: Response,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     before: Annotated[int | None, Query(ge=1, le=2**53)] = None,
-    state: Annotated[JobState | None, Query(description="those in this state alone")] = None,
+    state: Annotated[JobState | None, Query(description="only jobs in this state")] = None,
 ) -> answers.JobPage:
-    """All jobs, or the key's own where there are keys, newest first, a page at a time."""
+    """All jobs, newest first, in pages; with API keys, only those of the caller's key."""
     response.headers.update(NEVER_STORED)
     page = parts.table.page(limit + 1, before, caller.owner, state)
     chosen = "" if state is None else f"&state={state}"
@@ -275,20 +275,20 @@ def jobs(
 @router.post(
     "/jobs/{job_id}/links",
     responses=problems(404, 422, 503),
-    summary="Make links that need no key",
+    summary="Create links that need no API key",
     openapi_extra=curl("-X POST 'HOST/jobs/ID/links?expires_s=600'"),
 )
 def links(
     job: KnownJob,
     parts: UseParts,
     response: Response,
-    expires_s: Annotated[int, Query(ge=1, description="seconds until they expire")] = 3600,
+    expires_s: Annotated[int, Query(ge=1, description="seconds until the links expire")] = 3600,
 ) -> answers.LinksView:
-    """Links to the picture and the bitstream, for whoever has no key."""
+    """Links to the picture and the bitstream that anyone can open until they expire."""
     response.headers.update(NEVER_STORED)
     secret = parts.settings.link_secret.get_secret_value()
     if not secret:
-        raise ProblemError(404, "links are not set up here")
+        raise ProblemError(404, "links are not enabled on this server")
     if expires_s > parts.settings.link_max_age_s:
         raise ProblemError(422, f"expires_s must be at most {parts.settings.link_max_age_s}")
     expires = int(time.time()) + expires_s
@@ -300,12 +300,12 @@ def links(
     "/jobs/{job_id}/stop",
     status_code=202,
     responses=problems(404, 409, 422, 503),
-    summary="End an encode early, and keep what is there",
+    summary="Finish an encode early",
     openapi_extra=curl("-X POST HOST/jobs/ID/stop"),
 )
 def stop(job: KnownJob, parts: UseParts, response: Response) -> answers.AcceptedView:
-    """The fit of a running job ends, within its budget, after about a quarter of the time that it has taken; then the
-    job is done. One that is done stays as it is; 409 for one that waits or has failed, as there is nothing to keep.
+    """Finish a running job early and keep its result, which stays within the budget. This takes about a quarter of the
+    time spent so far. A finished job is unchanged; 409 for a queued or failed one, which has no result to keep.
     """
     view = answers.accepted(job, parts.settings)
     response.headers.update({"Location": view.status_url, **NEVER_STORED})
@@ -314,7 +314,7 @@ def stop(job: KnownJob, parts: UseParts, response: Response) -> answers.Accepted
         if now is None:
             raise no_such_job()
         if now.state != "done":
-            raise ProblemError(409, f"the job is {now.state}: there is nothing to keep", state=now.state)
+            raise ProblemError(409, f"the job is {now.state}: there is no result to keep", state=now.state)
     return view
 
 
@@ -326,7 +326,7 @@ def stop(job: KnownJob, parts: UseParts, response: Response) -> answers.Accepted
     openapi_extra=curl("-X DELETE HOST/jobs/ID"),
 )
 def remove(job: KnownJob, parts: UseParts, request: Request) -> None:
-    """Cancel the job if it is not done, and remove all that is kept of it."""
+    """Cancel the job if it is not done, and delete everything stored for it."""
     has_already(request, None)  # which refuses a condition that fails
     _forget(parts, job.id)
 

@@ -83,13 +83,13 @@ def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
 
 
 def _kept(job: Job, parts: Parts) -> dict[str, str]:
-    """For how long the file may be kept by whoever has it, and is kept here."""
+    """How long clients may cache the file, and how long it is kept here."""
     expires = answers.expires_at(job, parts.settings)
     return {"Cache-Control": IMMUTABLE, **({} if expires is None else {"Expires": format_datetime(expires, True)})}
 
 
 def _damaged(job: Job, error: Exception) -> ProblemError:
-    log.error("job %s: its bitstream is not as it was: %s", job.id, error)
+    log.error("job %s: its bitstream is damaged: %s", job.id, error)
     return ProblemError(500, "the bitstream of this job is missing or damaged")
 
 
@@ -156,7 +156,7 @@ async def _drawn(
 async def picture(
     job: KnownJob, kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
 ) -> Response:
-    """The decoded picture, or a view of it, as PNG, JPEG, WebP or AVIF."""
+    """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
     return await picture_answer(request, job, query, kind, parts)
 
 
@@ -164,13 +164,13 @@ async def picture(
     "/decode/{job_id}",
     response_class=Response,
     responses={**PICTURES, **problems(404, 406, 409, 422, 429, 503)},
-    summary="The picture of a job, in the format that is accepted",
+    summary="The picture of a job, by Accept header",
     openapi_extra=curl("-H 'Accept: image/avif' HOST/decode/ID -o photo.avif"),
 )
 async def picture_as_accepted(
     job: KnownJob, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
 ) -> Response:
-    """The same in the format that the Accept header wants most; PNG if it is all the same."""
+    """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
     answer = await picture_answer(request, job, query, accepted_format(request), parts)
     answer.headers.update(VARIES)
     return answer
@@ -180,11 +180,11 @@ async def picture_as_accepted(
     "/decode",
     response_class=Response,
     responses={**_files(*MEDIA_TYPES.values()), **problems(406, 408, 413, 422, 429, 503)},
-    summary="Decode a bitstream, into the format that is accepted",
+    summary="Decode a bitstream, by Accept header",
     openapi_extra={"requestBody": BITSTREAM_BODY, **curl("--data-binary @photo.sg HOST/decode -o photo.png")},
 )
 async def picture_of_body(query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request) -> Response:
-    """A picture of the bitstream in the body, in the format that the Accept header wants most. Nothing is stored."""
+    """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
     answer = await _draw_body(request, query, accepted_format(request), parts)
     answer.headers.update(VARIES)
     return answer
@@ -203,7 +203,7 @@ async def picture_of_body(query: Annotated[ViewQuery, Query()], parts: UseParts,
 async def picture_of_body_as(
     kind: PictureFormat, query: Annotated[ViewQuery, Query()], parts: UseParts, request: Request
 ) -> Response:
-    """A picture of the bitstream in the body. Nothing is stored."""
+    """Decode the bitstream in the body. Nothing is stored."""
     return await _draw_body(request, query, kind, parts)
 
 
@@ -227,7 +227,7 @@ async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, pa
     openapi_extra=curl("HOST/bitstreams/ID.sg -o photo.sg"),
 )
 async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Response:
-    """The bitstream itself."""
+    """The .sg file."""
     return await bitstream_answer(request, job, parts)
 
 
@@ -236,16 +236,16 @@ async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Respons
     response_class=Response,
     responses={
         **_files(BITSTREAM_TYPE),
-        204: {"description": "there is nothing yet"},
+        204: {"description": "no preview yet"},
         **NOT_MODIFIED,
         **problems(404, 412, 503),
     },
-    summary="The bitstream of what a running job has so far",
+    summary="Preview of a running job",
     openapi_extra=curl("HOST/jobs/ID/preview.sg -o preview.sg"),
 )
 async def preview(job: KnownJob, parts: UseParts, request: Request) -> Response:
-    """A bitstream that is about as large as the job's own will be, and coarser; that one once the job is done. The
-    encoder gives a new one every second or more seldom, and with profile rd alone.
+    """A bitstream about as large as the final one, but coarser; the final one once the job is done. Profile rd updates
+    it at most once a second; the other profiles have no preview.
     """
     headers = {"Cache-Control": "private, no-cache"}
     key = job.result.bitstream_key if job.result else bitstream_key(job.id, job.attempt)
@@ -281,7 +281,7 @@ def open_image(parts: Parts, job: Job) -> BinaryIO:
             return parts.storage.open(source_key(job.id))
         except FileNotFoundError:
             pass
-    raise ProblemError(410, "the image of this job is no longer kept; send it again")
+    raise ProblemError(410, "the image of this job has been deleted; send it again")
 
 
 @router.get(
@@ -293,17 +293,17 @@ def open_image(parts: Parts, job: Job) -> BinaryIO:
         **PARTIAL,
         **problems(404, 409, 410, 422, 429, 503),
     },
-    summary="What another codec makes of as many bytes",
+    summary="The same image in another codec, at the same size",
     openapi_extra=curl("HOST/jobs/ID/rival.avif -o rival.avif"),
 )
 async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Request) -> Response:
-    """The image of a job as JPEG, WebP or AVIF of as many bytes as its bitstream, or up to 3 % fewer. Where no quality
-    gives such a file, the next larger one. 410 once the image is no longer kept.
+    """The job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller. If no quality
+    setting gives such a file, the next larger one. 410 once the image has been deleted.
     """
     result = result_of(job)
     size = int(result.stats["bytes"])
     if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
-        raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels a side, too many for {kind}")
+        raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
     etag = f'"{job.id}-rival.{kind}"'
     headers = {"ETag": etag, **_kept(job, parts)}
     if has_already(request, etag):

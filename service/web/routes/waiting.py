@@ -53,7 +53,7 @@ def wished_wait_s(request: Request) -> int:
         raise ProblemError(422, f"the query parameter {WAIT_FIELD} is given twice")
     if given:
         if not re.fullmatch(r"[0-9]{1,6}", given[0], re.ASCII):
-            raise ProblemError(422, f"{WAIT_FIELD} must be a whole number of seconds; at most {MAX_WAIT_S} count")
+            raise ProblemError(422, f"{WAIT_FIELD} must be a whole number of seconds (capped at {MAX_WAIT_S})")
         return min(int(given[0]), MAX_WAIT_S)
     preferred = _PREFER.search(joined(request.headers, "prefer") or "")  # RFC 7240
     return min(int(preferred[1]), MAX_WAIT_S) if preferred else 0
@@ -82,7 +82,7 @@ async def _ended(job: Job, deadline: float, parts: Parts) -> Job | None:
 
 
 async def outcome(request: Request, job: Job, parts: Parts, headers: Mapping[str, str]) -> Response:
-    """What came of a job that has ended: its file, or its decoded picture. Raises ProblemError."""
+    """The result of a finished job: its file, or its decoded picture. Raises ProblemError."""
     if job.error is not None and job.state == "failed":
         status = 422 if job.error.code == "refused" else 500
         raise ProblemError(status, job.error.detail, headers=headers, code=job.error.code, id=job.id)

@@ -25,10 +25,10 @@ def feasible(asked: Asked, image: SourceImage) -> Asked:
         budget = unasked(image.width, image.height, smallest_file(settings, has_alpha=True))
         return replace(asked, request=replace(request, budget_kind=budget.kind, budget_value=budget.value))
     if budget.kind == "quality" and not isinstance(settings, RdSettings):
-        detail = f"profile {request.profile} has no quality scale; give bpp, bytes, psnr or gaussians"
+        detail = f"profile {request.profile} has no quality scale; use bpp, bytes, psnr or gaussians"
         raise ProblemError(422, detail)
     if budget.kind == "gaussians" and budget.value > pixels:
-        raise ProblemError(422, f"{budget.value:.0f} Gaussians are more than the image's {pixels} pixels")
+        raise ProblemError(422, f"{budget.value:.0f} Gaussians exceed the image's {pixels} pixels")
     allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)
     if allowed is not None and allowed < least:
         detail = f"a file of profile {request.profile} takes at least {least} bytes, the budget is {allowed}"

@@ -72,30 +72,30 @@ class Asked:
 
 
 class EncodeFields(BaseModel):
-    """The fields. One of the budgets at most is given; 0.3 bits per pixel, as in the command line, if none is."""
+    """The options. Give at most one budget; the default is 0.3 bits per pixel."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    bpp: Number = _positive("budget: bits per pixel at most", 0.3)
-    bytes: Number = _positive("budget: bytes at most", 20_000)
-    psnr: Number = _positive("budget: dB to reach, 60 at most", 32)
-    quality: Number = _positive("budget: fineness up to 100, profile rd alone", 50)
-    gaussians: Number = _positive("budget: Gaussians", 1000)
+    bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
+    bytes: Number = _positive("budget: maximum bytes", 20_000)
+    psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
+    quality: Number = _positive("budget: quality, above 0 and up to 100, profile rd only", 50)
+    gaussians: Number = _positive("budget: number of Gaussians", 1000)
     profile: Annotated[str, BeforeValidator(_choice)] = Field(
         default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}
     )
     tune: str | SkipJsonSchema[None] = Field(
-        default=None, description="what the encode is tuned for", json_schema_extra={"enum": list(TUNES)}
+        default=None, description="optimise for PSNR or for the eye", json_schema_extra={"enum": list(TUNES)}
     )
     effort: Annotated[int, BeforeValidator(_effort)] = Field(
         default=DEFAULT_EFFORT,
         ge=min(EFFORTS),
         le=max(EFFORTS),
-        description=f"from {min(EFFORTS)}, the fastest, to {max(EFFORTS)}, the best; profile rd alone",
+        description=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file; profile rd only",
     )
-    time_limit_s: Number = _positive("seconds for the fit; the longest that the service allows unasked", 60)
+    time_limit_s: Number = _positive("time limit in seconds (default: the longest that the service allows)", 60)
     priority: Annotated[Priority, BeforeValidator(_choice)] = Field(
-        default=PRIORITIES[0], description="interactive jobs go before bulk ones"
+        default=PRIORITIES[0], description="interactive jobs run before bulk jobs"
     )
 
     @model_validator(mode="after")
@@ -142,7 +142,7 @@ def read_fields(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeFields:
     texts: dict[str, str] = {}
     for name, value in given:
         if name == IMAGE_FIELD:
-            raise ProblemError(422, f"no {IMAGE_FIELD} is taken here: send it in the body of POST /encode")
+            raise ProblemError(422, f"{IMAGE_FIELD} is not accepted here: send it in the body of POST /encode")
         if name in texts:
             raise ProblemError(422, f"the field {name} is given twice")
         if name in FIELDS and not isinstance(value, str):

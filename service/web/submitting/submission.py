@@ -63,7 +63,7 @@ def _media_type(request: Request) -> str:
     """The body's media type, empty if none is given. Raises ProblemError 415 if several are."""
     given = set(request.headers.getlist("content-type"))
     if len(given) > 1:
-        raise ProblemError(415, "the request names several types of its body; give one Content-Type")
+        raise ProblemError(415, "the request has more than one Content-Type")
     return "".join(given).partition(";")[0].strip().lower()
 
 

@@ -66,7 +66,7 @@ Array own(std::vector<T>&& values, std::initializer_list<size_t> shape) {
   return Array(kept.release()->data(), shape, owner);
 }
 
-// Rows of so many floats.
+// Rows of `Columns` floats.
 template <size_t Columns>
 auto own_rows(std::vector<float>&& values) {
   const size_t rows = values.size() / Columns;

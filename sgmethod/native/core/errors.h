@@ -5,7 +5,7 @@
 
 namespace sg {
 
-// Where there are no exceptions, as in WebAssembly: whoever embeds the core defines it, and ends the call.
+// Where there are no exceptions, as in WebAssembly: the embedder defines it, and ends the call.
 [[noreturn]] void end_call(const char* message);
 
 // Throws an Error.

@@ -7,7 +7,7 @@
 
 namespace sg {
 
-// So many floats, whose values are not set. Throws std::bad_alloc.
+// Uninitialised floats. Throws std::bad_alloc.
 class Scratch {
  public:
   explicit Scratch(size_t floats);

@@ -28,7 +28,7 @@ struct Header {
   bool grey, upright, textured, with_alpha;
 };
 
-// A payload of profile rd, and what of its header may differ between a picture and its alpha.
+// A payload of profile rd, and the header fields that may differ between a picture and its alpha.
 struct Layer {
   const uint8_t* begin;
   size_t size;

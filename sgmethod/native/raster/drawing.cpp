@@ -16,8 +16,8 @@ namespace {
 
 constexpr float kBlack[3] = {};
 
-// What one task draws of the picture: so many strips of a row of tiles. The part of level 1 from which these are enlarged
-// begins anywhere within a strip of its own.
+// The part of the picture that one task draws: some strips of a row of tiles. The part of level 1 from which these are
+// enlarged begins anywhere within a strip of its own.
 constexpr int kPartStrips = 16, kPartRows = kTileHeight / 2 + 2;
 constexpr int kPartColumns = kPartStrips * kTileWidth / 2 + kTileWidth;
 constexpr int kPartFloats = 3 * kPartColumns * kPartRows + kTileWidth;  // enlarging reads beyond the last row

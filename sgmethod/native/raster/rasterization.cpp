@@ -18,7 +18,7 @@ namespace {
 constexpr int kChunk = 256;               // Gaussians of a bin, at least
 constexpr int kMaxBins = 64;
 constexpr int kMaxGridSide = 1 << 20;     // pixels; the number of tiles stays within an int
-constexpr int kPairsExpected = 4;         // of a Gaussian; a bin takes memory for so many at once
+constexpr int kPairsExpected = 4;         // per Gaussian; a bin allocates for this many at once
 constexpr char kTooManyPairs[] = "too many pairs of Gaussian and tile";
 constexpr int64_t kPairsAtOnce = 1 << 20; // more are counted before they take memory: there may be far too many
 

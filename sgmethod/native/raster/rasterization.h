@@ -28,7 +28,7 @@ int64_t most_pairs(int n, int width, int height);
 struct Pair {
   int32_t gaussian;
   uint8_t first_row, last_row;    // within the tile, inclusive
-  uint8_t first_lane, last_lane;  // likewise
+  uint8_t first_lane, last_lane;  // the same
 };
 
 // What is drawn of a picture, and by which rules.

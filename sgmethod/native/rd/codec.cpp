@@ -102,7 +102,7 @@ struct Batch {
   explicit Batch(size_t room, size_t step)
       : step(std::min(room, step)), stop(this->step), symbols(new Symbols[room + 1]), parts(new Parts[room]) {}
   const size_t step;
-  size_t n = 0, stop;  // where somebody looks at them; there is room for so many
+  size_t n = 0, stop;  // Gaussians decoded; where to stop and hand them on, at most `room`
   std::unique_ptr<Symbols[]> symbols;
   std::unique_ptr<Parts[]> parts;
 
@@ -130,7 +130,7 @@ struct Decoding {
   Decoder coder;
   typename Version::Models models{};
 
-  // All that follow take the decoder as it is now, since a loop has a copy of its own.
+  // All that follow take the decoder in its current state, since a loop has a copy of its own.
   bool overrun(const Decoder& now) const { return now.read() > size; }
   // False if a prefix has ended.
   bool whole(const Decoder& now) const {

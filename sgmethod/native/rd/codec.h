@@ -52,7 +52,7 @@ struct Batch;
 // The Gaussians of a payload while it is being decoded: one thread decodes integers, and others make values of them.
 class Arriving {
  public:
-  // room: for so many Gaussians.
+  // room: capacity in Gaussians.
   Arriving(const RdParameters& parameters, size_t room);
   ~Arriving();
 

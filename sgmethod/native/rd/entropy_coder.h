@@ -3,7 +3,7 @@
 // division and no branch that depends on the data.
 //
 // A symbol waits for the one before it in the same state, for some 30 cycles. So there are two lanes, each with a state of
-// its own, and whoever calls for the one and the other in turns decodes two symbols in that time. Raw bits wait for neither.
+// its own, and calling for the one and the other in turns decodes two symbols in that time. Raw bits wait for neither.
 //
 // All come from one sequence of bytes. A lane takes two of them right after the symbol that leaves its state low; raw bits
 // take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
@@ -184,7 +184,7 @@ class Encoder {
   size_t bits_ = 0;  // in raw_
 };
 
-// Does not look for the end of the data, which kSlack zeros must follow. Whoever decodes compares read() with the size
+// Does not look for the end of the data, which kSlack zeros must follow. The caller compares read() with the size
 // before these are used up.
 class Decoder {
  public:

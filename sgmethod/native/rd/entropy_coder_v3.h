@@ -67,7 +67,7 @@ class alignas(16) ModelV3 {
   int seen_ = 0;
 };
 
-// Does not look for the end of the data, which kSlack zeros must follow. Whoever decodes compares read() with the size
+// Does not look for the end of the data, which kSlack zeros must follow. The caller compares read() with the size
 // before these are used up.
 class DecoderV3 {
  public:

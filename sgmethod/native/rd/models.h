@@ -104,7 +104,7 @@ SG_INLINE void check_shape(const Steps& steps, uint32_t v, uint32_t r) {
   if (!steps.allow(v, r)) refuse<std::runtime_error>("a shape is out of range");
 }
 
-// What of a colour is known before its signs.
+// What is known about a colour before its signs.
 struct ColorSize {
   uint32_t y = 0, a = 0, b = 0;
 };

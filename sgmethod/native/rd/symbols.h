@@ -69,7 +69,7 @@ struct Steps {
   double v() const { return power(-exponent); }
   double r() const { return kRStep * v(); }
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
-  // Whether a shape of so many steps of v and of r is one that the version has.
+  // Whether the version has a shape with these steps of v and r.
   bool allow(uint32_t v_steps, uint32_t r_steps) const {
     if (version == 4) {
       const auto within = [&](uint32_t steps, double most) { return steps <= static_cast<uint64_t>(most) << exponent; };

@@ -1,6 +1,6 @@
 // One visit of a Gaussian. Rounding each Gaussian by itself ignores that they overlap, and that their rounding errors add
 // up. A visit looks at what the other Gaussians leave of the target, and takes the cheapest of these candidates: the
-// Gaussian as it is; one of its integers one up or one down; each of them with the colour that is then best; and no
+// Gaussian unchanged; one of its integers one up or one down; each of them with the colour that is then best; and no
 // Gaussian at all. The cost is squared error plus price times bits.
 //
 // Let e be what the others leave, w the weights of a candidate and c its colour. The squared error is
@@ -25,7 +25,7 @@ namespace {
 constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about, which the models of its integers do not count
 constexpr double kBitsOfColor = 6.0;   // that another colour may save; with fewer, candidates are lost that would win
 
-// A coder that only counts bits. The models stay as they are.
+// A coder that only counts bits. The models do not adapt.
 struct BitCounter {
   static constexpr bool kCodesCells = false;
   double bits = 0;
@@ -141,7 +141,7 @@ class Visitor {
         consider(c, best);
       }
     }
-    if (outside_) {  // so all must be as it was
+    if (outside_) {  // so everything is restored
       add(now, -1.0f);
       return Outcome::kOutside;
     }

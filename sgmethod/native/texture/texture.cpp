@@ -12,7 +12,7 @@
 namespace sg {
 namespace {
 
-// Places repeat after so many output pixels, as those of Gaussians do in views (sgmethod/view.py).
+// Places repeat after this many output pixels, as those of Gaussians do in views (sgmethod/view.py).
 constexpr int kRepeat = 1 << 16;
 // An octave that would be enlarged at scale 1, and is not in a smaller view, stands for the finer one as well.
 constexpr float kUnenlarged = 0.75f;
@@ -104,7 +104,7 @@ constexpr Add kAdd[] = {add_baseline};
 // Between which cells samples of a level lie, along one axis: the cell before each, or the last or the first of all, and the
 // part of the way to the next.
 struct Between {
-  // cell, corner: output pixels. From a place on, so many.
+  // cell, corner: output pixels. From a place on, a number of them.
   Between(int level, double cell, double corner, int number, int place, int count) : cells(count), parts(count) {
     const double step = std::ldexp(1.0, level) / cell, first = 0.5 * step - corner / cell - 0.5, last = number - 1;
     for (int i = 0; i < count; ++i) {

@@ -15,7 +15,7 @@ constexpr int kTextureOctaves = 2;
 constexpr int kTextureCell = 64;      // pixels of the picture along a side of a cell
 constexpr int kTextureStrengths = 16; // codes of a strength; 0 is none
 
-// Cells along a side of so many pixels.
+// The number of cells along a side, given in pixels.
 constexpr size_t texture_cells(int pixels) { return (static_cast<size_t>(pixels) + kTextureCell - 1) / kTextureCell; }
 
 // The codes [kTextureOctaves, rows, columns] that a file says of a picture, given in pixels; used: the bytes that say it.
@@ -46,7 +46,7 @@ class Texture {
   std::vector<float> strengths_;  // [kTextureOctaves, rows, columns], of the noise's unit
 };
 
-// The noise of one level, over so many columns, whole strips of them, and rows of its samples from (x, y) on. There 0 is the
+// The noise of one level, over columns, in whole strips, and rows of its samples from (x, y) on. There 0 is the
 // sample whose corner is that of the picture.
 class TextureLayer {
  public:

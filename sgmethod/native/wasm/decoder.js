@@ -48,7 +48,7 @@ function run(call) {
   try {
     return call();
   } catch (error) {
-    if (error instanceof WebAssembly.RuntimeError) throw new SgError("there is not enough memory", { cause: error });
+    if (error instanceof WebAssembly.RuntimeError) throw new SgError("out of memory", { cause: error });
     throw error;
   }
 }

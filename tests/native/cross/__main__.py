@@ -128,7 +128,7 @@ def outcome(target: Target) -> tuple[bool, str]:
         if tests.returncode != 0:
             return False, f"compiled; TESTS FAIL: {count}\n{tests.stderr}"
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        # Wine's own files have a link to the whole machine among them, which whoever walks the tree would follow.
+        # Wine's own files have a link to the whole machine among them, which a walk of the tree would follow.
         os.environ |= {"WINEPREFIX": f"{folder}/wine", "WINEDEBUG": "-all"}
         questions = [*golden_questions(Path(folder)), *damaged_questions(Path(folder), DAMAGED)]
         (decoder,) = built.glob("sg_decode" if target.system == "Linux" else "sg_decode.exe")

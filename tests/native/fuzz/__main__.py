@@ -26,7 +26,7 @@ TARGETS = {"entropy": (3, 4), "v1": (1,), "rd": (3, 4)}  # and their versions of
 CORPUS = Path(__file__).parent / "corpus"  # what was found once
 FOUND = BUILDS / "fuzz" / "found"
 CLANG = {"CC": "clang", "CXX": "clang++"}
-# An input may take so long, and so much memory; with sanitizers both are several times what they are without.
+# Limits of time and memory for one input; sanitizers multiply both.
 LIMITS = ("-timeout=20", "-rss_limit_mb=4096", "-max_len=4096")
 
 

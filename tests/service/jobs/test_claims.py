@@ -1,4 +1,4 @@
-"""Who runs which job when, and whose word counts."""
+"""Which worker runs which job when, and whose report counts."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_interactive_jobs_come_before_bulk_jobs(table: JobTable) -> None:
 
 
 def test_owners_take_turns(table: JobTable) -> None:
-    """Who has the fewest running jobs is next, then who was served longest ago, then the oldest job."""
+    """The owner with the fewest running jobs is next, then the one served longest ago, then the oldest job."""
     of_anna = [submitted(table, owner="anna") for _ in range(4)]
     of_bert = [submitted(table, owner="bert") for _ in range(2)]
     of_cora = [submitted(table, owner="cora")]
@@ -208,7 +208,7 @@ def test_a_live_lease_is_left_alone(open_job_table: OpenTable, monkeypatch: pyte
 
 
 def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let so much time pass for who watches leases, and none for the leases."""
+    """Let time pass for the watcher of leases, and none for the leases."""
     now = sql.time.monotonic()
     monkeypatch.setattr(sql.time, "monotonic", lambda: now + seconds)
 
@@ -224,7 +224,7 @@ def move_clock(table: JobTable, seconds: float) -> None:
 def test_a_clock_that_jumps_costs_nobody_a_job(
     open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
 ) -> None:
-    """Nor does an outage, after which every lease is over: who lives has renewed it by the second look."""
+    """Nor does an outage, after which every lease is over: a live worker has renewed it by the second look."""
     table = open_job_table(LONG_S)
     submitted(table)
     claim = claimed(table)

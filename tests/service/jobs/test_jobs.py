@@ -75,7 +75,7 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
     table.sign_off("two")
     assert list(table.census().workers) == ["one"]
     monkeypatch.setattr(sql, "FORGOTTEN_S", -60)
-    table.sign("three")  # and whoever has been silent for too long is forgotten
+    table.sign("three")  # and workers that were silent for too long are forgotten
     assert table.census().workers == {}
 
 
@@ -188,7 +188,7 @@ def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.Simp
 
 
 def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_path: Path) -> None:
-    """And all submit under one key: one job comes of it."""
+    """And all submit under one key: it is one job."""
     ids = what_all_say(_submit_and_close, 4, database_url, tmp_path)
     assert (len(ids), len(set(ids))) == (4, 1)
 

@@ -237,7 +237,7 @@ def test_no_body_is_taken_for_a_request(strict: Service, pause_s: float) -> None
 
 
 def test_very_many_offers_at_once(web: Service) -> None:
-    """Of a service that does not cut off who takes the answers late: all requests are sent before one is read."""
+    """Of a service that does not cut off slow readers: all requests are sent before one is read."""
     offer = b"GET /livez HTTP/1.1\r\nHost: test\r\nConnection: Upgrade\r\nUpgrade: h2c\r\n\r\n"
     answer = web.raw(2000 * offer + b"GET /livez HTTP/1.1\r\nHost: test\r\nConnection: close\r\n\r\n")
     assert answer.count(b"HTTP/1.1 200 OK") == 2001
@@ -373,7 +373,7 @@ def test_animations(strict: Service, format_: str) -> None:
     frames = [Image.new("RGB", (8, 8), colour) for colour in ("red", "blue")]
     frames[0].save(file, format_, save_all=True, append_images=frames[1:])
     answer = strict.post(file.getvalue())
-    assert_problem(answer, 422, "more than one picture")
+    assert_problem(answer, 422, "contains more than one picture")
 
 
 def test_polyglots_come_back_as_pixels_alone(service: Service) -> None:

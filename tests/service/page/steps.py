@@ -62,6 +62,11 @@ def open_page(page: Browser, service: Service) -> None:
     wait_until(lambda: page.is_seen("#right-label") and page.is_seen("#left-label"))
 
 
+def open_blank(page: Browser, service: Service) -> None:
+    """A page of the service on which nothing is drawn: enough for a test of a module alone."""
+    page.open(f"{service.url}/docs")
+
+
 def shown(page: Browser) -> np.ndarray[Any, Any]:
     """The middle row of what is on the large canvas: RGB."""
     row = page.run("""

@@ -191,7 +191,7 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.click("#cancel")
         says(page, "Cancelled", "#work")
         page.switch_to(first)
-        says(page, "was removed")
+        says(page, "has deleted this picture")
         assert len(web.client.get("/jobs").json()["jobs"]) == 1
     finally:
         page.switch_to(second)
@@ -236,7 +236,7 @@ def test_with_a_key(page: Chromium, start_service: StartService) -> None:
     says(page, "needs an API key")
     page.type("#key", "wrong")
     page.click("#again")
-    says(page, "not known")
+    says(page, "Unknown API key")
     assert all("401" in complaint for complaint in complaints(page))
     page.run("document.getElementById('key').value = ''")
     page.type("#key", "secret")

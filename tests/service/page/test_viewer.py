@@ -15,7 +15,18 @@ from tests.harness.browser import Chromium
 from tests.harness.data import golden
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService
-from tests.service.page.steps import COFFEE, OLD, complaints, decoded, give, open_page, says, settled, text64
+from tests.service.page.steps import (
+    COFFEE,
+    OLD,
+    complaints,
+    decoded,
+    give,
+    open_blank,
+    open_page,
+    says,
+    settled,
+    text64,
+)
 
 FIRST_LOOK_BYTES = 150_000
 TEXTURED = golden(4)["v4-texture"]
@@ -197,7 +208,7 @@ def assert_same(page: Chromium, data: bytes, options: str, **view: Any) -> None:
 
 
 def test_the_decoder_of_the_page(page: Chromium, web: Service) -> None:
-    open_page(page, web)
+    open_blank(page, web)
     for data in golden(4).values():
         assert_same(page, data, "{}")
     assert_same(page, COFFEE, "{}")
@@ -233,7 +244,7 @@ def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) ->
 
 @pytest.mark.parametrize(("data", "scale"), [(COFFEE, 2), (TEXTURED, 1), (TEXTURED, 2.5), (TEXTURED, 7)])
 def test_webgl_draws_what_the_decoder_does(page: Chromium, web: Service, data: bytes, scale: float) -> None:
-    open_page(page, web)
+    open_blank(page, web)
     for textured in (False, True):
         wanted = sgmethod.open(data).pixels(scale=scale, texture=textured)
         difference = np.abs(drawn_by_webgl(page, data, scale, textured) - wanted)

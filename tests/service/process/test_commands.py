@@ -121,7 +121,7 @@ def test_what_is_no_address_is_named(run_command: RunCommand, name: str, value: 
 def test_chaos_draws_up_a_ledger(tmp_path: Path) -> None:
     """A few jobs and no encodes, to see that the command works; benchmarks/results has the large runs."""
     out = tmp_path / "chaos.json"
-    command = [sys.executable, "-m", "benchmarks.chaos", "--jobs", "3", "--seed", "3", "--out", str(out)]
+    command = [sys.executable, "-m", "benchmarks.service", "chaos", "--jobs", "3", "--seed", "3", "--out", str(out)]
     environment = {**os.environ, **STAND_IN}
     result = subprocess.run(
         command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False

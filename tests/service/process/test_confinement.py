@@ -69,7 +69,7 @@ def attempted(attempts: Sequence[str], folder: Path) -> list[str]:
 
 @pytest.fixture(scope="module")
 def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What comes of each of the ATTEMPTS."""
+    """The outcome of each of the ATTEMPTS."""
     folder = tmp_path_factory.mktemp("confined")
     secret, own = folder / "secret", folder / "own"
     secret.write_text(SECRET)

@@ -133,14 +133,14 @@ def test_a_bad_setting_is_named_in_one_line(run_command: RunCommand, name: str, 
 def test_keys_that_are_none_do_not_leave_all_open(run_command: RunCommand) -> None:
     result = run_command("serve", SG_API_KEYS=",")
     assert (result.status, result.stderr.count("\n")) == (2, 1)
-    assert "leave all open" in result.stderr
+    assert "leave the service open" in result.stderr
 
 
 def test_a_misspelt_setting_is_named() -> None:
     result = run("serve", SG_WORKER="3", SG_API_KEY="the-clients", SG_HOST="no.such.host.invalid")
     assert result.status == 1
     misspelt, trouble = result.stderr.splitlines()
-    assert misspelt.startswith("SG_WORKER is no setting")
+    assert misspelt.startswith("SG_WORKER is not a setting")
     assert trouble.startswith("cannot start: SG_HOST and SG_PORT, no.such.host.invalid:")
 
 

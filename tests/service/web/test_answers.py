@@ -162,7 +162,7 @@ def test_keys_are_read_anew(start_service: StartService, tmp_path: Path) -> None
     assert status("old") == 401
     for damaged in ("nonsense", ""):
         file.write_text(damaged)
-        wait_until(lambda: "stay as they were" in web.log.read_text())
+        wait_until(lambda: "kept the previous API keys" in web.log.read_text())
         assert status("new") == 200
         assert web.client.get("/jobs").status_code == 401  # never open to all
     file.unlink()
@@ -172,7 +172,7 @@ def test_keys_are_read_anew(start_service: StartService, tmp_path: Path) -> None
 
 def test_a_full_disk_shows_and_takes_no_jobs(start_service: StartService) -> None:
     web = start_service("web", min_free_bytes=2**60)
-    assert_problem(web.client.get("/readyz"), 503, "disk is full")
+    assert_problem(web.client.get("/readyz"), 503, "disk is almost full")
     assert web.client.get("/livez").status_code == 200
     answer = web.post()
     assert_problem(answer, 503, "disk is full")
@@ -187,7 +187,7 @@ def test_a_full_disk_shows_and_takes_no_jobs(start_service: StartService) -> Non
     ("first", "name"),
     [
         (b"\0\0\0\x0cjP  \r\n\x87\n", "JPEG 2000"),
-        (b"\0\0\0\x18ftypisom\0\0\0\0mp41isom", "film"),
+        (b"\0\0\0\x18ftypisom\0\0\0\0mp41isom", "video"),
         (b"%PDF-1.7", "PDF"),
         (b"<svg xmlns=", "SVG"),
         (b"SGM\x04", ".sg"),
@@ -207,7 +207,7 @@ def test_a_quota_refuses(start_service: StartService, setting: str) -> None:
         return web.client.post("/encode", content=SMALL, headers=headers)
 
     assert post("ann").status_code == 202
-    assert_problem(post("ann"), 429, "stores as much as it may")
+    assert_problem(post("ann"), 429, "has reached its storage quota")
     assert post("bob").status_code == (429 if setting == "quota_bytes" else 202)
     assert len(web.files()) == (1 if setting == "quota_bytes" else 2)
 
@@ -222,7 +222,7 @@ def test_a_quota_that_makes_room(start_service: StartService) -> None:
     assert web.client.get(f"/jobs/{old}").status_code == 404
     assert not any(old in name for name in web.files())
     assert (web.job(fresh)["state"], web.job(waiting)["state"]) == ("done", "queued")
-    assert_problem(web.post(), 429, "stores as much as it may")
+    assert_problem(web.post(), 429, "has reached its storage quota")
     assert (web.job(fresh)["state"], web.job(waiting)["state"]) == ("done", "queued")
     assert web.figures()["sgmethod_stored_bytes"] == len(SMALL) + len(PICTURE)
 

@@ -101,7 +101,7 @@ def test_rivals_are_as_large(start_service: StartService) -> None:
         assert web.client.head(f"/jobs/{job}/rival.{kind}").headers["content-length"] == str(len(answer.content))
     assert_problem(web.client.get(f"/jobs/{waiting}/rival.avif"), 409, "queued")
     assert web.client.get(f"/jobs/{job}/rival.png").status_code == 404
-    assert_problem(web.client.post(f"/jobs/{waiting}/stop"), 409, "nothing to keep")
+    assert_problem(web.client.post(f"/jobs/{waiting}/stop"), 409, "no result to keep")
 
 
 def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:

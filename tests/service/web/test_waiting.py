@@ -226,7 +226,7 @@ def test_an_image_comes_once(web: Service) -> None:
         fields = [*files, ("bpp", (None, "1"))]
         assert_problem(web.client.post("/encode", files=fields), 422, "image is missing")
     assert_problem(web.client.post("/encode", files=[("image", image), ("image", image)]), 400)
-    assert_problem(web.client.post("/encode?image=x", files=[("image", image)]), 422, "no image is taken here")
+    assert_problem(web.client.post("/encode?image=x", files=[("image", image)]), 422, "image is not accepted here")
 
 
 def test_images_that_are_no_longer_kept(start_service: StartService) -> None:

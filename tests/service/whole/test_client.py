@@ -57,7 +57,7 @@ def test_a_file_that_came_out_badly(service: Service) -> None:
         result = client.wait(job_id)["result"]
         client.remove(job_id)
     (warning,) = result["warnings"]
-    assert warning.startswith("the file holds no Gaussian")
+    assert warning.startswith("the file contains only a background")
     assert (result["source_bytes"], result["psnr_missed_db"]) == (len(SMALL), None)
 
 
@@ -69,7 +69,7 @@ def test_one_request_brings_the_file(service: Service) -> None:
         assert len(sgmethod.decode(encoded.data)) == 48
         assert encoded.figures["bytes"] == len(encoded.data)
         assert encoded.trace
-        with pytest.raises(ServerError, match="cut short"):
+        with pytest.raises(ServerError, match="truncated"):
             client.encode(SMALL[: len(SMALL) // 2], Budget("bpp", 2))
     assert service.client.get("/jobs").json()["jobs"] == []
     assert (watches(service), asked(service, "/bitstreams/{job_id}.sg")) == before
@@ -81,7 +81,7 @@ def test_what_is_left_out_is_told(service: Service) -> None:
     with Client(service.url) as client:
         kept = client.encode(file.getvalue(), Budget("bytes", 200), time_limit_s=0.5)
         laid = client.encode(file.getvalue(), Budget("gaussians", 4), "baseline", time_limit_s=0.5)
-    assert (kept.notes, laid.notes) == ([], ["its transparency is laid over white"])
+    assert (kept.notes, laid.notes) == ([], ["transparency is composited over white"])
     assert "notes" not in laid.figures
 
 
@@ -107,7 +107,7 @@ def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
         again = client.submit_again(first, Budget("psnr", 30), "paper", time_limit_s=9)
         assert client.job(again)["budget"] == {"kind": "psnr", "value": 30}
         assert client.job(again)["image"] == client.job(first)["image"]
-        with pytest.raises(ServerError, match="nothing to keep"):
+        with pytest.raises(ServerError, match="no result to keep"):
             client.stop(again)
         client.remove(first)
         with pytest.raises(ServerError, match="no such job"):
@@ -176,7 +176,7 @@ def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> No
             Client(wrong)
     with pytest.raises(ServerError), Client("http://[") as client:
         client.job("0" * 32)
-    with socket.socket() as nobody:  # who has the port, so that nobody else takes it, and does not listen
+    with socket.socket() as nobody:  # holds the port and does not listen
         nobody.bind(("127.0.0.1", 0))
         address = f"http://127.0.0.1:{nobody.getsockname()[1]}"
         with Client(address) as client:
@@ -185,7 +185,7 @@ def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> No
             with pytest.raises(ServerError, match="cannot be reached"):
                 client.wait("0" * 32)
     for key in ("key\n", "schlüssel"):
-        with pytest.raises(ServerError, match="the API key holds a line break"):
+        with pytest.raises(ServerError, match="the API key contains a line break"):
             Client("http://127.0.0.1:8000", key)
 
 
@@ -227,7 +227,7 @@ def test_a_server_of_something_else(monkeypatch: pytest.MonkeyPatch) -> None:
             lambda: next(client.jobs()),
             lambda: client.links("0" * 32),
         ):
-            with pytest.raises(ServerError, match="is no service of sgmethod"):
+            with pytest.raises(ServerError, match="is not an sgmethod service"):
                 ask()
         with pytest.raises(ServerError, match="text/event-stream"):
             client.wait("0" * 32)
@@ -247,7 +247,7 @@ def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.M
             with pytest.raises(ServerError, match=f"the certificate of {address} is not trusted; SSL_CERT_FILE"):
                 client.submit(SMALL)
         monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
-        with Client(address) as client, pytest.raises(ServerError, match="is no service of sgmethod"):
+        with Client(address) as client, pytest.raises(ServerError, match="is not an sgmethod service"):
             client.submit(SMALL)
 
 
@@ -332,7 +332,7 @@ def test_paths_are_taken_as_encode_takes_them(web: Service, tmp_path: Path) -> N
         assert client.decode(file) == client.decode(str(file)) == client.decode(PICTURE)
         with pytest.raises(FileNotFoundError):
             client.submit("missing.png")
-        with pytest.raises(ServerError, match="path or its bytes, not as int"):
+        with pytest.raises(ServerError, match="path or bytes, not int"):
             client.submit(7)  # type: ignore[arg-type]
 
 
@@ -394,7 +394,7 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
     assert trace["trace"]
 
     (tmp_path / "out.sg").unlink()
-    for refused, words in ((encode(key="wrong"), "not known"), (encode("--seed", "1"), "--seed")):
+    for refused, words in ((encode(key="wrong"), "unknown API key"), (encode("--seed", "1"), "--seed")):
         assert refused.returncode == 2
         assert words in refused.stderr
         assert refused.stderr.count("\n") == 1

@@ -182,7 +182,7 @@ def test_rule_3_published_once(duo: Service) -> None:
         job = service.wait(job_id)
     finally:
         os.kill(sleeper, signal.SIGCONT)
-    wait_until(lambda: f"job {job_id}: attempt 1 is no longer ours" in service.log.read_text())
+    wait_until(lambda: f"job {job_id}: attempt 1 was taken over by another worker" in service.log.read_text())
     assert job["attempt"] == 2
     assert service.job(job_id) == job
     assert_settled(service, job_id)

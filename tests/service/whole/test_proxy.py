@@ -10,7 +10,6 @@ import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
@@ -24,7 +23,7 @@ from tests.harness.browser import Chromium
 from tests.harness.data import ROOT
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import STAND_IN, Service, StartService
+from tests.harness.service import STAND_IN, Service
 from tests.service.page.steps import complaints, give
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
@@ -49,8 +48,8 @@ def replaced(text: str, old: str, new: str) -> str:
     return text.replace(old, new)
 
 
-@pytest.fixture
-def start_proxy(tmp_path: Path) -> Iterator[StartProxy]:
+@pytest.fixture(scope="module")
+def start_proxy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartProxy]:
     """Starts nginx before a service, under a prefix that it may cut off; where it is then."""
     if NGINX is None:
         if os.environ.get(REQUIRED) == "required":
@@ -65,8 +64,9 @@ def start_proxy(tmp_path: Path) -> Iterator[StartProxy]:
         block = replaced(block, "http://127.0.0.1:8000;", f"{service.url}{'/' if cut else ''};")
         block = replaced(block, "location / {", f"location {prefix}/ {{")
         user = "user root;" if os.geteuid() == 0 else ""  # no other may enter the folder
-        (tmp_path / "nginx.conf").write_text(AROUND.format(folder=tmp_path, block=block, user=user))
-        command = [str(NGINX), "-c", str(tmp_path / "nginx.conf"), "-e", str(tmp_path / "error.log")]
+        folder = tmp_path_factory.mktemp("nginx")
+        (folder / "nginx.conf").write_text(AROUND.format(folder=folder, block=block, user=user))
+        command = [str(NGINX), "-c", str(folder / "nginx.conf"), "-e", str(folder / "error.log")]
         started.append(subprocess.Popen(command))
         root = f"http://127.0.0.1:{port}{prefix}"
         wait_until(lambda: answers(root))
@@ -85,13 +85,27 @@ def answers(root: str) -> bool:
         return False
 
 
-@pytest.fixture(params=[("", False), (PREFIX, False), (PREFIX, True)], ids=["root", "prefix", "prefix-cut"])
-def behind(request: pytest.FixtureRequest, start_service: StartService, start_proxy: StartProxy) -> str:
-    """Where a service with a stand-in for the codec is to be found, whose images are kept."""
+@pytest.fixture(
+    scope="module", params=[("", False), (PREFIX, False), (PREFIX, True)], ids=["root", "prefix", "prefix-cut"]
+)
+def proxied(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, start_proxy: StartProxy
+) -> Iterator[tuple[Service, str]]:
+    """A service with a stand-in for the codec, whose images are kept, and where it is to be found."""
     prefix, cut = request.param
     settings = {"trusted_proxies": "127.0.0.1", "path_prefix": prefix, "link_secret": "x" * 32}
-    service = start_service(source_retention_s=1000, extra=STAND_IN, **settings)
-    return start_proxy(service, prefix, cut)
+    data_dir = tmp_path_factory.mktemp("proxied") / "data"
+    service = Service(data_dir, source_retention_s=1000, extra=STAND_IN, **settings)
+    yield service, start_proxy(service, prefix, cut)
+    assert service.stop() == 0
+
+
+@pytest.fixture
+def behind(proxied: tuple[Service, str]) -> Iterator[str]:
+    """Where the service is to be found, which has no jobs."""
+    service, root = proxied
+    yield root
+    service.clear()
 
 
 def test_addresses_in_answers_lead_back(behind: str) -> None:

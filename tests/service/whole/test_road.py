@@ -129,7 +129,7 @@ def test_what_the_codec_refuses_fails_at_once(service: Service) -> None:
     job = service.wait(service.accepted(whole[: len(whole) // 2], bpp=1))
     assert (job["state"], job["attempt"], job["result"]) == ("failed", 1, None)
     assert job["error"]["code"] == "refused"
-    assert "cut short" in job["error"]["detail"]
+    assert "truncated" in job["error"]["detail"]
     problem = assert_problem(service.client.get(job["decode_url"]), 409, job["error"]["detail"])
     assert problem["state"] == "failed"
     wait_until(lambda: not [name for name in service.files() if job["id"] in name])

@@ -132,7 +132,7 @@ def test_the_end_does_not_wait_for_a_database(start_service: StartService, postg
 
 
 def test_a_storage_that_breaks(start_service: StartService) -> None:
-    """What cannot be had just now is a 503, what is lost a 500, and a job can be removed all the same."""
+    """Unreachable files are a 503, lost ones a 500, and the job can still be removed."""
     web = start_service("web")
     lost, damaged, unreachable = (web.published(PICTURE) for _ in range(3))
     folder = web.data_dir / "bitstreams"
@@ -179,7 +179,7 @@ def test_a_storage_that_hangs(start_service: StartService, own_s3: S3Server) -> 
         lambda: service.client.post(f"{done['status_url']}/encode"),
     ):
         answer = ask()
-        assert_problem(answer, 503, "just now")
+        assert_problem(answer, 503, "right now")
         assert answer.headers["retry-after"]
     assert service.client.get(done["status_url"]).status_code == 200
 

@@ -48,7 +48,7 @@ class Unsteady(SqliteJobTable):
 
 
 class Full(DiskStorage):
-    """A disk that takes nothing so many times."""
+    """A disk that fails this many times."""
 
     refusals = 0
 

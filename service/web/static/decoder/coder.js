@@ -47,7 +47,7 @@ export class Coder {
     return symbol;
   }
 
-  /** Append whole bytes until the queue holds so many bits. */
+  /** Append whole bytes until the queue holds `count` bits. */
   fetch(count) {
     while (this.queued < count) {
       this.queue[((this.head + this.queued) >> 3) & 31] = this.byte();

@@ -153,7 +153,7 @@ function mix(h) {
   return h ^ (h >>> 16);
 }
 
-/** Two neighbours of a place among so many cells, and how far it is between them. */
+/** The two neighbouring cells of a position, and the fraction between them. */
 function between(place, cells) {
   const at = Math.min(max(place / CELL - 0.5, 0), cells - 1);
   const low = Math.floor(at);

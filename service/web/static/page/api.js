@@ -14,8 +14,8 @@ class Refusal extends Error {
 
 const WORDS = {
   413: "The picture is too large for this service.",
-  429: "The service has enough to do. Please try again in a moment.",
-  503: "The service cannot take more now. Please try again in a moment.",
+  429: "The service is busy. Please try again in a moment.",
+  503: "The service is overloaded. Please try again in a moment.",
 };
 
 export async function ask(path, options = {}) {
@@ -28,12 +28,12 @@ export async function ask(path, options = {}) {
   if (response.status === 401) {
     $("key-field").hidden = false;
     $("key").focus();
-    throw new Refusal(401, key ? "This API key is not known here." : "This service needs an API key.");
+    throw new Refusal(401, key ? "Unknown API key." : "This service needs an API key.");
   }
   const problem = await response.json().catch(() => ({})); // a proxy's answer may be anything
   const said = problem.detail ? ` (${problem.detail})` : "";
   const words = WORDS[response.status];
-  const detail = problem.detail ?? `The service answers ${response.status}.`;
+  const detail = problem.detail ?? `The service answered ${response.status}.`;
   throw new Refusal(response.status, words ? words + said : detail);
 }
 

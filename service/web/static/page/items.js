@@ -23,7 +23,7 @@ const remove = (id) => ask(jobPath(id), { method: "DELETE" }).catch(() => undefi
 
 export const imageOf = ({ data, width }) => createImageBitmap(new ImageData(data, width));
 
-/** A picture over white, as it is shown here; null if nothing can be seen through. */
+/** A picture over white, as shown here; null if it is opaque. */
 function overWhite(image) {
   const { width, height } = image;
   const canvas = new OffscreenCanvas(width, height);
@@ -50,7 +50,7 @@ export class Item {
   }
 
   tell(change = {}) {
-    if (this.state === "cancelled") return; // and stays so, whatever still comes of its job
+    if (this.state === "cancelled") return; // and stays so, whatever happens to its job
     Object.assign(this, change);
     this.changed(this);
   }
@@ -95,7 +95,7 @@ export class Item {
   async reopen(place) {
     await this.#working(async () => {
       const before = await kept(place);
-      if (!before) throw new Error("This browser no longer has the file of this address: open it again.");
+      if (!before) throw new Error("This browser no longer has this file: open it again.");
       this.name = before.name;
       await this.open(before.file, place);
     });
@@ -121,7 +121,7 @@ export class Item {
   async resume(id) {
     await this.#working(async () => {
       this.id = id;
-      this.tell({ state: "queued", words: "Looking for the picture" });
+      this.tell({ state: "queued", words: "Loading the picture" });
       const before = await kept(id);
       if (before) {
         this.name = before.name;
@@ -148,9 +148,9 @@ export class Item {
         tries = 0;
       } catch (error) {
         if (this.state === "cancelled") return;
-        if (error.status === 404) throw new Error("The service no longer has this picture: it was removed.");
+        if (error.status === 404) throw new Error("The service has deleted this picture.");
         if (!(error.status >= 500) || ++tries > RETRIES) throw error;
-        this.tell({ words: "The service does not answer; trying again" });
+        this.tell({ words: "The service does not answer, trying again" });
         await sleep(RETRY_MS);
         continue;
       }
@@ -203,7 +203,7 @@ export class Item {
   /** End the encode early, and keep what is there. */
   async stop() {
     this.stopping = true;
-    this.tell({ words: "Finishing with what is there" });
+    this.tell({ words: "Finishing early" });
     await ask(`${jobPath(this.id)}/stop`, { method: "POST" }).catch((error) => {
       if (error.status !== 409) this.stopping = false; // it may have just been done, or begun anew
     });
@@ -212,7 +212,7 @@ export class Item {
   /** Cancelling is no error. */
   async cancel() {
     const { id } = this;
-    this.tell({ state: "cancelled", words: "Nothing was kept of it.", done: null, soFar: null });
+    this.tell({ state: "cancelled", words: "Nothing was kept.", done: null, soFar: null });
     this.#asking.abort();
     if (id) await remove(id);
   }

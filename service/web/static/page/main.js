@@ -209,7 +209,7 @@ async function copy(text) {
   if (!isDone) throw new Error("this browser lets no page copy.");
 }
 
-/** Hand out something of the picture that is shown, and say what came of it. */
+/** Export something of the picture shown, and report the outcome. */
 async function take(task) {
   $("taken").textContent = "";
   const item = current;

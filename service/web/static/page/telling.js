@@ -35,7 +35,7 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
   else if (smooth) label("right-label", item.decoded, "Gaussians", bytes, "without texture");
   else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
   const unseen = item.source && !item.original && item.state !== "failed" && "This browser cannot show the original.";
-  const laid = item.wasTransparent && "What can be seen through is shown on white here, and stays transparent in the file.";
+  const laid = item.wasTransparent && "Transparent areas are shown on white here, and stay transparent in the file.";
   $("note").textContent = item.note || unseen || laid || "";
   $("note").hidden = !$("note").textContent;
 }
@@ -46,7 +46,7 @@ const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$
 export function showWork(item) {
   $("work").hidden = !item.busy && item.state !== "failed" && item.state !== "cancelled";
   $("work").classList.toggle("bad", item.state === "failed");
-  $("work").querySelector("h2").textContent = TITLES[item.state] ?? "On its way";
+  $("work").querySelector("h2").textContent = TITLES[item.state] ?? "In progress";
   $("status").textContent = item.state === "failed" ? sentence(item.words) : item.words;
   $("progress").hidden = !item.busy;
   if (item.done === null) $("progress").removeAttribute("value");

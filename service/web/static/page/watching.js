@@ -61,8 +61,8 @@ function wordsOf(points) {
   const last = points.at(-1).bytes;
   if (most < 1.2 * last) return "Higher is closer to the original.";
   return (
-    `Higher is closer to the original. The fit takes more Gaussians than it may keep, at first ${size(most)} of them, ` +
-    "and then gives back those that help least, again in each round: those are the falls."
+    `Higher is closer to the original. The fit starts with more Gaussians than it keeps, at first ${size(most)} of them, ` +
+    "and then drops those that help least, again in each round. That is where the curve falls."
   );
 }
 
@@ -75,7 +75,7 @@ export function stateOf(job, stopping) {
   }
   const last = job.trace.at(-1);
   if (!last) return { words: "Starting the encoder", done: null };
-  if (stopping) return { words: "Finishing with what is there", done: null };
+  if (stopping) return { words: "Finishing early", done: null };
   const left = job.progress > 0.05 ? (last.seconds * (1 - job.progress)) / job.progress : null;
   const rest = left === null ? "" : `, about ${seconds(left)} left`;
   return { words: `Fitting ${count(last.gaussians ?? 0)} Gaussians${rest}`, done: job.progress };

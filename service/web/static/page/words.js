@@ -21,7 +21,7 @@ export function seconds(s) {
   return `${Math.floor(s / 60)} min ${Math.round(s % 60)} s`;
 }
 
-/** About how many Gaussians a file of so many bytes holds: 2.4 to 4 bytes each were seen. How good the picture will be
+/** About how many Gaussians a file of this size holds: 2.4 to 4 bytes each were seen. How good the picture will be
  * depends on what it shows, and is not promised. */
 export function expected(bytes) {
   const gaussians = Math.max(1, Number(Math.max(bytes / 3.3 - 5, 1).toPrecision(2)));

@@ -91,8 +91,8 @@ export class Tools {
     viewer.heat = file?.heat ? (file.heat.picture ??= heatPicture(file.heat)) : null;
     $("legend").textContent = {
       none: "",
-      ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones take it away.",
-      heat: `Where the bits went: dark is none, pale yellow ${file?.heat?.most.toFixed(1)} bits per pixel and more.`,
+      ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones remove it.",
+      heat: `Bits per pixel: dark is none, pale yellow ${file?.heat?.most.toFixed(1)} bits per pixel and more.`,
     }[file ? overlay : "none"];
     $("legend").hidden = !$("legend").textContent;
     viewer.redraw();

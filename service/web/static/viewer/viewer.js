@@ -49,7 +49,7 @@ export class Viewer {
     new ResizeObserver(() => this.resized()).observe(stage);
   }
 
-  /** Show another picture of so many pixels. */
+  /** Show another picture of this size. */
   show(width, height) {
     const same = this.size[0] === width && this.size[1] === height;
     this.size = [width, height];

@@ -1,1 +1,0 @@
-"""Whether the figures come out again: python -m benchmarks.again"""

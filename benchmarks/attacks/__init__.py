@@ -1,1 +1,0 @@
-"""Clients that mean harm, and what others notice of them: python -m benchmarks.attacks"""

@@ -1,1 +1,0 @@
-"""Decoding under load while the service encodes: python -m benchmarks.load"""

@@ -1,1 +1,0 @@
-"""Quality of a fixed number of Gaussians in floating point, beside networks: python -m benchmarks.representation"""

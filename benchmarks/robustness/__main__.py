@@ -1,0 +1,16 @@
+"""Whether results stay sound where pictures are hard to code, numbers extreme and starts bad.
+
+python -m benchmarks.robustness stiff [--help]       pictures that are hard to code, each rule and where it breaks
+python -m benchmarks.robustness extremes [--help]    extreme Gaussians, bad starts, impossible budgets
+"""
+
+from __future__ import annotations
+
+import sys
+
+from benchmarks.arguments import run_part
+from benchmarks.robustness import extremes
+from benchmarks.robustness.stiff import command as stiff
+
+if __name__ == "__main__":
+    sys.exit(run_part({"stiff": stiff.main, "extremes": extremes.main}, __doc__))

@@ -1,0 +1,185 @@
+"""Fits from bad starts, at rates that are too high, with too few Gaussians and too many, under impossible budgets and
+time limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.pictures import Pixels, photograph
+from benchmarks.robustness.case import Case, Cases, Found
+from benchmarks.robustness.stiff.drawings import text
+from sgmethod import Budget, BudgetError, decode, encode
+from sgmethod.metrics import psnr
+from sgmethod.paper import encode as paper
+from sgmethod.profiles import PROFILES, Tune
+from sgmethod.rd import place as rd
+from sgmethod.scene import Gaussians
+from sgmethod.settings.paper import PaperSettings
+from sgmethod.settings.rd import RdSettings
+from sgmethod.settings.shared import OptimiserSettings
+from sgmethod.start.placement import place
+
+BPP = 1.0
+LIMITS_S = (1e-9, 0.01, 0.1)
+RULE = "dB that the file is worse than the first error of its trace, or than one colour"
+SIZE_RULE = "bytes above the budget, or an error that is no BudgetError"
+SPREAD_LIMIT_DB, GENERATIONS_LIMIT_DB = 0.5, 1.0
+Settings = PaperSettings | RdSettings
+Patch = Callable[[], AbstractContextManager[None]]
+PLACED_BY = {"rd": (rd, "place_by_structure"), "paper": (paper, "place")}
+KINDS: dict[str, tuple[str, Tune]] = {
+    "profile rd": ("rd", "psnr"),
+    "profile rd for the eye": ("rd", "visual"),
+    "profile paper": ("paper", "psnr"),
+}
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is tried: pixels along a side, seeds, generations."""
+
+    side: int = 64
+    seeds: int = 10
+    generations: int = 10
+
+
+def step(side: int) -> Pixels:
+    """Black beside white: one edge, and nothing else."""
+    pixels = np.zeros((side, side, 3), np.uint8)
+    pixels[:, side // 2 :] = 255
+    return pixels
+
+
+PICTURES: dict[str, Callable[[int], Pixels]] = {"photograph": photograph, "text": text, "step": step}
+
+
+def cases(size: Size) -> Cases:
+    """Bad starts of profile rd on every picture, the rest on the photograph."""
+    budget, pixels = Budget("bpp", BPP), photograph(size.side)
+    for kind, (profile, tune) in KINDS.items():
+        for name in PICTURES if profile == "rd" else ("photograph",):
+            picture = PICTURES[name](size.side)
+            for start, patched in starts(profile).items():
+                measure = partial(worse, picture, budget, profile, tune, patched)
+                yield Case(f"{name}, {kind}, {start}", RULE, 0.0, measure)
+            measure = partial(worse, picture, budget, profile, tune, settings=fast(PROFILES[profile]))
+            yield Case(f"{name}, {kind}, rates ten times too high", RULE, 0.0, measure)
+        for limit_s in LIMITS_S:
+            measure = partial(worse, pixels, budget, profile, tune, limit_s=limit_s)
+            yield Case(f"photograph, {kind}, a time limit of {limit_s:g} s", RULE, 0.0, measure)
+    for n in (1, 2, pixels.shape[0] * pixels.shape[1]):
+        yield Case(f"{n:,} Gaussians", RULE, 0.0, partial(worse, pixels, Budget("gaussians", n), "rd", "psnr"))
+    for count in (1, 17, 18, 19, 30, 100, pixels.size, 10 * pixels.size):
+        yield Case(f"{count:,} bytes", SIZE_RULE, 0, partial(beyond, pixels, count))
+    yield Case(
+        f"{size.seeds} seeds", "dB between the best and the worst", SPREAD_LIMIT_DB, partial(spread, pixels, size.seeds)
+    )
+    yield Case(
+        f"{size.generations} generations",
+        "dB lost from the first to the last, each encoded from the one before",
+        GENERATIONS_LIMIT_DB,
+        partial(lost, pixels, size.generations),
+    )
+
+
+def starts(profile: str) -> dict[str, Patch]:
+    """What may be wrong with the first Gaussians."""
+
+    def spoiled(spoil: Callable[[Gaussians], None]) -> Patch:
+        def placed(*arguments: Any) -> Gaussians:
+            gaussians = place(*arguments).copy()
+            spoil(gaussians)
+            return gaussians
+
+        @contextmanager
+        def patched() -> Iterator[None]:
+            with patch.object(*PLACED_BY[profile], side_effect=placed) as called:
+                yield
+            assert called.called  # or it would be the start as it is
+
+        return patched
+
+    def equal(g: Gaussians) -> None:
+        for values in (g.means, g.factors, g.colors):
+            values[:] = values[0]
+
+    def singular(g: Gaussians) -> None:
+        g.factors[:, 0::2] = 0
+
+    def some(value: float, name: str) -> Callable[[Gaussians], None]:
+        def spoil(g: Gaussians) -> None:
+            getattr(g, name)[::2, 0] = value
+
+        return spoil
+
+    bad = [(math.nan, "not a number"), (math.inf, "infinite")]
+    return {
+        "as it is": nullcontext,
+        "all Gaussians equal at the start": spoiled(equal),
+        "singular shapes at the start": spoiled(singular),
+        **{
+            f"every second {name[:-1]} {word} at the start": spoiled(some(v, name))
+            for v, word in bad
+            for name in ("means", "factors")
+        },
+    }
+
+
+def fast(settings: Settings) -> Settings:
+    """With rates that are ten times too high."""
+
+    def faster(s: OptimiserSettings) -> OptimiserSettings:
+        return replace(s, mean_rate=10 * s.mean_rate, factor_rate=10 * s.factor_rate, color_rate=10 * s.color_rate)
+
+    if isinstance(settings, PaperSettings):
+        return replace(settings, optimiser=faster(settings.optimiser))
+    return replace(settings, fit=replace(settings.fit, optimiser=faster(settings.fit.optimiser)))
+
+
+def worse(
+    pixels: Pixels,
+    budget: Budget,
+    profile: str,
+    tune: Tune,
+    patched: Patch = nullcontext,
+    settings: Settings | None = None,
+    limit_s: float | None = None,
+) -> Found:
+    """How far the file is below the start of its own fit, and below a picture of one colour."""
+    with patched():
+        encoded = encode(pixels, budget, profile, tune=tune, settings=settings, time_limit_s=limit_s)
+    mean = np.broadcast_to(pixels.mean((0, 1)).round().astype(np.uint8), pixels.shape)
+    least = max(psnr(np.ascontiguousarray(mean), pixels), encoded.trace[0].psnr)
+    return max(least - encoded.stats.psnr, 0.0), f"{encoded.stats.psnr:.2f} dB, from {encoded.trace[0].psnr:.2f} dB"
+
+
+def beyond(pixels: Pixels, count: int) -> Found:
+    """The budget is kept, or refused by name."""
+    try:
+        encoded = encode(pixels, Budget("bytes", count), tune="psnr")
+    except BudgetError as error:
+        return 0.0, f"refused: {error}"
+    return float(max(encoded.stats.bytes - count, 0)), f"{encoded.stats.bytes:,} bytes, {encoded.stats.psnr:.2f} dB"
+
+
+def spread(pixels: Pixels, seeds: int) -> Found:
+    """Of the same encode."""
+    found = [encode(pixels, Budget("bpp", BPP), tune="psnr", seed=seed).stats.psnr for seed in range(seeds)]
+    return max(found) - min(found), f"{min(found):.2f} to {max(found):.2f} dB"
+
+
+def lost(pixels: Pixels, generations: int) -> Found:
+    """PSNR against the first picture."""
+    shown, found = pixels, []
+    for _ in range(generations):
+        shown = decode(encode(shown, Budget("bpp", BPP), tune="psnr").data)
+        found.append(psnr(shown, pixels))
+    return found[0] - found[-1], " ".join(f"{db:.2f}" for db in found)

@@ -1,0 +1,1 @@
+"""The service under load, attacked, and killed at random: python -m benchmarks.service"""

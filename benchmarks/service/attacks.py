@@ -1,0 +1,149 @@
+"""What other clients notice while some mean harm, and what memory the web process takes.
+
+    python -m benchmarks.service attacks [--seconds 60] [--only tiff,decode] [--out FILE]
+
+Each attack meets a fresh `python -m service web` with default settings but a long queue, in which others' jobs may
+wait. The attackers (benchmarks.service.attackers) ask as fast as they are answered, each from an address of its own
+or together from one; somebody else, from another address, asks for seven things at fixed moments. Ten times as many at
+once as tests/service/limits has, or as large as an upload may be.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from benchmarks.arguments import some_of
+from benchmarks.machine import RUNS, Record
+from benchmarks.service.attackers import ATTACKS
+from benchmarks.service.generator import generated
+from benchmarks.service.measured import made_picture, png, resident_bytes
+from tests.harness.data import ROOT
+from tests.harness.processes import processes
+from tests.harness.service import Service
+
+VICTIM = "127.0.0.2"
+AT_MOST = {"p99_ms": 1000, "web_mb": 400}
+FILE = ROOT / "service" / "web" / "static" / "samples" / "cat.sg"
+# No worker runs: others' jobs may wait, and that they do is no trouble.
+SETTINGS: dict[str, Any] = {"queue_length": 1_000_000, "stall_s": 1_000_000, "source_retention_s": 3600}
+WARM_S, LONGER_S, SAMPLE_S, REST_S = 3.0, 3.0, 0.1, 5.0
+HELPER = "service.web.helpers.helper"
+
+
+def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
+    """What somebody else asks for, by its name in the results: a request of benchmarks.service.generator."""
+    image = folder / "image.png"
+    image.write_bytes(png(Image.fromarray(made_picture(256, 192))))
+    return {
+        "GET /livez": "10 GET /livez",
+        "GET /readyz": "2 GET /readyz",
+        "GET /jobs/ID": f"5 GET /jobs/{waiting}",
+        "GET /bitstreams/ID.sg": f"5 GET /bitstreams/{job}.sg",
+        "GET /decode/ID.png": f"5 GET /decode/{job}.png",
+        "POST /decode": f"5 POST /decode {FILE}",
+        "POST /encode": f"5 POST /encode {image}",
+    }
+
+
+class Memory(threading.Thread):
+    """Samples the web process and its helpers. most, now: bytes of each."""
+
+    def __init__(self, web: int) -> None:
+        super().__init__(name="memory", daemon=True)
+        self._web = web
+        self.most = {"web": 0, "helpers": 0}
+        self.sample()
+
+    def sample(self) -> dict[str, int]:
+        """Bytes at this moment."""
+        helpers = [n for n, p in processes().items() if p.parent == self._web and HELPER in p.command]
+        now = {"web": resident_bytes(self._web), "helpers": sum(map(resident_bytes, helpers))}
+        self.most = {name: max(self.most[name], size) for name, size in now.items()}
+        return now
+
+    def run(self) -> None:
+        while True:
+            time.sleep(SAMPLE_S)
+            self.sample()
+
+
+def measure(name: str, seconds: float) -> dict[str, Any]:
+    """The row of one attack."""
+    attack = ATTACKS[name]
+    with tempfile.TemporaryDirectory(prefix="sg-attack-") as temporary:
+        service = Service(Path(temporary) / "data", "web", **SETTINGS)
+        try:
+            job, waiting = service.published(FILE.read_bytes()), service.accepted()
+            wanted = asked_for(job, waiting, Path(temporary))
+            generated(service.url, WARM_S, *wanted.values(), source=VICTIM)
+            memory = Memory(service.process.pid)
+            start = memory.sample()
+            memory.start()
+            attacked = job if name == "untaken" else waiting
+            with _attackers(name, service.url, seconds + LONGER_S, attacked) as attackers:
+                assert attackers.stdout is not None
+                assert attackers.stdout.readline() == "ready\n"
+                time.sleep(1)
+                spreads = generated(service.url, seconds, *wanted.values(), source=VICTIM)
+                answers = json.loads(attackers.communicate()[0])
+            time.sleep(REST_S)
+            after = memory.sample()
+            peak = _peak_bytes(service.process.pid)
+        finally:
+            status = service.stop()
+        log = service.log.read_text()
+    others = dict(zip(wanted, spreads, strict=True))
+    worst_ms = max(spread["p99_ms"] for spread in spreads)
+    failed = sum(spread["failed"] for spread in spreads)
+    took_place = sum(answers.values()) >= attack.at_once  # or this machine had no core for the attackers
+    return {
+        **{"attack": name, "words": attack.words, "at_once": attack.at_once, "answers": answers, "others": others},
+        **{"others_failed": failed, "others_worst_p99_ms": worst_ms},
+        **{"web_mb": {"start": _mb(start["web"]), "most": _mb(peak), "after": _mb(after["web"])}},
+        **{"helpers_mb": _mb(memory.most["helpers"]), "tracebacks": log.count("Traceback"), "exit_status": status},
+        "met": failed == 0 and worst_ms <= AT_MOST["p99_ms"] and _mb(peak) <= AT_MOST["web_mb"] and took_place,
+    }
+
+
+def _attackers(name: str, url: str, seconds: float, job: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "benchmarks.service.attackers", name, url.removeprefix("http://")]
+    return subprocess.Popen([*command, str(seconds), job], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+
+
+def _peak_bytes(number: int) -> int:
+    """The most that the process ever had: samples may miss it."""
+    status = Path(f"/proc/{number}/status").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+
+
+def _mb(size_bytes: int) -> float:
+    return round(size_bytes / 1e6, 1)
+
+
+def main() -> int:
+    """Exit status: 0 if other clients were served in time and memory stayed small, whatever the attack."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each attack (default: 60)")
+    parser.add_argument(
+        "--only",
+        type=some_of(ATTACKS, "attack"),
+        default=",".join(ATTACKS),
+        help="attacks, apart by commas (default: all)",
+    )
+    parser.add_argument("--out", type=Path, default=RUNS / "service" / "attacks.json")
+    options = parser.parse_args()
+    record = Record(options.out, "benchmarks.service attacks", {"seconds": options.seconds, "at_most": AT_MOST})
+    for name in options.only:
+        if not record.has(attack=name):
+            record.add(measure(name, options.seconds))
+    return 0 if all(row["met"] for row in record.rows) else 1

@@ -1,0 +1,194 @@
+"""Drawing and its gradients by plain operations on tensors, on whatever device of torch they are.
+
+Each Gaussian's ellipse is cut into rows, and each row into samples. So there are two lists of pairs, (Gaussian, row)
+and (Gaussian, sample), each Gaussian on its own level of the pyramid, and every step is one operation on a whole list.
+Values are those of sgmethod/native/reference.py, in the precision of the tensors. On devices that add in any order, the
+last bits of a sum vary from run to run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+MAX_LEVEL, NARROWEST = 12, 1.4  # docs/format.md, version 4
+MOST_PAIRS = 1 << 22  # of Gaussian and sample at a time: some 300 MB
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Some pairs of Gaussian and sample [P]. z1, z2: the sample's place in the Gaussian's frame; e: exp(-sigma);
+    weight: what of the colour the sample gets."""
+
+    gaussian: Tensor
+    sample: Tensor
+    z1: Tensor
+    z2: Tensor
+    e: Tensor
+    weight: Tensor
+
+
+class Pairs:
+    """Gaussians [N] laid over a picture of size (width, height). Those that are not finite or have l1 or l3 <= 0 are
+    not drawn, and have no gradient."""
+
+    def __init__(self, means: Tensor, factors: Tensor, size: tuple[int, int], cutoff: float, pyramid: bool) -> None:
+        drawn = means.isfinite().all(1) & factors.isfinite().all(1) & (factors[:, ::2] > 0).all(1)
+        means = torch.where(drawn[:, None], means, 0)
+        factors = torch.where(drawn[:, None], factors, factors.new_tensor([1, 0, 1]))
+        self._cutoff, self._floor = cutoff, math.exp(-cutoff)
+        level = _levels(factors) if pyramid else torch.zeros_like(drawn, dtype=torch.int64)
+        self._shrink = torch.exp2(-level.to(means.dtype))
+        self._blur = (1 - self._shrink**2) / 4
+        self._p = p1, p2, p3 = (factors * self._shrink[:, None]).unbind(1)
+        variance = p1 * p1 - self._blur
+        q1 = variance.sqrt()
+        q3 = (p3 * p3 - self._blur * (1 + p2 * p2 / variance)).sqrt()
+        self._q = tuple(torch.where(level > 0, q, p) for q, p in zip((q1, p1 * p2 / q1, q3), self._p, strict=True))
+        self._gain = p1 * p3 / (self._q[0] * self._q[2])
+        self._mean = (means * self._shrink[:, None]).unbind(1)
+        top = int(level.max()) if len(level) else 0
+        self._sizes = [tuple(-(-side // 2**i) for side in size) for i in range(top + 1)]  # without borders
+        self._places = [_places(sizes, border=min(i, 1)) for i, sizes in enumerate(self._sizes)]
+        starts = [0]
+        for width, height in self._widened():
+            starts.append(starts[-1] + width * height)
+        self._starts = starts
+        self._find_rows(level, drawn)
+
+    def _widened(self) -> list[tuple[int, int]]:
+        """The sizes of the levels with their borders, of one sample but on the picture itself."""
+        return [(width + 2 * min(i, 1), height + 2 * min(i, 1)) for i, (width, height) in enumerate(self._sizes)]
+
+    def _find_rows(self, level: Tensor, drawn: Tensor) -> None:
+        """The pairs of Gaussian and row, each with the samples in it."""
+        (q1, q2, q3), (x, y), border = self._q, self._mean, level.clamp_max(1)
+        width, height = torch.tensor(self._sizes, device=level.device).T[:, level]
+        variance = q2 * q2 + q3 * q3
+        first, count = _within(y, (2 * self._cutoff * variance).sqrt(), height, border)
+        self._gaussian, row = _spread(first, count * drawn)
+        g = self._gaussian
+        self._dy, variance = row + 0.5 - y[g], variance[g]
+        half = q1[g] * q3[g] * ((2 * self._cutoff - self._dy**2 / variance).clamp_min(0) / variance).sqrt()
+        self._column, self._count = _within(x[g] + q1[g] * q2[g] * self._dy / variance, half, width[g], border[g])
+        starts = torch.tensor(self._starts, device=level.device)[level[g]]
+        self._line = starts + (row + border[g]) * (width[g] + 2 * border[g]) + border[g]  # sample of column 0
+
+    def _samples(self) -> Iterator[_Samples]:
+        """All pairs of Gaussian and sample, part by part."""
+        ends, begin = self._count.cumsum(0), 0
+        (q1, q2, q3), x = self._q, self._mean[0]
+        while begin < len(ends):
+            before = int(ends[begin - 1]) if begin else 0
+            end = max(int(torch.searchsorted(ends, before + MOST_PAIRS, right=True)), begin + 1)
+            part = slice(begin, end)
+            row, column = _spread(self._column[part], self._count[part])
+            g, line, dy = (values[part].index_select(0, row) for values in (self._gaussian, self._line, self._dy))
+            z1 = (column + 0.5 - x.index_select(0, g)) / q1.index_select(0, g)
+            z2 = (dy - q2.index_select(0, g) * z1) / q3.index_select(0, g)
+            e = torch.exp(-(z1 * z1 + z2 * z2) / 2)
+            yield _Samples(g, line + column, z1, z2, e, (e - self._floor).clamp_min(0))
+            begin = end
+
+    def draw(self, colors: Tensor) -> Tensor:
+        """The picture [3, height, width] of Gaussians of these colours [N, 3]."""
+        planes, strong = colors.new_zeros(3, self._starts[-1]), (colors * self._gain[:, None]).T.contiguous()
+        for some in self._samples():
+            for plane, color in zip(planes, strong, strict=True):
+                plane.index_add_(0, some.sample, color.index_select(0, some.gaussian) * some.weight)
+        image: Tensor | None = None
+        for level in reversed(range(len(self._sizes))):
+            here = self._level(planes, level)
+            image = here if image is None else here + self._enlarged(image, level)
+        assert image is not None
+        return image
+
+    def gradients(self, colors: Tensor, by_image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """By means [N, 2], factors [N, 3] and colours [N, 3], given that by the picture [3, height, width]."""
+        planes, strong = by_image.new_zeros(3, self._starts[-1]), (colors * self._gain[:, None]).T.contiguous()
+        for level in range(len(self._sizes)):
+            by_image = self._reduced(by_image, level - 1) if level else by_image
+            self._level(planes, level)[:] = by_image
+        sums = planes.new_zeros(8, len(colors))  # of a colour, z and z z^T, by what each sample's gradient is
+        for some in self._samples():
+            by_weight = torch.zeros_like(some.weight)
+            for total, plane, color in zip(sums, planes, strong, strict=False):
+                by_sample = plane.index_select(0, some.sample)
+                total.index_add_(0, some.gaussian, by_sample * some.weight)
+                by_weight += by_sample * color.index_select(0, some.gaussian)
+            by_weight *= some.e * (some.weight > 0)
+            by_z1, by_z2 = by_weight * some.z1, by_weight * some.z2
+            products = by_z1, by_z2, by_z1 * some.z1, by_z1 * some.z2, by_z2 * some.z2
+            for total, values in zip(sums[3:], products, strict=True):
+                total.index_add_(0, some.gaussian, values)
+        return self._by_parameters(colors, sums)
+
+    def _by_parameters(self, colors: Tensor, sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """From sums over samples to gradients: by z = L^-1 (p - mean), then by the narrowing on a level, where
+        q1^2 = p1^2 - v, q2 = p1 p2 / q1, q3^2 = p3^2 - v (1 + p2^2 / q1^2) and the gain is p1 p3 / (q1 q3)."""
+        (p1, p2, p3), (q1, q2, q3), v = self._p, self._q, self._blur
+        a1, a2, b11, b12, b22 = sums[3:]
+        by_means = torch.stack([a1 / q1 - q2 * a2 / (q1 * q3), a2 / q3], 1) * self._shrink[:, None]
+        by_log_gain = (colors.T * sums[:3]).sum(0) * self._gain
+        by_q1 = b11 / q1 - q2 * b12 / (q1 * q3) - by_log_gain / q1
+        by_q2, by_q3 = b12 / q3, b22 / q3 - by_log_gain / q3
+        slant = by_q3 * v * p2 / (q1 * q1 * q3)
+        by_p1 = by_q1 * p1 / q1 - by_q2 * v * p2 / q1**3 + slant * p2 * p1 / (q1 * q1) + by_log_gain / p1
+        by_p2, by_p3 = by_q2 * p1 / q1 - slant, by_q3 * p3 / q3 + by_log_gain / p3
+        by_factors = torch.stack([by_p1, by_p2, by_p3], 1) * self._shrink[:, None]
+        return by_means, by_factors, (sums[:3] * self._gain).T.contiguous()
+
+    def _level(self, planes: Tensor, level: int) -> Tensor:
+        """A level's samples [3, height, width], borders included, of those of all levels."""
+        width, height = self._widened()[level]
+        return planes[:, self._starts[level] : self._starts[level + 1]].view(3, height, width)
+
+    def _enlarged(self, image: Tensor, level: int) -> Tensor:
+        """A level's samples from those of the next, by docs/format.md."""
+        for axis, (near, far) in zip((2, 1), self._places[level], strict=True):
+            near, far = near.to(image.device), far.to(image.device)
+            image = 0.75 * image.index_select(axis, near) + 0.25 * image.index_select(axis, far)
+        return image
+
+    def _reduced(self, image: Tensor, level: int) -> Tensor:
+        """Enlarging, transposed: the gradient by the next level's samples, from that by a level's."""
+        for axis, side, (near, far) in zip((2, 1), self._widened()[level + 1], self._places[level], strict=True):
+            shape = [*image.shape]
+            shape[axis] = side
+            near, far, total = near.to(image.device), far.to(image.device), image.new_zeros(shape)
+            image = total.index_add_(axis, near, image, alpha=0.75).index_add_(axis, far, image, alpha=0.25)
+        return image
+
+
+def _levels(factors: Tensor) -> Tensor:
+    """The highest level [N] on which a Gaussian's minor axis is still NARROWEST samples long."""
+    l1, l2, l3 = factors.unbind(1)
+    a, c = l1 * l1, l2 * l2 + l3 * l3
+    minor = 2 * a * l3 * l3 / (a + c + ((a - c) ** 2 + 4 * a * l2 * l2).sqrt())
+    bounds = NARROWEST**2 * 4.0 ** torch.arange(1, MAX_LEVEL + 1, dtype=minor.dtype, device=minor.device)
+    return (minor[:, None] >= bounds).sum(1)
+
+
+def _within(center: Tensor, half: Tensor, side: Tensor, border: Tensor) -> tuple[Tensor, Tensor]:
+    """The first of the samples -border to before side + border that lie within half of a center, and how many do."""
+    first = torch.minimum(torch.maximum((center - half - 0.5).ceil(), -border), side + border)
+    last = torch.minimum(torch.maximum((center + half - 0.5).floor(), -border - 1), side + border - 1)
+    return first.long(), (last - first + 1).clamp_min(0).long()
+
+
+def _spread(first: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
+    """A list of pairs: each index [N] count times, with first, first + 1 and so on."""
+    index = torch.repeat_interleave(count)
+    start = count.cumsum(0) - count
+    return index, torch.arange(len(index), device=count.device) + (first - start).index_select(0, index)
+
+
+def _places(size: tuple[int, ...], border: int) -> list[tuple[Tensor, Tensor]]:
+    """Along x and y: from which two samples of the next level, counted from its border, each sample is enlarged."""
+    axes = [torch.arange(-border, side + border) for side in size]
+    near = [axis.div(2, rounding_mode="floor") for axis in axes]
+    return [(n + 1, n + 1 + torch.where(axis % 2 == 1, 1, -1)) for n, axis in zip(near, axes, strict=True)]

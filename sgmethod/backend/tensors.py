@@ -1,0 +1,98 @@
+"""A backend on another device of torch: what reads all pixels is done there, by operations on tensors. What is done for
+each Gaussian alone, and the integers of the end, stay with the kernels on the CPU."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import conv2d
+
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.pairs import Pairs
+from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility
+from sgmethod.scene import FloatArray, Gaussians
+
+
+class Tensors(Kernels):
+    """A Backend on a device, in single precision. Where the device adds in any order, files vary from run to run."""
+
+    def __init__(self, device: str) -> None:
+        self._device = torch.device(device)
+        torch.zeros(1, device=self._device)  # raises where there is none
+
+    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
+        """As Backend.residual."""
+        drawn = self._drawn(gaussians, frame)[1][:, first_row : first_row + target.shape[1]]
+        return _numpy(self._image(target) - drawn)
+
+    def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
+        """As Backend.error."""
+        left = self._drawn(gaussians, frame)[1] - self._image(target)
+        return _mean(left * self._seen(left, visibility))
+
+    def gradients(
+        self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
+    ) -> tuple[float, Gaussians]:
+        """As Backend.gradients."""
+        pairs, drawn = self._drawn(gaussians, frame)
+        left = drawn - self._image(target)
+        seen = self._seen(left, visibility)
+        return _mean(left * seen), self._gradient(pairs, gaussians, frame, seen * (2 / left.numel()))
+
+    def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
+        """As Backend.regularised."""
+        target = self._tensor(image)
+        along_x = self._tensor(np.array([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], np.float32) / 8)
+        kernels = torch.stack([along_x, along_x.T])[:, None]
+
+        def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:
+            pairs, drawn = self._drawn(gaussians, frame)
+            with torch.enable_grad():  # whatever the caller has
+                drawn.requires_grad_()
+                mse = loss = (drawn - target).square().mean()
+                if min(target.shape[1:]) >= 3:
+                    found, wanted = (conv2d(one[:, None], kernels) for one in (drawn, target))
+                    loss = mse + lambda_g * (wanted.abs() * (found - wanted).square()).sum() / target.numel()
+                (by_image,) = torch.autograd.grad(loss, drawn)
+            return mse.item(), self._gradient(pairs, gaussians, frame, by_image)
+
+        return evaluate
+
+    def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
+        """As Backend.gram."""
+        pairs, drawn = self._drawn(gaussians, frame)
+        alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
+        return self._gradient(pairs, gaussians, frame, self._seen(drawn, alike)).colors
+
+    def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs, Tensor]:
+        means, factors = (self._tensor(values) / frame.spacing for values in (gaussians.means, gaussians.factors))
+        pairs = Pairs(means, factors, (frame.width, frame.height), frame.cutoff, frame.pyramid)
+        return pairs, pairs.draw(self._tensor(gaussians.colors))
+
+    def _gradient(self, pairs: Pairs, gaussians: Gaussians, frame: Frame, by_image: Tensor) -> Gaussians:
+        means, factors, colors = pairs.gradients(self._tensor(gaussians.colors), by_image)
+        return Gaussians(_numpy(means / frame.spacing), _numpy(factors / frame.spacing), _numpy(colors))
+
+    def _seen(self, errors: Tensor, visibility: Visibility | None) -> Tensor:
+        """Errors [3, H, W] times what each counts: the product with the errors is their squares as they count."""
+        if visibility is None:
+            return errors
+        color = self._tensor(visibility.color.astype(np.float32))
+        weights = self._tensor(visibility.values).to(errors.dtype) / VISIBLE
+        return torch.einsum("ab,byx->ayx", color, errors) * weights
+
+    def _image(self, target: Target) -> Tensor:
+        return self._tensor(target).to(torch.float32) / TARGET_WHITE
+
+    def _tensor(self, values: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values)).to(self._device)
+
+
+def _mean(values: Tensor) -> float:
+    """Of rows on the device, and of these in double precision, which not every device has."""
+    return float(values.mean(2).cpu().double().mean())
+
+
+def _numpy(values: Tensor) -> FloatArray:
+    return np.ascontiguousarray(values.cpu().numpy())

@@ -1,0 +1,40 @@
+"""Gaussians from a caller's arrays, checked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sgmethod.errors import GaussiansError
+from sgmethod.scene import FloatArray, Gaussians
+
+
+def own_gaussians(gaussians: Gaussians) -> Gaussians:
+    """The same as C-contiguous float32 arrays, from those of numpy, tensors of any device, or nested lists.
+
+    Raises GaussiansError for other shapes than [N, 2], [N, 3] and [N, 3], values that are not finite, and shapes that
+    are no ellipses.
+    """
+    if not isinstance(gaussians, Gaussians):
+        raise GaussiansError(f"Gaussians must be a sgmethod.Gaussians, not {type(gaussians).__name__}")
+    own = Gaussians(*(_array(values) for values in gaussians.arrays))
+    shapes, n = [values.shape for values in own.arrays], len(own.means) if own.means.ndim else 0
+    if shapes != [(n, 2), (n, 3), (n, 3)]:
+        raise GaussiansError(f"means [N, 2], factors [N, 3] and colours [N, 3] are needed, not {shapes}")
+    finite = np.isfinite(np.concatenate(own.arrays, 1)).all(1)
+    if not finite.all():
+        raise GaussiansError(f"Gaussian {finite.argmin()} has a value that is not finite")
+    positive = (own.factors[:, ::2] > 0).all(1)
+    if not positive.all():
+        raise GaussiansError(f"Gaussian {positive.argmin()} is no ellipse: l1 and l3 must be positive")
+    return own
+
+
+def _array(values: Any) -> FloatArray:
+    if hasattr(values, "detach"):  # a tensor
+        values = values.detach().cpu()
+    try:
+        return np.ascontiguousarray(values, np.float32)
+    except (TypeError, ValueError) as error:
+        raise GaussiansError(f"{type(values).__name__} is no array of numbers") from error

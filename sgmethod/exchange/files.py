@@ -1,0 +1,118 @@
+"""Gaussians <-> PLY files, as programs for 3D Gaussian splatting have them, and .npz files of numpy.
+
+|                    | npz                     | PLY, written                   | PLY, read                       |
+|--------------------|-------------------------|--------------------------------|---------------------------------|
+| means, in pixels   | kept                    | x, y; z is 0                   | x, y                            |
+| factors, in pixels | kept                    | rot, and logarithms in scale   | of the covariance, flattened    |
+|                    |                         |                                | along z                         |
+| colours            | kept                    | f_dc; opacity is 1             | f_dc times opacity              |
+| order              | kept                    | kept                           | kept                            |
+| where one ends     | where those of files do | nowhere; the nearest such      | where those of files do; the    |
+|                    |                         | Gaussian is written            | nearest such Gaussian is taken  |
+| others             | size and background are | size and background are left   | f_rest and all other properties |
+|                    | left out                | out                            | are left out                    |
+
+Viewers of PLY files blend Gaussians by opacity, in order of depth, and do not add them up: they show places and shapes.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import zipfile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.errors import GaussiansError
+from sgmethod.exchange.arrays import own_gaussians
+from sgmethod.io.files import own_path, write_atomically
+from sgmethod.native import native
+from sgmethod.scene import Gaussians
+from sgmethod.view import WHOLE, recut
+
+PathLike = str | os.PathLike[str]
+C0 = 0.28209479177387814  # the first spherical harmonic, in units of which f_dc is
+OPAQUE = 20.0  # logit of an opacity that single precision takes for 1
+FLAT = -16.0  # logarithm of a scale along z
+WRITTEN = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
+WRITTEN += ["rot_0", "rot_1", "rot_2", "rot_3"]
+NEEDED = set(WRITTEN) - {"z", "scale_2"}  # 2D splats have no third scale
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
+TYPES |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4"}
+TYPES |= {"double": "f8", "float64": "f8"}
+
+
+def write_npz(path: PathLike, gaussians: Gaussians) -> None:
+    """Write arrays means [N, 2], factors [N, 3] and colors [N, 3]. Raises GaussiansError and OSError."""
+    own, file = own_gaussians(gaussians), io.BytesIO()
+    np.savez(file, means=own.means, factors=own.factors, colors=own.colors)
+    write_atomically(own_path(path), file.getvalue())
+
+
+def read_npz(path: PathLike) -> Gaussians:
+    """Gaussians from what write_npz() wrote. Raises GaussiansError and OSError."""
+    try:
+        with np.load(io.BytesIO(own_path(path).read_bytes()), allow_pickle=False) as file:
+            arrays = [file[name] for name in ("means", "factors", "colors")]
+    except (ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
+        raise GaussiansError(f"{path} is no .npz file with means, factors and colors") from error
+    return own_gaussians(Gaussians(*arrays))
+
+
+def write_ply(path: PathLike, gaussians: Gaussians) -> None:
+    """Write a binary PLY file as 3D Gaussian splatting has them. Raises GaussiansError and OSError."""
+    whole = recut(own_gaussians(gaussians), native.CUTOFF_V3, WHOLE)
+    l1, l2, l3 = whole.factors.astype(np.float64).T
+    axes, scales, _ = np.linalg.svd(np.stack([l1, 0 * l1, l2, l3], 1).reshape(-1, 2, 2))
+    half = np.arctan2(axes[:, 1, 0], axes[:, 0, 0]) / 2  # of the angle of the major axis
+    zero = np.zeros_like(half)
+    columns = [*whole.means.T, zero, *((whole.colors - 0.5) / C0).T, zero + OPAQUE]
+    columns += [*np.log(scales).T, zero + FLAT, np.cos(half), zero, zero, np.sin(half)]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(half)}"]
+    lines = [*header, *(f"property float {name}" for name in WRITTEN), "end_header", ""]
+    write_atomically(own_path(path), "\n".join(lines).encode() + np.stack(columns, 1).astype("<f4").tobytes())
+
+
+def read_ply(path: PathLike) -> Gaussians:
+    """Gaussians from a PLY file of 2D or 3D Gaussian splatting. Raises GaussiansError and OSError."""
+    vertices = _vertices(own_path(path).read_bytes(), str(path))
+
+    def columns(names: str) -> NDArray[np.float64]:
+        return np.stack([vertices[name] for name in names.split()], 1).astype(np.float64)
+
+    solid = "scale_2" in (vertices.dtype.names or ())
+    with np.errstate(all="ignore"):  # what comes of it is looked at below
+        scales = np.exp(columns("scale_0 scale_1 scale_2" if solid else "scale_0 scale_1"))
+        quaternions = columns("rot_0 rot_1 rot_2 rot_3")
+        w, x, y, z = (quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)).T
+        along_x = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+        along_y = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+        axes = np.stack([np.stack(rows, 1)[:, : scales.shape[1]] * scales for rows in (along_x, along_y)], 1)
+        colors = (0.5 + C0 * columns("f_dc_0 f_dc_1 f_dc_2")) / (1 + np.exp(-columns("opacity")))
+    flat = Gaussians.from_covariances(columns("x y"), axes @ axes.mT, colors)
+    return recut(own_gaussians(flat), WHOLE)
+
+
+def _vertices(data: bytes, name: str) -> NDArray[np.void]:
+    """The vertices of a PLY file, which are its first element, with a field for each property."""
+    head = re.match(rb"ply\r?\nformat (\w+) 1\.0\r?\n(.*?)end_header\r?\n", data, re.DOTALL)
+    lines = head[2].decode("latin1") if head else ""
+    vertex = re.match(r"(?:(?:comment|obj_info) .*\n)*element vertex (\d+)\s*\n((?:(?:property|comment) .*\n)*)", lines)
+    order = BYTE_ORDERS.get(head[1].decode()) if head else None
+    fields = re.findall(r"^property (.+) (\w+)\s*$", vertex[2] if vertex else "", re.MULTILINE)
+    if head is None or vertex is None or order is None or not {kind for kind, _ in fields} <= set(TYPES):
+        raise GaussiansError(f"{name} is no PLY file of Gaussians")
+    if missing := sorted(NEEDED - {field for _, field in fields}):
+        raise GaussiansError(f"{name} has no property {missing[0]}, which a Gaussian needs")
+    count, body = int(vertex[1]), data[head.end() :]
+    try:
+        kind = np.dtype([(field, order + TYPES[kind]) for kind, field in fields])
+        if order == "=":
+            rows = [tuple(line.split()) for line in body.decode().splitlines()[:count]]
+            return np.array(rows, kind) if len(rows) == count else np.frombuffer(b"", kind, count)
+        return np.frombuffer(body, kind, count)
+    except ValueError as error:
+        raise GaussiansError(f"{name} is cut short, or no PLY file") from error

@@ -1,0 +1,163 @@
+"""Gaussians that were made elsewhere -> an .sg file."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
+from sgmethod.bitstream import container
+from sgmethod.bitstream.payload import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, is_upright, quantum_code, quantum_of
+from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.budget import Budget, own_number, whole
+from sgmethod.errors import BudgetError, GaussiansError, ImageError
+from sgmethod.exchange.arrays import own_gaussians
+from sgmethod.fitting.level import target_of
+from sgmethod.io.inputs import Input, read_input
+from sgmethod.native import native
+from sgmethod.rd.rate_control import error_per_bit
+from sgmethod.scene import Gaussians
+
+SWEEPS = 2  # of refining, over all Gaussians
+MOST_GAUSSIANS = 1 << 24  # in a file
+
+
+def pack(
+    gaussians: Gaussians,
+    width: int,
+    height: int,
+    *,
+    bpp: float | None = None,
+    quantum: float | None = None,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    image: Input | None = None,
+) -> bytes:
+    """The .sg file of Gaussians over a picture of width x height pixels.
+
+    >>> file = sgmethod.open("photo.sg")
+    >>> again = sgmethod.pack(file.gaussians(), *file.size, quantum=0.2, background=file.background)
+    >>> sgmethod.info(again).gaussians <= sgmethod.info("photo.sg").gaussians
+    True
+
+    gaussians: arrays of numpy, tensors or nested lists. They add up on the background, and are drawn as
+    sgmethod.torch.render() draws them. Those that round to nothing, and those that no pixel sees, are left out.
+    bpp: bits per pixel of the file, at most; quantum: how coarsely everything is rounded, 2^-10 to 16, where encode()
+    takes about 0.15 at 0.25 bpp; one of the two.
+    background: red, green and blue, 1 being full white; rounded to 8 bits.
+    image: the picture, as encode() takes it. Rounded values are then refined one Gaussian at a time to be closer to it.
+
+    Raises GaussiansError for what no file can hold, BudgetError, and ImageError for a picture of another size.
+    """
+    width, height = (whole(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
+    own = seen(own_gaussians(gaussians), (width, height))
+    if len(own) > min(width * height, MOST_GAUSSIANS):
+        raise GaussiansError(f"{len(own)} Gaussians are more than a file of {width} x {height} pixels can hold")
+    below = _levels(background)
+    target = None if image is None else target_of(_pixels(image, width, height), below)
+    packed = _Packing(own, (width, height), below, target)
+    if (bpp is None) == (quantum is None):
+        raise BudgetError("one of bpp and quantum is needed")
+    if bpp is not None:
+        return container.serialise(packed.within(Budget("bpp", bpp).max_bytes(width, height) or 0))
+    number = own_number(quantum)
+    if number is None or not MIN_QUANTUM <= number <= MAX_QUANTUM:
+        raise BudgetError(f"the quantum must be from {MIN_QUANTUM} to {MAX_QUANTUM:g}, got {quantum!r}")
+    return container.serialise(packed.stream(number))
+
+
+class _Packing:
+    """Gaussians over a picture of size (width, height), with the target to refine them on, if there is one."""
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        size: tuple[int, int],
+        background: tuple[int, int, int],
+        target: NDArray[np.int16] | None,
+    ) -> None:
+        self._gaussians, self._size, self._background, self._target = gaussians, size, background, target
+        self._grey = len(set(background)) == 1 and bool((gaussians.colors == gaussians.colors[:, :1]).all())
+
+    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV4:
+        """With this quantum; refined, with at most so many bytes of payload, if there is a target."""
+        quantum = quantum_of(quantum_code(quantum))
+        self._check_range(quantum)
+        rounded = StreamV4.of(self._gaussians, self._size, quantum, self._background, self._grey)
+        if self._target is None:
+            return rounded
+        limits = RefineLimits(error_per_bit(quantum), SWEEPS, math.inf, max_bytes)
+        coding = Coding(*self._size, quantum, self._grey, rounded.upright)
+        payload = Kernels().refine(self._gaussians, coding, self._target, limits, None)
+        return StreamV4(*self._size, quantum, self._background, self._grey, rounded.upright, payload)
+
+    def within(self, max_bytes: int) -> StreamV4:
+        """With the finest quantum for a file of at most so many bytes."""
+        room = max_bytes - HEADER_BYTES
+        found = self.stream(self._quantum(room, max_bytes), room)
+        if self._target is None or not found.payload:
+            return found
+        spared = room * room // len(found.payload)  # refining saves bytes, which buy a finer quantum
+        return self.stream(self._quantum(spared, max_bytes), room)
+
+    def _quantum(self, room: int, max_bytes: int) -> float:
+        """The finest, about, of which the payload has at most `room` bytes before refining."""
+
+        def payload(quantum: float) -> int:
+            return len(StreamV4.of(self._gaussians, self._size, quantum, self._background, self._grey).payload)
+
+        if payload(MAX_QUANTUM) > room:
+            raise BudgetError(f"no file of these Gaussians fits into {max_bytes} bytes: take fewer, or more bpp")
+        fine, coarse = MIN_QUANTUM, MAX_QUANTUM
+        while coarse > 1.004 * fine:  # about a step of the quantum's code
+            middle = math.sqrt(fine * coarse)
+            fine, coarse = (fine, middle) if payload(middle) <= room else (middle, coarse)
+        return coarse
+
+    def _check_range(self, quantum: float) -> None:
+        """Raise GaussiansError for the first of which a value would be clipped."""
+        parameters = Coding(*self._size, quantum, self._grey, is_upright(self._gaussians.factors, False)).parameters
+
+        def clipped(some: Gaussians) -> bool:
+            before = native.rd_clipped_values()
+            native.rd_quantise(parameters, *some.arrays, *Gaussians.empty(len(some)).arrays)
+            return native.rd_clipped_values() > before
+
+        if not clipped(self._gaussians):
+            return
+        for i in range(len(self._gaussians)):
+            one = self._gaussians.rows(np.array([i]))
+            if clipped(one):
+                said = ", ".join(str(values[0].tolist()) for values in one.arrays)
+                raise GaussiansError(
+                    f"no file can hold a Gaussian with mean, factors and colour {said}: it must lie within about 1.6 "
+                    "of its sizes of the picture, be at most 8192 pixels long, and 2048 times as long as wide"
+                )
+
+
+def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
+    """Those that reach into a picture of this size."""
+    l1, l2, l3 = gaussians.factors.T
+    reach = math.sqrt(2 * native.CUTOFF_V3) * np.stack([l1, np.hypot(l2, l3)], 1)
+    inside = np.logical_and(gaussians.means > -reach, gaussians.means < size + reach)
+    return gaussians.rows(np.flatnonzero(inside.all(1)))
+
+
+def _levels(background: tuple[float, float, float]) -> tuple[int, int, int]:
+    """8-bit levels of a background of parts of white."""
+    numbers = [own_number(value) for value in background] if isinstance(background, tuple | list) else []
+    parts = [value for value in numbers if value is not None and 0 <= value <= 1]
+    if len(numbers) != 3 or len(parts) != 3:
+        raise GaussiansError(f"a background is three numbers from 0 to 1, not {background!r}")
+    red, green, blue = (round(255 * part) for part in parts)
+    return red, green, blue
+
+
+def _pixels(image: Input, width: int, height: int) -> NDArray[np.uint8]:
+    pixels = read_input(image)
+    if pixels.shape[:2] != (height, width):
+        found = f"{pixels.shape[1]} x {pixels.shape[0]}"
+        raise ImageError(f"the picture has {found} pixels, and {width} x {height} were asked for")
+    return pixels

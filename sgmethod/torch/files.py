@@ -1,0 +1,120 @@
+""".sg files as tensors: pictures, Gaussians, and data sets of either."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.utils.data import Dataset
+
+from sgmethod import decoder
+from sgmethod.decoder import MAX_PIXELS, WHOLE, File, SgFile
+from sgmethod.errors import SgError, ViewError
+from sgmethod.scene import Gaussians
+from sgmethod.view import MAX_SCALE, MIN_SCALE, View
+
+Device = str | torch.device | None
+Layout = Literal["CHW", "HWC"]
+
+
+def decode(
+    file: File,
+    device: Device = None,
+    *,
+    dtype: torch.dtype = torch.uint8,
+    layout: Layout = "CHW",
+    view: View = WHOLE,
+    max_pixels: int = MAX_PIXELS,
+) -> Tensor:
+    """The picture in an .sg file, or a view of it, as a tensor on a device: [3, H, W], [4, H, W] with alpha.
+
+    >>> decode("photo.sg", dtype=torch.float32).shape
+    torch.Size([3, 96, 128])
+
+    dtype: uint8 for levels, a floating-point type for values in [0, 1]; layout: "HWC" for [H, W, 3 or 4]. The others,
+    and the errors raised, as in sgmethod.decode(), which draws the pixels: the same on every device.
+    """
+    return _tensor(decoder.decode(file, max_pixels, view), device, dtype, layout)
+
+
+def gaussians(
+    file: File | SgFile | Gaussians, device: Device = None, dtype: torch.dtype = torch.float32
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Means [N, 2], factors [N, 3], colours [N, 3] and background [3] as render() takes them. Raises BitstreamError and
+    OSError.
+
+    >>> means, factors, colors, background = gaussians("photo.sg")
+    """
+    if isinstance(file, Gaussians):
+        found, background = file, (0.0, 0.0, 0.0)
+    else:
+        opened = file if isinstance(file, SgFile) else SgFile(file)
+        found, background = opened.gaussians(), opened.background
+    means, factors, colors = (torch.as_tensor(values, dtype=dtype, device=device) for values in found.arrays)
+    return means, factors, colors, torch.tensor(background, dtype=dtype, device=device)
+
+
+class SgDataset(Dataset[dict[str, Tensor]]):
+    """A map-style data set of .sg files, in the order in which they are given. Its items stack to batches.
+
+    >>> SgDataset(["photo.sg"], size=(32, 32))[0]["pixels"].shape
+    torch.Size([3, 32, 32])
+    >>> SgDataset(["photo.sg"], most_gaussians=500)[0]["mask"].shape
+    torch.Size([500])
+
+    size: each item has "pixels" [3, height, width], uint8, without alpha: the middle of the picture, drawn as large as
+    covers that width and height.
+    most_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True where there is one; "size"
+    (width, height) and "background" [3]. The first Gaussians of a file, its largest, are taken, and zeros, which draw
+    nothing, fill the rest.
+    """
+
+    def __init__(
+        self, files: Sequence[File], *, size: tuple[int, int] | None = None, most_gaussians: int | None = None
+    ) -> None:
+        if (size is None) == (most_gaussians is None):
+            raise SgError("a data set gives pixels of a size, or at most so many Gaussians: one of the two is needed")
+        self._files, self._size, self._most = files, size, most_gaussians
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __getitem__(self, index: int) -> dict[str, Tensor]:
+        file = SgFile(self._files[index])
+        if self._size is not None:
+            return {"pixels": _covering(file, self._size)}
+        assert self._most is not None
+        return _padded(file, self._most)
+
+
+def _padded(file: SgFile, most: int) -> dict[str, Tensor]:
+    """The first Gaussians of a file, and zeros."""
+    *values, background = gaussians(file)
+    padded = [torch.cat([some[:most], some.new_zeros(most, some.shape[1])])[:most] for some in values]
+    named = dict(zip(("means", "factors", "colors"), padded, strict=True))
+    mask = torch.arange(most) < len(values[0])
+    return {**named, "mask": mask, "size": torch.tensor(file.size), "background": background}
+
+
+def _covering(file: SgFile, size: tuple[int, int]) -> Tensor:
+    """[3, height, width]: the middle of a picture that is drawn just large enough."""
+    width, height = size
+    scale = max((side + 0.5) / whole for side, whole in zip(size, file.size, strict=True))
+    if not MIN_SCALE <= scale <= MAX_SCALE:
+        raise ViewError(f"{width} x {height} pixels are no size for a picture of {file.size[0]} x {file.size[1]}")
+    pixels = file.pixels(scale)
+    y, x = (pixels.shape[0] - height) // 2, (pixels.shape[1] - width) // 2
+    return _tensor(pixels[y : y + height, x : x + width, :3], None, torch.uint8, "CHW")
+
+
+def _tensor(pixels: np.ndarray, device: Device, dtype: torch.dtype, layout: Layout) -> Tensor:
+    if dtype != torch.uint8 and not dtype.is_floating_point:
+        raise SgError(f"pixels are uint8 or of a floating-point type, not {dtype}")
+    if layout not in ("CHW", "HWC"):
+        raise SgError(f"the layout of pixels is CHW or HWC, not {layout!r}")
+    tensor = torch.from_numpy(pixels).to(device)
+    tensor = tensor.permute(2, 0, 1).contiguous() if layout == "CHW" else tensor
+    return tensor if dtype == torch.uint8 else tensor.to(dtype) / 255

@@ -1,0 +1,179 @@
+"""The differentiable renderer against the reference in float64, and as an operator of torch."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import sgmethod
+from sgmethod.errors import GaussiansError, SgError, ViewError
+from sgmethod.native import native, reference
+from sgmethod.scene import Gaussians, Scene
+from sgmethod.torch import render
+from sgmethod.torch.drawing import _draw, _draw_backward
+from sgmethod.view import View
+from tests.backend.cases import scattered
+
+SIZE = (40, 35)
+CUTOFF = native.CUTOFF_V3
+BLENDS = "accumulated", "normalised"
+
+
+def tensors(gaussians: Gaussians, dtype: torch.dtype = torch.float64) -> list[Tensor]:
+    return [torch.from_numpy(values).to(dtype).requires_grad_() for values in gaussians.arrays]
+
+
+def stacked(n: int, batch: int, dtype: torch.dtype = torch.float32) -> list[Tensor]:
+    """[batch, n, ...]."""
+    each = [scattered(n, seed) for seed in range(batch)]
+    all_values = zip(*(tensors(gaussians, dtype) for gaussians in each), strict=True)
+    return [torch.stack(values).detach().requires_grad_() for values in all_values]
+
+
+def exact(values: list[Tensor], pyramid: bool) -> Tensor:
+    draw = reference.render_pyramid if pyramid else reference.render
+    return draw(*values, SIZE, CUTOFF)
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("pyramid", [True, False])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64], ids=["kernels", "tensors"])
+def test_values_and_gradients(dtype: torch.dtype, pyramid: bool, seed: int) -> None:
+    """Single precision goes to the kernels, double precision to the lists of pairs."""
+    gaussians = scattered(25, seed)
+    found, wanted = tensors(gaussians, dtype), tensors(gaussians)
+    image, exact_image = render(*found, SIZE, pyramid=pyramid), exact(wanted, pyramid)
+    assert image.dtype == dtype
+    magnitudes = exact([wanted[0], wanted[1], wanted[2].abs()], pyramid)
+    assert ((image - exact_image).abs() <= 1e-5 * magnitudes + 1e-7).all()  # worst seen 4.8e-6
+    by_image = torch.from_numpy(np.random.default_rng(seed).standard_normal(image.shape))
+    image.backward(by_image.to(dtype))
+    exact_image.backward(by_image)
+    for one, other in zip(found, wanted, strict=True):
+        assert (one.grad - other.grad).abs().max() < 1e-3 * other.grad.abs().max()  # worst seen 2.5e-6
+
+
+@pytest.mark.parametrize(("pyramid", "blend", "scale"), [*product((True, False), BLENDS, (1, 0.5))])
+def test_gradcheck(pyramid: bool, blend: Any, scale: float) -> None:
+    means, factors, colors = tensors(scattered(5, 1, (10, 8)))
+    background = torch.rand(3, dtype=torch.float64, requires_grad=True)
+
+    def drawn(*values: Tensor) -> Tensor:
+        return render(*values[:3], (10, 8), values[3], scale, pyramid, blend=blend)
+
+    assert torch.autograd.gradcheck(drawn, (means, factors, colors, background), fast_mode=True)
+
+
+def test_it_is_an_operator_of_torch() -> None:
+    values = stacked(6, 2)
+    torch.library.opcheck(_draw, (*values, *SIZE, True))
+    by_image = torch.rand(2, 3, *SIZE[::-1])
+    torch.library.opcheck(_draw_backward, (*(one.detach() for one in values), by_image, True))
+
+
+def test_it_compiles_whole() -> None:
+    def loss(*values: Tensor) -> Tensor:
+        return render(*values, SIZE, background=0.5).square().mean()
+
+    values = stacked(6, 2)
+    compiled = torch.compile(loss, fullgraph=True, backend="aot_eager")
+    by_compiled, by_eager = (torch.autograd.grad(function(*values), values) for function in (compiled, loss))
+    for one, other in zip(by_compiled, by_eager, strict=True):
+        assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_leading_dimensions(dtype: torch.dtype) -> None:
+    means, factors, colors = stacked(6, 4, dtype)
+    background = torch.rand(4, 3, dtype=dtype)
+    each = [render(means[i], factors[i], colors[0], SIZE, background[i]) for i in range(4)]
+    both = render(means, factors, colors[0], SIZE, background)  # one set of colours for all
+    assert torch.equal(both, torch.stack(each))
+    split = [values.reshape(2, 2, 6, -1) for values in (means, factors)]
+    assert torch.equal(render(*split, colors[0], SIZE, background.reshape(2, 2, 3)).reshape(both.shape), both)
+    assert render(means[:, :0], factors[:, :0], colors[:, :0], SIZE, 0.25).unique().tolist() == [0.25]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_any_layout_in_memory(dtype: torch.dtype) -> None:
+    values = stacked(6, 2, dtype)
+    turned = [one.detach().mT.contiguous().mT.requires_grad_() for one in values]
+    assert not turned[0].is_contiguous()
+    images = render(*values, SIZE), render(*turned, SIZE)
+    assert torch.equal(*images)
+    for one, other in zip(
+        *(torch.autograd.grad(i.sum(), v) for i, v in zip(images, (values, turned), strict=True)), strict=True
+    ):
+        assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize("scale", [0.37, 1.0, 2.5])
+def test_it_draws_what_a_file_shows(scale: float) -> None:
+    """At every size, to the rounding to 8 bits."""
+    gaussians, background = scattered(25, 3), (0.2, 0.4, 0.6)
+    data = sgmethod.pack(gaussians, *SIZE, quantum=0.02, background=background)
+    file = sgmethod.open(data)
+    means, factors, colors, below = sgmethod.torch.gaussians(file)
+    assert below.tolist() == pytest.approx(background)
+    image = render(means, factors, colors, file.size, below, scale)
+    levels = (255 * image.clamp(0, 1)).permute(1, 2, 0).numpy()
+    assert np.abs(levels - file.pixels(scale)).max() < 0.501
+
+
+def test_normalised_blending() -> None:
+    """One Gaussian paints its colour wherever it reaches; where none does there is the background."""
+    means, factors = torch.tensor([[20.0, 17.0]]), torch.tensor([[4.0, 1.0, 5.0]])
+    image = render(means, factors, torch.tensor([[0.2, 0.5, 0.9]]), SIZE, 0.1, blend="normalised")
+    assert image[:, 17, 20].tolist() == pytest.approx([0.2, 0.5, 0.9], abs=1e-3)
+    assert image[:, 17, 25].tolist() == pytest.approx([0.2, 0.5, 0.9], abs=1e-3)
+    assert image[:, 0, 0].tolist() == pytest.approx([0.1] * 3)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_what_is_no_gaussian_is_not_drawn(dtype: torch.dtype) -> None:
+    good = tensors(scattered(8, 1), dtype)
+    bad = [values.detach().clone() for values in good]
+    bad[0][1, 0], bad[0][2, 1], bad[1][3, 0], bad[1][4, 2], bad[1][5, 1] = np.nan, np.inf, 0, -1, np.nan
+    bad = [values.requires_grad_() for values in bad]
+    left = [0, 6, 7]
+    image = render(*bad, SIZE)
+    assert torch.equal(image, render(*(values[left] for values in good), SIZE))
+    for gradient in torch.autograd.grad(image.sum(), bad):
+        assert not gradient[1:6].any()
+        assert gradient[left].isfinite().all()
+
+
+ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
+
+
+@pytest.mark.parametrize(
+    ("values", "more", "error", "words"),
+    [
+        ((ONE[0], ONE[1], np.ones((1, 3))), {}, GaussiansError, "colors must be a tensor .*, not ndarray"),
+        ((ONE[1], ONE[1], ONE[2]), {}, GaussiansError, r"means must be a tensor \[..., N, 2\], not \[1, 3\]"),
+        ((ONE[0], ONE[1].double(), ONE[2]), {}, GaussiansError, "factors are torch.float64"),
+        ((ONE[0].half(), ONE[1].half(), ONE[2].half()), {}, GaussiansError, "float32 or all float64"),
+        ((ONE[0], ONE[1].expand(2, 3), ONE[2]), {}, GaussiansError, "of as many Gaussians"),
+        ((ONE[0].expand(2, 1, 2), ONE[1].expand(3, 1, 3), ONE[2]), {}, GaussiansError, "leading dimensions"),
+        (ONE, {"size": (0, 4)}, ViewError, "a side must be a whole number from 1"),
+        (ONE, {"scale": 100}, ViewError, "the scale must lie in"),
+        (ONE, {"blend": "alpha"}, GaussiansError, "accumulated or normalised, not 'alpha'"),
+    ],
+)
+def test_what_is_wrong_is_said(values: Any, more: dict[str, Any], error: type[SgError], words: str) -> None:
+    with pytest.raises(error, match=words):
+        render(*values, **{"size": SIZE, **more})
+
+
+def test_views_of_scenes_are_the_same() -> None:
+    """The low-pass of a reduction is written twice, here and in sgmethod/view.py."""
+    gaussians = scattered(10, 5)
+    scene = View(0.4).apply(Scene(gaussians, *SIZE, (0, 0, 0), CUTOFF, pyramid=True))
+    image = render(*tensors(gaussians), SIZE, scale=0.4)
+    wanted = reference.render_pyramid(*tensors(scene.gaussians), (scene.width, scene.height), CUTOFF)
+    torch.testing.assert_close(image, wanted, rtol=0, atol=1e-5)
