@@ -68,9 +68,8 @@ def test_ms_ssim_of_opposite_pictures_is_zero_and_no_nan() -> None:
 def test_ms_ssim_channels_count_equally() -> None:
     a, b = picture(170, 190), disturbed(picture(170, 190), 60)
     each = [ms_ssim(a[..., c : c + 1], b[..., c : c + 1]) for c in range(3)]
-    assert ms_ssim(a, b) == pytest.approx(
-        sum(value or 0 for value in each) / 3, abs=1e-6
-    )  # 6e-8: windows are in float32
+    mean = sum(value or 0 for value in each) / 3
+    assert ms_ssim(a, b) == pytest.approx(mean, abs=1e-6)  # 6e-8: windows are in float32
 
 
 def test_ms_ssim_is_none_under_161_pixels() -> None:

@@ -3,6 +3,7 @@ size within a percent, so that the difference in PSNR is what the part is worth.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ PARTS = {
     "dropping those not worth their bits": replace(
         RD, prune=replace(RD.prune, bits_of_dropped=RD.prune.bits_of_nothing)
     ),
-    "smaller pictures at first": replace(RD, pyramid=replace(RD.pyramid, halvings=0)),
+    "smaller pictures at first": replace(RD, pyramid=replace(RD.pyramid, contrast_kept=math.inf)),
     "a price for existing (anything may grow)": replace(RD, densify=replace(RD.densify, bits_of_new=0.0)),
     # The price of a new Gaussian is a multiple of the price in the fit, and stays as it is.
     "a price for bits while fitting": replace(

@@ -90,10 +90,10 @@ class Kernels:
     ) -> bytes:
         """As Backend.refine."""
         arrays = *gaussians.arrays, target
-        seen = _seen(visibility) or (None, False)
-        last = limits.price, limits.sweeps, limits.seconds, limits.max_bytes, *seen
+        last = limits.price, limits.sweeps, limits.seconds, limits.max_bytes
+        seen = (None, False) if visibility is None else (visibility.values, visibility.by_eye)
         halvings = limits.spacing.bit_length() - 1
-        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last, halvings)
+        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last, *seen, halvings)
 
 
 def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_row: int = 0) -> native.Rasterization:

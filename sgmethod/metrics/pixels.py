@@ -91,7 +91,7 @@ def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> Float64Array:
         return _ssim_sum(*in_band, whole=whole)
 
     sums: Float64Array = np.sum(in_parallel(of_band, range(0, height, rows)), axis=0)
-    return sums / (width * height)
+    return np.asarray(sums / (width * height))
 
 
 def _ssim_sum(x: Plane, y: Plane, *, whole: bool) -> Float64Array:
