@@ -89,11 +89,20 @@ class Kernels:
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
         """As Backend.refine."""
-        arrays = *gaussians.arrays, target
-        last = limits.price, limits.sweeps, limits.seconds, limits.max_bytes
-        seen = (None, False) if visibility is None else (visibility.values, visibility.by_eye)
-        halvings = limits.spacing.bit_length() - 1
-        return native.rd_refine(coding.parameters, *arrays, native.CUTOFF_V3, *last, *seen, halvings)
+        values, by_eye = (None, False) if visibility is None else (visibility.values, visibility.by_eye)
+        return native.rd_refine(
+            coding.parameters,
+            *gaussians.arrays,
+            target,
+            native.CUTOFF_V3,
+            limits.price,
+            limits.sweeps,
+            limits.seconds,
+            limits.max_bytes,
+            values,
+            by_eye,
+            halvings=limits.spacing.bit_length() - 1,
+        )
 
 
 def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_row: int = 0) -> native.Rasterization:

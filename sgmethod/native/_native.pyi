@@ -216,7 +216,7 @@ def rd_refine(
     halvings: int = 0,
 ) -> bytes:
     """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h).
-    visibility, by_eye: as in squared_error()."""
+    visibility, by_eye: as in squared_error(); halvings: of the picture, that make the target."""
 
 def rd_lay_out(
     parameters: RdParameters, data: bytes, prefix: bool, cutoff: float, pyramid: bool, texture: Texture | None = None

@@ -36,11 +36,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
 
 
 def error_of(plan: Plan, gaussians: Gaussians) -> float:
-    """The mean squared error of the whole picture, what its finest level cannot show included."""
-    finest, shown = plan.finest, plan.request.objective.shown
-    if shown is not None and finest.frame.spacing > 1:
-        shown = finest.visibility
-    return plan.request.backend.error(gaussians, finest.frame, finest.target, shown)
+    """The mean squared error on the finest level."""
+    return plan.request.backend.error(gaussians, plan.finest.frame, plan.finest.target, plan.shown)
 
 
 def level_for(plan: Plan, state: State, stage: Stage, gaussians: int) -> Level:

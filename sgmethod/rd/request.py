@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import Backend, Coding, Frame, Moments
+from sgmethod.backend.protocol import Backend, Coding, Frame, Moments, Visibility
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.fitting.deadline import Deadline, Pace
 from sgmethod.fitting.level import Level, Pyramid, background_of, target_of
@@ -104,6 +105,14 @@ class Plan:
     def finest(self) -> Level:
         """The picture that the file can show."""
         return self.pyramid.finest
+
+    @cached_property
+    def shown(self) -> Visibility | None:
+        """What alpha shows of the finest level."""
+        shown = self.request.objective.shown
+        for _ in range(self.finest.frame.spacing.bit_length() - 1):
+            shown = shown and shown.halved()
+        return shown
 
     @property
     def lengths(self) -> list[int]:

@@ -1,0 +1,80 @@
+"""Cost follows the file: a picture of more pixels than its Gaussians can show costs as if it had fewer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from sgmethod import Budget
+from sgmethod.backend.kernels import Kernels
+from sgmethod.backend.protocol import Frame, RefineLimits
+from sgmethod.decoder import draw_whole
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.metrics import psnr
+from sgmethod.rd import encode as pipeline
+from sgmethod.scene import Gaussians
+from tests.harness.data import PHOTOGRAPHS
+from tests.rd.short import begun, requested
+
+Pixels = NDArray[np.uint8]
+CROP = np.ascontiguousarray(read_image_8_bit((PHOTOGRAPHS / "kodim23-crop.png").read_bytes()))
+BUDGET = Budget("bytes", 200)
+
+
+class Counting(Kernels):
+    """Counts the pixels of gradients and of refining."""
+
+    def __init__(self) -> None:
+        self.fitted = self.refined = 0
+
+    def gradients(self, gaussians: Gaussians, frame: Frame, *rest: Any) -> tuple[float, Gaussians]:
+        """As Kernels.gradients."""
+        self.fitted += frame.width * frame.height
+        return super().gradients(gaussians, frame, *rest)
+
+    def refine(self, gaussians: Gaussians, coding: Any, target: Any, limits: RefineLimits, *rest: Any) -> bytes:
+        """As Kernels.refine."""
+        self.refined += target[0].size
+        return super().refine(gaussians, coding, target, limits, *rest)
+
+
+def enlarged(times: int) -> Pixels:
+    return np.asarray(cv2.resize(CROP, None, fx=times, fy=times, interpolation=cv2.INTER_CUBIC), np.uint8)
+
+
+def test_pixels_beyond_what_the_file_shows_cost_nothing() -> None:
+    costs, found = [], []
+    for pixels in (CROP, enlarged(8)):
+        backend = Counting()
+        stream, _ = pipeline.encode(requested(pixels, BUDGET, backend=backend))
+        costs.append((backend.fitted, backend.refined))
+        found.append(psnr(draw_whole(stream), pixels))
+    (fitted, refined), (of_large, refined_of_large) = costs
+    assert of_large < 1.7 * fitted  # 64 times as many pixels
+    assert refined_of_large < 4.5 * refined
+    assert found[1] > found[0] - 0.3
+
+
+@pytest.mark.parametrize("tune", ["psnr", "visual"])
+def test_the_finest_level_has_the_pixels_that_gaussians_need(tune: Any) -> None:
+    plan, _ = begun(requested(enlarged(8), BUDGET, tune))
+    expected = plan.request.rate.expected_gaussians()
+    assert 4 * 400 * expected > plan.finest.pixels >= 400 * expected
+    assert plan.settings.fit.optimiser.min_scale_px == 0.75 * plan.finest.frame.spacing
+    whole, _ = begun(requested(CROP, Budget("bpp", 1), tune))
+    assert whole.finest.frame.spacing == 1
+
+
+def test_a_reduced_level_asks_for_the_gaussians_of_the_whole() -> None:
+    """Fitted to means alone, they would be wider by the blur of the means."""
+    y, x = np.mgrid[:512, :512]
+    pixels = np.repeat((250 * np.exp(-((x - 255.5) ** 2 + (y - 255.5) ** 2) / 2 / 16**2))[..., None], 3, 2)
+    request = requested(np.asarray(np.rint(pixels), np.uint8), Budget("bytes", 64))
+    level = request.pyramid().finest
+    assert level.frame.spacing >= 4
+    peak = level.image()[0].max() * 255 + request.background[0]
+    assert peak == pytest.approx(250, abs=2.5)
