@@ -71,8 +71,8 @@ class Level:
     def halved(self, sharpened: bool = False) -> Level:
         """The level of half the size: means of four.
 
-        That blurs by a variance of 1/16 of the new pixels. SHARPEN takes it back, as far as the range of the means
-        goes, or Gaussians that end on this level would be too wide and too faint for the whole picture.
+        That blurs by a variance of 1/16 of the new pixels. SHARPEN takes it back within the range of this level, or
+        Gaussians that end on the other would be too wide and too faint for the whole picture.
         """
         f = self.frame
         frame = replace(f, height=-(-f.height // 2), width=-(-f.width // 2), spacing=2 * f.spacing)
@@ -82,7 +82,7 @@ class Level:
             even = cv2.copyMakeBorder(self.target[plane], 0, f.height % 2, 0, f.width % 2, cv2.BORDER_REPLICATE)
             small = cv2.resize(even, (frame.width, frame.height), dst=target[plane], interpolation=cv2.INTER_AREA)
             if sharpened:
-                least, most, *_ = cv2.minMaxLoc(small)
+                least, most, *_ = cv2.minMaxLoc(self.target[plane])
                 sharp = cv2.filter2D(small, -1, SHARPEN, borderType=cv2.BORDER_REPLICATE)
                 np.clip(sharp, int(least), int(most), out=target[plane])
 
