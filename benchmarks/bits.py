@@ -1,4 +1,4 @@
-"""Bits of a file of version 4 by what they say, counted by the second decoder as it reads: colour, shape, place."""
+"""Bits of a file of version 5 by what they say, counted by the second decoder as it reads: colour, shape, place."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import math
 from typing import Any
 from unittest.mock import patch
 
-from tests.bitstream import plain_decoder_v3 as v3
 from tests.bitstream import plain_decoder_v4 as v4
+from tests.bitstream import plain_decoder_v5 as v5
 
 SCALE = 32768  # what the edges of a model's symbols end at
 _MODELS = v4.Models
@@ -16,9 +16,8 @@ _MODELS = v4.Models
 def by_kind(data: bytes) -> dict[str, float]:
     """Of the payload of a file: colour (luma, chroma and their signs), shape (ratio, slant, size within a class),
     place (number in each class of size, distances, parts of a cell), and what it begins and ends with."""
-    header = v3.parse_header(data, v4.NUMBERS)
-    payload = v4.payload_of(header, data)
-    coder = _Counting(payload)
+    file = v5.read(data)
+    coder = _Counting(file.payload, file.states)
     read_turn = v4.read_turn
 
     def turn(*arguments: Any) -> Any:
@@ -28,16 +27,16 @@ def by_kind(data: bytes) -> dict[str, float]:
         return following, gaussian
 
     with patch.object(v4, "read_turn", turn), patch.object(v4, "Models", coder.models):
-        for _ in v4.read_gaussians(header, coder, part=False):
+        for _ in v4.read_gaussians(file.header, coder, part=False):
             pass
-    return {**coder.bits, "begin and end": 8 * len(payload) - sum(coder.bits.values())}
+    return {**coder.bits, "begin and end": 8 * len(file.payload) - sum(coder.bits.values())}
 
 
 class _Counting(v4.Coder):
     """Counts as it reads. Raw bits of a number are of its kind; all others are of places, but those of a size."""
 
-    def __init__(self, payload: bytes) -> None:
-        super().__init__(payload)
+    def __init__(self, payload: bytes, states: int) -> None:
+        super().__init__(payload, states)
         self.bits = dict.fromkeys(("colour", "shape", "place"), 0.0)
         self.kinds: dict[int, str] = {}  # by model
 

@@ -313,7 +313,7 @@ def test_help(run: Run, command: list[str]) -> None:
         (ENCODE + "--bpp inf", "positive"),
         (ENCODE + "--bytes 10.5", "whole"),
         (ENCODE + "--bytes 1e400", "positive"),
-        (ENCODE + "--bytes 17", "at least"),
+        (ENCODE + "--bytes 11", "at least"),
         (ENCODE + "--bpp 1e-9", "at least"),
         (ENCODE + "--psnr 99", "at most 60"),
         (ENCODE + "--gaussians 0", "positive"),
