@@ -31,7 +31,7 @@ COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name C
 TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py))) tests/service
 
 # The second decoders are plain Python, which takes twice as long when it is measured, and are no part of the packages.
-UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/test_fuzz_*.py)
+UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/fuzz/test_fuzz_*.py)
 # About half of the service's tests, all of which mostly wait: for processes that start, end or are killed.
 WHOLE := tests/service/whole tests/service/process tests/service/worker
 # The service's encoders stand behind all who answer, so behind tests that compute as well, unless those do so too: without

@@ -174,7 +174,7 @@ def _drawn(scene: Scene) -> NDArray[np.uint8]:
             pyramid=scene.pyramid,
             x=x,
             y=y,
-            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift),
+            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift, t.is_banded),
         )
     except OverflowError as error:
         raise BitstreamError(OVERLAP) from error

@@ -67,17 +67,19 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Texture:
-    """Noise from a seed, which is drawn with the Gaussians (docs/format.md, version 4).
+    """Noise from a seed, which is drawn with the Gaussians (docs/format.md, versions 4 and 5).
 
     codes [octaves, rows, columns]: its strengths in the middles of the picture's cells, 0 for none;
     cell: sides (x, y) of a cell; corner: that of the picture (x, y), in the coordinates of the means;
-    shift: octave o is drawn on level o + shift of the pyramid, and not at all below level 0.
+    shift: octave o is drawn on level o + shift of the pyramid, and not at all below level 0;
+    is_banded: whether the noise of an octave leaves lower frequencies alone, as since version 5, or is white.
     """
 
     codes: NDArray[np.uint8]
     cell: tuple[float, float]
     corner: tuple[float, float] = (0.0, 0.0)
     shift: int = 0
+    is_banded: bool = True
 
 
 @dataclass(frozen=True)

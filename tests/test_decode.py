@@ -16,7 +16,7 @@ from PIL import Image
 from sgmethod import BitstreamError, decode, info, set_threads
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.decoder import draw, draw_whole
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
@@ -101,7 +101,7 @@ def test_what_is_laid_out_while_it_is_decoded_is_the_same(threads: int) -> None:
     for name in EVERY:
         stream = parse(golden(name))
         assert np.array_equal(draw_whole(stream), draw(stream.scene()))
-    for name in ("v3-color", "v4-texture"):
+    for name in ("v3-color", "v5-texture"):
         stream = parse(golden(name))
         for prefix in np.linspace(0.01, 0.99, 50).tolist():
             expected = draw(View(texture=False).apply(stream.scene(prefix)))
@@ -114,7 +114,7 @@ def test_more_gaussians_than_expected_are_laid_out_too() -> None:
     many = Gaussians(
         *(np.tile(np.array([row], np.float32), (n, 1)) for row in ((20, 20), (3, 0, 3), (0.02, 0.02, 0.02)))
     )
-    stream = StreamV4.of(many, (64, 64), 0.25, (0, 0, 0), False)
+    stream = StreamV5.of(many, (64, 64), 0.25, (0, 0, 0), False)
     assert 8 * len(stream.payload) < 9 * n
     assert np.array_equal(draw_whole(stream), draw(stream.scene()))
     assert len(stream.gaussians()) == n

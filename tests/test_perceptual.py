@@ -63,7 +63,7 @@ def test_compare_with_weights(run: Run, weights: Path, tmp_path: Path) -> None:
     assert [line.split() for line in ran.out.splitlines()[-2:]] == [["LPIPS", "0"], ["DISTS", ran.out.split()[-1]]]
     ran = run("compare", "photo.png", "photo.png", "--weights", str(tmp_path / "none"))
     assert ran.status == 2
-    assert ran.err.startswith("sgmethod: cannot use the weights of ")
+    assert ran.err.startswith("sgmethod: cannot use the weights in ")
 
 
 @pytest.mark.parametrize("name", ["lpips_vgg16.npz", "dists_alpha_beta.pt"])
@@ -75,5 +75,5 @@ def test_weights_of_something_else(weights: Path, tmp_path: Path, name: str) -> 
         np.savez(tmp_path / name, something=np.zeros(3))
     else:
         (tmp_path / name).write_bytes(pickle.dumps(print, protocol=2))
-    with pytest.raises(ValueError, match="holds other weights"):
+    with pytest.raises(ValueError, match="has the wrong weights"):
         Networks(tmp_path)

@@ -102,18 +102,21 @@ class Moments:
 
 @dataclass(frozen=True)
 class Coding:
-    """How integers of a file stand for Gaussians: picture size, quantum, and whether chroma and shear are left out."""
+    """How integers of a file stand for Gaussians: picture size, quantum, whether chroma and shear are left out, and
+    whether the file is a short one."""
 
     width: int
     height: int
     quantum: float
     grey: bool = False
     upright: bool = False
+    is_short: bool = False
 
     @property
     def parameters(self) -> native.RdParameters:
         """For the entropy coder."""
-        return native.RdParameters(self.width, self.height, self.quantum, self.grey, self.upright)
+        size = self.width, self.height
+        return native.RdParameters(*size, self.quantum, self.grey, self.upright, is_short=self.is_short)
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from sgmethod.bitstream.v1 import CODEBOOK_STAGES, COLOR_INDEX_BITS, file_bytes
-from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
+from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 
 
 def smallest_file(settings: RdSettings | PaperSettings, *, has_alpha: bool = False) -> int:
-    """Bytes of the smallest file that a profile writes."""
+    """Bytes of the smallest file that a profile writes, of the largest picture."""
     if isinstance(settings, RdSettings):
-        return StreamV4.MIN_BYTES + (ALPHA_HEADER.size if has_alpha else 0)
+        return SMALLEST_FILE + (SMALLEST_ALPHA if has_alpha else 0)
     groups = settings.max_bitwidth - settings.min_bitwidth + 1 if settings.adaptive_bitwidth else 1
     record = 2 * settings.position_bits + 3 * settings.min_bitwidth + CODEBOOK_STAGES * COLOR_INDEX_BITS
     return file_bytes(record, groups)

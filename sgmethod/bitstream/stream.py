@@ -12,6 +12,10 @@ from sgmethod.scene import FloatArray, Scene
 MAGIC = b"SGM"
 OVERLAP = "the file's Gaussians overlap beyond what a picture needs"
 PREFIX_BYTES = len(MAGIC) + 1 + 4  # magic, version, CRC-32 of all that follows
+# From version 5 on: "S" with its highest bit, and the version with its two highest; the checksum is at the end.
+SIGNATURE, SIGNATURE_BYTES = (0xD3, 0xC0), 2
+BEGINNINGS = MAGIC, b"\xd3\xc5"  # of files that are known
+SHORT_CHECKSUM, LONG_CHECKSUM = 1, 4  # bytes, the last of the CRC-32 of all that comes before them
 LaidOut = tuple[native.Rasterization, FloatArray]  # Gaussians as they are drawn, and their colours
 
 
@@ -55,7 +59,7 @@ class Info:
 
 
 class Stream(Protocol):
-    """A file without its magic, version and checksum, parsed."""
+    """A file without its magic, version and checksum, parsed. Its body is what is left of the bytes."""
 
     VERSION: ClassVar[int]
     MIN_BYTES: ClassVar[int]  # of a whole file
@@ -82,11 +86,11 @@ class Stream(Protocol):
 
     @classmethod
     def parse(cls, body: memoryview, limits: Limits) -> Stream:
-        """From what follows the checksum. Raises BitstreamError."""
+        """From the body. Raises BitstreamError."""
         ...
 
     def body(self) -> bytes:
-        """What follows the checksum."""
+        """The bytes but for signature, version and checksum."""
         ...
 
     def scene(self, prefix: float = 1.0) -> Scene:

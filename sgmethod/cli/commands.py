@@ -112,11 +112,11 @@ def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | 
 
 def _picture(path: str) -> NDArray[np.uint8]:
     """The pixels of an image file or an .sg file."""
-    from sgmethod.bitstream.stream import MAGIC
+    from sgmethod.bitstream.stream import BEGINNINGS
     from sgmethod.errors import ImageError
 
     data = files.read(path)
-    if data.startswith(MAGIC):
+    if data.startswith(BEGINNINGS):
         pixels = decode(data)
         if pixels.shape[2] == 3:
             return pixels

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
-from sgmethod.bitstream.payload import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, is_upright, quantum_code, quantum_of
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM, is_upright
+from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.budget import Budget, own_number, whole
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import own_gaussians
@@ -81,21 +81,22 @@ class _Packing:
         self._gaussians, self._size, self._background, self._target = gaussians, size, background, target
         self._grey = len(set(background)) == 1 and bool((gaussians.colors == gaussians.colors[:, :1]).all())
 
-    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV4:
+    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV5:
         """With this quantum; refined, with at most so many bytes of payload, if there is a target."""
-        quantum = quantum_of(quantum_code(quantum))
+        quantum = StreamV5.coded_quantum(quantum)
         self._check_range(quantum)
-        rounded = StreamV4.of(self._gaussians, self._size, quantum, self._background, self._grey)
+        rounded = StreamV5.of(self._gaussians, self._size, quantum, self._background, self._grey)
         if self._target is None:
             return rounded
         limits = RefineLimits(error_per_bit(quantum), SWEEPS, math.inf, max_bytes)
         coding = Coding(*self._size, quantum, self._grey, rounded.upright)
         payload = Kernels().refine(self._gaussians, coding, self._target, limits, None)
-        return StreamV4(*self._size, quantum, self._background, self._grey, rounded.upright, payload)
+        return StreamV5(*self._size, quantum, self._background, self._grey, rounded.upright, payload)
 
-    def within(self, max_bytes: int) -> StreamV4:
+    def within(self, max_bytes: int) -> StreamV5:
         """With the finest quantum for a file of at most so many bytes."""
-        room = max_bytes - HEADER_BYTES
+        empty = StreamV5.of(Gaussians.empty(0), self._size, MAX_QUANTUM, self._background, self._grey)
+        room = max_bytes - empty.file_bytes
         found = self.stream(self._quantum(room, max_bytes), room)
         if self._target is None or not found.payload:
             return found
@@ -106,7 +107,7 @@ class _Packing:
         """The finest, about, of which the payload has at most `room` bytes before refining."""
 
         def payload(quantum: float) -> int:
-            return len(StreamV4.of(self._gaussians, self._size, quantum, self._background, self._grey).payload)
+            return len(StreamV5.of(self._gaussians, self._size, quantum, self._background, self._grey).payload)
 
         if payload(MAX_QUANTUM) > room:
             raise BudgetError(f"no file of these Gaussians fits into {max_bytes} bytes: take fewer, or more bpp")

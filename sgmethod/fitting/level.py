@@ -24,8 +24,9 @@ from sgmethod.threads import in_parallel
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 
 
-def background_of(pixels: NDArray[np.uint8]) -> tuple[int, int, int]:
-    """The colour of more than half of an image [H, W, 3], such as a page's white, or the mean of all."""
+def background_of(pixels: NDArray[np.uint8]) -> tuple[tuple[int, int, int], bool]:
+    """The colour of more than half of an image [H, W, 3], such as a page's white, and True; or the mean of all, and
+    False."""
     number = pixels.shape[0] * pixels.shape[1]
 
     def counts_of(band: tuple[int, int]) -> list[NDArray[Any]]:
@@ -33,11 +34,9 @@ def background_of(pixels: NDArray[np.uint8]) -> tuple[int, int, int]:
 
     counts = np.sum(in_parallel(counts_of, bands(*pixels.shape[:2])), axis=0, dtype=np.float64)
     most = counts.argmax(1).astype(np.uint8)
-    if counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2:
-        red, green, blue = (int(level) for level in most)
-    else:
-        red, green, blue = (round(float(mean)) for mean in counts @ np.arange(256) / number)
-    return red, green, blue
+    is_most = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
+    red, green, blue = (round(float(level)) for level in (most if is_most else counts @ np.arange(256) / number))
+    return (red, green, blue), is_most
 
 
 def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 0, 0)) -> Target:

@@ -25,6 +25,8 @@ REACH = 9  # pixels along a side of the square around a pixel in which its ink a
 CONTRAST = 64  # levels of 8 bits between the two, at least
 LIKE = 1 / 6  # of the contrast: as far from ink or paper as JPEG may leave what was drawn as one of them
 MOST_DRAWN = 1 / 2  # of the pixels of a block that may be noise
+# The spread in which noise of strength 1 shows where the residual is measured, by octave: tests/test_texture.py
+SHOWN = (0.92, 0.46)
 TINY = 1e-3  # squared levels
 MARGIN = 4  # rows, beyond what reduction and enlargement reach; even, so that pairs of rows stay pairs
 
@@ -46,7 +48,7 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
         for octave in range(TEXTURE_OCTAVES):
             coarse = _halved(left)
             spread = _spread(_detail(left, coarse), noisy, settings)
-            found[octave, row] = _strength(spread, settings.gain[octave], settings)
+            found[octave, row] = _shown(spread, octave, settings) / SHOWN[octave]
             left = coarse
     codes = _codes(found)
     return codes if codes.any() else None
@@ -168,11 +170,11 @@ def _spread(detail: Plane, noisy: Plane, settings: TextureSettings) -> Plane:
     return _plane(np.sqrt(np.maximum(energies, 0)))
 
 
-def _strength(spread: Plane, gain: float, settings: TextureSettings) -> Plane:
-    """The strength of texture for a spread."""
+def _shown(spread: Plane, octave: int, settings: TextureSettings) -> Plane:
+    """The spread that texture is to have for a spread that is left."""
     middle = settings.middle
-    strength = gain * middle * (spread / middle) ** settings.power
-    return _plane(np.minimum(strength, settings.most * spread))
+    shown = settings.gain[octave] * middle * (spread / middle) ** settings.power
+    return _plane(np.minimum(shown, settings.most[octave] * spread))
 
 
 def _codes(strengths: Plane) -> Codes:

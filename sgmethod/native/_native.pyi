@@ -61,9 +61,11 @@ class Texture:
         x: float = 0.0,
         y: float = 0.0,
         shift: int = 0,
+        is_banded: bool = True,
     ) -> None:
         """codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS; cell_x, cell_y: sides of a cell, and x, y:
-        the picture's corner, in output pixels; shift: octave o is drawn on level o + shift."""
+        the picture's corner, in output pixels; shift: octave o is drawn on level o + shift; is_banded: the noise of
+        version 5, not that of version 4."""
 
 class Rasterization:
     """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""
@@ -181,8 +183,16 @@ class RdParameters:
     """What the stream of profile rd needs to know before its first Gaussian."""
 
     def __init__(
-        self, width: int, height: int, quantum: float, grey: bool = False, upright: bool = False, version: int = 4
-    ) -> None: ...
+        self,
+        width: int,
+        height: int,
+        quantum: float,
+        grey: bool = False,
+        upright: bool = False,
+        version: int = 4,
+        is_short: bool = False,
+    ) -> None:
+        """version: of the payload, 3 or 4; is_short: whether all symbols share one state, as in a short file."""
 
 def rd_clipped_values() -> int:
     """Values that lay outside of the range of their integer and were moved to its end, since the process began: of

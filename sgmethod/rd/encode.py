@@ -15,7 +15,7 @@ composed in alpha.py.
 
 from __future__ import annotations
 
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
@@ -27,7 +27,7 @@ from sgmethod.rd.steer import steer
 from sgmethod.scene import Gaussians
 
 
-def encode(request: Request) -> tuple[StreamV4, int]:
+def encode(request: Request) -> tuple[StreamV5, int]:
     """The coded picture of a request, and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0

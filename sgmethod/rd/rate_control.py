@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from sgmethod.backend.protocol import NO_LIMIT
-from sgmethod.bitstream.payload import HEADER_BYTES, MAX_QUANTUM, MIN_QUANTUM, quantum_code
+from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.texture import Codes, pack
-from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
+from sgmethod.bitstream.v5 import SHORT_BYTES, SMALLEST_ALPHA, SMALLEST_FILE, StreamV5, alpha_bytes, quantum_code
 from sgmethod.budget import MAX_PSNR_DB, Budget
 from sgmethod.decoder import draw_whole
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.objective import Objective
 from sgmethod.settings.rd import RdSettings, Times
 
-SMALLEST_FILE = HEADER_BYTES  # without any Gaussian there is no payload
+LONG_FILE = 32  # bytes that surely hold the header that is not short, with alpha
 EXACT_DB = 99.0  # of a picture without any error
 
 
@@ -44,7 +44,7 @@ def error_per_bit(quantum: float) -> float:
 class Coded:
     """A coded picture, measured without its texture, which is there to be seen and not to be measured."""
 
-    stream: StreamV4
+    stream: StreamV5
     objective: Objective
 
     @cached_property
@@ -69,7 +69,7 @@ class RateControl:
 
     pixels: of the picture; quantum: the first, and the last one where nothing steers it; max_bytes: of the file, never
     to be exceeded; psnr: dB to reach; max_gaussians: not to be exceeded; is_steered: the quantum follows max_bytes or
-    psnr. Times (`at`) are parts of a run of the schedule, 0 to 1.
+    psnr; is_short: the file is to be a short one. Times (`at`) are parts of a run of the schedule, 0 to 1.
     """
 
     settings: RdSettings
@@ -79,6 +79,7 @@ class RateControl:
     psnr: float | None = None
     max_gaussians: int | None = None
     is_steered: bool = True
+    is_short: bool = False
 
     @classmethod
     def of(cls, budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_alpha: bool = False) -> RateControl:
@@ -93,11 +94,15 @@ class RateControl:
         if budget.kind == "gaussians":
             quantum = quality_quantum(s.gaussians_quality)
             return cls(settings, pixels, quantum, max_gaussians=budget.max_gaussians(*size))
-        asked, least = budget.max_bytes(*size) or 0, SMALLEST_FILE + has_alpha * ALPHA_HEADER.size
+        asked, least = budget.max_bytes(*size) or 0, SMALLEST_FILE + has_alpha * SMALLEST_ALPHA
         if asked < least:
             kind = "a file with alpha" if has_alpha else "a file of profile rd"
             raise BudgetError(f"{kind} takes at least {least} bytes, the budget is {asked}")
-        return cls(settings, pixels, 0.0).for_bytes(asked)
+        return cls(settings, pixels, 0.0, is_short=asked <= SHORT_BYTES).for_bytes(asked)
+
+    def for_exact_background(self) -> RateControl:
+        """The same, without the short file's rounded background, where a budget has the few bytes that this takes."""
+        return replace(self, is_short=self.is_short and (self.max_bytes or 0) < LONG_FILE)
 
     def for_bytes(self, max_bytes: int) -> RateControl:
         """The same for a budget of bytes, or as many as a file can use."""
@@ -181,11 +186,9 @@ class Selection:
 
     rate: RateControl
 
-    def payload_limit(self, texture: Codes | None) -> int:
-        """Bytes that the budget leaves for the payload, beside a texture."""
-        if self.rate.max_bytes is None:
-            return NO_LIMIT
-        return self.rate.max_bytes - HEADER_BYTES - (0 if texture is None else len(pack(texture)))
+    def payload_limit(self, empty: StreamV5) -> int:
+        """Bytes that the budget leaves for the payload, beside what a file without any takes."""
+        return NO_LIMIT if self.rate.max_bytes is None else max(self.rate.max_bytes - empty.file_bytes, 0)
 
     def affords(self, texture: Codes) -> bool:
         """Whether a texture's bytes are a small part of the budget."""
@@ -295,17 +298,17 @@ def of_alpha(rate: RateControl) -> RateControl:
         return replace(rate, quantum=quantum, max_gaussians=max(int(s.most_gaussians * rate.max_gaussians), 1))
     if rate.max_bytes is None:
         return replace(rate, quantum=quantum, psnr=None)
-    most = int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - ALPHA_HEADER.size))
-    return replace(rate, quantum=quantum, max_bytes=HEADER_BYTES + most, is_steered=False)
+    most = int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA))
+    return replace(rate, quantum=quantum, max_bytes=StreamV5.MIN_BYTES + most, is_steered=False)
 
 
-def beside_alpha(rate: RateControl, alpha: StreamV4, error: float) -> RateControl:
+def beside_alpha(rate: RateControl, alpha: StreamV5, error: float) -> RateControl:
     """For the colours beside an alpha plane; error: the mean squared one of the file, if only alpha were wrong."""
     if rate.max_gaussians is not None:
         used = len(alpha.gaussians()) if alpha.payload else 0
         return replace(rate, max_gaussians=max(rate.max_gaussians - used, 1))
     if rate.max_bytes is not None:
-        return rate.for_bytes(rate.max_bytes - ALPHA_HEADER.size - len(alpha.payload))
+        return rate.for_bytes(rate.max_bytes - alpha_bytes(alpha))
     if rate.psnr is None:
         return rate
     allowed = 10 ** (-rate.psnr / 10)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Backend, Coding, Frame, Moments, Visibility
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.v5 import StreamV5, coded_background
 from sgmethod.fitting.deadline import Deadline, Pace
 from sgmethod.fitting.level import Level, Pyramid, background_of, target_of
 from sgmethod.fitting.moving_target import MovingTarget
@@ -45,7 +45,8 @@ class Request:
     spread: int = field(init=False)
 
     def __post_init__(self) -> None:
-        pixels, background = self.pixels, background_of(self.pixels)
+        pixels = self.pixels
+        background = coded_background(background_of(pixels)[0], self.rate.is_short)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
         rows = pixels.reshape(len(pixels), -1)
         lowest, highest = (of_columns.reshape(-1, 3).astype(int) for of_columns in (rows.min(0), rows.max(0)))
@@ -86,11 +87,12 @@ class Request:
 
     def coding(self, quantum: float) -> Coding:
         """How a quantum codes this picture."""
-        return Coding(*self.size, quantum, self.grey)
+        return Coding(*self.size, quantum, self.grey, is_short=self.rate.is_short)
 
-    def stream(self, gaussians: Gaussians, quantum: float) -> StreamV4:
+    def stream(self, gaussians: Gaussians, quantum: float) -> StreamV5:
         """The coded picture."""
-        return StreamV4.of(gaussians, self.size, quantum, self.background, self.grey, self.with_shear)
+        own = self.background, self.grey, self.with_shear, self.rate.is_short
+        return StreamV5.of(gaussians, self.size, quantum, *own)
 
 
 @dataclass(frozen=True)

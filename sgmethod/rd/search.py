@@ -22,7 +22,8 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     texture = request.objective.texture(request.stream(state.gaussians, state.quantum))
     if texture is not None and not selection.affords(texture):
         texture = None
-    limit, target = selection.payload_limit(texture), state.target.now
+    empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
+    limit, target = selection.payload_limit(empty), state.target.now
     room = Room(limit, texture)
 
     def payload(quantum: float) -> int:
@@ -46,5 +47,5 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
         best = selection.best([best, quantised(plan, again, target, best.stream.quantum, less)])
     if not request.is_nearly_flat:
         return best
-    empty = replace(request.stream(Gaussians.empty(0), best.stream.quantum), texture=texture)
+    empty = replace(empty, quantum=best.stream.quantum)
     return selection.best([best, Coded(empty, request.objective)])

@@ -226,10 +226,10 @@ class TextureSettings:
     grain_hidden: float = 1.0  # of the strength of a cell's grain: detail that is no stronger is hidden as a whole
     grain_left: tuple[float, float] = (0.6, 0.85)  # of a cell's detail, by the fit: none is hidden below, all above
     grain_levels: tuple[float, float] = (4.0, 7.0)  # of 8 bits: the same by its strength; faint grain makes no needles
-    gain: tuple[float, float] = (0.8, 0.4)  # by octave, of a spread of `middle` that is left
+    gain: tuple[float, float] = (0.62, 0.42)  # by octave, of a spread of `middle` that is left
     middle: float = 3.0  # levels of 8 bits
     power: float = 0.5  # of other spreads, with which strengths go: much grain where much is left looks broken
-    most: float = 0.9  # of the spread that is left
+    most: tuple[float, float] = (0.7, 0.97)  # by octave, of the spread that is left
     floor: float = 0.3  # levels of 8 bits; rounding two pictures leaves that much between them
     quantile: float = 0.4  # of the blocks of a cell, by the energy that is left in them
     share: float = 0.05  # of a budget of bytes, at most

@@ -1,7 +1,7 @@
 """Golden files of the versions that are written: python -m tests.bitstream.make_golden [NAME ...]
 
-Writes tests/data/v1/*.sg with the pictures that they decode to, and tests/data/v4/*.sg with the hashes of both in
-hashes.json. Nothing writes version 3 any more: tests/data/v3/ stays as it is.
+Writes tests/data/v1/*.sg with the pictures that they decode to, and tests/data/v5/*.sg with the hashes of both in
+hashes.json. Nothing writes versions 3 and 4 any more: tests/data/v3/ and tests/data/v4/ stay as they are.
 
 They pin the versions of the format and the decoder's pixels, so they are made anew only when the format gets another
 version or a stream cannot show something that it should. An encoder that has changed is no reason.
@@ -23,7 +23,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v1 import Group, StreamV1
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.v5 import StreamV5, coded_background
 from sgmethod.io import encode_png, write_atomically
 from sgmethod.io.image import read_image
 from sgmethod.native import native
@@ -31,7 +31,7 @@ from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
 FloatArray = NDArray[np.float64]
-HASHES = golden_path("v4-hashes.json")
+HASHES = golden_path("v5-hashes.json")
 
 
 def photograph(profile: str) -> bytes:
@@ -76,10 +76,16 @@ def rd_photograph(grey: bool) -> bytes:
     pixels = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[20:60, 30:78])
     if grey:
         pixels = np.ascontiguousarray(np.repeat(pixels[:, :, 1:2], 3, 2))
-    return encode(pixels, Budget("bytes", 300), "rd").data
+    return encode(pixels, Budget("bytes", 300), "rd", tune="psnr").data
 
 
-def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False) -> bytes:
+def rd_long() -> bytes:
+    """The same in a file that is not short."""
+    pixels = np.ascontiguousarray(read_image((PHOTOGRAPHS / "kodim23-crop.png").read_bytes())[20:60, 30:78])
+    return encode(pixels, Budget("quality", 40), "rd", tune="psnr").data
+
+
+def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False, is_short: bool = False) -> bytes:
     """What no photograph has: every class of size, needles, colours beyond white, Gaussians far outside, some in one
     place."""
     rng = np.random.default_rng(n)
@@ -90,15 +96,7 @@ def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False) -> byt
     factors = np.exp(np.linspace(-2, 10, n)[:, None] + np.stack([aspect, rng.normal(0, 1.5, n), -aspect], 1))
     factors[:, 1] *= 0 if upright else rng.choice([-1, 1], n)
     colors = rng.normal(0.1, 0.5, (n, 3)) / np.sqrt(factors[:, :1])
-    return rd_coded(means, factors, colors, size, 0.05)
-
-
-def rd_levels() -> bytes:
-    """Ellipses in all directions, of minor axes from a pixel to wider than the picture."""
-    rng = np.random.default_rng(2)
-    n, size = 48, (83, 70)
-    minor, aspect, angle = np.geomspace(0.7, 150, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
-    return rd_coded(rng.uniform(-0.1, 1.1, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n) / 4, size, 0.02)
+    return rd_coded(means, factors, colors, size, 0.05, is_short=is_short)
 
 
 def rd_needles() -> bytes:
@@ -112,7 +110,7 @@ def rd_needles() -> bytes:
     return rd_coded(rng.uniform(0.2, 0.8, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n), size, 0.0)
 
 
-def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False) -> bytes:
+def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False, is_short: bool = False) -> bytes:
     """Texture of every strength, over some Gaussians or none."""
     rng = np.random.default_rng(6)
     codes = np.arange(native.TEXTURE_OCTAVES * np.prod(cells(*size))).reshape(-1, *cells(*size)) % 16
@@ -124,21 +122,23 @@ def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False) -> bytes:
         colors[:] = colors[:, :1]
     values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
     gaussians = Gaussians(*(value.astype(np.float32) for value in values))
-    stream = StreamV4.of(gaussians, size, 0.02, (120, 120, 120), grey)
+    background = coded_background((120, 120, 120), is_short)
+    stream = StreamV5.of(gaussians, size, 0.02, background, grey, is_short=is_short)
     return serialise(replace(stream, texture=codes.astype(np.uint8)))
 
 
 def rd_alpha(data: bytes, n: int) -> bytes:
     """A picture with alpha of n Gaussians that leave what decoding clamps; of none, the same everywhere."""
     picture = container.parse(data)
-    assert isinstance(picture, StreamV4)
+    assert isinstance(picture, StreamV5)
     size = picture.width, picture.height
     rng = np.random.default_rng(8)
     minor, aspect, angle = np.geomspace(0.8, 20, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
     colors = np.repeat(rng.normal(0.5, 1, (n, 1)), 3, axis=1)
     values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
     gaussians = Gaussians(*(value.astype(np.float32) for value in values))
-    alpha = StreamV4.of(gaussians, size, 0.04, (100, 100, 100), grey=True)
+    background = coded_background((100, 100, 100), picture.is_short)
+    alpha = StreamV5.of(gaussians, size, 0.04, background, grey=True, is_short=picture.is_short)
     return serialise(replace(picture, alpha=replace(alpha, upright=False)))
 
 
@@ -156,10 +156,17 @@ def slanted(minor: FloatArray, aspect: FloatArray, angle: FloatArray) -> FloatAr
 
 
 def rd_coded(
-    means: FloatArray, factors: FloatArray, colors: FloatArray, size: tuple[int, int], quantum: float
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    size: tuple[int, int],
+    quantum: float,
+    *,
+    is_short: bool = False,
 ) -> bytes:
     gaussians = Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
-    return serialise(StreamV4.of(gaussians, size, quantum, (120, 90, 60), grey=False))
+    background = coded_background((120, 90, 60), is_short)
+    return serialise(StreamV5.of(gaussians, size, quantum, background, grey=False, is_short=is_short))
 
 
 GOLDEN: dict[str, Callable[[], bytes]] = {
@@ -167,17 +174,17 @@ GOLDEN: dict[str, Callable[[], bytes]] = {
     "v1-baseline": lambda: photograph("baseline"),
     "v1-every-bitwidth": every_bitwidth,
     "v1-empty": empty,
-    "v4-color": lambda: rd_photograph(grey=False),
-    "v4-grey": lambda: rd_photograph(grey=True),
-    "v4-every-class": lambda: rd_scattered((41, 27), 150),
-    "v4-upright": lambda: rd_scattered((30, 44), 60, upright=True),
-    "v4-levels": rd_levels,
-    "v4-needles": rd_needles,
-    "v4-texture": lambda: rd_texture((66, 200), 20),
-    "v4-texture-alone": lambda: rd_texture((70, 9), 0, grey=True),
-    "v4-alpha": lambda: rd_alpha(rd_texture((70, 41), 9), 15),
-    "v4-empty": lambda: rd_scattered((7, 5), 0),
-    "v4-pixel": lambda: rd_alpha(rd_scattered((1, 1), 1), 0),
+    "v5-color": lambda: rd_photograph(grey=False),
+    "v5-grey": lambda: rd_photograph(grey=True),
+    "v5-long": rd_long,
+    "v5-upright": lambda: rd_scattered((30, 44), 60, upright=True),
+    "v5-needles": rd_needles,
+    "v5-texture": lambda: rd_texture((66, 200), 20),
+    "v5-texture-alone": lambda: rd_texture((70, 9), 0, grey=True),
+    "v5-alpha": lambda: rd_alpha(rd_texture((70, 41), 9), 15),
+    "v5-short-alpha": lambda: rd_alpha(rd_texture((70, 41), 9, is_short=True), 15),
+    "v5-empty": lambda: rd_scattered((7, 5), 0, is_short=True),
+    "v5-pixel": lambda: rd_alpha(rd_scattered((1, 1), 1), 0),
 }
 
 

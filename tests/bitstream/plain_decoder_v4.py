@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from tests.bitstream import plain_decoder_v3 as v3
@@ -67,10 +67,10 @@ COLOUR, SHAPE = 0, 1  # the states
 
 
 class Coder:
-    def __init__(self, payload: bytes) -> None:
+    def __init__(self, payload: bytes, states: int = 2) -> None:
         self.payload, self.at = payload, 0
         self.queue, self.queued = 0, 0  # raw bits and their number
-        self.states = [self.bytes(4), self.bytes(4)]
+        self.states = [self.bytes(4) for _ in range(states)]
 
     def bytes(self, count: int) -> int:
         self.at += count
@@ -81,6 +81,7 @@ class Coder:
         return self.at > len(self.payload)
 
     def symbol(self, which: int, model: Model) -> int:
+        which %= len(self.states)
         state = self.states[which]
         place = state % 32768
         symbol = next(i for i in range(16) if place < model.edge(i + 1))
@@ -186,7 +187,7 @@ def read_gaussians(header: Header, coder: Coder, part: bool) -> Iterator[Gaussia
                 v3.check_end(coder.past_end, part)
                 yield gaussian
                 total += 1
-    refuse_unless(part or coder.states == [65536, 65536], "last states")
+    refuse_unless(part or set(coder.states) == {65536}, "last states")
     refuse_unless(part or coder.queue == 0, "last bits")
     refuse_unless(part or not any(coder.payload[coder.at :]), "rest")
 
@@ -308,6 +309,25 @@ def read_texture(header: Header, data: bytes) -> tuple[Codes, bytes]:
     return codes, data[-(-read // 8) :]
 
 
+def mix(h: int) -> int:
+    h %= 2**32
+    h ^= h >> 16
+    h = h * 0x7FEB352D % 2**32
+    h ^= h >> 15
+    h = h * 0x846CA68B % 2**32
+    return h ^ h >> 16
+
+
+def word(octave: int, i: int, j: int) -> int:
+    """The byte of a place."""
+    return mix(i + mix(mix(octave + 1) + j // 4)) // 256 ** (j % 4) % 256
+
+
+def white(octave: int, i: int, j: int) -> float:
+    """Noise, where a strength is 1."""
+    return (2 * word(octave, i, j) - 255) / 148
+
+
 @dataclass(frozen=True)
 class Texture:
     """Codes, and where they are drawn: output pixels for a pixel, and where in these the picture's corner lies."""
@@ -315,6 +335,7 @@ class Texture:
     codes: Codes
     scale: tuple[float, float] = (1.0, 1.0)
     corner: tuple[float, float] = (0.0, 0.0)
+    noise: Callable[[int, int, int], float] = white
 
     @property
     def shift(self) -> int:
@@ -334,8 +355,7 @@ class Texture:
         if not 0 <= octave < len(self.codes):
             return 0.0
         places = 65536 // 2**level
-        word = mix(i % places + mix(mix(octave + 1) + j % places // 4))
-        v = 2 * (word // 256 ** (j % places % 4) % 256) - 255
+        v = self.noise(octave, i % places, j % places)
         share = 0.75 if self.shift < 0 and level == 0 else 1.0
         at_x, at_y = (
             min(max(((n + 0.5) * 2**level - corner) / scale / CELL - 0.5, 0), cells - 1)
@@ -349,71 +369,56 @@ class Texture:
     def along_x(self, octave: int, row: int, at: float) -> float:
         codes = self.codes[octave][row]
         left, right = (
-            2 ** ((code - 1) / 2) / (2 * 148 * 255) if code else 0.0
-            for code in (codes[math.floor(at)], codes[math.ceil(at)])
+            2 ** ((code - 1) / 2) / (2 * 255) if code else 0.0 for code in (codes[math.floor(at)], codes[math.ceil(at)])
         )
         return left + (right - left) * (at - math.floor(at))
 
 
-def mix(h: int) -> int:
-    h %= 2**32
-    h ^= h >> 16
-    h = h * 0x7FEB352D % 2**32
-    h ^= h >> 15
-    h = h * 0x846CA68B % 2**32
-    return h ^ h >> 16
+@dataclass(frozen=True)
+class File:
+    """What a file says. Version 5 may have one state, and has other noise."""
+
+    header: Header
+    codes: Codes  # none without texture
+    alpha: tuple[Header, bytes] | None  # the header as of a picture, and the payload
+    payload: bytes
+    states: int = 2
+    noise: Callable[[int, int, int], float] = white
+
+    def gaussians(self) -> list[Gaussian]:
+        return list(read_gaussians(self.header, Coder(self.payload, self.states), part=False))
+
+    def alpha_gaussians(self) -> list[Gaussian]:
+        return (
+            [] if self.alpha is None else list(read_gaussians(self.alpha[0], Coder(self.alpha[1], self.states), False))
+        )
+
+    def part(self, part: float) -> list[Gaussian]:
+        """The Gaussians in a part, above 0 and below 1, of the payload."""
+        coder = Coder(self.payload[: math.ceil(part * len(self.payload))], self.states)
+        found = []
+        try:
+            for gaussian in read_gaussians(self.header, coder, part=True):
+                found.append(gaussian)
+        except EndError:
+            pass
+        except RefusedError:
+            if not coder.past_end:
+                raise
+        return found
 
 
-def parse(data: bytes) -> tuple[Header, list[Gaussian]]:
-    """The header and the Gaussians."""
+def read(data: bytes) -> File:
     header = v3.parse_header(data, NUMBERS)
-    return header, list(read_gaussians(header, Coder(payload_of(header, data)), part=False))
-
-
-def payload_of(header: Header, data: bytes) -> bytes:
-    rest = read_texture(header, data[18:])[1]
-    return read_alpha(header, rest)[2] if header.alpha else rest
-
-
-def read_alpha(header: Header, rest: bytes) -> tuple[Header, bytes, bytes]:
-    """Of what follows the texture: the header of alpha as of a picture, its payload, and what follows."""
+    codes, rest = read_texture(header, data[18:])
+    if not header.alpha:
+        return File(header, codes, None, rest)
     refuse_unless(len(rest) >= 7, "alpha")
     code, level, size = struct.unpack_from(">HBI", rest)
     refuse_unless(len(rest) >= 7 + size, "alpha")
     quantum = v3.quantum_of(code)
     of_alpha = Header(True, False, header.width, header.height, quantum, (level, level, level), NUMBERS)
-    return of_alpha, rest[7 : 7 + size], rest[7 + size :]
-
-
-def alpha_of(data: bytes) -> tuple[Header, list[Gaussian]] | None:
-    """Of a file, as parse() gives a picture."""
-    header = v3.parse_header(data, NUMBERS)
-    if not header.alpha:
-        return None
-    of_alpha, payload, _ = read_alpha(header, read_texture(header, data[18:])[1])
-    return of_alpha, list(read_gaussians(of_alpha, Coder(payload), part=False))
-
-
-def texture_of(data: bytes) -> Codes:
-    """Of a file: none without texture."""
-    return read_texture(v3.parse_header(data, NUMBERS), data[18:])[0]
-
-
-def parse_part(data: bytes, part: float) -> tuple[Header, list[Gaussian]]:
-    """The header, and the Gaussians in a part, above 0 and below 1, of the payload."""
-    header = v3.parse_header(data, NUMBERS)
-    payload = payload_of(header, data)
-    coder = Coder(payload[: math.ceil(part * len(payload))])
-    found = []
-    try:
-        for gaussian in read_gaussians(header, coder, part=True):
-            found.append(gaussian)
-    except EndError:
-        pass
-    except RefusedError:
-        if not coder.past_end:
-            raise
-    return header, found
+    return File(header, codes, (of_alpha, rest[7 : 7 + size]), rest[7 + size :])
 
 
 def level_of(l1: float, l2: float, l3: float) -> int:
@@ -501,34 +506,48 @@ def draw(
     return bytes(samples)
 
 
+def parse(data: bytes) -> tuple[Header, list[Gaussian]]:
+    """The header and the Gaussians."""
+    file = read(data)
+    return file.header, file.gaussians()
+
+
 def decode(data: bytes) -> tuple[int, int, bytes]:
     """Width, height and the samples: height rows of width pixels of red, green and blue, and alpha if there is any."""
-    header, gaussians = parse(data)
-    return view(data, 1) if header.alpha else (header.width, header.height, drawn(header, gaussians, data))
-
-
-def drawn(header: Header, gaussians: list[Gaussian], data: bytes) -> bytes:
-    texture = Texture(texture_of(data))
-    return draw(gaussians, texture, range(header.width), range(header.height), header.background)
+    return decoded(read(data))
 
 
 def view(data: bytes, scale: float, region: Region | None = None) -> tuple[int, int, bytes]:
     """Width, height and samples of a view."""
-    header, gaussians = parse(data)
+    return viewed(read(data), scale, region)
+
+
+def decoded(file: File) -> tuple[int, int, bytes]:
+    header, gaussians = file.header, file.gaussians()
+    if file.alpha is not None:
+        return viewed(file, 1)
+    texture = Texture(file.codes, noise=file.noise)
+    return header.width, header.height, draw(gaussians, texture, *pixels_of(header), header.background)
+
+
+def pixels_of(header: Header) -> tuple[range, range]:
+    return range(header.width), range(header.height)
+
+
+def viewed(file: File, scale: float, region: Region | None = None) -> tuple[int, int, bytes]:
+    header, gaussians = file.header, file.gaussians()
     region = region or (0, 0, header.width, header.height)
     width, height = view_size(region, scale)
     sx, sy = width / region[2], height / region[3]
     ox, oy = math.floor(region[0] * sx) % 65536, math.floor(region[1] * sy) % 65536
     shown = resized(gaussians, region, scale, CUTOFF, (ox, oy))
-    texture = Texture(texture_of(data), (sx, sy), (ox - region[0] * sx, oy - region[1] * sy))
+    texture = Texture(file.codes, (sx, sy), (ox - region[0] * sx, oy - region[1] * sy), file.noise)
     part = range(ox, ox + width), range(oy, oy + height)
     pixels = draw(shown, texture, *part, header.background)
-    alpha = alpha_of(data)
-    if alpha is None:
+    if file.alpha is None:
         return width, height, pixels
-    of_alpha, gaussians = alpha
-    shown = resized(gaussians, region, scale, CUTOFF, (ox, oy))
-    grey = draw(shown, Texture([]), *part, of_alpha.background)
+    shown = resized(file.alpha_gaussians(), region, scale, CUTOFF, (ox, oy))
+    grey = draw(shown, Texture([]), *part, file.alpha[0].background)
     samples = bytearray()
     for at in range(0, len(pixels), 3):
         samples += pixels[at : at + 3] + grey[at : at + 1]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
@@ -86,6 +86,7 @@ def test_both_refuse_the_same_files(name: str, at: int, value: bytes, growth: in
     data = GOLDEN[name][:at] + value + GOLDEN[name][at + len(value) :]
     data = data[: len(data) + growth] if growth < 0 else data + bytes(growth)
     data = with_checksum(data)
+    assume(data.startswith(MAGIC))  # which version 5 does not
     try:
         container.parse(data)
     except BitstreamError:

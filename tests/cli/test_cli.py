@@ -313,7 +313,7 @@ def test_help(run: Run, command: list[str]) -> None:
         (ENCODE + "--bpp inf", "positive"),
         (ENCODE + "--bytes 10.5", "whole"),
         (ENCODE + "--bytes 1e400", "positive"),
-        (ENCODE + "--bytes 17", "at least"),
+        (ENCODE + "--bytes 11", "at least"),
         (ENCODE + "--bpp 1e-9", "at least"),
         (ENCODE + "--psnr 99", "at most 60"),
         (ENCODE + "--gaussians 0", "positive"),
@@ -664,7 +664,7 @@ def test_commands_of_the_readme(run: Run) -> None:
 
 def test_commands_of_the_command_lines_page(run: Run) -> None:
     run_in_order(run, commands_of("docs/command_line.md"))
-    assert info("photo.sg").version == 4  # none has put a file of another profile in its place
+    assert info("photo.sg").version == 5  # none has put a file of another profile in its place
     assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 

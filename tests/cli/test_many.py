@@ -147,7 +147,7 @@ def warnings_of(err: str) -> list[str]:
     ("line", "said"),
     [
         ("--psnr 60 --time-limit 0.05", ["the requested PSNR is missed by"]),
-        ("--bytes 20", ["the file contains only a background and no Gaussians"]),
+        ("--bytes 13", ["the file contains only a background and no Gaussians"]),
         ("--bpp 6", ["larger than its source"]),
         ("--psnr 12", []),  # a background alone is as good
         ("--bpp 0.3", []),

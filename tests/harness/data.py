@@ -21,14 +21,27 @@ def golden_path(name: str) -> Path:
     return DATA / version / rest
 
 
+NEW = b"\xd3\xc5"  # how a file of version 5 begins
+
+
 def damaged(data: bytes, place: float, value: bytes, growth: int) -> bytes:
     """The data of an .sg file with other bytes at a place, 0 to 1 of what the checksum covers, so many bytes more or
     fewer at the end, and the checksum that belongs to them."""
-    at = 8 + int(place * (len(data) - 8))
-    data = data[:at] + value + data[at + len(value) :]
-    return with_checksum(data[: len(data) + growth] if growth < 0 else data + bytes(growth))
+    begin, end = (2, checksum_at(data)) if data.startswith(NEW) else (8, len(data))
+    at = begin + int(place * (end - begin))
+    covered = data[:at] + (value + data[at + len(value) :])[: end - at]
+    covered = covered[: len(covered) + growth] if growth < 0 else covered + bytes(growth)
+    return with_checksum(covered + data[end:])
+
+
+def checksum_at(data: bytes) -> int:
+    """Where it begins in a file of version 5."""
+    return len(data) - (1 if data[2:3] >= b"\x80" else 4)
 
 
 def with_checksum(data: bytes) -> bytes:
-    """The data of an .sg file with the checksum that belongs to them; the eight bytes of its prefix come first."""
+    """The data of an .sg file with the checksum that belongs to them, in the place of another."""
+    if data.startswith(NEW):
+        end = max(checksum_at(data), 2)
+        return data[:end] + zlib.crc32(data[:end]).to_bytes(4, "big")[-(1 if data[2:3] >= b"\x80" else 4) :]
     return data[:4] + zlib.crc32(data[8:]).to_bytes(4, "big") + data[8:]

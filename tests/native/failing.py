@@ -17,7 +17,7 @@ import numpy as np
 
 from sgmethod import Budget, codec, decode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.io.image import read_image
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
@@ -53,7 +53,7 @@ def decodes(name: str) -> Action:
 @cache
 def large_file() -> bytes:
     """With Gaussians enough for tasks that take memory, on several levels."""
-    stream = StreamV4.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
+    stream = StreamV5.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
     return container.serialise(stream)
 
 

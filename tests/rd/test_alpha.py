@@ -16,7 +16,7 @@ from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v4 import ALPHA_HEADER, StreamV4
+from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV5
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.moving_target import BeyondBlackAndWhite
 from sgmethod.io.laying import on_backgrounds
@@ -30,7 +30,7 @@ from tests.rd.short import SlowClock, requested, short
 
 Pixels = NDArray[np.uint8]
 SHORT = short(120, rounds=(0,))
-SMALLEST = StreamV4.MIN_BYTES + ALPHA_HEADER.size
+SMALLEST = SMALLEST_FILE + SMALLEST_ALPHA
 
 
 def encode(pixels: Pixels, budget: Budget | None = None, **named: Any) -> Encoded:
@@ -54,9 +54,9 @@ def seen_through(soft: bool = False) -> Pixels:
     return np.dstack([photograph(), disc(soft)])
 
 
-def stream_of(data: bytes) -> StreamV4:
+def stream_of(data: bytes) -> StreamV5:
     stream = container.parse(data)
-    assert isinstance(stream, StreamV4)
+    assert isinstance(stream, StreamV5)
     return stream
 
 
@@ -94,7 +94,7 @@ def test_an_opaque_picture_pays_nothing() -> None:
 def test_the_same_alpha_everywhere_is_a_header(level: int) -> None:
     pixels = np.dstack([photograph(), np.full((72, 96), level, np.uint8)])
     encoded = encode(pixels, quality=50)
-    assert info(encoded.data).bits["alpha"] == 8 * ALPHA_HEADER.size
+    assert info(encoded.data).bits["alpha"] == 0  # no Gaussians
     assert (decode(encoded.data)[..., 3] == level).all()
     if level == 0:
         assert len(encoded.data) == SMALLEST

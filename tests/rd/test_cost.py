@@ -26,7 +26,7 @@ BUDGET = Budget("bytes", 200)
 
 
 class Counting(Kernels):
-    """Counts the pixels of gradients and of refining."""
+    """Counts the pixels of gradients, and those of the largest target that is refined."""
 
     def __init__(self) -> None:
         self.fitted = self.refined = 0
@@ -38,7 +38,7 @@ class Counting(Kernels):
 
     def refine(self, gaussians: Gaussians, coding: Any, target: Any, limits: RefineLimits, *rest: Any) -> bytes:
         """As Kernels.refine."""
-        self.refined += target[0].size
+        self.refined = max(self.refined, target[0].size)
         return super().refine(gaussians, coding, target, limits, *rest)
 
 

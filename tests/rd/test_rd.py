@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, decode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v4 import StreamV4
+from sgmethod.bitstream.v5 import SMALLEST_FILE, StreamV5
 from sgmethod.io.image import read_image
 from sgmethod.native import native
-from sgmethod.rd.rate_control import SMALLEST_FILE, quality_quantum
+from sgmethod.rd.rate_control import quality_quantum
 from sgmethod.settings.rd import RD, RdSettings
 from tests.harness.data import PHOTOGRAPHS
 from tests.rd.short import short
@@ -49,9 +49,9 @@ def quadrants(side: int) -> FloatArray:
     return np.stack([(x + y) % 2, (x + y) % 2 * x / 3, (x + y) % 2 * y / 3], 2).astype(np.float32)
 
 
-def stream(encoded: Encoded) -> StreamV4:
+def stream(encoded: Encoded) -> StreamV5:
     found = container.parse(encoded.data)
-    assert isinstance(found, StreamV4)
+    assert isinstance(found, StreamV5)
     return found
 
 
@@ -82,7 +82,7 @@ def test_a_few_bytes_are_never_exceeded(picture: Callable[[], FloatArray], max_b
 
 
 def test_fewer_bytes_than_a_file_has() -> None:
-    with pytest.raises(BudgetError, match="at least 18 bytes"):
+    with pytest.raises(BudgetError, match="at least 12 bytes"):
         encode(crop(), Budget("bytes", SMALLEST_FILE - 1))
 
 

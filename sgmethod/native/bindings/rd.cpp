@@ -88,8 +88,8 @@ auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, float cutof
 
 void bind_rd(nb::module_& m) {
   nb::class_<sg::RdParameters>(m, "RdParameters")
-      .def(nb::init<int, int, double, bool, bool, int>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
-           "upright"_a = false, "version"_a = 4);
+      .def(nb::init<int, int, double, bool, bool, int, bool>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
+           "upright"_a = false, "version"_a = 4, "is_short"_a = false);
   m.def("rd_clipped_values", &sg::clipped_values);
   m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a, "by_factors"_a.noconvert(),
         "by_colors"_a.noconvert());

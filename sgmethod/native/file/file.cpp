@@ -7,78 +7,14 @@
 
 #include "core/constants.h"
 #include "core/errors.h"
+#include "file/fields.h"
 #include "texture/texture.h"
 
 namespace sg {
 namespace {
 
-constexpr size_t kPrefixBytes = 8, kTableBytes = 136;
+constexpr size_t kFewestBytes = 7, kPrefixBytes = 8, kSignatureBytes = 2, kTableBytes = 136;
 constexpr int kColorBits = 3, kCodebook = 48;  // of an entry; values of both codebooks
-
-// Headers as sgmethod/bitstream/ has them: tests/native/decoder/test_fields.py compares.
-struct Field {
-  int bytes;
-  uint32_t low, high;  // of the value
-  uint32_t also = low;  // one value more
-};
-constexpr std::array kHeaderV1 = {
-    Field{1, 0, 1},      // profile
-    Field{2, 1, 65535},  // width
-    Field{2, 1, 65535},  // height
-    Field{1, 1, 16},     // position_bits
-    Field{1, 0, 16},     // groups
-};
-constexpr std::array kGroup = {
-    Field{1, 1, 16},        // bitwidth
-    Field{3, 1, 16777215},  // gaussians
-};
-constexpr auto header_of(uint32_t most_flags) {
-  return std::array{
-      Field{1, 0, most_flags},  // flags
-      Field{2, 1, 65535},       // width
-      Field{2, 1, 65535},       // height
-      Field{2, 256, 3839, 0},   // quantum
-      Field{1, 0, 255},         // red
-      Field{1, 0, 255},         // green
-      Field{1, 0, 255},         // blue
-  };
-}
-constexpr auto kHeaderV3 = header_of(3), kHeaderV4 = header_of(15);
-constexpr std::array kAlphaHeader = {
-    Field{2, 256, 3839, 0},   // quantum
-    Field{1, 0, 255},         // background
-    Field{4, 0, 4294967295},  // bytes
-};
-
-template <size_t N>
-constexpr size_t bytes_of(const std::array<Field, N>& fields) {
-  size_t bytes = 0;
-  for (const Field& field : fields) bytes += static_cast<size_t>(field.bytes);
-  return bytes;
-}
-constexpr size_t kGroupBytes = bytes_of(kGroup), kAlphaBytes = bytes_of(kAlphaHeader);
-
-void require(bool condition, const char* message) {
-  if (!condition) refuse<std::runtime_error>(message);
-}
-
-uint32_t number(const uint8_t* p, int bytes) {
-  uint32_t value = 0;
-  for (int i = 0; i < bytes; ++i) value = value << 8 | p[i];
-  return value;
-}
-
-// The values of a header's fields, which are all there.
-template <size_t N>
-std::array<uint32_t, N> values_of(const std::array<Field, N>& fields, const uint8_t* p) {
-  std::array<uint32_t, N> values;
-  for (size_t i = 0; i < N; p += fields[i++].bytes) {
-    const auto& [bytes, low, high, also] = fields[i];
-    const uint32_t value = values[i] = number(p, bytes);
-    require((low <= value && value <= high) || value == also, "a header field is out of range");
-  }
-  return values;
-}
 
 // CRC-32 of zlib, four bits at a time.
 uint32_t checksum_of(const uint8_t* p, size_t size) {
@@ -111,22 +47,6 @@ float half_of(const uint8_t* p) {
   return bits >> 15 ? -size : size;
 }
 
-// Codes bit by bit, the most significant first.
-class Bits {
- public:
-  explicit Bits(const uint8_t* p) : next_(p) {}
-  uint32_t take(int count) {
-    for (; left_ < count; left_ += 8) word_ = word_ << 8 | *next_++;
-    left_ -= count;
-    return static_cast<uint32_t>(word_ >> left_ & ((uint64_t{1} << count) - 1));
-  }
-
- private:
-  const uint8_t* next_;
-  uint64_t word_ = 0;
-  int left_ = 0;
-};
-
 struct Range {
   double low, high;
   float value(uint32_t code, int bits) const {
@@ -148,21 +68,24 @@ void read_v1(Header& h, const uint8_t* p) {
 
 double quantum_of(uint32_t code) { return std::ldexp(1.0 + (code & 0xFF) / 256.0, 4 - static_cast<int>(code >> 8)); }
 
-void read_v3(Header& h, const uint8_t* p) {
-  const auto [flags, width, height, quantum, red, green, blue] = values_of(h.version == 3 ? kHeaderV3 : kHeaderV4, p);
+void describe(Header& h, uint32_t flags, std::array<uint32_t, 2> size, double quantum, std::array<uint32_t, 3> background) {
   h.profile = 2;
-  h.width = static_cast<int>(width);
-  h.height = static_cast<int>(height);
-  h.quantum = quantum_of(quantum);
-  h.background[0] = static_cast<uint8_t>(red);
-  h.background[1] = static_cast<uint8_t>(green);
-  h.background[2] = static_cast<uint8_t>(blue);
+  h.width = static_cast<int>(size[0]);
+  h.height = static_cast<int>(size[1]);
+  h.quantum = quantum;
+  for (int k = 0; k < 3; ++k) h.background[k] = static_cast<uint8_t>(background[k]);
   h.grey = flags & 1;
   h.upright = flags & 2;
   h.cutoff = kCutoffV3;
-  h.pyramid = h.version == 4;
+  h.pyramid = h.version >= 4;
   h.textured = flags & 4;
   h.with_alpha = flags & 8;
+  h.is_short = flags & 16;
+}
+
+void read_v3(Header& h, const uint8_t* p) {
+  const auto [flags, width, height, quantum, red, green, blue] = values_of(h.version == 3 ? kHeaderV3 : kHeaderV4, p);
+  describe(h, flags, {width, height}, quantum_of(quantum), {red, green, blue});
 }
 
 // The groups of version 1, their records checked to be all there.
@@ -184,41 +107,90 @@ void check_v1(const Header& h, const uint8_t* p, size_t size) {
   for (int i = 0; i < kCodebook; ++i) half_of(p + 40 + 2 * i);
 }
 
+// What the first bytes say, of which there are four.
+int version_of(const uint8_t* data) {
+  const bool has_magic = std::memcmp(data, "SGM", 3) == 0;
+  require(has_magic || (data[0] == 0xD3 && data[1] > 0xC4 && data[1] < 0xD0), "this is not an .sg file");
+  const int version = has_magic ? data[3] : data[1] & 15;
+  const bool known = has_magic ? version == 1 || version == 3 || version == 4 : version == 5;
+  require(known, "this version of the format is not known to this decoder");
+  return version;
+}
+
+constexpr char kDamaged[] = "the file is damaged: its checksum does not match";
+constexpr char kCutAlpha[] = "the file is damaged: its alpha is cut short";
+
 }  // namespace
 
 File::File(const uint8_t* data, size_t size) {
-  require(size >= kPrefixBytes, "the file is too short");
-  require(std::memcmp(data, "SGM", 3) == 0, "this is not an .sg file");
-  const int version = data[3];
-  require(version == 1 || version == 3 || version == 4, "this version of the format is not known to this decoder");
-  const size_t begin = kPrefixBytes + (version == 1 ? bytes_of(kHeaderV1) : bytes_of(kHeaderV4));
+  require(size >= kFewestBytes, "the file is too short");
+  header_.version = version_of(data);
+  if (header_.version >= 5) read_v5(data, size);
+  else read_with_prefix(data, size);
+}
+
+// Versions before 5.
+void File::read_with_prefix(const uint8_t* data, size_t size) {
+  Header& h = header_;
+  const size_t begin = kPrefixBytes + (h.version == 1 ? bytes_of(kHeaderV1) : bytes_of(kHeaderV4));
   require(size >= begin, "the file is too short");
-  header_.version = version;
-  header_.checksum = number(data + 4, 4);
-  require(checksum_of(data + kPrefixBytes, size - kPrefixBytes) == header_.checksum,
-          "the file is damaged: its checksum does not match");
-  if (version == 1) read_v1(header_, data + kPrefixBytes);
-  else read_v3(header_, data + kPrefixBytes);
-  require(int64_t{header_.width} * header_.height <= kMaxPixels, "the picture has too many pixels");
-  const Header& h = header_;
-  picture_ = {data + begin, size - begin, h.quantum, h.grey, h.upright, {}};
-  std::copy_n(h.background, 3, picture_.background);
-  if (version == 1) check_v1(h, picture_.begin, picture_.size);
-  if (h.textured) {
-    size_t used = 0;
-    texture_ = unpack_texture(picture_.begin, picture_.size, h.width, h.height, used);
-    picture_.begin += used;
-    picture_.size -= used;
-  }
+  h.checksum = number(data + 4, 4);
+  require(checksum_of(data + kPrefixBytes, size - kPrefixBytes) == h.checksum, kDamaged);
+  if (h.version == 1) read_v1(h, data + kPrefixBytes);
+  else read_v3(h, data + kPrefixBytes);
+  set_picture(data + begin, size - begin);
+  if (h.version == 1) check_v1(h, picture_.begin, picture_.size);
+  if (h.textured) read_texture();
   if (h.with_alpha) read_alpha();
+}
+
+void File::read_v5(const uint8_t* data, size_t size) {
+  Header& h = header_;
+  const bool is_short = data[kSignatureBytes] & 0x80, grey = data[kSignatureBytes] & 8;
+  const int checksum_bytes = is_short ? 1 : 4;
+  const uint8_t* const end = data + size - checksum_bytes;
+  h.checksum = number(end, checksum_bytes);
+  const uint32_t found = checksum_of(data, static_cast<size_t>(end - data));
+  require((is_short ? found & 255 : found) == h.checksum, kDamaged);
+  const uint8_t* const begin = data + kSignatureBytes;
+  HeaderBits bits(begin, static_cast<size_t>(end - begin), is_short);
+  const auto [flags, width, height, quantum, red, green, blue] = bits.values_of(kHeaderV5, grey ? 5 : 7);
+  describe(h, flags, {width, height}, quantum_of(quantum + 256), {red, green, blue});
+  if (h.with_alpha) {
+    const auto [alpha_quantum, alpha_background, alpha_bytes] = bits.values_of(kAlphaHeaderV5);
+    const auto level = static_cast<uint8_t>(alpha_background);
+    alpha_ = {nullptr, alpha_bytes - 1, quantum_of(alpha_quantum + 256), true, false, {level, level, level}};
+  }
+  const uint8_t* const parts = bits.end();
+  set_picture(parts, static_cast<size_t>(end - parts));
+  if (h.textured) read_texture();
+  require(picture_.size >= alpha_.size, kCutAlpha);
+  alpha_.begin = picture_.begin;
+  picture_.begin += alpha_.size;
+  picture_.size -= alpha_.size;
+}
+
+void File::set_picture(const uint8_t* begin, size_t size) {
+  const Header& h = header_;
+  require(int64_t{h.width} * h.height <= kMaxPixels, "the picture has too many pixels");
+  picture_ = {begin, size, h.quantum, h.grey, h.upright, {}};
+  std::copy_n(h.background, 3, picture_.background);
+}
+
+// At the beginning of what is left.
+void File::read_texture() {
+  size_t used = 0;
+  texture_ = unpack_texture(picture_.begin, picture_.size, header_.width, header_.height, used);
+  picture_.begin += used;
+  picture_.size -= used;
 }
 
 // At the beginning of what is left.
 void File::read_alpha() {
   const uint8_t* p = picture_.begin;
-  require(picture_.size >= kAlphaBytes, "the file is damaged: its alpha is cut short");
+  require(picture_.size >= kAlphaBytes, kCutAlpha);
   const auto [quantum, background, bytes] = values_of(kAlphaHeader, p);
-  require(picture_.size - kAlphaBytes >= bytes, "the file is damaged: its alpha is cut short");
+  require(picture_.size - kAlphaBytes >= bytes, kCutAlpha);
   const auto level = static_cast<uint8_t>(background);
   alpha_ = {p + kAlphaBytes, bytes, quantum_of(quantum), true, false, {level, level, level}};
   picture_.begin += kAlphaBytes + bytes;
@@ -237,7 +209,7 @@ GaussianArrays File::gaussians(double prefix) const {
 GaussianArrays File::gaussians_of(const Layer& l, double prefix) const {
   const Header& h = header_;
   const auto used = static_cast<size_t>(std::ceil(prefix * static_cast<double>(l.size)));
-  return rd_decode({h.width, h.height, l.quantum, l.grey, l.upright, h.version}, l.begin, used, prefix < 1, kMaxGaussians,
+  return rd_decode({h.width, h.height, l.quantum, l.grey, l.upright, std::min(h.version, 4), h.is_short}, l.begin, used, prefix < 1, kMaxGaussians,
                    l.size - used);
 }
 

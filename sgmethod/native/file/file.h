@@ -26,6 +26,7 @@ struct Header {
   // Of the others.
   double quantum;
   bool grey, upright, textured, with_alpha;
+  bool is_short;  // since version 5
 };
 
 // A payload of profile rd, and the header fields that may differ between a picture and its alpha.
@@ -49,8 +50,8 @@ struct View {
 // A file in memory, which must outlive it.
 class File {
  public:
-  // Throws std::runtime_error for anything but a whole, intact file of at most kMaxPixels; of versions 3 and 4 the payload
-  // is not looked at.
+  // Throws std::runtime_error for anything but a whole, intact file of at most kMaxPixels; of profile rd the payload is not
+  // looked at.
   File(const uint8_t* data, size_t size);
 
   const Header& header() const { return header_; }
@@ -66,6 +67,10 @@ class File {
  private:
   GaussianArrays gaussians_v1() const;
   GaussianArrays gaussians_of(const Layer& layer, double prefix) const;
+  void read_with_prefix(const uint8_t* data, size_t size);
+  void read_v5(const uint8_t* data, size_t size);
+  void set_picture(const uint8_t* begin, size_t size);
+  void read_texture();
   void read_alpha();
   Header header_{};
   Layer picture_{}, alpha_{};  // of version 1, picture_ is what follows the header

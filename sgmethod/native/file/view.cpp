@@ -95,7 +95,7 @@ void draw(const File& file, const View& view, GaussianArrays g, bool textured, c
     const double origin[2] = {static_cast<double>(canvas.x), static_cast<double>(canvas.y)};
     g = resized(g, part, origin, scale, kPixelVariance / variance(header.cutoff));
   }
-  if (textured) canvas.texture = std::make_shared<Texture>(file.texture().data(), grid);
+  if (textured) canvas.texture = std::make_shared<Texture>(file.texture().data(), grid, header.version >= 5);
   const auto n = static_cast<int>(g.means.size() / 2);
   const Rasterization raster(g.means.data(), g.factors.data(), n, canvas, -1, most_pairs(n, size.width, size.height));
   float background[3];

@@ -72,8 +72,9 @@ struct Version3 {
   static uint32_t count(Decoder& coder, Models& models, uint32_t) { return number_v3(coder, models.count); }
 };
 
+template <size_t kStates>
 struct Version4 {
-  using Decoder = sg::Decoder;
+  using Decoder = DecoderOf<kStates>;
   using Models = sg::Models;
 
   template <typename Coder>
@@ -175,10 +176,11 @@ size_t read_class(Decoding<Version3>& d, int size_class, uint32_t count, size_t 
 
 // Adds `wanted` Gaussians of a class to the batch, or less where a prefix ends: the first of the class if `begin`, not its
 // last if `more`. of_next: of the Gaussian behind them.
-SG_INLINE void decode_batch_body(Decoding<Version4>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin,
+template <size_t kStates>
+SG_INLINE void decode_batch_body(Decoding<Version4<kStates>>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin,
                                  bool more) {
   Batch& batch = d.batch;
-  Decoder coder = d.coder;  // copies, to be kept in registers
+  auto coder = d.coder;  // copies, to be kept in registers
   ColorSize size = of_next;
   const RdParameters p = d.p;
   const SizeClass by = c;
@@ -203,26 +205,30 @@ SG_INLINE void decode_batch_body(Decoding<Version4>& d, ColorSize& of_next, cons
   of_next = size;
   d.coder = coder;
 }
-void decode_batch_baseline(Decoding<Version4>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin, bool more) {
+template <size_t kStates>
+void decode_batch_baseline(Decoding<Version4<kStates>>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin, bool more) {
   decode_batch_body(d, of_next, c, wanted, begin, more);
 }
 #if SG_X86
-__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<Version4>& d, ColorSize& of_next,
+template <size_t kStates>
+__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<Version4<kStates>>& d, ColorSize& of_next,
                                                                       const SizeClass& c, int wanted, bool begin,
                                                                       bool more) {
   decode_batch_body(d, of_next, c, wanted, begin, more);
 }
 #endif
 
+template <size_t kStates>
 auto best_decode_batch() {
 #if SG_X86
-  if (best_isa() >= kAvx2 && has_bit_operations()) return decode_batch_avx2;
+  if (best_isa() >= kAvx2 && has_bit_operations()) return decode_batch_avx2<kStates>;
 #endif
-  return decode_batch_baseline;
+  return decode_batch_baseline<kStates>;
 }
 
-size_t read_class(Decoding<Version4>& d, int size_class, uint32_t count, size_t room) {
-  static const auto decode_batch = best_decode_batch();
+template <size_t kStates>
+size_t read_class(Decoding<Version4<kStates>>& d, int size_class, uint32_t count, size_t room) {
+  static const auto decode_batch = best_decode_batch<kStates>();
   const SizeClass c = class_of(d.p, size_class, count);
   ColorSize of_next;
   size_t found = 0;
@@ -273,29 +279,33 @@ void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool p
   reached();
 }
 
-auto decode_into(const RdParameters& p) { return p.version == 3 ? decode_into<Version3> : decode_into<Version4>; }
+auto decode_into(const RdParameters& p) {
+  if (p.version == 3) return decode_into<Version3>;
+  return p.is_short ? decode_into<Version4<1>> : decode_into<Version4<kLanes>>;
+}
 
 std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
   Encoder coder;
   const int first = all.front().size_class, last = all.back().size_class;
-  Version4::class_number(coder, static_cast<uint32_t>(kMaxClass - first));
-  Version4::class_number(coder, static_cast<uint32_t>(first - last));
+  using Written = Version4<kLanes>;
+  Written::class_number(coder, static_cast<uint32_t>(kMaxClass - first));
+  Written::class_number(coder, static_cast<uint32_t>(first - last));
   Symbols* at = all.data();
   Symbols* const behind = at + all.size();
   for (int c = first; c >= last; --c) {
     Symbols* end = at;
     while (end < behind && end->size_class == c) ++end;
-    Version4::count(coder, models, static_cast<uint32_t>(end - at));
-    Version4::encode(coder, models, p, c, at, end);
+    Written::count(coder, models, static_cast<uint32_t>(end - at));
+    Written::encode(coder, models, p, c, at, end);
     at = end;
   }
-  return coder.finish();
+  return coder.finish(p.is_short ? 1 : kLanes);
 }
 
 }  // namespace
 
-RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, int version)
-    : width(width), height(height), quantum(quantum), grey(grey), upright(upright), version(version) {
+RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, int version, bool is_short)
+    : width(width), height(height), quantum(quantum), grey(grey), upright(upright), version(version), is_short(is_short) {
   if (version != 3 && version != 4) refuse<std::invalid_argument>("no such version of profile rd");
   if (!(width > 0 && height > 0 && quantum > 0)) refuse<std::invalid_argument>("parameters must be positive");
   if (width > kMaxSide || height > kMaxSide) refuse<std::invalid_argument>("a side is more than 65535 pixels");

@@ -12,12 +12,13 @@ namespace sg {
 
 struct RdParameters {
   // Throws std::invalid_argument for what no file can have.
-  RdParameters(int width, int height, double quantum, bool grey, bool upright, int version);
+  RdParameters(int width, int height, double quantum, bool grey, bool upright, int version, bool is_short = false);
   int width, height;
   double quantum;   // about the root of the error energy of one step of any parameter; image in [0, 1]
   bool grey;        // no chroma in the stream
   bool upright;     // no shear in the stream
-  int version;      // of the format: 3 or 4
+  int version;      // of the payload: 3, or 4, which version 5 of the format has too
+  bool is_short;    // the payload has one state for both lanes (entropy_coder.h)
 };
 
 constexpr uint64_t kMaxGaussians = 1 << 24;

@@ -5,6 +5,8 @@
 // A symbol waits for the one before it in the same state, for some 30 cycles. So there are two lanes, each with a state of
 // its own, and calling for the one and the other in turns decodes two symbols in that time. Raw bits wait for neither.
 //
+// In a short file (docs/format.md, version 5) both lanes share one state: two more would cost more than their time is worth.
+//
 // All come from one sequence of bytes. A lane takes two of them right after the symbol that leaves its state low; raw bits
 // take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
 #pragma once
@@ -142,15 +144,15 @@ class Encoder {
     return value;
   }
 
-  std::vector<uint8_t> finish() const {
+  // lanes: how many states there are.
+  std::vector<uint8_t> finish(size_t lanes) const {
     // rANS codes backwards.
     std::vector<int> words(steps_.size(), kNone);
-    std::array<uint32_t, kLanes> states;
-    states.fill(kStateLow);
+    std::vector<uint32_t> states(lanes, kStateLow);
     for (size_t i = steps_.size(); i-- > 0;) {
       const Step& step = steps_[i];
       if (step.share == 0) continue;
-      uint32_t& state = states[static_cast<size_t>(step.which)];
+      uint32_t& state = states[static_cast<size_t>(step.which) % lanes];
       if (state >= static_cast<uint64_t>(step.share) << (32 - kProbabilityBits)) {
         words[i] = static_cast<int>(state & 0xFFFF);
         state >>= 16;
@@ -185,19 +187,21 @@ class Encoder {
 };
 
 // Does not look for the end of the data, which kSlack zeros must follow. The caller compares read() with the size
-// before these are used up.
-class Decoder {
+// before these are used up. kStates: 1 where the lanes share a state, or kLanes.
+template <size_t kStates>
+class DecoderOf {
  public:
   static constexpr bool kCodesCells = true;
   static constexpr size_t kSlack = 128;  // enough for 16 calls of symbol() or fetch()
 
   // data: what is to be read, and kSlack zeros.
-  explicit Decoder(const uint8_t* data) : begin_(data), next_(data + kLanes * kStateBytes) {
-    std::memcpy(states_.data(), data, kLanes * kStateBytes);
+  explicit DecoderOf(const uint8_t* data) : begin_(data), next_(data + kStates * kStateBytes) {
+    std::memcpy(states_.data(), data, kStates * kStateBytes);
   }
 
   SG_INLINE uint32_t symbol(Lane lane, Model& model, uint32_t = 0) {
-    const uint32_t state = states_[lane];
+    uint32_t& of_lane = states_[lane % kStates];
+    const uint32_t state = of_lane;
     const uint32_t symbol = model.find(static_cast<int>(state | kProbabilityOne));
     const Model::Share share = model.share(symbol);
     const int place = static_cast<int>(state & (kProbabilityOne - 1)) - static_cast<int>(kProbabilityOne);
@@ -214,7 +218,7 @@ class Decoder {
     const bool refill = left < kStateLow;
     const uint32_t filled = refill ? left << 16 | word : left;
 #endif
-    states_[lane] = filled;
+    of_lane = filled;
     next_ += refill * kWordBytes;
     model.update(symbol);
     return symbol;
@@ -236,15 +240,18 @@ class Decoder {
 
   size_t read() const { return static_cast<size_t>(next_ - begin_); }
   // Every state in use is at least kStateLow.
-  bool begins() const { return states_[0] >= kStateLow && states_[1] >= kStateLow; }
+  bool begins() const { return *std::min_element(states_.begin(), states_.end()) >= kStateLow; }
   // Those of the end are the encoder's first, and no bits are left but zeros.
-  bool ends() const { return states_[0] == kStateLow && states_[1] == kStateLow && raw_ == 0; }
+  bool ends() const {
+    return raw_ == 0 && std::all_of(states_.begin(), states_.end(), [](uint32_t state) { return state == kStateLow; });
+  }
 
  private:
   const uint8_t *begin_, *next_;
-  std::array<uint32_t, kLanes> states_;
+  std::array<uint32_t, kStates> states_;
   uint64_t raw_ = 0;
   int bits_ = 0;  // in raw_ that are not spoken for
 };
+using Decoder = DecoderOf<kLanes>;
 
 }  // namespace sg

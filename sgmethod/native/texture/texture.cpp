@@ -17,6 +17,15 @@ constexpr int kRepeat = 1 << 16;
 // An octave that would be enlarged at scale 1, and is not in a smaller view, stands for the finer one as well.
 constexpr float kUnenlarged = 0.75f;
 
+// Banded noise, plus 128: a table that repeats after so many samples, in words for four rows. There are more in each row, for
+// vectors that reach beyond.
+constexpr int kSide = 256, kBeyond = kTileWidth;
+constexpr float kMiddle = 128.0f, kWhiteMiddle = 127.5f;
+struct Banded {
+  uint32_t words[kSide / 4][kSide + kBeyond];
+};
+const Banded& banded(int octave);
+
 typedef uint32_t Unsigned4 __attribute__((vector_size(16)));
 typedef uint32_t Unsigned8 __attribute__((vector_size(32)));
 typedef uint32_t Unsigned16 __attribute__((vector_size(64)));
@@ -45,6 +54,7 @@ struct Strip {
   uint32_t first;              // place of the first column
   uint32_t mask;               // of places, which repeat
   const float *upper, *lower;  // strengths in the rows of cells above and below
+  const Banded* banded;  // none where noise is white
 };
 
 // Rows of a tile from `first` to before `end`; place: of row 0; part: of the way from upper to lower, for each row. A word
@@ -57,6 +67,7 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const fl
   using I = typename V::I;
   using U = typename UnsignedLanes<W>::U;
   constexpr int kVectors = kTileWidth / W;
+  const float middle = strip.banded ? kMiddle : kWhiteMiddle;
   F upper[kVectors], change[kVectors];
   U columns[kVectors];
   for (int i = 0; i < kVectors; ++i) {
@@ -66,16 +77,23 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const fl
   }
   for (int row = first; row < end;) {
     const int at = (place + row) & static_cast<int>(strip.mask);
-    const uint32_t key = mixed(mixed(octave + 1) + static_cast<uint32_t>(at >> 2));
     U noise[kVectors];
-    for (int i = 0; i < kVectors; ++i) noise[i] = mixed(columns[i] + key) >> 8 * (at & 3);
+    if (strip.banded) {
+      const auto& words = strip.banded->words;
+      std::memcpy(noise, &words[at / 4 % (kSide / 4)][strip.first % kSide], sizeof noise);
+      __builtin_prefetch(&words[(at / 4 + 2) % (kSide / 4)][strip.first % kSide]);
+    } else {
+      const uint32_t key = mixed(mixed(octave + 1) + static_cast<uint32_t>(at >> 2));
+      for (int i = 0; i < kVectors; ++i) noise[i] = mixed(columns[i] + key);
+    }
+    for (int i = 0; i < kVectors; ++i) noise[i] >>= 8 * (at & 3);
     for (const int next = std::min(row + 4 - (at & 3), end); row < next; ++row) {
       float* out = accumulators + row * 3 * kTileWidth;
       for (int i = 0; i < kVectors; ++i, out += W) {
         const U bytes = noise[i] & 255u;
         I whole;
         std::memcpy(&whole, &bytes, sizeof whole);
-        const F value = (__builtin_convertvector(whole, F) - 127.5f) * (upper[i] + change[i] * part[row]);
+        const F value = (__builtin_convertvector(whole, F) - middle) * (upper[i] + change[i] * part[row]);
         for (int k = 0; k < 3; ++k) V::store(out + k * kTileWidth, V::load(out + k * kTileWidth) + value);
         noise[i] >>= 8;
       }
@@ -117,12 +135,54 @@ struct Between {
   std::vector<float> parts;
 };
 
-// The strength of a code, of noise from -127.5 to 127.5, whose spread is 74: half a level for code 1, and half a power of
-// two more for each that follows.
-float strength_of(int code) {
+// The strength of a code: half a level for code 1, and half a power of two more for each that follows. White noise, from
+// -127.5 to 127.5, has a spread of 74, and banded noise of kBandedSpreads.
+constexpr double kWhiteSpread = 74.0, kBandedSpreads[kTextureOctaves] = {34.1, 29.7};
+float strength_of(int code, double spread) {
   if (code == 0) return 0.0f;
   const double half_levels = std::ldexp((code - 1) % 2 == 0 ? 1.0 : 1.4142135623730951, (code - 1) / 2);
-  return static_cast<float>(half_levels / (148.0 * 255.0));
+  return static_cast<float>(half_levels / (2.0 * spread * 255.0));
+}
+
+// Sums of neighbours in a plane that repeats, weighted along both axes.
+using Plane = std::vector<int>;
+template <int N>
+Plane filtered(const Plane& plane, const int (&weights)[N]) {
+  const auto at = [](int i, int k) { return (i + k - N / 2) & (kSide - 1); };
+  Plane along(kSide * kSide), sums(kSide * kSide);
+  for (int row = 0; row < kSide; ++row)
+    for (int i = 0; i < kSide; ++i)
+      for (int k = 0; k < N; ++k) along[row * kSide + i] += weights[k] * plane[row * kSide + at(i, k)];
+  for (int row = 0; row < kSide; ++row)
+    for (int k = 0; k < N; ++k)
+      for (int i = 0; i < kSide; ++i) sums[row * kSide + i] += weights[k] * along[at(row, k) * kSide + i];
+  return sums;
+}
+
+// White noise, from -128 to 127, less its mean around each sample. The finest octave is also smoothed: nothing enlarges it.
+Banded make_banded(int octave) {
+  Plane noise(kSide * kSide), white(kSide * kSide);
+  for (int row = 0; row < kSide; ++row) {
+    const uint32_t key = mixed(mixed(uint32_t{1}) + static_cast<uint32_t>(row >> 2));
+    for (int i = 0; i < kSide; ++i)
+      white[row * kSide + i] = static_cast<int>(mixed(key + static_cast<uint32_t>(i)) >> 8 * (row & 3) & 255) - 128;
+  }
+  const Plane mean = octave == 0 ? filtered(white, {1, 4, 6, 4, 1}) : filtered(white, {1, 2, 1});
+  const int whole = octave == 0 ? 256 : 16, shift = octave == 0 ? 14 : 5;
+  for (size_t i = 0; i < noise.size(); ++i) noise[i] = whole * white[i] - mean[i];
+  if (octave == 0) noise = filtered(noise, {1, 6, 1});
+  Banded table{};
+  for (int row = 0; row < kSide; ++row)
+    for (int i = 0; i < kSide + kBeyond; ++i) {
+      const int value = (noise[row * kSide + i % kSide] + (1 << shift >> 1)) >> shift;
+      table.words[row / 4][i] |= static_cast<uint32_t>(value + 128) << 8 * (row % 4);
+    }
+  return table;
+}
+
+const Banded& banded(int octave) {
+  static const Banded tables[kTextureOctaves] = {make_banded(0), make_banded(1)};
+  return tables[octave];
 }
 
 }  // namespace
@@ -159,7 +219,7 @@ std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width,
   return codes;
 }
 
-Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
+Texture::Texture(const uint8_t* codes, const TextureGrid& grid, bool is_banded) : grid_(grid), is_banded_(is_banded) {
   const auto fits = [](double v) { return std::abs(v) <= 1e9; };
   const bool possible = grid.columns > 0 && grid.rows > 0 && grid.cell_x >= 0.5 && grid.cell_y >= 0.5 && fits(grid.cell_x) &&
                         fits(grid.cell_y) && fits(grid.x) && fits(grid.y) && std::abs(grid.shift) <= 8;
@@ -171,14 +231,14 @@ Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
     const float share = level == 0 && grid.shift < 0 ? kUnenlarged : 1.0f;
     for (size_t i = octave * cells; i < (octave + 1) * cells; ++i) {
       if (codes[i] >= kTextureStrengths) refuse<std::invalid_argument>("there is no such strength of texture");
-      strengths_[i] = share * strength_of(codes[i]);
+      strengths_[i] = share * strength_of(codes[i], is_banded ? kBandedSpreads[octave] : kWhiteSpread);
       if (codes[i] != 0) top_ = std::max(top_, level);
     }
   }
 }
 
 TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int columns, int rows)
-    : octave_(level - texture.grid_.shift), mask_((kRepeat >> level) - 1), x_(x), y_(y), strips_(columns / kTileWidth) {
+    : is_banded_(texture.is_banded_), octave_(level - texture.grid_.shift), mask_((kRepeat >> level) - 1), x_(x), y_(y), strips_(columns / kTileWidth) {
   const TextureGrid& grid = texture.grid_;
   if (octave_ < 0 || octave_ >= kTextureOctaves || level > texture.top()) return;
   const Between across(level, grid.cell_x, grid.x, grid.columns, x, columns);
@@ -206,7 +266,7 @@ void TextureLayer::add(int isa, int x, int y, int first_row, int end_row, float*
   if (strengths_.empty()) return;
   const int* cells = &cells_[y - y_];
   const int across = (x - x_) / kTileWidth, stride = strips_ * kTileWidth;
-  Strip strip{static_cast<uint32_t>(x), static_cast<uint32_t>(mask_), nullptr, nullptr};
+  Strip strip{static_cast<uint32_t>(x), static_cast<uint32_t>(mask_), nullptr, nullptr, is_banded_ ? &banded(octave_) : nullptr};
   for (int row = first_row; row < end_row;) {
     int end = row + 1;
     while (end < end_row && cells[end] == cells[row]) ++end;

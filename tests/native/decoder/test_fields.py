@@ -8,8 +8,8 @@ import re
 import pytest
 
 from sgmethod import BitstreamError
-from sgmethod.bitstream import payload, v1, v3, v4
-from sgmethod.bitstream.fields import Field, Header
+from sgmethod.bitstream import payload, v1, v3, v4, v5
+from sgmethod.bitstream.fields import BitField, BitReader, Field, Header, write_bits
 from sgmethod.bitstream.stream import PREFIX_BYTES
 from tests.bitstream.test_format_v1 import TEXT, table
 from tests.harness.data import ROOT
@@ -21,8 +21,11 @@ HEADERS = {
     "kHeaderV4": v4.HEADER,
     "kAlphaHeader": v4.ALPHA_HEADER,
 }
+BIT_HEADERS = {"kHeaderV5": v5.HEADER, "kAlphaHeaderV5": v5.ALPHA_HEADER}
+BIT_FIELDS = [field for header in BIT_HEADERS.values() for field in header]
 EVERY = [(header, field) for header in HEADERS.values() for field in header.fields]
-CPP = (ROOT / "sgmethod" / "native" / "file" / "file.cpp").read_text()
+CPP = (ROOT / "sgmethod" / "native" / "file" / "fields.h").read_text()
+READING = (ROOT / "sgmethod" / "native" / "file" / "file.cpp").read_text()
 JAVASCRIPT = (ROOT / "service" / "web" / "static" / "decoder" / "file.js").read_text()
 
 
@@ -76,8 +79,8 @@ def test_the_text_has_the_flags() -> None:
     """Version 4 adds flags to the header of version 3, and nothing else."""
     flags, *others = v4.HEADER.fields
     assert others == [*v3.HEADER.fields[1:]]
-    assert f"`flags` may be up to {flags.high}. A {v4.FLAG_TEXTURE} in it stands for texture" in TEXT
-    assert f"an {v4.FLAG_ALPHA} for alpha" in TEXT
+    assert f"`flags` may be up to {flags.high}. A {payload.FLAG_TEXTURE} in it stands for texture" in TEXT
+    assert f"an {payload.FLAG_ALPHA} for alpha" in TEXT
     meaning = table("Header of version 3")[0]["meaning"]
     assert f"{payload.FLAG_GREY}: grey" in meaning
     assert f"{payload.FLAG_UPRIGHT}: upright" in meaning
@@ -96,18 +99,62 @@ def test_cpp_has_the_tables() -> None:
         rows = re.findall(r"Field\{(.*)\}, *// (\w+)", part)
         assert fields([[said, *map(int, numbers.split(", "))] for numbers, said in rows]) == header.fields
     taken = set()
-    for names, of in re.findall(r"const auto \[(.*)\] =\s+values_of\((.*), \w+\);", CPP):
+    named = {name: [field.name for field in header.fields] for name, header in HEADERS.items()}
+    named |= {name: [field.name for field in header] for name, header in BIT_HEADERS.items()}
+    for names, of in re.findall(r"const auto \[(.*)\] =\s+(?:bits\.)?values_of\((.*)\);", READING):
         for name in re.findall(r"k\w+", of):
-            assert names.split(", ") == [field.name for field in HEADERS[name].fields]
+            assert names.split(", ") == named[name]
             taken.add(name)
-    assert taken == HEADERS.keys()
+    assert taken == named.keys()
+
+
+def bit_fields(rows: list[list[object]]) -> tuple[BitField, ...]:
+    return tuple(BitField(*row) for row in rows)  # type: ignore[arg-type]
+
+
+def test_cpp_has_the_tables_of_bits() -> None:
+    for name, header in BIT_HEADERS.items():
+        part = CPP.split(f"std::array {name} = ", 1)[1].split("\n}", 1)[0]
+        rows = re.findall(r"BitField\{(\d+), (\d+)(, true)?\}, *// (\w+)", part)
+        assert bit_fields([[said, int(bits), int(short), bool(more)] for bits, short, more, said in rows]) == header
+
+
+@pytest.mark.parametrize("is_short", [False, True])
+@pytest.mark.parametrize("field", BIT_FIELDS, ids=lambda field: field.name)
+def test_bits_are_read_as_they_were_written(field: BitField, is_short: bool) -> None:
+    held = [value for value in range(field.low, min(field.high, 70_000) + 1) if field.allows(value, is_short)]
+    if not field.grows:
+        assert len(held) == 2 ** (field.short_bits if is_short else field.bits)
+    ones = BitField("ones", 3, 3)
+    for value in [*held[:: max(len(held) // 50, 1)], field.high]:
+        data = write_bits([(ones, 7), (field, value), (ones, 7)], is_short)
+        reader = BitReader(data + b"more")
+        assert list(reader.read([ones, field, ones], is_short)) == [7, value, 7]
+        assert reader.end() == len(data)
+        with pytest.raises(BitstreamError, match="ends within"):
+            list(BitReader(data[:-1]).read([ones, field, ones], is_short))
+    for value in {field.low - 1, field.high + 1, *({1} if is_short and field.bits > field.short_bits else set())}:
+        with pytest.raises(ValueError, match=f"cannot hold {field.name} = {value}"):
+            write_bits([(field, value)], is_short)
+
+
+def test_the_text_has_the_tables_of_bits() -> None:
+    for section, header in ("Header of version 5", v5.HEADER), ("Alpha in version 5", v5.ALPHA_HEADER):
+        rows = [(row["field"], row["bits"], row["in a short file"]) for row in table(section)]
+        for (name, bits, short), field in zip(rows, header, strict=True):
+            more = " + n" if field.grows else ""
+            assert (name, bits, short) == (field.name, f"{field.bits}{more}", f"{field.short_bits}{more}")
+    meaning = table("Header of version 5")[0]["meaning"]
+    flags = {payload.FLAG_GREY: "grey", payload.FLAG_UPRIGHT: "upright", payload.FLAG_TEXTURE: "texture"}
+    for flag, word in {**flags, payload.FLAG_ALPHA: "alpha", v5.FLAG_SHORT: "short"}.items():
+        assert f"{flag}: {word}" in meaning
 
 
 def test_javascript_has_the_tables() -> None:
-    """Those of version 4, the only one that it reads."""
+    """Those of version 5, the only one that it reads."""
     found = dict(re.findall(r"^const (\w+) = (\[\n.*?\n\]);", JAVASCRIPT, re.M | re.S))
     assert found.keys() == {"HEADER", "ALPHA_HEADER"}
-    for name, header in {"HEADER": v4.HEADER, "ALPHA_HEADER": v4.ALPHA_HEADER}.items():
-        assert fields(json.loads(re.sub(r",\s*\]", "]", found[name]))) == header.fields
-    flags = [payload.FLAG_GREY, payload.FLAG_UPRIGHT, v4.FLAG_TEXTURE, v4.FLAG_ALPHA]
-    assert f"const [GREY, UPRIGHT, TEXTURE, ALPHA] = {flags};" in JAVASCRIPT
+    for name, header in {"HEADER": v5.HEADER, "ALPHA_HEADER": v5.ALPHA_HEADER}.items():
+        assert bit_fields(json.loads(re.sub(r",\s*\]", "]", found[name]))) == header
+    flags = [payload.FLAG_GREY, payload.FLAG_UPRIGHT, payload.FLAG_TEXTURE, payload.FLAG_ALPHA, v5.FLAG_SHORT]
+    assert f"const [GREY, UPRIGHT, TEXTURE, ALPHA, SHORT] = {flags};" in JAVASCRIPT

@@ -9,7 +9,7 @@ import pytest
 from tests.native.harness.build import build
 from tests.native.harness.decoders import ask, damaged_questions, differing, golden_questions
 
-DAMAGED = 300
+DAMAGED = 400
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """Fuzzes the decoder with new random seeds: python -m tests.native.fuzz [--minutes N] [--target NAME].
 
-entropy: the entropy decoder and the drawing, in C++ alone; v1, rd: whole files of version 1, and of versions 3 and 4,
+entropy: the entropy decoder and the drawing, in C++ alone; v1, rd: whole files of version 1, and of versions 3 to 5,
 through the decoder in Python. All are built by Clang with the sanitizers of addresses and of undefined behaviour. New
 finds go to build/fuzz/.
 An input that fails is kept, and the command that repeats it printed: python -m tests.native.fuzz --repeat NAME FILE.
@@ -18,11 +18,13 @@ import sys
 from pathlib import Path
 from typing import TextIO
 
+from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import unpack
-from tests.harness.data import ROOT, golden
+from sgmethod.bitstream.v5 import StreamV5, quantum_code
+from tests.harness.data import NEW, ROOT, golden
 from tests.native.harness.build import BUILDS, PATH, build, imports, layout, nanobind
 
-TARGETS = {"entropy": (3, 4), "v1": (1,), "rd": (3, 4)}  # and their versions of the format
+TARGETS = {"entropy": (3, 4, 5), "v1": (1,), "rd": (3, 4, 5)}  # and their versions of the format
 CORPUS = Path(__file__).parent / "corpus"  # what was found once
 FOUND = BUILDS / "fuzz" / "found"
 CLANG = {"CC": "clang", "CXX": "clang++"}
@@ -81,6 +83,13 @@ def corpora(target: str) -> list[Path]:
 
 def bare(data: bytes) -> bytes:
     """A file of profile rd as entropy.cpp takes it."""
+    if data.startswith(NEW):
+        stream = container.parse(data)
+        assert isinstance(stream, StreamV5)
+        code = quantum_code(stream.quantum)
+        flags = 8 | stream.grey | stream.upright << 1 | (stream.texture is not None) * (32 | 128) | stream.is_short << 6
+        size = stream.width, stream.height
+        return struct.pack(">HHBBB", *size, 13 - (code >> 8), code & 255, flags) + stream.payload
     flags, *size, quantum = struct.unpack_from(">BHHH", data, 8)
     version = 8 if data[3] == 4 else 0
     textured, payload = 0, data[18:]

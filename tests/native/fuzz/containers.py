@@ -1,6 +1,6 @@
 """Fuzz target (atheris, which is libFuzzer): whole files of some versions of the format, through the decoder in Python.
 
-python -m tests.native.fuzz.containers 1|3,4 [libFuzzer's arguments]. Magic, version and checksum are put right before
+python -m tests.native.fuzz.containers 1|3,4,5 [libFuzzer's arguments]. Magic, version and checksum are put right before
 a file is decoded, or hardly any would get past them. Whatever the rest is, there are pixels or one of the package's
 errors.
 """
@@ -15,6 +15,8 @@ import atheris
 with atheris.instrument_imports(include=["sgmethod"], enable_loader_override=False):
     from sgmethod import BitstreamError, View, ViewError, decode, info, set_threads
 
+from tests.harness.data import NEW, with_checksum
+
 MAX_PIXELS = 1 << 14
 MAX_GAUSSIANS = 1 << 14
 PREFIX_BYTES = 8  # magic, version, CRC-32 of all that follows
@@ -22,10 +24,13 @@ VIEWS = (View(), View(scale=0.3), View(scale=1.7, prefix=0.6), View(region=(1, 2
 
 
 def target(data: bytes, versions: bytes) -> None:
-    """Decodes a file with everything that follows its first eight bytes; of the first version if its own is another."""
+    """Decodes a file with everything but its checksum; of the first version if its own is another."""
     version, body = data[3:4], data[PREFIX_BYTES:]
-    begin = b"SGM" + (version if version and version in versions else versions[:1])
-    file = begin + zlib.crc32(body).to_bytes(4, "big") + body
+    if data.startswith(NEW) and 5 in versions and len(data) > 6:
+        file = with_checksum(data)
+    else:
+        begin = b"SGM" + (version if version and version in versions else versions[:1])
+        file = begin + zlib.crc32(body).to_bytes(4, "big") + body
     try:
         info(file, MAX_GAUSSIANS)
         for view in VIEWS:

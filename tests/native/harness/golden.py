@@ -12,14 +12,14 @@ from PIL import Image
 
 from tests.harness.data import golden, golden_path
 
-GOLDEN = {**golden(1), **golden(3), **golden(4)}
+GOLDEN = {**golden(1), **golden(3), **golden(4), **golden(5)}
 
 
 @cache
 def _hashes() -> dict[str, dict[str, str]]:
-    """Of versions 3 and 4; version 1 has pictures."""
+    """Of versions 3 to 5; version 1 has pictures."""
     hashes: dict[str, dict[str, str]] = {}
-    for version in ("v3", "v4"):
+    for version in ("v3", "v4", "v5"):
         hashes |= json.loads(golden_path(f"{version}-hashes.json").read_text())
     return hashes
 

@@ -265,8 +265,8 @@ def test_proxies_are_told_apart_from_clients(start_service: StartService) -> Non
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"bytes": 17}, "at least 18 bytes"),
-        ({"bpp": 0.00001}, "at least 18 bytes"),
+        ({"bytes": 11}, "at least 12 bytes"),
+        ({"bpp": 0.00001}, "at least 12 bytes"),
         ({"bytes": 100, "profile": "paper"}, "takes at least"),
         ({"quality": 50, "profile": "paper"}, "no quality scale"),
         ({"quality": 50, "profile": "baseline"}, "no quality scale"),

@@ -20,7 +20,7 @@ from tests.harness.pictures import SMALL
 from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
-TEXTURED = golden_path("v4-texture.sg").read_bytes()
+TEXTURED = golden_path("v5-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()
 
@@ -64,7 +64,7 @@ def test_views_of_a_job_and_of_a_body(web: Service, done: str, query: str, view:
 
 
 def test_alpha_is_kept_where_a_format_has_it(web: Service) -> None:
-    data = golden_path("v4-alpha.sg").read_bytes()
+    data = golden_path("v5-alpha.sg").read_bytes()
     job, pixels = web.published(data), sgmethod.decode(data)
     np.testing.assert_array_equal(pixels_of(web.client.get(f"/decode/{job}.png")), pixels)
     shapes = {kind: pixels_of(web.client.get(f"/decode/{job}.{kind}")).shape for kind in ("webp", "avif", "jpg")}

@@ -180,7 +180,7 @@ def test_a_tiny_image_without_a_budget_is_accepted(web: Service) -> None:
     """0.3 bits per pixel of it are fewer bytes than the smallest file has; asked for, they are refused."""
     tiny = png(16, 16)
     assert web.post(tiny).status_code == 202
-    assert_problem(web.post(tiny, bpp="0.3"), 422, "at least 18 bytes")
+    assert_problem(web.post(tiny, bpp="0.3"), 422, "at least 12 bytes")
 
 
 def test_forms_that_are_refused(web: Service) -> None:

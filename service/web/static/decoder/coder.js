@@ -1,19 +1,19 @@
-// The entropy decoder of version 4: docs/format.md, "The entropy decoder of version 4".
+// The entropy decoder of versions 4 and 5: docs/format.md, "The entropy decoder of version 4".
 
-export const COLOUR = 0; // the two states
+export const COLOUR = 0; // the two states; a short file has one for both
 export const SHAPE = 1;
 
 /** A number whose last bits may still follow. */
 export const NONE = Object.freeze({ least: 0, rest: 0, symbol: 0 });
 
 export class Coder {
-  constructor(payload) {
+  constructor(payload, states) {
     this.payload = payload;
     this.at = 0;
     this.queue = new Uint8Array(32); // a ring of bytes, least significant bit first
     this.head = 0; // the bit that is taken next
     this.queued = 0; // bits
-    this.states = [this.first(), this.first()];
+    this.states = Array.from({ length: states }, () => this.first());
     this.cost = 0; // bits of information decoded since somebody set it to 0
   }
 
@@ -29,7 +29,8 @@ export class Coder {
     return this.at > this.payload.length;
   }
 
-  symbol(which, model) {
+  symbol(lane, model) {
+    const which = lane % this.states.length;
     const state = this.states[which];
     const place = state % 32768;
     let symbol = 0;
@@ -90,7 +91,7 @@ export class Coder {
 
   /** Whether the payload ended as it has to. */
   get ended() {
-    if (this.states[0] !== 65536 || this.states[1] !== 65536 || this.take(this.queued) !== 0) return false;
+    if (this.states.some((state) => state !== 65536) || this.take(this.queued) !== 0) return false;
     for (let i = this.at; i < this.payload.length; i++) if (this.payload[i]) return false;
     return true;
   }

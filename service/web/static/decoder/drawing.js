@@ -153,6 +153,36 @@ function mix(h) {
   return h ^ (h >>> 16);
 }
 
+export const SIDE = 256; // samples after which noise repeats
+export const NOISE_UNITS = [2 * 34.1 * 255, 2 * 29.7 * 255]; // by octave: half a level of 8 bits, of white, in its spread
+const tables = [null, null];
+
+/** Sums of neighbours in a plane that repeats, weighted along both axes. */
+function filtered(plane, weights) {
+  const middle = weights.length >> 1;
+  const sums = (from, x, y) =>
+    from.map((_, i) =>
+      weights.reduce((sum, weight, k) => {
+        const [column, row] = [i + x * (k - middle), (i >> 8) + y * (k - middle)];
+        return sum + weight * from[SIDE * (row & (SIDE - 1)) + (column & (SIDE - 1))];
+      }, 0),
+    );
+  return sums(sums(plane, 1, 0), 0, 1);
+}
+
+/** Noise of an octave, row by row: white noise less its mean around each sample; the finest octave is smoothed. */
+export function noiseOf(octave) {
+  if (tables[octave]) return tables[octave];
+  const white = Int32Array.from({ length: SIDE * SIDE }, (_, i) => {
+    const row = i >> 8;
+    return ((mix((i & (SIDE - 1)) + mix(mix(1) + (row >> 2))) >>> (8 * (row & 3))) & 255) - 128;
+  });
+  const mean = filtered(white, octave ? [1, 2, 1] : [1, 4, 6, 4, 1]);
+  const detail = white.map((value, i) => (octave ? 16 : 256) * value - mean[i]);
+  const noise = octave ? detail.map((value) => (value + 16) >> 5) : filtered(detail, [1, 6, 1]).map((v) => (v + 8192) >> 14);
+  return (tables[octave] = Int8Array.from(noise));
+}
+
 /** The two neighbouring cells of a position, and the fraction between them. */
 function between(place, cells) {
   const at = Math.min(max(place / CELL - 0.5, 0), cells - 1);
@@ -160,31 +190,28 @@ function between(place, cells) {
   return [low, Math.min(low + 1, cells - 1), at - low];
 }
 
-/** Noise from a seed, as strong as an octave's codes say, on a level of a view. */
+/** Noise as strong as an octave's codes say, on a level of a view. */
 function addTexture(plane, texture, octave, level, { x, y, sx, sy, ox, oy }, gain) {
   const { columns, rows } = texture;
   const strengths = Float64Array.from(texture.octaves[octave], (code) =>
-    code === 0 ? 0 : (gain * 2 ** ((code - 1) / 2)) / (2 * 148 * 255),
+    code === 0 ? 0 : (gain * 2 ** ((code - 1) / 2)) / NOISE_UNITS[octave],
   );
   const side = 2 ** level;
-  const most = 65536 / side;
-  const seed = mix(octave + 1);
+  const table = noiseOf(octave);
   const across = Array.from({ length: plane.width }, (_, i) =>
     between(((plane.left + i + 0.5) * side - ox + x * sx) / sx, columns),
   );
   for (let j = 0, at = 0; j < plane.height; j++) {
     const down = ((plane.top + j + 0.5) * side - oy + y * sy) / sy;
     const [above, below, share] = between(down, rows);
-    const row = (((plane.top + j) % most) + most) % most;
-    const rowSeed = mix(seed + (row >> 2));
+    const row = SIDE * ((plane.top + j) & (SIDE - 1));
     for (let i = 0; i < plane.width; i++, at += 3) {
       const [left, right, part] = across[i];
       const along = (r) => strengths[r * columns + left] * (1 - part) + strengths[r * columns + right] * part;
       const strength = along(above) * (1 - share) + along(below) * share;
       if (strength === 0) continue;
-      const column = (((plane.left + i) % most) + most) % most;
-      const byte = (mix(column + rowSeed) >>> (8 * (row & 3))) & 255;
-      for (let c = 0; c < 3; c++) plane.samples[at + c] += (2 * byte - 255) * strength;
+      const value = table[row + ((plane.left + i) & (SIDE - 1))] * strength;
+      for (let c = 0; c < 3; c++) plane.samples[at + c] += value;
     }
   }
 }

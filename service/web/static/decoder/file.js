@@ -1,31 +1,28 @@
-// An .sg file to its Gaussians: docs/format.md, "Version 4". Other versions, and parts this does not know, are refused.
+// An .sg file to its Gaussians: docs/format.md, "Version 5". Other versions, and parts this does not know, are refused.
 
 import { COLOUR, Coder, NONE, SHAPE } from "./coder.js";
 import { newModels } from "./models.js";
 
-const PREFIX_BYTES = 8; // magic, version, checksum
-// Headers as sgmethod/bitstream/ has them: name, bytes, least and largest value, one value more. A test compares.
+const SIGNATURE = [0xd3, 0xc5];
+// Fields as sgmethod/bitstream/ has them: name, bits, bits in a short file, whether they grow. A test compares.
 const HEADER = [
-  ["flags", 1, 0, 15],
-  ["width", 2, 1, 65535],
-  ["height", 2, 1, 65535],
-  ["quantum", 2, 256, 3839, 0],
-  ["red", 1, 0, 255],
-  ["green", 1, 0, 255],
-  ["blue", 1, 0, 255],
+  ["flags", 5, 5, false],
+  ["width", 4, 4, true],
+  ["height", 4, 4, true],
+  ["quantum", 12, 8, false],
+  ["red", 8, 5, false],
+  ["green", 8, 5, false],
+  ["blue", 8, 5, false],
 ];
 const ALPHA_HEADER = [
-  ["quantum", 2, 256, 3839, 0],
-  ["background", 1, 0, 255],
-  ["bytes", 4, 0, 4294967295],
+  ["alpha_quantum", 12, 8, false],
+  ["alpha_background", 8, 5, false],
+  ["alpha_bytes", 5, 5, true],
 ];
-const bytesOf = (fields) => fields.reduce((sum, [, bytes]) => sum + bytes, 0);
-const HEADER_BYTES = PREFIX_BYTES + bytesOf(HEADER);
-const ALPHA_BYTES = bytesOf(ALPHA_HEADER);
 const MOST = { colour: 2 ** 22, exponent: 18, uBits: 12, partBits: 16, rawBits: 24, v: 8, r: 4096 };
 const LEAST_COLOUR_STEP = 2 ** -16;
 const LEAST_WIDTH = Math.fround(0.3);
-const [GREY, UPRIGHT, TEXTURE, ALPHA] = [1, 2, 4, 8];
+const [GREY, UPRIGHT, TEXTURE, ALPHA, SHORT] = [1, 2, 4, 8, 16];
 export const OCTAVES = 2;
 export const CELL = 64; // pixels along a side of a cell of texture
 const MOST_STRENGTH = 15;
@@ -43,8 +40,6 @@ const refuseUnless = (holds, what) => {
   if (!holds) throw new SgError(`the file is damaged: ${what}`);
 };
 
-const isSg = (bytes) => bytes[0] === 0x53 && bytes[1] === 0x47 && bytes[2] === 0x4d;
-
 function crc32(bytes) {
   let crc = -1;
   for (const byte of bytes) {
@@ -54,45 +49,71 @@ function crc32(bytes) {
   return ~crc >>> 0;
 }
 
-const number = (bytes, at, size) => bytes.subarray(at, at + size).reduce((sum, byte) => 256 * sum + byte, 0);
-
-/** The values of a header's fields, which are all there. Throws SgError. */
-function readFields(fields, bytes, at) {
-  const values = {};
-  for (const [name, size, low, high, also] of fields) {
-    const value = (values[name] = number(bytes, at, size));
-    refuseUnless((value >= low && value <= high) || value === also, `its ${name} is out of range`);
-    at += size;
+/** The fields of a header, one after the other from the first bit on. */
+class HeaderBits {
+  constructor(bytes, isShort) {
+    [this.bytes, this.isShort, this.at] = [bytes, isShort, 0];
   }
-  return values;
+
+  take(count) {
+    refuseUnless(this.at + count <= 8 * this.bytes.length, "it ends within its header");
+    let value = 0;
+    for (; count > 0; count--, this.at++) value = 2 * value + ((this.bytes[this.at >> 3] >> (7 - (this.at & 7))) & 1);
+    return value;
+  }
+
+  read(fields) {
+    return fields.map(([, bits, shortBits, grows]) => {
+      const value = this.take(this.isShort ? shortBits : bits);
+      if (grows) return 2 ** value + this.take(value);
+      return this.isShort ? (value << (bits - shortBits)) | (value >> (2 * shortBits - bits)) : value;
+    });
+  }
+
+  /** In bytes. */
+  get end() {
+    refuseUnless(this.take(-this.at & 7) === 0, "its header does not end as it should");
+    return this.at >> 3;
+  }
 }
 
-const quantumOf = (code) => (1 + (code & 255) / 256) * 2 ** (4 - (code >> 8));
+const quantumOf = (code) => (1 + (code & 255) / 256) * 2 ** (3 - (code >> 8));
 
-/** What the header says. Throws SgError. */
+/** What the header says, and the bytes between it and the checksum. Throws SgError. */
 function readHeader(bytes) {
-  if (!isSg(bytes)) throw new SgError("this is no .sg file");
-  if (bytes[3] !== 4) throw new SgError(`version ${bytes[3]} of the file is not known here`, true);
-  refuseUnless(bytes.length >= HEADER_BYTES, "it is too short");
-  refuseUnless(number(bytes, 4, 4) === crc32(bytes.subarray(PREFIX_BYTES)), "its checksum is wrong");
-  if (bytes[PREFIX_BYTES] > HEADER[0][3]) throw new SgError("the file has a part that is not known here", true);
-  const { flags, width, height, quantum, red, green, blue } = readFields(HEADER, bytes, PREFIX_BYTES);
-  return {
+  const isSigned = bytes[0] === SIGNATURE[0] && bytes[1] === SIGNATURE[1];
+  if (!isSigned && ((bytes[0] === SIGNATURE[0] && bytes[1] >> 4 === 12) || String.fromCharCode(...bytes.subarray(0, 3)) === "SGM"))
+    throw new SgError("this version of the file is not known here", true);
+  if (!isSigned) throw new SgError("this is no .sg file");
+  refuseUnless(bytes.length >= 7, "it is too short");
+  const isShort = bytes[2] >= 128;
+  const end = bytes.length - (isShort ? 1 : 4);
+  const checksum = bytes.subarray(end).reduce((sum, byte) => 256 * sum + byte, 0);
+  const whole = crc32(bytes.subarray(0, end));
+  refuseUnless(checksum === (isShort ? whole & 255 : whole), "its checksum is wrong");
+  const bits = new HeaderBits(bytes.subarray(2, end), isShort);
+  const [flags] = bits.read(HEADER.slice(0, 1));
+  const grey = Boolean(flags & GREY);
+  const [width, height, quantum, ...levels] = bits.read(HEADER.slice(1, grey ? 5 : 7));
+  const header = {
     width,
     height,
-    grey: Boolean(flags & GREY),
+    grey,
     upright: Boolean(flags & UPRIGHT),
+    isShort: Boolean(flags & SHORT),
     textured: Boolean(flags & TEXTURE),
-    hasAlpha: Boolean(flags & ALPHA),
+    ofAlpha: flags & ALPHA ? bits.read(ALPHA_HEADER) : null,
     quantum: quantumOf(quantum),
-    background: [red, green, blue],
+    background: grey ? Array(3).fill(levels[0]) : levels,
   };
+  const begin = 2 + bits.end;
+  return { ...header, headerBytes: begin + bytes.length - end, parts: bytes.subarray(begin, end) };
 }
 
-/** The texture part: codes of strength for each octave, row by row, and where the payload begins. */
+/** The texture part: codes of strength for each octave, row by row, and where it ends. */
 function readTexture(bytes, width, height) {
   const [columns, rows] = [Math.ceil(width / CELL), Math.ceil(height / CELL)];
-  let at = 8 * HEADER_BYTES; // bits
+  let at = 0; // bits
   const bit = () => {
     refuseUnless(at >> 3 < bytes.length, "it ends within its texture");
     return (bytes[at >> 3] >> (7 - (at++ & 7))) & 1;
@@ -145,38 +166,33 @@ class Gaussians {
 
 /** Header and Gaussians of a file. Throws SgError. */
 export function readFile(bytes) {
-  const header = readHeader(bytes);
-  const texture = header.textured ? readTexture(bytes, header.width, header.height) : null;
-  const end = texture ? texture.end : HEADER_BYTES;
-  const alpha = header.hasAlpha ? readAlpha(bytes, end, header) : null;
-  const start = alpha ? alpha.end : end;
+  const { parts, ofAlpha, ...header } = readHeader(bytes);
+  const texture = header.textured ? readTexture(parts, header.width, header.height) : null;
+  const textureBytes = texture ? texture.end : 0;
+  const alphaBytes = ofAlpha ? ofAlpha[2] - 1 : 0;
+  const start = textureBytes + alphaBytes;
+  refuseUnless(start <= parts.length, "its alpha is cut short");
   return {
     ...header,
     texture,
-    alpha,
-    start, // of the payload
-    textureBytes: end - HEADER_BYTES,
-    alphaBytes: start - end,
+    alpha: ofAlpha ? readAlpha(parts.subarray(textureBytes, start), ofAlpha, header) : null,
+    textureBytes,
+    alphaBytes,
+    payloadBytes: parts.length - start,
     bytes: bytes.length,
-    ...readPayload(header, bytes.subarray(start)),
+    ...readPayload(header, parts.subarray(start)),
   };
 }
 
-/** Alpha: a grey picture of the same size, which can be drawn as a file can, and where it ends. */
-function readAlpha(bytes, start, { width, height }) {
-  const begin = start + ALPHA_BYTES;
-  refuseUnless(begin <= bytes.length, "its alpha is cut short");
-  const said = readFields(ALPHA_HEADER, bytes, start);
-  const end = begin + said.bytes;
-  refuseUnless(end <= bytes.length, "its alpha is cut short");
-  const header = { width, height, grey: true, upright: false, quantum: quantumOf(said.quantum) };
-  const read = readPayload(header, bytes.subarray(begin, end));
-  return { ...header, ...read, background: Array(3).fill(said.background), texture: null, end };
+/** Alpha: a grey picture of the same size, which can be drawn as a file can. */
+function readAlpha(payload, [quantum, level], { width, height, isShort }) {
+  const header = { width, height, isShort, grey: true, upright: false, quantum: quantumOf(quantum) };
+  return { ...header, ...readPayload(header, payload), background: Array(3).fill(level), texture: null };
 }
 
 function readPayload(header, payload) {
   const found = new Gaussians(Math.ceil(payload.length / 3));
-  if (payload.length) readGaussians(header, new Coder(payload), found);
+  if (payload.length) readGaussians(header, new Coder(payload, header.isShort ? 1 : 2), found);
   const { values, bits, ends, count, spent } = found;
   return {
     spent,
@@ -190,7 +206,7 @@ function readPayload(header, payload) {
 /** How many of the Gaussians are in the first part of a file, above 0 to 1. */
 export function countInPart(file, part) {
   if (part >= 1) return file.count;
-  const bytes = Math.ceil(part * (file.bytes - file.start));
+  const bytes = Math.ceil(part * file.payloadBytes);
   let [low, high] = [0, Math.min(file.count, 8 * bytes + 64)];
   while (low < high) {
     const middle = (low + high + 1) >> 1;

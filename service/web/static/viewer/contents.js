@@ -4,9 +4,9 @@ import { $, element } from "../page/parts.js";
 import { size } from "../page/words.js";
 
 /** [name, bytes, words] for each part that the file has. The bytes add up to the file's. */
-export function contentsOf({ bytes, start, textureBytes, alphaBytes, spent }) {
+export function contentsOf({ headerBytes, payloadBytes, textureBytes, alphaBytes, spent }) {
   const { place, shape, slant, light, tint } = spent;
-  const rest = 8 * (bytes - start) - place - shape - slant - light - tint;
+  const rest = 8 * payloadBytes - place - shape - slant - light - tint;
   return [
     ["Positions", place / 8, "centres of the ellipses"],
     ["Sizes", shape / 8, "widths and heights"],
@@ -15,7 +15,7 @@ export function contentsOf({ bytes, start, textureBytes, alphaBytes, spent }) {
     ["Colour", tint / 8, "hue and saturation"],
     ["Texture", textureBytes, "strength of the noise"],
     ["Transparency", alphaBytes, "the alpha channel"],
-    ["Header", start - textureBytes - alphaBytes, "picture size, precision"],
+    ["Header", headerBytes, "picture size, precision"],
     ["Counts", rest / 8, "ellipses of each size"],
   ].filter(([, part]) => part > 0);
 }

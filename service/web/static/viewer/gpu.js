@@ -1,6 +1,6 @@
 // Gaussians drawn by the graphics processor: instanced quads added up in floating point (WebGL2), and texture upon them.
 
-import { octavesOf } from "../decoder/drawing.js";
+import { NOISE_UNITS, SIDE, noiseOf, octavesOf } from "../decoder/drawing.js";
 import { CELL } from "../decoder/file.js";
 
 const STRIDE = 32;
@@ -47,6 +47,7 @@ precision highp float;
 precision highp int;
 uniform highp sampler2D sums;
 uniform highp sampler2D codes;
+uniform highp isampler2D noise;
 uniform vec3 background;
 uniform vec2 origin;
 uniform float scale, height;
@@ -54,17 +55,9 @@ uniform ivec2 levels;
 uniform vec2 gains;
 out vec4 pixel;
 
-uint mixed(uint h) {
-  h ^= h >> 16;
-  h *= 0x7feb352du;
-  h ^= h >> 15;
-  h *= 0x846ca68bu;
-  return h ^ (h >> 16);
-}
-
 float strengthOfCell(ivec2 cell, int octave) {
   float code = round(255.0 * texelFetch(codes, cell, 0)[octave]);
-  return code < 0.5 ? 0.0 : exp2(0.5 * (code - 1.0)) / (2.0 * 148.0 * 255.0);
+  return code < 0.5 ? 0.0 : exp2(0.5 * (code - 1.0)) / (octave == 0 ? ${NOISE_UNITS.map((unit) => unit.toFixed(1)).join(" : ")});
 }
 
 float strength(vec2 place, int octave) {
@@ -94,20 +87,15 @@ float grain(vec2 place, int octave) {
   vec2 t = at - vec2(middle) - 0.5;
   vec3 across = weights(t.x, level);
   vec3 down = weights(t.y, level);
-  int last = (65536 >> level) - 1; // of places, which then begin again
-  uint seed = mixed(uint(octave + 1));
   float sum = 0.0;
   for (int j = 0; j < 3; j++) {
     if (down[j] == 0.0) continue;
-    int row = (middle.y + j - 1) & last;
-    uint rowSeed = mixed(seed + uint(row >> 2));
-    uint shift = uint(8 * (row & 3));
     for (int i = 0; i < 3; i++) {
-      uint h = mixed(uint((middle.x + i - 1) & last) + rowSeed);
-      sum += across[i] * down[j] * float((h >> shift) & 255u);
+      ivec2 where = (middle + ivec2(i, j) - 1) & ${SIDE - 1}; // noise repeats
+      sum += across[i] * down[j] * float(texelFetch(noise, where, 0)[octave]);
     }
   }
-  return strong * (2.0 * sum - 255.0);
+  return strong * sum;
 }
 
 void main() {
@@ -140,7 +128,7 @@ class Gpu {
     this.lost = false;
     canvas.addEventListener("webglcontextlost", () => (this.lost = true));
     this.add = this.#program(ADD, ADD_PIXEL, ["origin", "canvas", "scale"]);
-    const grain = ["codes", "origin", "scale", "height", "levels", "gains"];
+    const grain = ["codes", "noise", "origin", "scale", "height", "levels", "gains"];
     this.show = this.#program(SHOW, SHOW_PIXEL, ["sums", "background", ...grain]);
     const corners = gl.createBuffer();
     this.gaussians = gl.createBuffer();
@@ -156,7 +144,18 @@ class Gpu {
     }
     this.sums = gl.createTexture();
     this.codes = gl.createTexture();
+    this.noise = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, this.noise);
+    const noise = Int8Array.from({ length: 2 * SIDE * SIDE }, (_, i) => noiseOf(i & 1)[i >> 1]);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG8I, SIDE, SIDE, 0, gl.RG_INTEGER, gl.BYTE, noise);
+    this.#unfiltered();
     this.target = gl.createFramebuffer();
+  }
+
+  #unfiltered() {
+    const { gl } = this;
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
   }
 
   #program(vertex, fragment, names) {
@@ -180,8 +179,7 @@ class Gpu {
     gl.bindTexture(gl.TEXTURE_2D, this.sums);
     const kind = this.format === gl.RGBA32F ? gl.FLOAT : gl.HALF_FLOAT;
     gl.texImage2D(gl.TEXTURE_2D, 0, this.format, width, height, 0, gl.RGBA, kind, null);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    this.#unfiltered();
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, this.sums, 0);
   }
@@ -195,8 +193,7 @@ class Gpu {
     gl.bindTexture(gl.TEXTURE_2D, this.codes);
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RG8, columns, rows, 0, gl.RG, gl.UNSIGNED_BYTE, codes);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
-    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    this.#unfiltered();
     this.#file = file;
   }
 
@@ -220,13 +217,14 @@ class Gpu {
     gl.disable(gl.BLEND);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.useProgram(show.program);
-    for (const [unit, texture] of [this.sums, this.codes].entries()) {
+    for (const [unit, texture] of [this.sums, this.codes, this.noise].entries()) {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, texture);
     }
     gl.activeTexture(gl.TEXTURE0);
     gl.uniform1i(show.sums, 0);
     gl.uniform1i(show.codes, 1);
+    gl.uniform1i(show.noise, 2);
     gl.uniform2f(show.origin, ...origin);
     gl.uniform1f(show.scale, scale);
     gl.uniform1f(show.height, height);

@@ -1,8 +1,8 @@
-"""Damaged and hostile files of profile rd, versions 3 and 4: BitstreamError, or pixels of the size that the header
+"""Damaged and hostile files of profile rd, versions 3 to 5: BitstreamError, or pixels of the size that the header
 says; nothing else.
 
 A changed bit changes all that follows in an entropy-coded payload, so one mutation explores more than in version 1. The
-two versions share the mutations.
+versions share the mutations.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v4 import FLAG_ALPHA, StreamV4
+from sgmethod.bitstream.v4 import FLAG_ALPHA
+from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.scene import Gaussians
 from sgmethod.view import View
-from tests.bitstream.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove
-from tests.harness.data import golden, golden_path, with_checksum
+from tests.bitstream import plain_decoder_v5
+from tests.bitstream.fuzz.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove
+from tests.harness.data import NEW, golden, golden_path, with_checksum
 
 MUTATIONS = 4000  # in each of two tests
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
-VERSIONS = (b"SGM\3", b"SGM\4")
+VERSIONS = (b"SGM\3", b"SGM\4", NEW)
 MAX_CPU_S = 2.0  # 0.14 s is the worst seen
 
 
-GOLDEN = [*golden(3).values(), *golden(4).values()]
+GOLDEN = [*golden(3).values(), *golden(4).values(), *golden(5).values()]
 
 places = st.floats(0, 1, exclude_max=True)
 numbers = st.integers(0, 2**32 - 1)
@@ -81,7 +83,7 @@ def crowded() -> bytes:
     rng = np.random.default_rng(0)
     means, factors = rng.uniform(0, 200, (n, 2)), np.tile((1.0, 0.0, 1.0), (n, 1))
     gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, np.full((n, 3), 0.5))))
-    return container.serialise(StreamV4.of(gaussians, (200, 200), 1.5, (10, 20, 30), True))
+    return container.serialise(StreamV5.of(gaussians, (200, 200), 1.5, (10, 20, 30), True))
 
 
 def huge() -> bytes:
@@ -90,12 +92,21 @@ def huge() -> bytes:
     rng = np.random.default_rng(0)
     means, factors = rng.uniform(0, 150, (n, 2)), np.tile((500.0, 9.0, 700.0), (n, 1))
     gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
-    return container.serialise(StreamV4.of(gaussians, (150, 150), 1.0, (10, 20, 30), False))
+    return container.serialise(StreamV5.of(gaussians, (150, 150), 1.0, (10, 20, 30), False))
 
 
 # The same in version 3: without a pyramid, they are more than the tiles can bear three times as large.
 HUGE_V3 = golden_path("v3-large/wide.sg").read_bytes()
 SEEDS = [*GOLDEN, crowded(), HUGE_V3, huge()]
+
+
+def header_of(data: bytes) -> tuple[tuple[int, int], bool]:
+    """The picture's size, and whether it has alpha."""
+    if data.startswith(NEW):
+        header = plain_decoder_v5.read(data).header
+        return (header.width, header.height), header.alpha
+    width, height = struct.unpack_from(">HH", data, 9)
+    return (width, height), data[3] == 4 and bool(data[8] & FLAG_ALPHA)
 
 
 def outcome(data: bytes, view: View) -> str:
@@ -108,8 +119,7 @@ def outcome(data: bytes, view: View) -> str:
             (word for word in ("overlap", "limit", "checksum", "than the data") if word in str(error)), "other"
         )
     else:
-        size = struct.unpack_from(">HH", data, 9)
-        with_alpha = data[3] == 4 and bool(data[8] & FLAG_ALPHA)
+        size, with_alpha = header_of(data)
         assert pixels.shape == (*view.size(*size)[::-1], 4 if with_alpha else 3)
         assert pixels.dtype == np.uint8
         if view.prefix == 1:
@@ -133,7 +143,7 @@ def explore(seeds: list[bytes], views: st.SearchStrategy[View], fits: st.SearchS
     def mutate(data: bytes, steps: list[tuple[Mutator, float, int]], view: View, fits: bool) -> None:
         for mutator, place, number in steps:
             data = mutator(data, place, number)
-        if data[:4] in VERSIONS:
+        if data.startswith(VERSIONS):
             seen[outcome(with_checksum(data) if fits else data, view)] += 1
 
     mutate()
@@ -142,7 +152,7 @@ def explore(seeds: list[bytes], views: st.SearchStrategy[View], fits: st.SearchS
 
 def test_mutations() -> None:
     """Half of the files, or nearly, get the checksum that fits them."""
-    seen = explore(SEEDS, st.just(View()), st.sampled_from([True, True, False]))
+    seen = explore(SEEDS, st.just(View()), st.sampled_from([True, True, False, True, False]))
     assert seen["drawn"] > MUTATIONS / 50
     assert seen["checksum"] > MUTATIONS / 5
     assert min(seen["limit"], seen["than the data"], seen["other"]) > 0
@@ -161,7 +171,7 @@ def test_mutations_seen_in_part() -> None:
 
 @settings(max_examples=1500, deadline=None, derandomize=True, database=None)
 @given(
-    st.sampled_from(VERSIONS),
+    st.sampled_from(VERSIONS[:2]),
     st.binary(max_size=400),
     numbers,
     st.sampled_from([0, 1, 2, 3, 4]),
@@ -173,11 +183,19 @@ def test_any_payload(begin: bytes, payload: bytes, number: int, flags: int, quan
     outcome(with_checksum(begin + bytes(4) + body), View(prefix=0.5 if number % 3 == 0 else 1.0))
 
 
+@settings(max_examples=1500, deadline=None, derandomize=True, database=None)
+@given(st.integers(0, 255), st.integers(0, 8), st.integers(0, 8), st.binary(max_size=400), st.sampled_from([1.0, 0.5]))
+def test_any_file_of_version_5(first: int, wide: int, high: int, rest: bytes, prefix: float) -> None:
+    """Of any flags, and of sizes that can be drawn."""
+    begin = first << 16 | (wide & 14) << 15 | high << 9
+    outcome(with_checksum(NEW + begin.to_bytes(3, "big") + rest + bytes(4)), View(prefix=prefix))
+
+
 def test_needles_overlap_in_a_pyramid_too() -> None:
     """They are too narrow for a coarser level, however long they are."""
     n, side = 4000, 170
     means, factors = np.full((n, 2), side / 2), np.tile((600.0, 600.0, 0.3), (n, 1))
     gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, np.full((n, 3), 0.01))))
-    data = container.serialise(StreamV4.of(gaussians, (side, side), 0.5, (10, 20, 30), True))
+    data = container.serialise(StreamV5.of(gaussians, (side, side), 0.5, (10, 20, 30), True))
     assert outcome(data, View()) == "drawn"
     assert outcome(data, View(3.0)) == "overlap"

@@ -1,0 +1,33 @@
+"""A file as text that an attribute or a JSON string can hold: base64url of all its bytes but the first.
+
+The first byte says no more than that this is a file; the second has the version, so that later ones can be told apart.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+
+from sgmethod.bitstream.container import LAST_WITH_MAGIC, parse, version_of
+from sgmethod.bitstream.stream import NO_LIMITS, SIGNATURE, Limits
+from sgmethod.errors import BitstreamError
+
+
+def to_text(data: bytes) -> str:
+    """The text of a file of version 5: 4 characters for 3 bytes, of A-Z a-z 0-9 - _ alone. Raises BitstreamError for an
+    older one."""
+    if version_of(data) <= LAST_WITH_MAGIC:
+        raise BitstreamError("only files of version 5 have a text: encode the picture again")
+    return base64.urlsafe_b64encode(data[1:]).rstrip(b"=").decode()
+
+
+def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
+    """The file of a text. Raises BitstreamError for anything but the whole text of an intact file within the limits."""
+    try:
+        data = bytes([SIGNATURE[0]]) + base64.b64decode(text.encode() + b"=" * (-len(text) % 4), b"-_", validate=True)
+    except (binascii.Error, UnicodeEncodeError) as error:
+        raise BitstreamError("this is not the text of an .sg file") from error
+    parse(data, limits)
+    if to_text(data) != text:  # padding, or bits behind the last byte
+        raise BitstreamError("this is not the text of an .sg file")
+    return data
