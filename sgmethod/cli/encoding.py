@@ -20,6 +20,7 @@ from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.several import Figures, Outcome, convert_all, say_notes, without_those_there
 from sgmethod.cli.terminal import progress_line, redraw
+from sgmethod.many.manifest import Manifest
 from sgmethod.trace import TracePoint
 
 if TYPE_CHECKING:
@@ -32,11 +33,14 @@ def run_encode(arguments: argparse.Namespace) -> int:
     conversions = naming.encodes(arguments)
     traces = [] if arguments.trace is None else [files.output(arguments.trace)]
     files.check_outputs([one.source for one in conversions], [*(one.target for one in conversions), *traces])
-    _only_budget(arguments)
+    budget = _only_budget(arguments)
     if arguments.output_dir is not None:
         if arguments.server is None:
             _load_encoder(arguments.profile)  # or none would succeed
-        return convert_all(conversions, _encode_one_of_several, "encoded", arguments)
+        options = {"budget": budget, **_choices(arguments)}
+        options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
+        with Manifest(arguments.output_dir, options) as manifest:
+            return convert_all(conversions, _encode_one_of_several, "encoded", arguments, manifest)
     (conversion,) = conversions
     out = sys.stderr if STREAM in (conversion.target, *traces) else sys.stdout
     for wanted in without_those_there(conversions, arguments, out):

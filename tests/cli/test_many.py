@@ -41,7 +41,9 @@ def test_many_files_are_decoded(run: Run) -> None:
     assert ran.status == 1
     skipped, done, summary = ran.out.splitlines()
     assert skipped == "out/two.png already exists: skipped"
-    assert re.fullmatch(r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, \d+ s left\)", done)
+    assert re.fullmatch(
+        r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, [\d.]+ pictures/s, \d+ s left\)", done
+    )
     assert re.fullmatch(r"1 decoded, 1 skipped, 2 failed: [\d,]+ bytes, \d+\.\d s", summary)
     bad, gone = ran.err.splitlines()
     assert bad.startswith("sgmethod: bad.sg: ")
@@ -66,7 +68,8 @@ def test_folders(run: Run) -> None:
     ]
     assert run("decode", "out", "--output-dir", "out", "--quiet") == (0, "", "")
     assert {path.name for path in Path("out").iterdir()} == {
-        f"{name}.{suffix}" for name in ("a", "b", "photo") for suffix in ("sg", "png")
+        "manifest.jsonl",
+        *(f"{name}.{suffix}" for name in ("a", "b", "photo") for suffix in ("sg", "png")),
     }
 
 
@@ -82,7 +85,7 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     clear = "\r\x1b[K"
     first, second, third, end = seen.replace("\r\n", "\n").split(clear)[:4]
     assert first == "\r0 of 2\x1b[K"
-    assert re.fullmatch(r"a\.sg -> out/a\.png: .* bytes\n\r1 of 2, \d+ s left\x1b\[K", second)
+    assert re.fullmatch(r"a\.sg -> out/a\.png: .* bytes\n\r1 of 2, [\d.]+ pictures/s, \d+ s left\x1b\[K", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
 
