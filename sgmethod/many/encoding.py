@@ -72,7 +72,7 @@ def encode_many(
     options: of encode().
 
     A picture that cannot be encoded is a line with its error, and the rest goes on. Raises SgError for a name that is
-    invalid or used twice, or a manifest.jsonl of another kind, and OSError if the folder cannot be written.
+    invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
     processes = whole(jobs, "the number of jobs", 1, MAX_JOBS)
     folder = own_path(output_dir)

@@ -12,7 +12,8 @@ import errno
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -39,14 +40,16 @@ class Row:
 
 
 class Manifest:
-    """The manifest of `folder`, for a run with these options. Raises SgError for a file of another kind, OSError."""
+    """The manifest of `folder`, for a run with these options. Raises SgError if it cannot be written, or is
+    another file of that name."""
 
     def __init__(self, folder: str | os.PathLike[str], options: Mapping[str, object]) -> None:
-        self._folder = Path(folder)
+        self._folder, self._path = Path(folder), Path(folder) / FILE
         self._asked = f"{version('sgmethod')} {sorted(options.items())!r}"
         self._made: dict[str, tuple[str, int]] = {}  # keys and sizes by name
         # One write a line: if it is killed in the middle, the rest is missing, and no other line is touched.
-        self._file = (self._folder / FILE).open("a+b", buffering=0)
+        with self._saying():
+            self._file = self._path.open("ab", buffering=0)
         try:
             self._read()
         except BaseException:
@@ -60,11 +63,11 @@ class Manifest:
         self._file.close()
 
     def _read(self) -> None:
-        path, end = self._folder / FILE, 0
-        with path.open("rb") as lines:
+        end = 0
+        with self._saying(), self._path.open("rb") as lines:
             for number, line in enumerate(lines, 1):
                 if not line.startswith(BEGINNING[: len(line)]):
-                    raise SgError(f"{path} is not a manifest of sgmethod (line {number}): move it away")
+                    raise SgError(f"{self._path} is not a manifest of sgmethod (line {number}): move it away")
                 if not line.endswith(b"\n"):
                     self._file.truncate(end)  # its writer was killed
                     return
@@ -77,10 +80,10 @@ class Manifest:
                     else:
                         self._made.pop(name, None)
                 except (ValueError, KeyError, TypeError) as error:
-                    raise SgError(f"{path} is damaged in line {number}: remove that line") from error
+                    raise SgError(f"{self._path} is damaged in line {number}: remove that line") from error
 
     def key(self, source: str | None) -> str:
-        """What decides the file's bytes: version, options, and the picture's size and time. Empty if it is not there."""
+        """What decides the file's bytes: version, options, the picture's size and time. Empty if it is not there."""
         try:
             seen = None if source is None else Path(source).stat()
         except (OSError, ValueError):
@@ -97,7 +100,15 @@ class Manifest:
             return False
 
     def add(self, row: Row) -> None:
-        """Append a line. Raises OSError."""
+        """Append a line. Raises SgError."""
         line = json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
-        if self._file.write(line) != len(line):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._folder / FILE))
+        with self._saying():
+            if self._file.write(line) != len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    @contextmanager
+    def _saying(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise SgError(f"cannot write {self._path}: {error.strerror or error}") from error

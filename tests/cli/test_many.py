@@ -73,6 +73,40 @@ def test_folders(run: Run) -> None:
     }
 
 
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_resuming(run: Run, jobs: str) -> None:
+    """What the manifest has is skipped, failures are tried again, and other options make other files."""
+    Path("photos").mkdir()
+    for name in ("a.png", "b.png"):
+        PHOTO.resize((32, 24)).save(f"photos/{name}")
+    Path("photos/bad.png").write_bytes(b"hello")
+    line = ["encode", "photos", "--output-dir", "out", "--jobs", jobs, "--resume", "--gaussians", "9", "--effort", "1"]
+    assert run(*line).out.splitlines()[-1].startswith("2 encoded, 0 skipped, 1 failed: ")
+    rows = {row["name"]: row for row in map(json.loads, Path("out/manifest.jsonl").read_text().splitlines())}
+    assert rows.keys() == {"a.sg", "b.sg", "bad.sg"}
+    assert rows["a.sg"]["input"] == "photos/a.png"
+    assert rows["a.sg"]["bytes"] == rows["a.sg"]["figures"]["bytes"] == Path("out/a.sg").stat().st_size
+    assert (rows["a.sg"]["error"], rows["bad.sg"]["bytes"]) == (None, 0)
+    PHOTO.resize((32, 24)).save("photos/bad.png")
+    Path("out/b.sg").unlink()
+    again = run(*line).out.splitlines()
+    assert {text.partition(":")[0] for text in again[:-1]} == {
+        "photos/b.png -> out/b.sg",
+        "photos/bad.png -> out/bad.sg",
+    }
+    assert again[-1].startswith("2 encoded, 1 skipped, 0 failed: ")
+    assert run(*line).out.startswith("0 encoded, 3 skipped, 0 failed: ")
+    assert run(*line, "--tune", "psnr").out.splitlines()[-1].startswith("3 encoded, 0 skipped, 0 failed: ")
+
+
+def test_resuming_needs_a_folder_and_a_manifest(run: Run) -> None:
+    assert_refused(run("encode", "photo.png", "out.sg", "--resume"), "--resume needs --output-dir")
+    Path("folder").mkdir()
+    Path("folder/manifest.jsonl").write_text("hello")
+    why = "folder/manifest.jsonl is not a manifest of sgmethod (line 1): move it away"
+    assert_refused(run("encode", "photo.png", "--output-dir", "folder"), why)
+
+
 def test_how_many_of_how_many_on_a_terminal() -> None:
     """A line that is gone before another is printed, and at the end."""
     for name in ("a.sg", "b.sg"):
