@@ -60,8 +60,9 @@ if TYPE_CHECKING:
     )
     from sgmethod.exchange.files import read_npz, read_ply, write_npz, write_ply
     from sgmethod.exchange.packing import pack
-    from sgmethod.many.encoding import Tally, encode_many
+    from sgmethod.many.encoding import encode_many
     from sgmethod.many.manifest import Row
+    from sgmethod.many.run import Tally
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
     from sgmethod.view import View
@@ -113,8 +114,9 @@ _HOMES = {
     ),
     "exchange.files": ("read_npz", "read_ply", "write_npz", "write_ply"),
     "exchange.packing": ("pack",),
-    "many.encoding": ("Tally", "encode_many"),
+    "many.encoding": ("encode_many",),
     "many.manifest": ("Row",),
+    "many.run": ("Tally",),
     "scene": ("Gaussians",),
     "trace": ("TracePoint",),
     "view": ("View",),

@@ -25,7 +25,10 @@ from sgmethod.trace import TracePoint
 
 if TYPE_CHECKING:
     from sgmethod.client import Client
+    from sgmethod.client.client import Priority
     from sgmethod.codec import Encoded
+
+PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # with a server that is busy or restarts
 
 
 def run_encode(arguments: argparse.Namespace) -> int:
@@ -110,13 +113,16 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
     if arguments.seed != 0:
         raise CommandError("--seed cannot be combined with --server")
-    client = _client(arguments.server, arguments.quiet)
-    encoded = client.encode(image, budget, arguments.profile, **_choices(arguments), on_progress=show)
+    several = arguments.output_dir is not None
+    client = _client(arguments.server, arguments.quiet, MANY_PATIENCE_S if several else PATIENCE_S)
+    priority: Priority = "bulk" if several else "interactive"
+    choices = _choices(arguments)
+    encoded = client.encode(image, budget, arguments.profile, **choices, priority=priority, on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
 
 
 @cache
-def _client(server: str, quiet: bool) -> Client:
+def _client(server: str, quiet: bool, patience_s: float) -> Client:
     """One client for all pictures: once answered, it can tell a restarting server from a wrong address."""
     try:
         from sgmethod.client import Client
@@ -129,7 +135,7 @@ def _client(server: str, quiet: bool) -> Client:
                 redraw(sys.stderr, "")  # the line of progress
             print(f"sgmethod: {one_line(message)}", file=sys.stderr, flush=True)
 
-    return Client(server, os.environ.get("SG_API_KEY"), on_retry=say)
+    return Client(server, os.environ.get("SG_API_KEY"), patience_s=patience_s, on_retry=say)
 
 
 def _load_encoder(profile: str) -> Callable[..., Encoded]:
