@@ -13,8 +13,9 @@ from typing import Any
 
 from sgmethod.budget import whole
 from sgmethod.codec import encode
-from sgmethod.errors import ImageWarning
+from sgmethod.errors import ImageWarning, SgError
 from sgmethod.io.inputs import Input
+from sgmethod.many.cluster import in_ray
 from sgmethod.many.manifest import Row
 from sgmethod.many.processes import KILLED, in_processes
 from sgmethod.many.run import Item, Made, OnRow, Picture, Tally, made, run
@@ -28,6 +29,7 @@ def encode_many(
     *,
     jobs: int = 1,
     resume: bool = False,
+    engine: str = "local",
     on_row: OnRow | None = None,
     **options: Any,
 ) -> Tally:
@@ -39,20 +41,24 @@ def encode_many(
     more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
     resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for
     paths, the picture's size and time; pictures in memory are known by name alone.
+    engine: "local", or "ray" for a Ray cluster (pip install 'sgmethod[ray]'): one core for each picture, and absolute
+    paths in folders that its machines share. Call ray.init() first, or Ray chooses the cluster.
     on_row: called with each finished picture's line of the manifest, and with the run so far.
     options: of encode().
 
     A picture that cannot be encoded is a line with its error, and the rest goes on. Raises SgError for a name that is
     invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
-    processes = whole(jobs, "the number of jobs", 1, MAX_JOBS)
+    jobs = whole(jobs, "the number of jobs", 1, MAX_JOBS)
+    if engine not in ("local", "ray"):
+        raise SgError(f'the engine must be "local" or "ray", got {engine!r}')
 
     def finish(folder: Path, pictures: Iterator[Picture]) -> Generator[Row, None, None]:
-        make_row = partial(made, partial(_encode, options), folder)
-        if processes == 1:
+        make_row = partial(made, partial(_encode, options), folder.absolute())
+        if engine == "local" and jobs == 1:
             yield from map(make_row, pictures)
             return
-        with closing(in_processes(make_row, pictures, processes)) as finished:
+        with closing((in_ray if engine == "ray" else in_processes)(make_row, pictures, jobs)) as finished:
             for one, row in finished:
                 yield replace(one.row, error=KILLED) if row is None else row
 

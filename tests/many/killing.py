@@ -20,3 +20,8 @@ def killed_once(folder: Path, item: int) -> int:
         (folder / "killed").touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return 2 * item
+
+
+def process_of(_item: int) -> int:
+    """The process that works on the item."""
+    return os.getpid()
