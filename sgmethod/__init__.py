@@ -24,6 +24,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     paper/      profiles paper and baseline
     rd/         profile rd
     codec       encode(): a profile's pipeline, then the decoded result measured
+    many/       any number of pictures, in several processes, with a manifest
     exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
     torch/      tensors: the differentiable renderer, files, data sets
     pillow/     .sg files for Pillow
@@ -59,6 +60,9 @@ if TYPE_CHECKING:
     )
     from sgmethod.exchange.files import read_npz, read_ply, write_npz, write_ply
     from sgmethod.exchange.packing import pack
+    from sgmethod.many.encoding import encode_many
+    from sgmethod.many.manifest import Row
+    from sgmethod.many.run import Tally
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
     from sgmethod.view import View
@@ -76,15 +80,18 @@ __all__ = [
     "ImageWarning",
     "Info",
     "NativeModuleError",
+    "Row",
     "ServerError",
     "SgError",
     "SgFile",
     "Stats",
+    "Tally",
     "TracePoint",
     "View",
     "ViewError",
     "decode",
     "encode",
+    "encode_many",
     "info",
     "open",
     "pack",
@@ -107,6 +114,9 @@ _HOMES = {
     ),
     "exchange.files": ("read_npz", "read_ply", "write_npz", "write_ply"),
     "exchange.packing": ("pack",),
+    "many.encoding": ("encode_many",),
+    "many.manifest": ("Row",),
+    "many.run": ("Tally",),
     "scene": ("Gaussians",),
     "trace": ("TracePoint",),
     "view": ("View",),

@@ -37,7 +37,7 @@ EXPORTED = {
         "ImageWarning",
     ),
     *("Info", "NativeModuleError", "ServerError", "SgError", "SgFile", "Stats", "TracePoint", "View", "ViewError"),
-    *("decode", "encode", "info", "open", "pack", "set_threads"),
+    *("Row", "Tally", "decode", "encode", "encode_many", "info", "open", "pack", "set_threads"),
     *("read_npz", "read_ply", "write_npz", "write_ply"),
 }
 

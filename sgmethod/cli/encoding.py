@@ -20,11 +20,15 @@ from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.several import Figures, Outcome, convert_all, say_notes, without_those_there
 from sgmethod.cli.terminal import progress_line, redraw
+from sgmethod.many.manifest import Manifest
 from sgmethod.trace import TracePoint
 
 if TYPE_CHECKING:
     from sgmethod.client import Client
+    from sgmethod.client.client import Priority
     from sgmethod.codec import Encoded
+
+PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # with a server that is busy or restarts
 
 
 def run_encode(arguments: argparse.Namespace) -> int:
@@ -32,11 +36,14 @@ def run_encode(arguments: argparse.Namespace) -> int:
     conversions = naming.encodes(arguments)
     traces = [] if arguments.trace is None else [files.output(arguments.trace)]
     files.check_outputs([one.source for one in conversions], [*(one.target for one in conversions), *traces])
-    _only_budget(arguments)
+    budget = _only_budget(arguments)
     if arguments.output_dir is not None:
         if arguments.server is None:
             _load_encoder(arguments.profile)  # or none would succeed
-        return convert_all(conversions, _encode_one_of_several, "encoded", arguments)
+        options = {"budget": budget, **_choices(arguments)}
+        options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
+        with Manifest(arguments.output_dir, options) as manifest:
+            return convert_all(conversions, _encode_one_of_several, "encoded", arguments, manifest)
     (conversion,) = conversions
     out = sys.stderr if STREAM in (conversion.target, *traces) else sys.stdout
     for wanted in without_those_there(conversions, arguments, out):
@@ -106,13 +113,16 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
     if arguments.seed != 0:
         raise CommandError("--seed cannot be combined with --server")
-    client = _client(arguments.server, arguments.quiet)
-    encoded = client.encode(image, budget, arguments.profile, **_choices(arguments), on_progress=show)
+    several = arguments.output_dir is not None
+    client = _client(arguments.server, arguments.quiet, MANY_PATIENCE_S if several else PATIENCE_S)
+    priority: Priority = "bulk" if several else "interactive"
+    choices = _choices(arguments)
+    encoded = client.encode(image, budget, arguments.profile, **choices, priority=priority, on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
 
 
 @cache
-def _client(server: str, quiet: bool) -> Client:
+def _client(server: str, quiet: bool, patience_s: float) -> Client:
     """One client for all pictures: once answered, it can tell a restarting server from a wrong address."""
     try:
         from sgmethod.client import Client
@@ -125,7 +135,7 @@ def _client(server: str, quiet: bool) -> Client:
                 redraw(sys.stderr, "")  # the line of progress
             print(f"sgmethod: {one_line(message)}", file=sys.stderr, flush=True)
 
-    return Client(server, os.environ.get("SG_API_KEY"), on_retry=say)
+    return Client(server, os.environ.get("SG_API_KEY"), patience_s=patience_s, on_retry=say)
 
 
 def _load_encoder(profile: str) -> Callable[..., Encoded]:

@@ -45,6 +45,8 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
         if arguments.trace is not None:
             raise CommandError("--trace cannot be combined with --output-dir")
         return _into_folder(arguments, PICTURES, sg_beside)
+    if arguments.resume:
+        raise CommandError("--resume needs --output-dir")
     source, target = _pair(arguments, "out.sg")
     if target is None:
         if Path(source).is_dir():

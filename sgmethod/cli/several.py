@@ -7,10 +7,10 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from collections.abc import Callable, Generator, Iterable
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -22,7 +22,7 @@ from sgmethod.cli.terminal import redraw, remaining
 from sgmethod.errors import SgError
 
 if TYPE_CHECKING:
-    from multiprocessing.process import BaseProcess
+    from sgmethod.many.manifest import Manifest
 
 SOME_FAILED = 1
 Figures = dict[str, Any]
@@ -63,19 +63,51 @@ def without_those_there(conversions: list[Conversion], arguments: argparse.Names
     return kept
 
 
-def convert_all(conversions: list[Conversion], convert: Convert, verb: str, arguments: argparse.Namespace) -> int:
-    """Print one line per finished conversion, a summary, and the failures, with exit status 1."""
-    as_json = getattr(arguments, "json", False)
-    beside = sys.stderr if as_json else sys.stdout  # stdout has nothing but JSON then
-    wanted = without_those_there(conversions, arguments, beside)
+def convert_all(
+    conversions: list[Conversion],
+    convert: Convert,
+    verb: str,
+    arguments: argparse.Namespace,
+    manifest: Manifest | None = None,
+) -> int:
+    """Print one line per finished conversion, a summary, and the failures, with exit status 1. With a manifest, add a
+    line there for each, and with --resume skip those that it has."""
+    wanted = without_those_there(conversions, arguments, _beside(arguments))
+    keys: dict[Conversion, str] = {}
+    if manifest is not None:
+        keys = {one: manifest.key(one.source) for one in wanted}
+        if arguments.resume:
+            wanted = [one for one in wanted if not manifest.has(Path(one.target).name, keys[one])]
+    finished = _outcomes(wanted, convert, arguments)
+    if manifest is not None:
+        finished = _noted(finished, manifest, keys)
+    with closing(finished):
+        failed, sizes = _report(finished, len(wanted), arguments)
+    if not arguments.quiet:
+        counts = f"{len(sizes)} {verb}, {len(conversions) - len(wanted)} skipped, {len(failed)} failed"
+        said = f"{counts}: {sum(sizes):,} bytes, {time.perf_counter() - arguments.began:.1f} s"
+        print(said, file=_beside(arguments), flush=True)
+    for outcome in failed:
+        print(f"sgmethod: {one_line(outcome.conversion.source)}: {one_line(outcome.error)}", file=sys.stderr)
+    return SOME_FAILED if failed else 0
+
+
+def _beside(arguments: argparse.Namespace) -> TextIO:
+    """Where text goes: with --json, stdout has nothing else."""
+    return sys.stderr if getattr(arguments, "json", False) else sys.stdout
+
+
+def _report(finished: Iterable[Outcome], whole: int, arguments: argparse.Namespace) -> tuple[list[Outcome], list[int]]:
+    """Print a line for each outcome, and progress on a terminal. Returns the failures, and the sizes of the others."""
     began, done = time.perf_counter(), 0
     failed, sizes = [], []
     shown = not arguments.quiet and os.isatty(2)
-    _show_count(shown, 0, len(wanted), "")
+    _show_count(shown, 0, whole, "")
     try:
-        for outcome in _outcomes(wanted, convert, arguments):
+        for outcome in finished:
             done += 1
-            left = remaining(time.perf_counter() - began, done / len(wanted))
+            seconds = time.perf_counter() - began
+            pace = f", {done / seconds:.3g} pictures/s{remaining(seconds, done / whole)}"
             if shown:
                 redraw(sys.stderr, "")  # or what is said would stand behind it
             say_notes(outcome, arguments)
@@ -84,85 +116,54 @@ def convert_all(conversions: list[Conversion], convert: Convert, verb: str, argu
             else:
                 sizes.append(outcome.bytes)
                 names = {"input": outcome.conversion.source, "output": outcome.conversion.target}
-                if as_json:
+                if getattr(arguments, "json", False):
                     print(json.dumps({**names, **outcome.figures}, allow_nan=False), flush=True)
                 elif not arguments.quiet:
-                    count = "" if shown else f" ({done} of {len(wanted)}{left})"
+                    count = "" if shown else f" ({done} of {whole}{pace})"
                     print(f"{one_line(' -> '.join(names.values()))}: {outcome.said}{count}", flush=True)
-            _show_count(shown, done, len(wanted), left)
+            _show_count(shown, done, whole, pace)
     finally:
         if shown:
             redraw(sys.stderr, "")
-    if not arguments.quiet:
-        counts = f"{len(sizes)} {verb}, {len(conversions) - len(wanted)} skipped, {len(failed)} failed"
-        said = f"{counts}: {sum(sizes):,} bytes, {time.perf_counter() - arguments.began:.1f} s"
-        print(said, file=beside, flush=True)
-    for outcome in failed:
-        print(f"sgmethod: {one_line(outcome.conversion.source)}: {one_line(outcome.error)}", file=sys.stderr)
-    return SOME_FAILED if failed else 0
+    return failed, sizes
 
 
-def _show_count(shown: bool, done: int, whole: int, left: str) -> None:
+def _show_count(shown: bool, done: int, whole: int, pace: str) -> None:
     if shown and done < whole:
-        redraw(sys.stderr, f"{done} of {whole}{left}")
+        redraw(sys.stderr, f"{done} of {whole}{pace}")
 
 
-def _outcomes(conversions: list[Conversion], convert: Convert, arguments: argparse.Namespace) -> Iterator[Outcome]:
+def _noted(
+    finished: Generator[Outcome, None, None], manifest: Manifest, keys: dict[Conversion, str]
+) -> Generator[Outcome, None, None]:
+    """The outcomes, each with its line in the manifest."""
+    from sgmethod.many.manifest import Row
+
+    with closing(finished):
+        for outcome in finished:
+            one = outcome.conversion
+            row = Row(Path(one.target).name, one.source, outcome.bytes, outcome.figures, outcome.notes, key=keys[one])
+            manifest.add(replace(row, error=outcome.error or None))
+            yield outcome
+
+
+def _outcomes(
+    conversions: list[Conversion], convert: Convert, arguments: argparse.Namespace
+) -> Generator[Outcome, None, None]:
     """The outcomes, as they finish."""
+    attempt = partial(_attempt, convert, arguments)
     jobs = min(getattr(arguments, "jobs", 1), len(conversions))
     if jobs <= 1:
-        yield from (_attempt(convert, conversion, arguments) for conversion in conversions)
+        yield from map(attempt, conversions)
         return
-    import signal
-    from multiprocessing import get_context
+    from sgmethod.many.processes import KILLED, in_processes
 
-    from sgmethod.native import native
-
-    threads = max(native.thread_count() // jobs, 1)
-    context = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads
-    with ProcessPoolExecutor(jobs, context, _begin_worker, (threads,)) as pool:
-        # Ctrl-C is for this process alone. The others inherit that they ignore it: they may not even have begun Python.
-        interrupted = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        try:
-            running = {pool.submit(_attempt, convert, conversion, arguments): conversion for conversion in conversions}
-        finally:
-            signal.signal(signal.SIGINT, interrupted)
-        try:
-            for future in as_completed(running):
-                try:
-                    yield future.result()
-                except BrokenProcessPool:
-                    yield Outcome(running[future], error="its encoder process, or another, was killed")
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            from multiprocessing import active_children
-
-            for child in active_children():
-                child.terminate()
-            raise
+    with closing(in_processes(attempt, conversions, jobs)) as finished:
+        for conversion, outcome in finished:
+            yield outcome or Outcome(conversion, error=KILLED)
 
 
-def _begin_worker(threads: int) -> None:
-    """Set up a worker process: it ends with its parent, and ignores Ctrl-C."""
-    import signal
-    from multiprocessing import parent_process
-    from threading import Thread
-
-    from sgmethod.native import native
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows lets nothing be inherited
-    parent = parent_process()
-    if parent is not None:
-        Thread(target=_end_with, args=(parent,), daemon=True).start()
-    native.set_thread_count(threads)
-
-
-def _end_with(parent: BaseProcess) -> None:
-    parent.join()
-    os._exit(1)
-
-
-def _attempt(convert: Convert, conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
+def _attempt(convert: Convert, arguments: argparse.Namespace, conversion: Conversion) -> Outcome:
     try:
         return convert(conversion, arguments)
     except MemoryError:

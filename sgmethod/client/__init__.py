@@ -5,5 +5,6 @@ The .sg file leaves, with its figures and its trace; every failure is a ServerEr
 """
 
 from sgmethod.client.client import Client, RemoteEncoded
+from sgmethod.client.many import encode_many
 
-__all__ = ["Client", "RemoteEncoded"]
+__all__ = ["Client", "RemoteEncoded", "encode_many"]

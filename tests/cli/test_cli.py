@@ -623,6 +623,7 @@ def test_the_command_lines_page_names_every_argument() -> None:
         "quiet",
         "output-dir",
         "jobs",
+        "resume",
         "no-clobber",
         "width",
         "scale",

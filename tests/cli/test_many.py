@@ -41,7 +41,9 @@ def test_many_files_are_decoded(run: Run) -> None:
     assert ran.status == 1
     skipped, done, summary = ran.out.splitlines()
     assert skipped == "out/two.png already exists: skipped"
-    assert re.fullmatch(r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, \d+ s left\)", done)
+    assert re.fullmatch(
+        r"one\.sg -> out/one\.png: 20 x 28 pixels, PNG, [\d,]+ bytes \(2 of 3, [\d.]+ pictures/s, \d+ s left\)", done
+    )
     assert re.fullmatch(r"1 decoded, 1 skipped, 2 failed: [\d,]+ bytes, \d+\.\d s", summary)
     bad, gone = ran.err.splitlines()
     assert bad.startswith("sgmethod: bad.sg: ")
@@ -66,8 +68,42 @@ def test_folders(run: Run) -> None:
     ]
     assert run("decode", "out", "--output-dir", "out", "--quiet") == (0, "", "")
     assert {path.name for path in Path("out").iterdir()} == {
-        f"{name}.{suffix}" for name in ("a", "b", "photo") for suffix in ("sg", "png")
+        "manifest.jsonl",
+        *(f"{name}.{suffix}" for name in ("a", "b", "photo") for suffix in ("sg", "png")),
     }
+
+
+def test_resuming(run: Run) -> None:
+    """What the manifest has is skipped, failures are tried again, and other options make other files."""
+    Path("photos").mkdir()
+    for name in ("a.png", "b.png"):
+        PHOTO.resize((32, 24)).save(f"photos/{name}")
+    Path("photos/bad.png").write_bytes(b"hello")
+    line = ["encode", "photos", "--output-dir", "out", "--resume", "--gaussians", "9", "--effort", "1"]
+    assert run(*line, "--jobs", "2").out.splitlines()[-1].startswith("2 encoded, 0 skipped, 1 failed: ")
+    rows = {row["name"]: row for row in map(json.loads, Path("out/manifest.jsonl").read_text().splitlines())}
+    assert rows.keys() == {"a.sg", "b.sg", "bad.sg"}
+    assert rows["a.sg"]["input"] == "photos/a.png"
+    assert rows["a.sg"]["bytes"] == rows["a.sg"]["figures"]["bytes"] == Path("out/a.sg").stat().st_size
+    assert (rows["a.sg"]["error"], rows["bad.sg"]["bytes"]) == (None, 0)
+    PHOTO.resize((32, 24)).save("photos/bad.png")
+    Path("out/b.sg").unlink()
+    again = run(*line).out.splitlines()
+    assert {text.partition(":")[0] for text in again[:-1]} == {
+        "photos/b.png -> out/b.sg",
+        "photos/bad.png -> out/bad.sg",
+    }
+    assert again[-1].startswith("2 encoded, 1 skipped, 0 failed: ")
+    assert run(*line).out.startswith("0 encoded, 3 skipped, 0 failed: ")
+    assert run(*line, "--tune", "psnr").out.splitlines()[-1].startswith("3 encoded, 0 skipped, 0 failed: ")
+
+
+def test_resuming_needs_a_folder_and_a_manifest(run: Run) -> None:
+    assert_refused(run("encode", "photo.png", "out.sg", "--resume"), "--resume needs --output-dir")
+    Path("folder").mkdir()
+    Path("folder/manifest.jsonl").write_text("hello")
+    why = "folder/manifest.jsonl is not a manifest of sgmethod (line 1): move it away"
+    assert_refused(run("encode", "photo.png", "--output-dir", "folder"), why)
 
 
 def test_how_many_of_how_many_on_a_terminal() -> None:
@@ -82,7 +118,7 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     clear = "\r\x1b[K"
     first, second, third, end = seen.replace("\r\n", "\n").split(clear)[:4]
     assert first == "\r0 of 2\x1b[K"
-    assert re.fullmatch(r"a\.sg -> out/a\.png: .* bytes\n\r1 of 2, \d+ s left\x1b\[K", second)
+    assert re.fullmatch(r"a\.sg -> out/a\.png: .* bytes\n\r1 of 2, [\d.]+ pictures/s, \d+ s left\x1b\[K", second)
     assert re.fullmatch(r"b\.sg -> out/b\.png: .* bytes\n", third)
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
 

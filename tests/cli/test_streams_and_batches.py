@@ -16,9 +16,10 @@ import pytest
 from PIL import Image
 
 from sgmethod import decode
-from sgmethod.cli import naming, several
+from sgmethod.cli import naming
 from sgmethod.cli.terminal import bar, remaining
 from sgmethod.io.pictures import SUFFIXES, encode_picture
+from sgmethod.many import processes
 from sgmethod.metrics import psnr
 from sgmethod.metrics.perceptual import ssimulacra2
 from sgmethod.trace import TracePoint
@@ -136,7 +137,11 @@ def test_odd_names() -> None:
         PHOTO.save(os.fsdecode(name))
         status, out, err = piped("encode", os.fsdecode(name), "--gaussians", "9", "--output-dir", "out", data=b"")
         assert (status, err, out.count(b"\n")) == (0, b"", 2)
-    assert {os.fsencode(path.name) for path in Path("out").iterdir()} == {b"caf\xe9.sg", b"two\nlines.sg"}
+    assert {os.fsencode(path.name) for path in Path("out").iterdir()} == {
+        b"caf\xe9.sg",
+        b"two\nlines.sg",
+        b"manifest.jsonl",
+    }
 
 
 def test_no_clobber(run: Run) -> None:
@@ -184,12 +189,12 @@ def test_several_pictures(run: Run, jobs: str) -> None:
 
 
 def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(several, "_begin_worker", os.abort)
+    monkeypatch.setattr(processes, "_begin", os.abort)
     for name in ("one.png", "two.png"):
         PHOTO.save(name)
     ran = run("encode", "one.png", "two.png", "--output-dir", "out", "--jobs", "2")
     assert ran.status == 1
-    assert ran.err.count("was killed\n") == 2
+    assert ran.err.count(f"{processes.KILLED}\n") == 2
 
 
 @pytest.mark.parametrize("after", [0, 2])

@@ -30,9 +30,10 @@ def test_the_examples() -> None:
     torch.manual_seed(0)
     names: dict[str, Any] = {}
     examples = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    assert len(examples) == 6
+    assert len(examples) == 7
     for example in examples:
         exec(compile(example, "docs/python.md", "exec"), names)
+    assert (names["tally"].encoded, names["tally"].failed) == (1, 0)
     assert names["corner"].shape == (64, 64, 3)
     levels = (255 * names["tensor"]).round().to(torch.uint8)
     assert torch.equal(levels, sgmethod.torch.decode("photo.sg"))

@@ -1,0 +1,49 @@
+"""A function over any number of items on a Ray cluster, whose machines share the folders that the function uses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable
+from itertools import islice
+from typing import Any, TypeVar
+
+from sgmethod.errors import SgError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def in_ray(
+    function: Callable[[Item], Result], items: Iterable[Item], ahead: int
+) -> Generator[tuple[Item, Result | None], None, None]:
+    """Each item with its result, as they finish, with at most `ahead` under way, each on one core; None where its
+    process was killed three times. Raises SgError without Ray."""
+    try:
+        import ray
+    except ImportError as error:
+        raise SgError(f'engine="ray" needs an extra package ({error}): pip install "sgmethod[ray]"') from error
+    remote = ray.remote(num_cpus=1, max_retries=2)(_on_one_core)
+    waiting = iter(items)
+    running: dict[Any, Item] = {}
+    try:
+        while True:
+            for item in islice(waiting, ahead - len(running)):
+                running[remote.remote(function, item)] = item
+            if not running:
+                return
+            for done in ray.wait(list(running))[0]:
+                item = running.pop(done)
+                try:
+                    result = ray.get(done)
+                except ray.exceptions.WorkerCrashedError:
+                    result = None
+                yield item, result
+    finally:
+        for one in running:
+            ray.cancel(one, force=True)
+
+
+def _on_one_core(function: Callable[[Item], Result], item: Item) -> Result:
+    from sgmethod.native import native
+
+    native.set_thread_count(1)
+    return function(item)

@@ -1,0 +1,72 @@
+"""Encoding any number of pictures into a folder."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from sgmethod.budget import whole
+from sgmethod.codec import encode
+from sgmethod.errors import ImageWarning, SgError
+from sgmethod.io.inputs import Input
+from sgmethod.many.cluster import in_ray
+from sgmethod.many.manifest import Row
+from sgmethod.many.processes import KILLED, in_processes
+from sgmethod.many.run import Item, Made, OnRow, Picture, Tally, made, run
+
+MAX_JOBS = 256
+
+
+def encode_many(
+    items: Iterable[Item],
+    output_dir: str | os.PathLike[str],
+    *,
+    jobs: int = 1,
+    resume: bool = False,
+    engine: str = "local",
+    on_row: OnRow | None = None,
+    **options: Any,
+) -> Tally:
+    """Encode any number of pictures to output_dir/NAME.sg, with a manifest, output_dir/manifest.jsonl.
+
+    items: paths of pictures, NAME being the file's without its suffix, or pairs (NAME, picture) with a picture as
+    encode() takes it. They are taken one by one, and may come from a generator.
+    jobs: pictures encoded at a time, 1 to 256, each in a process with its share of the threads. A script that asks for
+    more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
+    resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for
+    paths, the picture's size and time; pictures in memory are known by name alone.
+    engine: "local", or "ray" for a Ray cluster (pip install 'sgmethod[ray]'): one core for each picture, and absolute
+    paths in folders that its machines share. Call ray.init() first, or Ray chooses the cluster.
+    on_row: called with each finished picture's line of the manifest, and with the run so far.
+    options: of encode().
+
+    A picture that cannot be encoded is a line with its error, and the rest goes on. Raises SgError for a name that is
+    invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
+    """
+    jobs = whole(jobs, "the number of jobs", 1, MAX_JOBS)
+    if engine not in ("local", "ray"):
+        raise SgError(f'the engine must be "local" or "ray", got {engine!r}')
+
+    def finish(folder: Path, pictures: Iterator[Picture]) -> Generator[Row, None, None]:
+        make_row = partial(made, partial(_encode, options), folder.absolute())
+        if engine == "local" and jobs == 1:
+            yield from map(make_row, pictures)
+            return
+        with closing((in_ray if engine == "ray" else in_processes)(make_row, pictures, jobs)) as finished:
+            for one, row in finished:
+                yield replace(one.row, error=KILLED) if row is None else row
+
+    return run(items, output_dir, options, finish, resume, on_row)
+
+
+def _encode(options: dict[str, Any], picture: Input) -> Made:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ImageWarning)
+        encoded = encode(picture, **options)
+    return encoded.data, encoded.stats.to_dict(), [str(warning.message) for warning in caught]

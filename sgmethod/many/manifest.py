@@ -1,0 +1,114 @@
+"""The manifest of a folder: one line of JSON for each finished picture.
+
+    {"name": "a.sg", "input": "photos/a.png", "bytes": 1210, "figures": {...}, "notes": [], "error": null, "key": "..."}
+
+Lines are only appended; where a name has several, the last counts. A line follows its file, so a file without a line is
+made again, with the same bytes.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from sgmethod.errors import SgError
+
+FILE = "manifest.jsonl"
+BEGINNING = b'{"name": '  # of every line
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line. name: of the file in the folder; input: path of the picture, None for one in memory; figures: as
+    Stats.to_dict(); notes: what was dropped from the picture; key: of Manifest.key()."""
+
+    name: str
+    input: str | None
+    bytes: int = 0
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    error: str | None = None
+    key: str = ""
+
+
+class Manifest:
+    """The manifest of `folder`, for a run with these options. Raises SgError if it cannot be written, or is
+    another file of that name."""
+
+    def __init__(self, folder: str | os.PathLike[str], options: Mapping[str, object]) -> None:
+        self._folder, self._path = Path(folder), Path(folder) / FILE
+        self._asked = f"{version('sgmethod')} {sorted(options.items())!r}"
+        self._made: dict[str, tuple[str, int]] = {}  # keys and sizes by name
+        # One write a line: if it is killed in the middle, the rest is missing, and no other line is touched.
+        with self._saying():
+            self._file = self._path.open("ab", buffering=0)
+        try:
+            self._read()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Manifest:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def _read(self) -> None:
+        end = 0
+        with self._saying(), self._path.open("rb") as lines:
+            for number, line in enumerate(lines, 1):
+                if not line.startswith(BEGINNING[: len(line)]):
+                    raise SgError(f"{self._path} is not a manifest of sgmethod (line {number}): move it away")
+                if not line.endswith(b"\n"):
+                    self._file.truncate(end)  # its writer was killed
+                    return
+                end += len(line)
+                try:
+                    row = json.loads(line)
+                    name, made = row["name"], (row["key"], row["bytes"])
+                    if row["error"] is None:
+                        self._made[name] = made
+                    else:
+                        self._made.pop(name, None)
+                except (ValueError, KeyError, TypeError) as error:
+                    raise SgError(f"{self._path} is damaged in line {number}: remove that line") from error
+
+    def key(self, source: str | None) -> str:
+        """What decides the file's bytes: version, options, the picture's size and time. Empty if it is not there."""
+        try:
+            seen = None if source is None else Path(source).stat()
+        except (OSError, ValueError):
+            return ""
+        identity = "" if seen is None else f"{seen.st_size} {seen.st_mtime_ns}"
+        return hashlib.sha256(f"{self._asked} {identity}".encode()).hexdigest()[:16]
+
+    def has(self, name: str, key: str) -> bool:
+        """Whether the file was made with this key, and is there."""
+        made = self._made.get(name)
+        try:
+            return made is not None and made == (key, (self._folder / name).stat().st_size)
+        except OSError:
+            return False
+
+    def add(self, row: Row) -> None:
+        """Append a line. Raises SgError."""
+        line = json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
+        with self._saying():
+            if self._file.write(line) != len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    @contextmanager
+    def _saying(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise SgError(f"cannot write {self._path}: {error.strerror or error}") from error

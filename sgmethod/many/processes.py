@@ -1,0 +1,111 @@
+"""A function over any number of items, in processes that share the cores.
+
+Numpy is not imported here: a new process first sets how many threads that may have.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context, parent_process
+from threading import Thread, current_thread, main_thread
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from multiprocessing.process import BaseProcess
+
+KILLED = "its process was killed, perhaps for want of memory"
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Finished = Generator[tuple[Item, Result], None, list[Item]]
+
+
+def in_processes(
+    function: Callable[[Item], Result], items: Iterable[Item], processes: int
+) -> Generator[tuple[Item, Result | None], None, None]:
+    """Each item with its result, as they finish; None for an item whose process was killed twice, the second time
+    alone.
+
+    Function, items and results are pickled. Few items are taken ahead, so there may be any number.
+    """
+    waiting = iter(items)
+    while lost := (yield from _until_killed(function, waiting, processes, 2 * processes)):
+        # One of them ended its process, and with it the pool. Each is tried again alone.
+        suspects = iter(lost)
+        while killed := (yield from _until_killed(function, suspects, 1, 1)):
+            yield killed[0], None
+
+
+def _until_killed(
+    function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int
+) -> Finished[Item, Result]:
+    """Yield items with their results. Returns those under way when a process was killed, or none at the end."""
+    from sgmethod.native import native
+
+    threads = max(native.thread_count() // processes, 1)
+    context = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads
+    running: dict[Future[Result], Item] = {}
+    lost: list[Item] = []
+    with ProcessPoolExecutor(processes, context, _begin, (threads,)) as pool:
+        try:
+            while True:
+                while not lost and len(running) < ahead:
+                    try:
+                        item = next(waiting)
+                    except StopIteration:
+                        break
+                    try:
+                        with _uninterrupted():
+                            running[pool.submit(function, item)] = item
+                    except BrokenProcessPool:
+                        lost.append(item)
+                if not running:
+                    return lost
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    item = running.pop(future)
+                    try:
+                        result = future.result()
+                    except BrokenProcessPool:
+                        lost.append(item)
+                    else:
+                        yield item, result
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in active_children():
+                child.terminate()
+            raise
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C is for this process alone. New ones inherit that they ignore it: they may not even have begun Python."""
+    if current_thread() is not main_thread():  # no other may say so
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _begin(threads: int) -> None:
+    """Set up a process: it ends with its parent, ignores Ctrl-C, and has this number of threads."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows lets nothing be inherited
+    parent = parent_process()
+    if parent is not None:
+        Thread(target=_end_with, args=(parent,), daemon=True).start()
+    os.environ["OPENBLAS_NUM_THREADS"] = str(threads)  # read when numpy is imported
+    from sgmethod.native import native
+
+    native.set_thread_count(threads)
+
+
+def _end_with(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)

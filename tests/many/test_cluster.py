@@ -1,0 +1,74 @@
+"""encode_many() on a Ray cluster of two workers, one of which is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import signal
+import sys
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sgmethod import Row, SgError, Tally, encode_many
+from sgmethod.many.cluster import in_ray
+from tests.harness.pictures import png
+from tests.many.killing import doubled, killed_once, process_of
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Two cores of this machine. Without a token of its own, Ray would write one to the home folder."""
+    ray = pytest.importorskip("ray")
+    token = tmp_path_factory.mktemp("ray") / "token"
+    token.write_text(secrets.token_hex(32))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_AUTH_TOKEN_PATH", str(token))
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+        yield
+        ray.shutdown()
+
+
+@pytest.mark.usefixtures("cluster")
+def test_killed_workers(tmp_path: Path) -> None:
+    assert dict(in_ray(partial(killed_once, tmp_path), range(6), 4)) == {item: 2 * item for item in range(6)}
+    assert dict(in_ray(doubled, [1, -1, 2], 4)) == {1: 2, -1: None, 2: 4}
+
+
+@pytest.mark.usefixtures("cluster")
+def test_the_same_manifest(tmp_path: Path) -> None:
+    pictures = [("bad", b"hello"), *((str(number), png(32, 24, number)) for number in range(8))]
+    ((_, victim),) = in_ray(process_of, [0], 1)
+
+    def kill(_row: Row, tally: Tally) -> None:
+        if tally.encoded == 1 and victim:
+            os.kill(victim, signal.SIGKILL)
+
+    options: dict[str, Any] = {"effort": 1, "gaussians": 9}
+    tally = encode_many(pictures, tmp_path / "ray", jobs=2, engine="ray", on_row=kill, **options)
+    assert (tally.encoded, tally.failed) == (8, 1)
+    encode_many(pictures, tmp_path / "local", **options)
+    assert manifest(tmp_path / "ray") == manifest(tmp_path / "local")
+    for name in (f"{number}.sg" for number in range(8)):
+        assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "local" / name).read_bytes()
+
+
+def manifest(folder: Path) -> list[dict[str, Any]]:
+    """Its lines by name, without times."""
+    lines = [json.loads(line) for line in (folder / "manifest.jsonl").read_text().splitlines()]
+    for line in lines:
+        line["figures"].pop("seconds", None)
+    return sorted(lines, key=lambda line: str(line["name"]))
+
+
+def test_engines_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(SgError, match='the engine must be "local" or "ray", got \'dask\''):
+        encode_many([], tmp_path, engine="dask")
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(SgError, match="needs an extra package"):
+        encode_many([], tmp_path, engine="ray")

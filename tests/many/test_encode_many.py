@@ -1,0 +1,217 @@
+"""sgmethod.encode_many() and its manifest: what is skipped, what is made again, and a run that is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from sgmethod import Row, SgError, Tally, encode, encode_many
+from sgmethod.many.manifest import Manifest
+from sgmethod.profiles import PROFILES
+from tests.harness.data import PHOTOGRAPHS
+from tests.rd.short import short
+
+PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB").resize((64, 48))
+
+
+@pytest.fixture(autouse=True)
+def in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder with three pictures, and encodes of a tenth of a second."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(PROFILES, "rd", short(20))
+    for number in range(3):
+        PHOTO.rotate(90 * number).save(f"{number}.png")
+
+
+def paths() -> list[Path]:
+    return sorted(Path().glob("*.png"))
+
+
+def rows(folder: str = "out") -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (Path(folder) / "manifest.jsonl").read_text().splitlines()]
+
+
+def many(**more: Any) -> Tally:
+    return encode_many(paths(), "out", gaussians=9, **more)
+
+
+def counts(tally: Tally) -> tuple[int, int, int]:
+    return tally.encoded, tally.skipped, tally.failed
+
+
+def test_every_picture_is_a_file_and_a_line() -> None:
+    Path("bad.png").write_bytes(b"hello")
+    seen: list[tuple[Row, Tally]] = []
+    tally = many(on_row=lambda *now: seen.append(now))
+    assert counts(tally) == (3, 0, 1)
+    assert [row["name"] for row in rows()] == ["0.sg", "1.sg", "2.sg", "bad.sg"]
+    assert [row.name for row, _ in seen] == [row["name"] for row in rows()]
+    for row in rows()[:3]:
+        encoded = encode(row["input"], gaussians=9)
+        assert (Path("out") / row["name"]).read_bytes() == encoded.data
+        assert row["bytes"] == row["figures"]["bytes"] == len(encoded.data)
+        assert row["figures"]["psnr"] == encoded.stats.psnr
+        assert row["error"] is None
+    assert rows()[3]["error"].startswith("the file is not a PNG")
+    assert tally.bytes == sum(row["bytes"] for row in rows())
+    assert tally.pictures == 4
+    assert seen[1][1].seconds_left == pytest.approx(seen[1][1].seconds)
+    assert seen[1][1].per_second == pytest.approx(2 / seen[1][1].seconds)
+
+
+def test_what_is_done_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert counts(many()) == (3, 0, 0)
+    assert counts(many(resume=True)) == (0, 3, 0)
+    assert len(rows()) == 3
+    assert counts(many(resume=True, tune="psnr")) == (3, 0, 0)  # other options
+    assert counts(many(resume=True)) == (3, 0, 0)
+    Path("out/0.sg").unlink()
+    Path("out/1.sg").write_bytes(b"cut off")
+    PHOTO.resize((50, 40)).save("2.png")
+    assert counts(many(resume=True)) == (3, 0, 0)
+    assert counts(many(resume=True)) == (0, 3, 0)
+    assert counts(many()) == (3, 0, 0)  # without being told to resume
+    monkeypatch.setattr("sgmethod.many.manifest.version", lambda _: "9.9")
+    assert counts(many(resume=True)) == (3, 0, 0)
+
+
+def test_failures_are_tried_again() -> None:
+    Path("1.png").write_bytes(b"hello")
+    assert counts(many(resume=True)) == (2, 0, 1)
+    assert counts(many(resume=True)) == (0, 2, 1)
+    PHOTO.save("1.png")
+    assert counts(many(resume=True)) == (1, 2, 0)
+    Path("1.png").unlink()
+    missing = ["0.png", "1.png", "2.png"]
+    assert counts(encode_many(missing, "out", resume=True, gaussians=9)) == (0, 2, 1)
+    assert "No such file" in rows()[-1]["error"]
+
+
+def test_pictures_in_memory() -> None:
+    """Of every kind that encode() takes, from a generator."""
+    array = np.asarray(PHOTO)
+
+    def items() -> Iterator[tuple[str, Any]]:
+        yield "array", array
+        yield "path", Path("0.png")
+        yield "bytes", Path("0.png").read_bytes()
+        yield "wrong", np.zeros((2, 2), np.complex64)
+        yield "pages", Image.fromarray(np.dstack([array, array[..., 0]]))
+
+    tally = encode_many(items(), "out", gaussians=9, profile="rd")
+    assert counts(tally) == (4, 0, 1)
+    assert (tally.pictures, tally.seconds_left) == (None, None)
+    assert [row["input"] for row in rows()] == [None, "0.png", None, None, None]
+    assert Path("out/array.sg").read_bytes() == Path("out/path.sg").read_bytes() == Path("out/bytes.sg").read_bytes()
+    assert counts(encode_many(items(), "out", resume=True, gaussians=9, profile="rd")) == (0, 4, 1)
+
+
+def test_what_is_dropped_is_in_the_line() -> None:
+    PHOTO.save("moves.gif", save_all=True, append_images=[PHOTO.rotate(180)])
+    encode_many(["moves.gif"], "out", gaussians=9)
+    assert rows()[0]["notes"] == ["only the first of several pictures is used"]
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "/a", "a\0", 7])
+def test_names_that_are_none(name: Any) -> None:
+    with pytest.raises(SgError, match="file name"):
+        encode_many([(name, PHOTO)], "out", gaussians=9)
+
+
+def test_names_are_used_once() -> None:
+    PHOTO.save("0.jpg")
+    with pytest.raises(SgError, match="two pictures are named '0'"):
+        encode_many(["0.png", "0.jpg"], "out", gaussians=9)
+    assert [row["name"] for row in rows()] == ["0.sg"]
+
+
+@pytest.mark.parametrize("jobs", [0, 257, 1.5])
+def test_jobs_that_are_none(jobs: Any) -> None:
+    with pytest.raises(SgError, match="the number of jobs must be"):
+        many(jobs=jobs)
+
+
+def test_an_unknown_option_ends_the_run() -> None:
+    with pytest.raises(TypeError, match="qualty"):
+        many(qualty=3)
+
+
+# --- the manifest
+
+
+@pytest.mark.parametrize("cut", [1, 9, 100, -1])
+def test_a_line_that_was_cut_off(cut: int) -> None:
+    """By a kill in the middle of a write: its picture is encoded again, the others are not."""
+    many()
+    path = Path("out/manifest.jsonl")
+    before, lines = rows(), path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join(lines[:2]) + lines[2][:cut])
+    assert counts(many(resume=True)) == (1, 2, 0)
+    for row in (before[2], after := rows()[2]):
+        row["figures"].pop("seconds")
+    assert [*rows()[:2], after] == before
+
+
+@pytest.mark.parametrize("text", ["hello", "\n", '{"image": 1}\n', '{"name": "a"}\n', '{"name": "0.sg", "by\n'])
+def test_a_file_of_another_kind_is_left_alone(text: str) -> None:
+    Path("out").mkdir()
+    Path("out/manifest.jsonl").write_text(text)
+    with pytest.raises(SgError, match=r"^out/manifest\.jsonl is .* line 1: |\(line 1\): move it away$"):
+        many()
+    assert Path("out/manifest.jsonl").read_text() == text
+
+
+def test_a_manifest_that_cannot_be_written() -> None:
+    Path("out/manifest.jsonl").mkdir(parents=True)
+    with pytest.raises(SgError, match=r"^cannot write out/manifest\.jsonl: Is a directory$"):
+        many()
+
+
+def test_a_full_disk() -> None:
+    """The run ends, since nothing would remember the rest."""
+    with Manifest("", {}) as manifest, Path("/dev/full").open("ab", buffering=0) as full:
+        os.dup2(full.fileno(), manifest._file.fileno())
+        with pytest.raises(SgError, match=r"^cannot write manifest\.jsonl: No space left on device$"):
+            manifest.add(Row("a.sg", None))
+
+
+# --- a run that is killed
+
+RUN = """
+import sys
+from sgmethod import encode_many
+if __name__ == "__main__":
+    encode_many(sys.argv[1:], "out", jobs=2, resume=True, effort=1, gaussians=9)
+"""
+
+
+def test_a_killed_run_goes_on() -> None:
+    """Killed with its processes after a few lines: no picture twice, none lost, the same bytes."""
+    for number in range(3, 20):
+        PHOTO.rotate(number).save(f"{number}.png")
+    Path("run.py").write_text(RUN)
+    process = subprocess.Popen([sys.executable, "run.py", *map(str, paths())], start_new_session=True)
+    manifest, until = Path("out/manifest.jsonl"), time.monotonic() + 60
+    while (not manifest.exists() or manifest.read_bytes().count(b"\n") < 3) and time.monotonic() < until:
+        time.sleep(0.005)
+    os.killpg(process.pid, signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL
+    before = manifest.read_bytes().count(b"\n")
+    assert 3 <= before < 20
+    tally = encode_many(map(str, paths()), "out", resume=True, effort=1, gaussians=9)
+    assert counts(tally) == (20 - before, before, 0)
+    names = [row["name"] for row in rows()]
+    assert sorted(names) == sorted(f"{path.stem}.sg" for path in paths())
+    for row in (rows()[0], rows()[-1]):
+        assert (Path("out") / row["name"]).read_bytes() == encode(row["input"], effort=1, gaussians=9).data
