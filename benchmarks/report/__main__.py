@@ -26,16 +26,12 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     (
         speed.page,
         ("convergence/kodak",),
-        ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed", "growth"),
+        ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed"),
     ),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
     (stability.page, (), ("version4/stiff", "stability")),
     (paper.page, (), ("representation", "ablation", "rd/paper")),
-    (
-        service.page,
-        (),
-        ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql"),
-    ),
+    (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
 APART = {"version4/stiff": "picture", "speed": "gaussians"}  # of the CSV, besides the usual
 HEAD = """# Results
@@ -103,8 +99,6 @@ def main() -> None:
     for page in made:
         if page.panels:
             save(page.panels, page.title, page.of, docs / "plots" / page.name)
-        if page.more:
-            save(page.more, page.title, "how seconds grow", docs / "plots" / f"{page.name}_more")
     for path, text in texts.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())

@@ -35,14 +35,12 @@ class Page:
     panels: Sequence[Draw] = ()
     of: str = ""
     appendix: Sequence[str] = ()
-    more: Sequence[Draw] = ()  # of a second plot, in the appendix
 
     def text(self) -> str:
         """Markdown."""
         assert self.table.count("\n") <= MOST_ROWS + 1, f"the table of {self.name} has more than {MOST_ROWS} rows"
         name = ": ".join(filter(None, [self.title, self.of]))
-        second = [f"![{self.title}, in the appendix](../plots/{self.name}_more.svg)"] if self.more else []
-        folded = f"<details>\n<summary>Appendix</summary>\n\n{JOIN([*self.appendix, *second])}\n\n</details>"
+        folded = f"<details>\n<summary>Appendix</summary>\n\n{JOIN(self.appendix)}\n\n</details>"
         return JOIN(
             [
                 *(f"# {self.title}", self.question, f"**{self.conclusion}**", f"![{name}](../plots/{self.name}.svg)"),

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.report.plots import style
 from benchmarks.report.section import MISSING, Content, Draw, Page, several, table
-from benchmarks.speed.growth import AXES, exponent, growth_table, means
+from benchmarks.speed.growth import exponent
 
 SIZES = ("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels")
 METHODS = {
@@ -38,11 +38,11 @@ Rows = Sequence[dict[str, Any]]
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From convergence/*.json, speed.json and growth.json, as far as there are."""
+    """From convergence/*.json and speed.json, as far as there are."""
     by_size = {size_of(content): content["rows"] for name, content in contents.items() if name in SIZES}
     ends = dict.fromkeys((min(by_size), max(by_size)))
     panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
-    speed, growth = contents.get("speed"), contents.get("growth")
+    speed = contents.get("speed")
     return Page(
         name="speed",
         title="Speed and memory",
@@ -58,8 +58,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         contents=contents,
         panels=panels,
         of="PSNR against seconds, means over five pictures",
-        more=[partial(draw_growth, content=growth, axis=axis) for axis in AXES] if growth else (),
-        appendix=[*([grows(speed["rows"])] if speed else []), *(growth_of(growth) if growth else [])],
+        appendix=[grows(speed["rows"])] if speed else [],
     )
 
 
@@ -125,17 +124,6 @@ def grows(rows: Rows) -> str:
     return f"With the pixels, costs grow to the power of {several(told)} ({most}); the CSV of speed has each size."
 
 
-def growth_of(content: Content) -> list[str]:
-    """Seconds along both axes, with the power of each."""
-    fixed = content["settings"]
-    titles = {
-        "megapixels": f"Files of {fixed['max_bytes']:,} bytes, by megapixels",
-        "max_bytes": f"Pictures of {fixed['megapixels']:g} megapixels, by bytes",
-    }
-    note = " Reduced: the picture is reduced first, as people do, and enlarged after decoding."
-    return [f"{titles[axis]}.{note}\n\n{growth_table(content['rows'], fixed, axis)}" for axis in AXES]
-
-
 def draw(axes: Any, rows: Rows, size: float) -> None:
     """PSNR against seconds at one size."""
     lows = []
@@ -165,10 +153,3 @@ def mean_curve(curves: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[fl
     times = sorted({seconds for curve in curves for seconds, _ in curve if seconds >= start})
     levels = [np.interp(times, [s for s, _ in curve], [db for _, db in curve]) for curve in curves]
     return list(zip(times, np.mean(levels, axis=0).tolist(), strict=True))
-
-
-def draw_growth(axes: Any, content: Content, axis: str) -> None:
-    """Seconds along an axis."""
-    for k, (name, points) in enumerate(means(content["rows"], content["settings"], axis)):
-        axes.plot([at for at, *_ in points], [seconds for _, seconds, _ in points], **style(k) | {"label": name})
-    axes.set(xscale="log", yscale="log", xlabel=axis.replace("max_", "").replace("_", " "), ylabel="seconds")

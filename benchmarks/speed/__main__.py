@@ -1,6 +1,7 @@
 """Time and memory: by size of the picture, by number of Gaussians, of the kernels alone.
 
     python -m benchmarks.speed growth [--help]    seconds by megapixels for fixed bytes and the other way, beside AVIF
+    python -m benchmarks.speed tensors [--help]   gradients of the differentiable renderer, beside plain torch
     python -m benchmarks.speed [--images FOLDER] [--only sizes,gaussians,kernels] [--megapixels 0.1,0.4,1.6,6,24]
                                [--gaussians 1000,3000,10000,30000,70000] [--bpp 0.25] [--repeats 3] [--out FILE]
 
@@ -83,5 +84,13 @@ def main() -> None:
         measure_kernels(record, paths[0], options.steps, options.rounds)
 
 
+def measure_tensors() -> None:
+    """Imported only here: torch would count towards the memory of the processes that encode."""
+    from benchmarks.speed import tensors
+
+    tensors.main()
+
+
 if __name__ == "__main__":
-    sys.exit(run_part({"sizes": main, "growth": growth.main}, __doc__, default="sizes"))
+    parts = {"sizes": main, "growth": growth.main, "tensors": measure_tensors}
+    sys.exit(run_part(parts, __doc__, default="sizes"))
