@@ -45,7 +45,7 @@ class Page:
             [
                 *(f"# {self.title}", self.question, f"**{self.conclusion}**", f"![{name}](../plots/{self.name}.svg)"),
                 *(self.table, f"## What this does not show\n\n{self.limits}"),
-                f"## Measure it\n\n```sh\n{self.command}\n```",
+                f"## Reproduce it\n\n```sh\n{self.command}\n```",
                 *([folded] if self.appendix else []),
                 f"---\n\n{self.footer()}",
             ]
@@ -60,8 +60,8 @@ class Page:
         commits = dict.fromkeys(content["commit"] for content in where)
         when = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
         return (
-            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, commits {', '.join(commits)}. "
-            "The JSON has the versions of all libraries, and remarks.</sub>"
+            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, commit {', '.join(commits)}. "
+            "The JSON files also record remarks and the versions of all libraries.</sub>"
         )
 
 

@@ -27,7 +27,7 @@ METHODS = {
     ("webp", "4"): "WebP, method 4",
     ("jpeg", "0"): "JPEG",
     ("siren", ""): "SIREN, a network",
-    ("plain Adam", ""): "as many Gaussians by plain Adam, no file",
+    ("plain Adam", ""): "as many Gaussians, fitted by plain Adam, no file",
 }
 # Lines of the plot: methods that are fitted have a curve, others a point for each setting.
 FITTED = ("plain Adam", "siren")
@@ -46,14 +46,14 @@ def page(contents: Mapping[str, Content]) -> Page:
     return Page(
         name="speed",
         title="Speed and memory",
-        question="How long do an encode and a decode take, at 0.25 bits per pixel on the same cores, and how does that "
-        "grow? Each pair of figures is seconds of one encode and the PSNR it reached.",
+        question="How long do encoding and decoding take at 0.25 bits per pixel on the same cores, and how does that "
+        "grow with the picture? Each cell gives the time of one encode and the PSNR it reached.",
         table=sizes_table(by_size),
         conclusion=f"{hurry(by_size)} {decoding(speed['rows']) if speed else ''}".strip(),
         limits="- Photographs of 2 and 12 megapixels from a camera: larger pictures are mosaics of Kodak's.\n"
-        "- Single encodes: a time may be a third longer in another hour, and ratios count more than seconds.\n"
-        "- Other codecs' search for the quality that fits a size, which their times leave out.\n"
-        "- Networks at their best: SIREN has 60 seconds of torch on a processor, and no GPU.",
+        "- Repeatable seconds: a time may be a third longer in another hour, so trust the ratios more.\n"
+        "- The search for the quality that fits a size, which other codecs' times leave out.\n"
+        "- Networks at their best: SIREN had 60 seconds of PyTorch on the CPU, and no GPU.",
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence",
         contents=contents,
         panels=panels,
@@ -92,10 +92,10 @@ def hurry(by_size: Mapping[float, Rows]) -> str:
         ours, avif = (at(by_size[size], *key) for key in (("rd", ""), ("avif", "6")))
         if ours and avif:
             change = f"{'gains' if ours[1] > avif[1] else 'loses'} {abs(ours[1] - avif[1]):.1f} dB"
-            told.append(f"at {size:g} megapixels it takes {ours[0] / avif[0]:.0f} times as long and {change}")
+            told.append(f"takes {ours[0] / avif[0]:.0f} times as long and {change} at {size:g} megapixels")
     if not told:
-        return "AVIF was not measured beside it."
-    return f"An encode tuned for PSNR beside AVIF's at speed 6: {'; '.join(told)}."
+        return "AVIF was not measured."
+    return f"Compared with AVIF at speed 6, an encode tuned for PSNR {', and '.join(told)}."
 
 
 def decoding(rows: Rows) -> str:
@@ -105,7 +105,7 @@ def decoding(rows: Rows) -> str:
     for row in (row for row in sizes if row["megapixels"] in (0.4, sizes[-1]["megapixels"])):
         others = row["rivals_decode_ms"]
         pairs = [(title, others[name]) for name, title in DECODERS.items() if name in others]
-        beside = several([f"{row['decode_ms'] / theirs:.1f} times {title}'s" for title, theirs in pairs])
+        beside = several([f"{row['decode_ms'] / theirs:.1f} times {title}'s time" for title, theirs in pairs])
         told.append(f"{row['decode_ms']:.1f} ms at {row['megapixels']:g} megapixels ({beside})")
     return f"A decode takes {several(told)}." if told else ""
 
@@ -121,7 +121,7 @@ def grows(rows: Rows) -> str:
     }
     told = [f"{exponent(pixels, values) or 0:.2f} for {what}" for what, values in figures.items()]
     most = f"{sizes[-1]['encode_mib']:,.0f} MiB at {sizes[-1]['megapixels']:g} megapixels"
-    return f"With the pixels, costs grow to the power of {several(told)} ({most}); the CSV of speed has each size."
+    return f"Cost grows as a power of the number of pixels: {several(told)} ({most}). The CSV of speed has each size."
 
 
 def draw(axes: Any, rows: Rows, size: float) -> None:

@@ -6,7 +6,7 @@
                                [--gaussians 1000,3000,10000,30000,70000] [--bpp 0.25] [--repeats 3] [--out FILE]
 
 sizes: encode, decode and peak of memory of profile rd, each in a process of its own, beside other codecs on the same
-cores. gaussians: the same of files of so many at 0.4 megapixels, and drawing and gradients of them alone. kernels:
+cores. gaussians: the same by number of Gaussians at 0.4 megapixels, and drawing and gradients of them alone. kernels:
 every instruction set, one thread and all. Pictures larger than those of the folder are mosaics of them.
 """
 

@@ -42,7 +42,7 @@ def pack(
     >>> sgmethod.info(again).gaussians <= sgmethod.info("photo.sg").gaussians
     True
 
-    gaussians: arrays of numpy, tensors or nested lists. They add up on the background, and are drawn as
+    gaussians: NumPy arrays, tensors or nested lists. They add up on the background, and are drawn as
     sgmethod.torch.render() draws them. Those that round to nothing, and those that no pixel sees, are left out.
     bpp: bits per pixel of the file, at most; quantum: how coarsely everything is rounded, 2^-10 to 16, where encode()
     takes about 0.15 at 0.25 bpp; one of the two.
@@ -82,7 +82,7 @@ class _Packing:
         self._grey = len(set(background)) == 1 and bool((gaussians.colors == gaussians.colors[:, :1]).all())
 
     def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV4:
-        """With this quantum; refined, with at most so many bytes of payload, if there is a target."""
+        """With this quantum; if there is a target, refined within a limit on the payload in bytes."""
         quantum = quantum_of(quantum_code(quantum))
         self._check_range(quantum)
         rounded = StreamV4.of(self._gaussians, self._size, quantum, self._background, self._grey)
@@ -94,7 +94,7 @@ class _Packing:
         return StreamV4(*self._size, quantum, self._background, self._grey, rounded.upright, payload)
 
     def within(self, max_bytes: int) -> StreamV4:
-        """With the finest quantum for a file of at most so many bytes."""
+        """With the finest quantum for a file within a limit in bytes."""
         room = max_bytes - HEADER_BYTES
         found = self.stream(self._quantum(room, max_bytes), room)
         if self._target is None or not found.payload:
