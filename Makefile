@@ -25,6 +25,7 @@ TORCH ?= torch==2.13.0
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+SERVED := $(VENV)/.service
 OTHERS := $(VENV)/.benchmark
 COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name CMakeLists.txt)
 # The quick tests of single modules first, those of whole processes after them.
@@ -48,7 +49,7 @@ MINUTES ?= 5
 
 .PHONY: serve check types test measured measured-service measured-whole unmeasured versions sanitize fuzz cross wheel wasm bench
 
-serve: $(STAMP)
+serve: $(SERVED)
 	$(BIN)/python -m service serve
 
 check: $(STAMP)
@@ -134,11 +135,20 @@ $(OTHERS): $(STAMP)
 	touch $@
 
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
+define SET_UP
+@$(CHECK)
+$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+$(BIN)/python -m pip install '$(TORCH)'
+$(BIN)/python -m pip install --editable '.[$(1)]'
+endef
+
 $(STAMP): pyproject.toml $(COMPILED)
-	@$(CHECK)
-	$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	$(BIN)/python -m pip install '$(TORCH)'
-	$(BIN)/python -m pip install --editable '.[encode,service,test]'
+	$(call SET_UP,test)
+	touch $(SERVED) $@
+
+# Without the tools that only the tests need.
+$(SERVED): pyproject.toml $(COMPILED)
+	$(call SET_UP,service)
 	touch $@
 
 # Says in one sentence which Debian or Ubuntu packages are missing, before anything is downloaded or built.

@@ -58,14 +58,14 @@ def main() -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m service", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m service", description="The HTTP service of sgmethod.")
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("serve", help="run the web process and workers, and restart any that die")
     web = commands.add_parser("web", help="run only the web process")
-    worker = commands.add_parser("worker", help="run only one worker")
-    commands.add_parser("check", help="check everything that the service needs")
+    worker = commands.add_parser("worker", help="run a single worker")
+    commands.add_parser("check", help="check settings, database, storage, disk and kernels")
     sweep = commands.add_parser("sweep", help="delete orphaned files, and jobs older than SG_RETENTION_S")
-    sweep.add_argument("--dry-run", action="store_true", help="only report the numbers")
+    sweep.add_argument("--dry-run", action="store_true", help="report how many would be deleted, and delete nothing")
     sweep.add_argument(
         "--orphan-age-s",
         type=float,

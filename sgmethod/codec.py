@@ -143,9 +143,9 @@ def encode(
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
     profiles support only "psnr".
     effort: 1 (fastest) to 9 (best file); profile rd only.
-    settings: for experiments, all numbers of the method, instead of profile and effort.
+    settings: all parameters of the method, for experiments; replaces profile and effort.
     seed: random seed. Without a time limit, the same call gives the same file on the same machine.
-    time_limit_s: limit for the whole encode, which then returns its best file so far. About 0.2 s per megapixel are
+    time_limit_s: limit for the whole encode, which then returns its best file so far. About 0.2 s per megapixel is
     needed in any case.
     on_progress: called with each point of the trace; if it raises, the encode is abandoned.
     stop: polled; once it returns True, the encode finishes within its budget, in a quarter of the time so far, at most

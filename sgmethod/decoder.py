@@ -104,7 +104,7 @@ class SgFile:
         >>> sgmethod.open("photo.sg").gaussians().means.dtype
         dtype('float32')
 
-        Those of version 1, which end farther out, come as the nearest that end where later ones do. Raises
+        Gaussians of version 1, which extend farther, are converted to the nearest of later versions. Raises
         BitstreamError and MemoryError.
         """
         scene = self._stream.scene()

@@ -30,7 +30,7 @@ class ViewError(SgError):
 
 
 class GaussiansError(SgError):
-    """The arrays make no Gaussians, or no file can hold them."""
+    """The arrays are not valid Gaussians, or no file can hold them."""
 
 
 class BudgetError(SgError):

@@ -34,7 +34,8 @@ class Gaussians:
 
     @classmethod
     def from_covariances(cls, means: Floats, covariances: Floats, colors: Floats) -> Gaussians:
-        """The same from covariances [N, 2, 2] in pixels squared. What is not positive definite gets factors of nan."""
+        """The same from covariances [N, 2, 2] in pixels squared. Those that are not positive
+        definite give factors of nan."""
         (xx, xy), (_, yy) = np.moveaxis(np.asarray(covariances, np.float64), 0, -1)
         with np.errstate(invalid="ignore", divide="ignore"):
             l1 = np.sqrt(xx)
@@ -61,7 +62,7 @@ class Gaussians:
         return Gaussians(*(values[index] for values in self.arrays))
 
     def with_more(self, new: Gaussians) -> Gaussians:
-        """These, and after them new ones."""
+        """These Gaussians, followed by new ones."""
         return Gaussians(*(np.concatenate(pair) for pair in zip(self.arrays, new.arrays, strict=True)))
 
 

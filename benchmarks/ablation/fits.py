@@ -35,7 +35,7 @@ VARIANTS: dict[str, PaperSettings] = {
     "random-start": replace(FLOAT, start=replace(FLOAT.start, structure_guided=False)),
     "baseline": replace(BASELINE, lambda_e=0.0),
 }
-DRAWS, DRAWING_S = 9, 10.0  # of one picture, after a first one; no more once so many seconds are over
+DRAWS, DRAWING_S = 9, 10.0  # of one picture, after a first one; fewer if they take longer than DRAWING_S
 
 
 def measured(method: str, path: Path, gaussians: int, steps: int) -> dict[str, Any]:

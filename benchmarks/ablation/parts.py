@@ -29,7 +29,7 @@ PARTS = {
     ),
     "smaller pictures at first": replace(RD, pyramid=replace(RD.pyramid, contrast_kept=math.inf)),
     "a price for existing (anything may grow)": replace(RD, densify=replace(RD.densify, bits_of_new=0.0)),
-    # The price of a new Gaussian is a multiple of the price in the fit, and stays as it is.
+    # The price of a new Gaussian is a multiple of the price in the fit, and stays unchanged.
     "a price for bits while fitting": replace(
         RD,
         fit=replace(RD.fit, rate_weight=RD.fit.rate_weight * NEXT_TO_NOTHING),

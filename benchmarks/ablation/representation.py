@@ -40,7 +40,7 @@ def measure(method: str, path: Path, gaussians: int, steps: int, seen: Networks 
 
 
 def means(rows: Sequence[dict[str, Any]], asked: int) -> dict[str, dict[str, Any]]:
-    """By method with so many Gaussians, over the pictures that every method has; the number of pictures is in it."""
+    """By method, for one number of Gaussians, over the pictures that every method has; with the number of pictures."""
     found: dict[str, dict[str, Any]] = {}
     mine = [row for row in rows if row["asked"] == asked and row["method"] in VARIANTS]
     images = [{row["image"] for row in mine if row["method"] == name} for name in {row["method"] for row in mine}]

@@ -25,7 +25,7 @@ from sgmethod.settings.paper import BASELINE
 from sgmethod.start.placement import place
 
 Look = tuple[Pixels, Pixels]  # of what is shown and of the picture the same pixels, [H, W, 3]
-Shown = Iterator[tuple[float, Look, bool]]  # after so many seconds; whether it is the whole picture
+Shown = Iterator[tuple[float, Look, bool]]  # seconds so far; whether it is the whole picture
 FIRST_S, GROWTH, GROWTH_OF_WHOLE = 0.1, 1.25, 3  # when the picture is looked at, and when at the whole of it
 REST = 0.2  # of what a look took, before the next: to draw a picture can take longer than steps; of the whole never
 LOOKED_AT = 2.5e5  # pixels, about, of a network's picture
@@ -59,7 +59,7 @@ def plain_adam(pixels: Pixels, seconds: float, gaussians: int) -> Shown:
 
 
 def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: float, began: float) -> Shown:
-    """Repeat a step for so many seconds, and show what has become at times that grow by a factor, or further
+    """Repeat a step for a number of seconds, and show what has become at times that grow by a factor, or further
     apart where a look takes long. show: is told whether to show the whole."""
     due, stood, due_whole = FIRST_S, 0.0, FIRST_S
     while True:
@@ -78,7 +78,7 @@ def watched(step: Callable[[], None], show: Callable[[bool], Look], seconds: flo
 
 
 def siren(pixels: Pixels, seconds: float, size: int) -> Shown:
-    """As wide as so many bytes allow. What is shown has its numbers rounded to half precision."""
+    """As wide as the bytes allow. What is shown has its numbers rounded to half precision."""
     began = time.perf_counter()
     network = networks.siren(size // BYTES_OF_NUMBER)
     torch.set_num_threads(native.thread_count())

@@ -30,7 +30,7 @@ class Network:
 
 
 def siren(numbers: int) -> Network:
-    """Sitzmann et al.: sines of sines, of at most so many real numbers."""
+    """Sitzmann et al.: sines of sines, with a limited number of parameters."""
     torch.manual_seed(0)
     width = max((w for w in range(2, 2000) if 3 * w + LAYERS * (w + 1) * w + 3 * (w + 1) <= numbers), default=2)
     sizes = [2, *[width] * (LAYERS + 1), 3]
@@ -69,7 +69,7 @@ class Training:
 
 @torch.no_grad()
 def drawn(network: Network, shape: tuple[int, ...], apart: int = 1) -> Pixels:
-    """The picture [H, W, 3] that it shows now. apart: of each so many rows and columns only the first."""
+    """The picture [H, W, 3] that it shows now. apart: draw only every apart-th row and column."""
     some = torch.arange(shape[0] * shape[1]).reshape(shape[:2])[::apart, ::apart]
     every = some.reshape(-1)
     parts = [network.colours(_places(every[k : k + BATCH], shape)) for k in range(0, len(every), BATCH)]

@@ -60,7 +60,7 @@ def made_by(wanted: list[str], path: Path, bpp: float) -> Iterator[tuple[str, Pi
 
 
 def no_fewer(rival: Rival, source: Pixels, least: int) -> bytes:
-    """Its smallest file of so many bytes, or its largest."""
+    """Its smallest file of at least that many bytes, or its largest."""
     qualities = rival.qualities
     first = bisect_left(range(len(qualities) - 1), least, key=lambda k: len(rival.encode(source, qualities[k])))
     return rival.encode(source, qualities[first])

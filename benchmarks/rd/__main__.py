@@ -6,7 +6,7 @@
     python -m benchmarks.rd --images FOLDER --quality 20,30,40,50,60,70 [--effort N] [--tune psnr] [--weights FOLDER]
 
 One encode at a time. What the JSON already holds for the same code, machine and settings is not done again, so that
-an interrupted run goes on where it stopped. Each file is the best of at most so many bits per pixel, or the smallest
+an interrupted run resumes where it stopped. Each file is the best within a rate in bits per pixel, or the smallest
 that its codec makes where none is. Profile rd comes twice, tuned for PSNR and for the eye. Others come with --rivals
 (pip install -e '.[benchmark]'); rivals.py says how each is set.
 

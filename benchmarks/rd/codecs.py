@@ -32,7 +32,7 @@ class Codec(Protocol):
         """What its rows are called; rows of one name have one way to be made."""
 
     def run(self, pixels: Pixels, aim: float) -> Run:
-        """The best file of at most so many bits per pixel."""
+        """The best file within a rate in bits per pixel."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, PPoly
 
 from benchmarks import published
-from benchmarks.tables import MISSING, mean, number, table
+from benchmarks.tables import mean, number, table
 
 
 @dataclass(frozen=True)
@@ -190,27 +190,6 @@ def against_quoted(average: Means, codec: str, other: str, column: int = 1) -> f
 def quoted_curve(other: str) -> Curve:
     """The published points of a codec."""
     return [(p["bpp"], p["psnr"], p.get("ms_ssim")) for p in published.kodak()[other]["points"]]
-
-
-def shared_db(average: Means, codec: str, other: str) -> str:
-    """From which to which PSNR that difference is an average, in words; a dash where they share none."""
-    found = _shared(average, codec, other)
-    return f"{found[0]:.1f} to {found[1]:.1f}" if found else MISSING
-
-
-def shared_bpp(average: Means, codec: str, other: str) -> str:
-    """From how many to how many bits per pixel a published codec takes for that PSNR, in words."""
-    found = _shared(average, codec, other)
-    if not found:
-        return MISSING
-    rates, dbs = zip(*sorted(scaled(quoted_curve(other), 1)), strict=True)
-    return " to ".join(f"{np.interp(db, dbs, rates):.2f}" for db in found)
-
-
-def _shared(average: Means, codec: str, other: str) -> tuple[float, float] | None:
-    reached = [[db for _, db in scaled(points, 1)] for points in (quoted_curve(other), curve(average, codec))]
-    low, high = max(min(dbs, default=math.inf) for dbs in reached), min(max(dbs, default=-math.inf) for dbs in reached)
-    return (low, high) if low < high else None
 
 
 def means_table(average: Means) -> str:

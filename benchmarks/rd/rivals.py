@@ -57,7 +57,7 @@ class Rival:
         raise NotImplementedError
 
     def best(self, pixels: Pixels, aim: float, near: float | None = None) -> File:
-        """That of at most so many bits per pixel, or the smallest there is.
+        """The best file within a rate in bits per pixel, or the smallest there is.
 
         The quality is searched by halving; with `near` only between what lies on both sides of it, found at distances
         that double. If it is close that saves encodes, and changes nothing.

@@ -26,39 +26,37 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     (
         speed.page,
         ("convergence/kodak",),
-        ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed", "growth"),
+        ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed"),
     ),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
     (stability.page, (), ("version4/stiff", "stability")),
     (paper.page, (), ("representation", "ablation", "rd/paper")),
-    (
-        service.page,
-        (),
-        ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql"),
-    ),
+    (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
 APART = {"version4/stiff": "picture", "speed": "gaussians"}  # of the CSV, besides the usual
 HEAD = """# Results
 
-One question a page. `python -m benchmarks.report` makes them from the JSON of
-[benchmarks/results](../../benchmarks/results); nobody types a figure."""
+Each page answers one question. `python -m benchmarks.report` generates them from the JSON in
+[benchmarks/results](../../benchmarks/results); no figure is typed by hand."""
 TAIL = """## Words
 
-- **bpp**: bits per pixel, 8 times the bytes of a file over its pixels.
-- **PSNR** (dB), **MS-SSIM** and **SSIMULACRA 2** are better if higher, **LPIPS** (AlexNet) and **DISTS** if lower.
-- **Bits for the same PSNR**: Bjøntegaard's difference in rate over the qualities that both reach, of each picture, then
-  the mean over pictures; below 0 for fewer bits.
-- **Quoted**: published by others, with the source in [benchmarks/published](../../benchmarks/published). Nobody
-  measured it here.
-- **Mosaic**: a large picture made of several of Kodak's.
+- **bpp**: bits per pixel, 8 times the bytes of a file divided by its pixels.
+- Higher is better for **PSNR** (dB), **MS-SSIM** and **SSIMULACRA 2**; lower is better for **LPIPS** (AlexNet) and
+  **DISTS**.
+- **Bits for the same PSNR**: the BD-rate over the range of PSNR that both codecs reach, computed for each picture and
+  averaged over pictures. Negative means fewer bits.
+- **Quoted**: published by others and not measured here; the sources are in
+  [benchmarks/published](../../benchmarks/published).
+- **Mosaic**: a large picture assembled from several of Kodak's.
 
 ## Repeat a measurement
 
-The command of each page runs in a checkout after `pip install -e '.[encode,benchmark]'`, or `'.[test]'` for the
-service. It writes to `benchmarks/results` and goes on where it was stopped. KODAK is a folder with the 24 PNG files of
-[Kodak's set](https://r0k.us/graphics/kodak/), WEIGHTS the folder that `python -m benchmarks.perceptual.weights WEIGHTS`
-fills. To try a little first: `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --rivals`, or
-`make bench`, which measures some of everything in ten minutes. Both write to `build/bench`."""
+The command on each page runs in a checkout after `pip install -e '.[encode,benchmark]'`, or `'.[test]'` for the
+service. It writes to `benchmarks/results` and resumes where it was interrupted. KODAK is a folder with the 24 PNG files
+of [Kodak's set](https://r0k.us/graphics/kodak/), and WEIGHTS the folder that
+`python -m benchmarks.perceptual.weights WEIGHTS` fills. For a quick trial, run `make bench`, which measures a little of
+everything in ten minutes, or `python -m benchmarks.rd --images KODAK --pictures kodim05 --bpp 0.25 --rivals`. Both
+write to `build/bench`."""
 
 
 def pages(results: Path) -> list[Page]:
@@ -74,7 +72,7 @@ def pages(results: Path) -> list[Page]:
 def index(made: list[Page]) -> str:
     """A line for each page, and the words that all use."""
     lines = [[f"[{page.title}]({page.name}.md)", page.conclusion] for page in made]
-    return "\n\n".join([HEAD, table("page | what came out", lines), TAIL]) + "\n"
+    return "\n\n".join([HEAD, table("page | result", lines), TAIL]) + "\n"
 
 
 def main() -> None:
@@ -103,8 +101,6 @@ def main() -> None:
     for page in made:
         if page.panels:
             save(page.panels, page.title, page.of, docs / "plots" / page.name)
-        if page.more:
-            save(page.more, page.title, "how seconds grow", docs / "plots" / f"{page.name}_more")
     for path, text in texts.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, text.encode())

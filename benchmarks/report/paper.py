@@ -37,16 +37,16 @@ def page(contents: Mapping[str, Content]) -> Page:
     return Page(
         name="paper",
         title="The paper's claims",
-        question="Do the gains that the paper reports for its parts come out here, with our optimiser and kernels? The "
+        question="Can the gains that the paper reports for its parts be reproduced with our optimiser and kernels? The "
         "paper is *Structure-Guided Allocation of 2D Gaussians for Image Representation and Compression*.",
-        table=table("gain of | quoted | here | spread over seeds | comes out", lines),
-        conclusion=f"{len(there)} of the {len(lines)} gains that the paper reports come out here at least half as big."
+        table=table("gain of | quoted | here | spread over seeds | reproduced", lines),
+        conclusion=f"{len(there)} of the {len(lines)} gains that the paper reports are at least half as large here."
         + both(lines),
-        limits="- A verdict on the paper: fits have fewer steps and six of Kodak's pictures, and some of its choices "
-        "are left open (how its kernels are scaled, how shares are counted).\n"
-        "- DIV2K, on which the paper measures too, and the times of its GPU.\n"
-        "- Sums of gains: parts were changed one at a time.\n"
-        "- Files, where a row names a number of Gaussians: those are fits in floating point.",
+        limits="- A verdict on the paper: fits here have fewer steps and only six of Kodak's pictures, and the paper "
+        "leaves some choices open (how kernels are scaled, how shares are counted).\n"
+        "- DIV2K, which the paper also uses, and the times on its GPU.\n"
+        "- Combined gains: parts were changed one at a time.\n"
+        "- Files, in rows that name a number of Gaussians: those are fits in floating point.",
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only ablation,rd",
         contents=contents,
         panels=[partial(draw, rows=fits["rows"])] if fits else [],
@@ -113,7 +113,7 @@ def judged(theirs: float, ours: ablation.Worth) -> str:
         return "yes"
     if abs(gained) <= max(spread or 0.0, NOTHING_DB):
         return "too small to tell"
-    return "in part" if gained > 0 else "the other way round"
+    return "in part" if gained > 0 else "no, the opposite"
 
 
 def both(lines: list[list[str]]) -> str:

@@ -16,7 +16,7 @@ WIDTH_IN, HEIGHT_IN, LINE_IN = 5.4, 3.2, 0.18  # of a panel; of a line of title 
 LEGEND_COLUMNS = 2
 COLOURS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#b0508c")  # all dark enough to be read as grey
 DASHES = ("-", "--", "-.", ":", (0, (9, 2, 1, 2, 1, 2)), (0, (1, 3)), (0, (8, 3)))
-MARKS = "os^DvP*xh<>dX+p|"  # no other so many as colours or dashes: that is what tells lines apart
+MARKS = "os^DvP*xh<>dX+p|"  # unlike colours and dashes, none repeats
 
 
 def style(k: int) -> dict[str, Any]:

@@ -75,8 +75,8 @@ def page(contents: Mapping[str, Content]) -> Page:
     return Page(
         name="rate",
         title="Rate against quality",
-        question="How many bits does each codec need for the same quality? Sizes are those of real files, and quality "
-        "is that of the pixels decoded from them.",
+        question="How many bits does each codec need for the same quality? Sizes are those of complete files, and "
+        "quality is measured on the decoded pixels.",
         table=codecs_table(rows, average),
         conclusion=f"{for_psnr(rows)} {for_eyes(average)}",
         limits=limits(rows, contents.get("rd/quality")),
@@ -94,7 +94,7 @@ def codecs_table(rows: Sequence[Row], average: Means) -> str:
     lines = []
     for codec, m in sorted(found.items(), key=lambda item: -(item[1]["psnr"] or 0)):
         bits = percent(first(against(rows, codec, AVIF))) if codec != AVIF else ""
-        above = f" (above it on {m['above']:g} of {m['images']:g})" if m["above"] else ""
+        above = f" (over the limit on {m['above']:g} of {m['images']:g})" if m["above"] else ""
         lines.append([name_of(codec) + above, *(number(m[name], form) for name, form in forms.items()), bits])
     titles = [f"codec, at most {BPP:g} bits per pixel", *(TITLES.get(name, name) for name in forms)]
     return table(" | ".join([*titles, f"bits for the same PSNR, against {name_of(AVIF)}"]), lines)
@@ -120,8 +120,8 @@ def for_eyes(average: Means) -> str:
         mine, theirs = ours[name] or 0, avif[name] or 0
         is_better = mine > theirs if name == "ssimulacra2" else mine < theirs
         (better if is_better else worse).append(f"{TITLES[name]} ({mine:{form}} against {theirs:{form}})")
-    parts = [f"ahead of AVIF by {several(better)}"] * bool(better) + [f"behind by {several(worse)}"] * bool(worse)
-    return f"At {BPP:g} bits per pixel the default, tuned for the eye, is {' and '.join(parts)}."
+    parts = [f"beats AVIF in {several(better)}"] * bool(better) + [f"trails it in {several(worse)}"] * bool(worse)
+    return f"At {BPP:g} bits per pixel, the default, tuned for the eye, {' and '.join(parts)}."
 
 
 def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
@@ -129,18 +129,18 @@ def limits(rows: Sequence[Row], one_quality: Content | None) -> str:
     told = dict(ahead(rows_of(one_quality)) if one_quality else {})
     told["Cool-Chic 5.0"] = first(against_cool_chic(rows, "rd"))
     others = several([f"{fewer(rate)} than {name}" for name, rate in told.items() if rate is not None])
-    published = f"- Codecs that were not run here: by what others published, `rd` needs {others} for the same PSNR.\n"
+    published = f"- Codecs that were not run here. By their published figures, `rd` needs {others} for the same PSNR.\n"
     spread = ""
     if first(against(rows, "rd", AVIF)) is not None:
         least, most = by_picture(rows, "rd", AVIF)
-        spread = f" (against AVIF from {least:+.0f} to {most:+.0f} % by picture)"
+        spread = f" (from {least:+.0f} to {most:+.0f} % against AVIF)"
     return (
         f"{published if others else ''}- Single pictures, which differ from the mean{spread}, and pictures unlike "
         "Kodak's: text, screenshots, drawings.\n"
-        "- What people say: these are metrics ([what people see](seen.md)).\n"
-        "- Exact ratios of times: rows were measured in different hours, and other codecs' times leave out the "
-        "search for the quality that fits, which ours include ([speed](speed.md)). A dash stands for rows that were "
-        "measured beside other work."
+        "- Human judgement: these are metrics ([what people see](seen.md)).\n"
+        "- Exact ratios of times: rows were not measured side by side, and our times include the search for the "
+        "quality that fits, while those of other codecs do not ([speed](speed.md)). A dash marks rows that were "
+        "measured while the machine did other work."
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.published import report as published
 from benchmarks.rd.report import against_cool_chic, means
 from benchmarks.report import rate
-from benchmarks.report.section import load, mean, number, table
+from benchmarks.report.section import load, mean, number, several, table
 
 WIDTH = 120  # of a line
 BPP = 0.25
@@ -26,11 +26,11 @@ CODECS = {
 }
 # Rows: column of the JSON, its format, whether more is better, which of the two codecs is measured, and a factor.
 ROWS = {
-    "PSNR, dB (higher is better)": ("psnr", ".1f", True, 0, 1),
-    "LPIPS (lower is better)": ("lpips", ".2f", False, 1, 1),
-    "SSIMULACRA 2 (higher is better)": ("ssimulacra2", ".0f", True, 1, 1),
-    "Decoding, ms": ("decode_ms", ".1f", False, 1, 1),
-    "Encoding, ms": ("encode_s", ",.0f", False, 1, 1000),
+    "PSNR, dB ↑": ("psnr", ".1f", True, 0, 1),
+    "LPIPS ↓": ("lpips", ".2f", False, 1, 1),
+    "SSIMULACRA 2 ↑": ("ssimulacra2", ".0f", True, 1, 1),
+    "Decoding, ms ↓": ("decode_ms", ".1f", False, 1, 1),
+    "Encoding, ms ↓": ("encode_s", ",.0f", False, 1, 1000),
 }
 # Published codecs that the README names, with what their readers know them by.
 RIVALS = {"VTM": "VTM (H.266)", "ELIC": "ELIC", "Cool-Chic 5.0": "Cool-Chic 5.0"}
@@ -70,8 +70,8 @@ def figures(results: Path) -> str:
     if not (ours.get("dists") and grain.get("dists")):
         return made
     note = (
-        f"With its film grain switched on, AVIF reaches an LPIPS of {number(grain['lpips'], '.2f')}, and beats us in "
-        f"DISTS, a similar measure: {number(grain['dists'], '.2f')} against {number(ours['dists'], '.2f')}."
+        f"With film grain switched on, AVIF reaches an LPIPS of {number(grain['lpips'], '.2f')} and beats us in DISTS, "
+        f"a similar measure: {number(grain['dists'], '.2f')} against {number(ours['dists'], '.2f')}."
     )
     return f"{made}\n\n{textwrap.fill(note, WIDTH, break_long_words=False)}"
 
@@ -98,7 +98,7 @@ def slow(results: Path) -> str:
     return bullet(
         "Fast encoding:",
         f"AVIF. Pictures of {sizes[0]:g} and {sizes[-1]:g} megapixels take {seconds('rd visual', '')} seconds, or "
-        f"{seconds('rd visual', 'effort 1')} with `--effort 1` and less quality; AVIF at speed 6 takes "
+        f"{seconds('rd visual', 'effort 1')} at lower quality with `--effort 1`. AVIF at speed 6 takes "
         f"{seconds('avif visual', '6')}.",
     )
 
@@ -115,6 +115,6 @@ def ahead(results: Path) -> str:
         return ""
     return bullet(
         "The highest PSNR, at any cost:",
-        "VTM or a learned codec. Bits that `--tune psnr` needs for the same PSNR, by their published figures: "
-        f"{', '.join(told)}.",
+        "VTM or a learned codec. At the same PSNR, `--tune psnr` needs "
+        f"{several(told).replace('more', 'more bits', 1)}, by their published figures.",
     )

@@ -35,19 +35,17 @@ class Page:
     panels: Sequence[Draw] = ()
     of: str = ""
     appendix: Sequence[str] = ()
-    more: Sequence[Draw] = ()  # of a second plot, in the appendix
 
     def text(self) -> str:
         """Markdown."""
         assert self.table.count("\n") <= MOST_ROWS + 1, f"the table of {self.name} has more than {MOST_ROWS} rows"
         name = ": ".join(filter(None, [self.title, self.of]))
-        second = [f"![{self.title}, in the appendix](../plots/{self.name}_more.svg)"] if self.more else []
-        folded = f"<details>\n<summary>Appendix</summary>\n\n{JOIN([*self.appendix, *second])}\n\n</details>"
+        folded = f"<details>\n<summary>Appendix</summary>\n\n{JOIN(self.appendix)}\n\n</details>"
         return JOIN(
             [
                 *(f"# {self.title}", self.question, f"**{self.conclusion}**", f"![{name}](../plots/{self.name}.svg)"),
                 *(self.table, f"## What this does not show\n\n{self.limits}"),
-                f"## Measure it\n\n```sh\n{self.command}\n```",
+                f"## Reproduce it\n\n```sh\n{self.command}\n```",
                 *([folded] if self.appendix else []),
                 f"---\n\n{self.footer()}",
             ]
@@ -62,8 +60,8 @@ class Page:
         commits = dict.fromkeys(content["commit"] for content in where)
         when = dates[0] if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
         return (
-            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, commits {', '.join(commits)}. "
-            "The JSON has the versions of all libraries, and remarks.</sub>"
+            f"<sub>Data: {', '.join(files)}. Measured {when} on {'; '.join(machines)}, commit {', '.join(commits)}. "
+            "The JSON files also record remarks and the versions of all libraries.</sub>"
         )
 
 

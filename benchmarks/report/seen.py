@@ -29,22 +29,23 @@ def page(contents: Mapping[str, Content]) -> Page:
                     lines.append([SETS[name], f"{bpp:g}", KINDS[kind], f"{found['bytes']:,.0f}", *cells])
     titles = " | ".join(["pictures", "bpp at most", "file", "bytes", *(TITLES[figure] for figure in FIGURES)])
     panels: list[Draw] = [partial(draw, contents=contents, figure=figure) for figure in PLOTTED]
-    texture = [f"{share:.1%} at {bpp:g} bpp" for bpp, share in textures(contents).items()]
+    texture = [f"{100 * share:.1f} % at {bpp:g} bpp" for bpp, share in textures(contents).items()]
     return Page(
         name="seen",
         title="What people see",
-        question="How good do files look, by metrics that were made to agree with people? Each picture is encoded "
-        "tuned for the eye (the default) and for PSNR, and by AVIF with `tune=iq`, its own default, at the best "
-        "quality that takes no more bytes. More SSIMULACRA 2 is better, less LPIPS and DISTS.",
+        question="How good do files look, according to metrics that are designed to agree with people? Each picture is "
+        "encoded tuned for the eye (the default) and for PSNR, and by AVIF with `tune=iq`, its own default, at the "
+        "best quality that takes no more bytes. Higher is better for SSIMULACRA 2, lower for LPIPS and DISTS.",
         table=table(titles, lines),
         conclusion=" ".join(sentence(SETS[name], content) for name, content in contents.items()),
-        limits="- A judgement by people: nobody was asked. [A sheet of crops at twice their size](../seen.webp) shows "
-        "the source, this codec, AVIF and JPEG XL; `python -m benchmarks.perceptual.sheet` makes it.\n"
-        "- Artefacts that no metric is made for, such as streaks and dots in smooth areas.\n"
-        "- Pictures that AVIF (here that of imagecodecs) cannot make so small: all means leave them out.\n"
-        f"- Texture apart from the rest: it takes {several(texture)} of the bytes, and PSNR counts it as an error.\n"
-        "- Wholly unseen photographs: `python -m benchmarks.perceptual.photographs` fetches these, and others of the "
-        "same packages on which constants were chosen; some values for texture were tried on these too.",
+        limits="- Human judgement: no viewers were asked. [A sheet of crops at twice their size](../seen.webp) shows "
+        "the source, this codec, AVIF and JPEG XL; `python -m benchmarks.perceptual.sheet` generates it.\n"
+        "- Artefacts that no metric detects well, such as streaks and dots in smooth areas.\n"
+        "- Pictures that AVIF (as built into imagecodecs) cannot compress this far: no mean includes them.\n"
+        f"- Texture on its own: it takes {several(texture)} of the bytes, and PSNR counts it as an error.\n"
+        "- Photographs that never influenced the codec: constants were chosen on other photographs from the same "
+        "packages (`python -m benchmarks.perceptual.photographs` fetches both sets), and some settings of texture were "
+        "tried on these too.",
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only perceptual",
         contents=contents,
         panels=panels,
@@ -65,14 +66,15 @@ def sentence(name: str, content: Content) -> str:
     bpp = at[len(at) // 2]
     average = means(content["rows"], bpp)
     if not {"visual", "avif"} <= set(average):
-        return f"On {name} AVIF was not measured."
+        return f"On {name}, AVIF was not measured."
     ours, avif = average["visual"], average["avif"]
     parts = [f"{ours[figure] / avif[figure]:.2f} times AVIF's {TITLES[figure]}" for figure in ("lpips", "dists")]
     points = ours["ssimulacra2"] - avif["ssimulacra2"]
     behind, of = worse(content["rows"], bpp, "visual", "avif", "ssimulacra2")
     return (
-        f"On {name} at {bpp:g} bpp, files tuned for the eye have {several(parts)}, and {abs(points):.1f} points "
-        f"{'less' if points < 0 else 'more'} of SSIMULACRA 2; {len(behind)} of {of} pictures are behind in the latter."
+        f"On {name} at {bpp:g} bpp, files tuned for the eye have {several(parts)}. Their SSIMULACRA 2 is "
+        f"{abs(points):.1f} points {'lower' if points < 0 else 'higher'} on average, and lower on {len(behind)} of "
+        f"{of} pictures."
     )
 
 

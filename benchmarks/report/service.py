@@ -24,10 +24,9 @@ def page(contents: Mapping[str, Content]) -> Page:
     return Page(
         name="service",
         title="The service",
-        question="How fast does the service answer while it encodes, what do other clients notice while some attack, "
-        "and is a job lost when processes are killed? Half of all requests are answered within p50, 99 of 100 within "
-        "p99.",
-        table=table("situation | asked for | p50 ms | p99 ms | failed | web process, MB", lines(load, attacks)),
+        question="How fast does the service respond while it encodes, how much do attacks slow other clients down, and "
+        "are jobs lost when processes are killed? Half of all requests are answered within p50, 99 % within p99.",
+        table=table("situation | request | p50 ms | p99 ms | failed | web process, MB", lines(load, attacks)),
         conclusion=f"{answering(load, attacks, allowed)} {surviving(ledgers)}",
         limits="- A network: clients, attackers and service share two cores of one machine.\n"
         "- Attacks from more machines or addresses than were tried, or of kinds that were not.\n"
@@ -44,11 +43,11 @@ def lines(load: Rows, attacks: Rows) -> list[list[Any]]:
     found: list[list[Any]] = []
     for row in load:
         of = row["spreads"][DECODE]
-        what = f"beside an encode: {row['case'].partition(',')[0]}, {row['rate']:g} a second"
+        what = f"during an encode: {row['case'].partition(',')[0]}, {row['rate']:g} a second"
         found.append([what, f"`{DECODE}`", f"{of['p50_ms']:,.0f}", f"{of['p99_ms']:,.0f}", of["failed"], MISSING])
     for row in attacks[: MOST_ROWS - len(found)]:
         asked, worst = max(row["others"].items(), key=lambda item: item[1]["p99_ms"])
-        what = f"attacked: {row['words']}" + (f", {row['at_once']:,} at once" if row["at_once"] else "")
+        what = f"under attack: {row['words']}" + (f", {row['at_once']:,} at once" if row["at_once"] else "")
         times = f"{worst['p50_ms']:,.0f}", f"{worst['p99_ms']:,.0f}"
         found.append([what, f"`{asked}`", *times, row["others_failed"], f"{row['web_mb']['most']:.0f}"])
     return found
@@ -59,25 +58,27 @@ def answering(load: Rows, attacks: Rows, allowed: Mapping[str, float]) -> str:
     parts = []
     if load:
         worst = max(row["spreads"][DECODE]["p99_ms"] for row in load)
-        parts.append(f"Beside an encode, 99 of 100 pictures are served within {worst:.0f} ms")
+        parts.append(f"During an encode, 99 % of pictures are served within {worst:.0f} ms")
     if attacks:
         met, failed = sum(row["met"] for row in attacks), sum(row["others_failed"] for row in attacks)
-        worst_ms = f"{attacks[0]['others_worst_p99_ms']:,.0f} ms at most ({allowed['p99_ms']:,} are allowed)"
-        kept = f"{met} of {len(attacks)} attacks keep all limits"
-        parts.append(f"under attack others' p99 is {worst_ms}, {failed or 'none'} of their requests fail, and {kept}")
-    return "; ".join(parts) + "."
+        worst_ms = f"{attacks[0]['others_worst_p99_ms']:,.0f} ms (limit: {allowed['p99_ms']:,})"
+        kept = f"all limits hold in {met} of {len(attacks)} attacks"
+        parts.append(
+            f"Under attack, others' p99 is at most {worst_ms}, {failed or 'none'} of their requests fail, and {kept}"
+        )
+    return ". ".join(parts) + "."
 
 
 def surviving(ledgers: Rows) -> str:
     """What the ledgers say, in a sentence."""
     if not ledgers:
-        return "No ledger was drawn up."
+        return "Kills were not measured."
     counts = ("accepted", "lost", "published twice")
     jobs, lost, twice = (sum(row["ledger"][name] for row in ledgers) for name in counts)
     kills = sum(count for row in ledgers for name, count in row["happened"].items() if "killed" in name)
     where = several([{"sqlite": "SQLite", "postgresql": "PostgreSQL"}[row["database"]] for row in ledgers])
     ends = f"{lost or 'none'} were lost and {twice or 'none'} published twice"
-    return f"Of {jobs:,} jobs amid {kills} kills, on {where}, {ends}."
+    return f"Of {jobs:,} jobs during {kills} kills, on {where}, {ends}."
 
 
 def draw(axes: Any, attacks: Rows, most_ms: float) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.report.plots import style
 from benchmarks.report.section import MISSING, Content, Draw, Page, several, table
-from benchmarks.speed.growth import AXES, exponent, growth_table, means
+from benchmarks.speed.growth import exponent
 
 SIZES = ("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels")
 METHODS = {
@@ -27,7 +27,7 @@ METHODS = {
     ("webp", "4"): "WebP, method 4",
     ("jpeg", "0"): "JPEG",
     ("siren", ""): "SIREN, a network",
-    ("plain Adam", ""): "as many Gaussians by plain Adam, no file",
+    ("plain Adam", ""): "as many Gaussians, fitted by plain Adam, no file",
 }
 # Lines of the plot: methods that are fitted have a curve, others a point for each setting.
 FITTED = ("plain Adam", "siren")
@@ -38,28 +38,27 @@ Rows = Sequence[dict[str, Any]]
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From convergence/*.json, speed.json and growth.json, as far as there are."""
+    """From convergence/*.json and speed.json, as far as there are."""
     by_size = {size_of(content): content["rows"] for name, content in contents.items() if name in SIZES}
     ends = dict.fromkeys((min(by_size), max(by_size)))
     panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
-    speed, growth = contents.get("speed"), contents.get("growth")
+    speed = contents.get("speed")
     return Page(
         name="speed",
         title="Speed and memory",
-        question="How long do an encode and a decode take, at 0.25 bits per pixel on the same cores, and how does that "
-        "grow? Each pair of figures is seconds of one encode and the PSNR it reached.",
+        question="How long do encoding and decoding take at 0.25 bits per pixel on the same cores, and how does that "
+        "grow with the picture? Each cell gives the time of one encode and the PSNR it reached.",
         table=sizes_table(by_size),
         conclusion=f"{hurry(by_size)} {decoding(speed['rows']) if speed else ''}".strip(),
         limits="- Photographs of 2 and 12 megapixels from a camera: larger pictures are mosaics of Kodak's.\n"
-        "- Single encodes: a time may be a third longer in another hour, and ratios count more than seconds.\n"
-        "- Other codecs' search for the quality that fits a size, which their times leave out.\n"
-        "- Networks at their best: SIREN has 60 seconds of torch on a processor, and no GPU.",
+        "- Repeatable seconds: a time may be a third longer in another hour, so trust the ratios more.\n"
+        "- The search for the quality that fits a size, which other codecs' times leave out.\n"
+        "- Networks at their best: SIREN had 60 seconds of PyTorch on the CPU, and no GPU.",
         command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence",
         contents=contents,
         panels=panels,
         of="PSNR against seconds, means over five pictures",
-        more=[partial(draw_growth, content=growth, axis=axis) for axis in AXES] if growth else (),
-        appendix=[*([grows(speed["rows"])] if speed else []), *(growth_of(growth) if growth else [])],
+        appendix=[grows(speed["rows"])] if speed else [],
     )
 
 
@@ -93,10 +92,10 @@ def hurry(by_size: Mapping[float, Rows]) -> str:
         ours, avif = (at(by_size[size], *key) for key in (("rd", ""), ("avif", "6")))
         if ours and avif:
             change = f"{'gains' if ours[1] > avif[1] else 'loses'} {abs(ours[1] - avif[1]):.1f} dB"
-            told.append(f"at {size:g} megapixels it takes {ours[0] / avif[0]:.0f} times as long and {change}")
+            told.append(f"takes {ours[0] / avif[0]:.0f} times as long and {change} at {size:g} megapixels")
     if not told:
-        return "AVIF was not measured beside it."
-    return f"An encode tuned for PSNR beside AVIF's at speed 6: {'; '.join(told)}."
+        return "AVIF was not measured."
+    return f"Compared with AVIF at speed 6, an encode tuned for PSNR {', and '.join(told)}."
 
 
 def decoding(rows: Rows) -> str:
@@ -106,7 +105,7 @@ def decoding(rows: Rows) -> str:
     for row in (row for row in sizes if row["megapixels"] in (0.4, sizes[-1]["megapixels"])):
         others = row["rivals_decode_ms"]
         pairs = [(title, others[name]) for name, title in DECODERS.items() if name in others]
-        beside = several([f"{row['decode_ms'] / theirs:.1f} times {title}'s" for title, theirs in pairs])
+        beside = several([f"{row['decode_ms'] / theirs:.1f} times {title}'s time" for title, theirs in pairs])
         told.append(f"{row['decode_ms']:.1f} ms at {row['megapixels']:g} megapixels ({beside})")
     return f"A decode takes {several(told)}." if told else ""
 
@@ -122,18 +121,7 @@ def grows(rows: Rows) -> str:
     }
     told = [f"{exponent(pixels, values) or 0:.2f} for {what}" for what, values in figures.items()]
     most = f"{sizes[-1]['encode_mib']:,.0f} MiB at {sizes[-1]['megapixels']:g} megapixels"
-    return f"With the pixels, costs grow to the power of {several(told)} ({most}); the CSV of speed has each size."
-
-
-def growth_of(content: Content) -> list[str]:
-    """Seconds along both axes, with the power of each."""
-    fixed = content["settings"]
-    titles = {
-        "megapixels": f"Files of {fixed['max_bytes']:,} bytes, by megapixels",
-        "max_bytes": f"Pictures of {fixed['megapixels']:g} megapixels, by bytes",
-    }
-    note = " Reduced: the picture is reduced first, as people do, and enlarged after decoding."
-    return [f"{titles[axis]}.{note}\n\n{growth_table(content['rows'], fixed, axis)}" for axis in AXES]
+    return f"Cost grows as a power of the number of pixels: {several(told)} ({most}). The CSV of speed has each size."
 
 
 def draw(axes: Any, rows: Rows, size: float) -> None:
@@ -165,10 +153,3 @@ def mean_curve(curves: Sequence[Sequence[tuple[float, float]]]) -> list[tuple[fl
     times = sorted({seconds for curve in curves for seconds, _ in curve if seconds >= start})
     levels = [np.interp(times, [s for s, _ in curve], [db for _, db in curve]) for curve in curves]
     return list(zip(times, np.mean(levels, axis=0).tolist(), strict=True))
-
-
-def draw_growth(axes: Any, content: Content, axis: str) -> None:
-    """Seconds along an axis."""
-    for k, (name, points) in enumerate(means(content["rows"], content["settings"], axis)):
-        axes.plot([at for at, *_ in points], [seconds for _, seconds, _ in points], **style(k) | {"label": name})
-    axes.set(xscale="log", yscale="log", xlabel=axis.replace("max_", "").replace("_", " "), ylabel="seconds")

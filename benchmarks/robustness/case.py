@@ -29,14 +29,8 @@ class Case:
             worst = None
         kept = worst is not None and (self.limit is None or worst <= self.limit)
         verdict = "told" if kept and self.limit is None else "kept" if kept else "broken"
-        return {
-            "case": self.name,
-            "rule": self.rule,
-            "limit": self.limit,
-            "worst": worst,
-            "verdict": verdict,
-            "note": note,
-        }
+        tried = {"case": self.name, "rule": self.rule, "limit": self.limit}
+        return {**tried, "worst": worst, "verdict": verdict, "note": note}
 
 
 Cases = Iterator[Case]

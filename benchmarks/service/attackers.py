@@ -45,7 +45,7 @@ class Attack:
 
 
 class Crowd:
-    """Those who attack one service, for so many seconds from when they are ready."""
+    """The attackers of one service, for a number of seconds from when they are ready."""
 
     def __init__(self, address: str, job: str, seconds: float) -> None:
         self.host, _, port = address.rpartition(":")

@@ -45,7 +45,7 @@ WEIGHTS = {
 
 
 class Submitter(threading.Thread):
-    """Has so many jobs accepted, each under a key of its own, asking again until the answer is 202.
+    """Get a number of jobs accepted, each under a key of its own, asking again until the answer is 202.
 
     trouble: an answer that no job should get, after which nothing more was submitted.
     """

@@ -1,11 +1,12 @@
 """Time and memory: by size of the picture, by number of Gaussians, of the kernels alone.
 
     python -m benchmarks.speed growth [--help]    seconds by megapixels for fixed bytes and the other way, beside AVIF
+    python -m benchmarks.speed tensors [--help]   gradients of the differentiable renderer, beside plain torch
     python -m benchmarks.speed [--images FOLDER] [--only sizes,gaussians,kernels] [--megapixels 0.1,0.4,1.6,6,24]
                                [--gaussians 1000,3000,10000,30000,70000] [--bpp 0.25] [--repeats 3] [--out FILE]
 
 sizes: encode, decode and peak of memory of profile rd, each in a process of its own, beside other codecs on the same
-cores. gaussians: the same of files of so many at 0.4 megapixels, and drawing and gradients of them alone. kernels:
+cores. gaussians: the same by number of Gaussians at 0.4 megapixels, and drawing and gradients of them alone. kernels:
 every instruction set, one thread and all. Pictures larger than those of the folder are mosaics of them.
 """
 
@@ -83,5 +84,13 @@ def main() -> None:
         measure_kernels(record, paths[0], options.steps, options.rounds)
 
 
+def measure_tensors() -> None:
+    """Imported only here: torch would count towards the memory of the processes that encode."""
+    from benchmarks.speed import tensors
+
+    tensors.main()
+
+
 if __name__ == "__main__":
-    sys.exit(run_part({"sizes": main, "growth": growth.main}, __doc__, default="sizes"))
+    parts = {"sizes": main, "growth": growth.main, "tensors": measure_tensors}
+    sys.exit(run_part(parts, __doc__, default="sizes"))

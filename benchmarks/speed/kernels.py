@@ -38,7 +38,7 @@ def load(path: Path) -> NDArray[np.uint8]:
 
 
 def fitted(pixels: NDArray[np.uint8], n: int, steps: int) -> tuple[Gaussians, float]:
-    """n Gaussians after so many steps of profile paper's fit, or fewer if it comes to rest, and the seconds of a
+    """n Gaussians after a number of steps of profile paper's fit, or fewer if it comes to rest, and the seconds of a
     step."""
     settings = replace(PAPER, fit_steps=steps)
     start = place(pixels.astype(np.float32) / np.float32(255), n, settings.start, np.random.default_rng(0))

@@ -37,8 +37,8 @@ DECODES = 9  # of each codec, in turns; the first does not count
 
 
 def row(paths: Sequence[Path], megapixels: float, budget: Budget, repeats: int) -> dict[str, Any]:
-    """Seconds of so many encodes of one size and budget, milliseconds and MiB; and of other codecs' files of at most as
-    many bytes."""
+    """Seconds of repeated encodes of one size and budget, milliseconds and MiB; and of other codecs' files of at most
+    as many bytes."""
     ours = [alone(encoded, paths, megapixels, budget) for _ in range(repeats)]
     data = ours[0].pop("data")
     return {

@@ -67,8 +67,8 @@ INFO = (
 )
 COMPARE = (
     "Measure how close B is to the original A. Either may be a picture or an .sg file.",
-    """Higher is better for PSNR, MS-SSIM and SSIMULACRA 2; lower is better for LPIPS and DISTS. A metric that cannot
-be computed says why.
+    """Higher is better for PSNR, MS-SSIM and SSIMULACRA 2; lower is better for LPIPS and DISTS. If a metric cannot
+be computed, the output says why.
 
 examples:
   sgmethod compare photo.jpg photo.sg
@@ -187,7 +187,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{min(EFFORTS)} is fastest, {max(EFFORTS)} gives the best file (default: {DEFAULT_EFFORT})",
     )
     parser.add_argument("--time-limit", type=float, metavar="SECONDS", help="time limit for each picture")
-    parser.add_argument("--server", metavar="URL", help="encode on this server; SG_API_KEY holds its API key")
+    parser.add_argument("--server", metavar="URL", help="encode on this server, with the API key in SG_API_KEY")
     parser.add_argument(
         "--seed",
         type=_whole_number("a seed", 0, MAX_SEED),
@@ -195,9 +195,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="random seed (default: 0)",
     )
-    parser.add_argument(
-        "--trace", type=_path, metavar="FILE.json", help="write the fit's error over time (one picture only)"
-    )
+    parser.add_argument("--trace", type=_path, metavar="FILE.json", help="write the error over time (one picture only)")
     parser.add_argument("--json", action="store_true", help="print the figures as one JSON object per picture")
     _add_common_arguments(parser)
 

@@ -8,10 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from sgmethod.cli import files, naming
-from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.several import Outcome, convert_all, say_notes, without_those_there
+from sgmethod.cli.several import Outcome, convert_all, say_done, say_notes, without_those_there
 from sgmethod.decoder import SgFile
 from sgmethod.io.pictures import OPAQUE, SUFFIXES, encode_picture
 from sgmethod.view import View
@@ -33,8 +32,7 @@ def run_decode(arguments: argparse.Namespace) -> int:
         outcome = _decode(wanted, arguments)
         say_notes(outcome, arguments)
         if not arguments.quiet:
-            names = f"{files.name_of(wanted.source)} -> {files.name_of(wanted.target, 'standard output')}"
-            print(f"{one_line(names)}: {outcome.said}", file=out)
+            say_done(outcome, out)
     return 0
 
 
@@ -58,7 +56,7 @@ def _kind(target: str) -> str:
     """The format for a file name."""
     kind = "PNG" if files.is_device(target) else SUFFIXES.get(Path(target).suffix.lower())
     if kind is None:
-        raise CommandError(f"cannot write {target}: its name must end in {', '.join(SUFFIXES)}")
+        raise CommandError(f"cannot write {target}: its name must end in one of {', '.join(SUFFIXES)}")
     return kind
 
 

@@ -18,7 +18,7 @@ from sgmethod.cli import files, naming
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import Conversion
-from sgmethod.cli.several import Figures, Outcome, convert_all, say_notes, without_those_there
+from sgmethod.cli.several import Figures, Outcome, convert_all, say_done, say_notes, without_those_there
 from sgmethod.cli.terminal import progress_line, redraw
 from sgmethod.many.manifest import Manifest
 from sgmethod.trace import TracePoint
@@ -52,7 +52,7 @@ def run_encode(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps(outcome.figures, allow_nan=False), file=out)
         elif not arguments.quiet:
-            print(outcome.said, file=out)
+            say_done(outcome, out)
     return 0
 
 

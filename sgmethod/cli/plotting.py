@@ -26,7 +26,7 @@ def run_plot(arguments: argparse.Namespace) -> int:
     kind = "svg" if files.is_device(target) else KINDS.get(Path(target).suffix.lower())
     files.check_outputs([source], [target])
     if kind is None:
-        raise CommandError(f"cannot write {target}: its name must end in {', '.join(KINDS)}")
+        raise CommandError(f"cannot write {target}: its name must end in one of {', '.join(KINDS)}")
     if arguments.no_clobber and target != STREAM and Path(target).is_file():
         said = f"{target} already exists: skipped"
     else:

@@ -51,6 +51,13 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
         files.print_lines("warning", source, outcome.figures.get("warnings", []))  # older servers have none
 
 
+def say_done(outcome: Outcome, out: TextIO) -> None:
+    """Print the names and the summary of a single conversion."""
+    source, target = outcome.conversion.source, outcome.conversion.target
+    names = f"{files.name_of(source)} -> {files.name_of(target, 'standard output')}"
+    print(f"{one_line(names)}: {outcome.said}", file=out)
+
+
 def without_those_there(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
     """With --no-clobber, drop conversions whose output exists, and say so."""
     kept = []

@@ -42,7 +42,7 @@ def pack(
     >>> sgmethod.info(again).gaussians <= sgmethod.info("photo.sg").gaussians
     True
 
-    gaussians: arrays of numpy, tensors or nested lists. They add up on the background, and are drawn as
+    gaussians: NumPy arrays, tensors or nested lists. They add up on the background, and are drawn as
     sgmethod.torch.render() draws them. Those that round to nothing, and those that no pixel sees, are left out.
     bpp: bits per pixel of the file, at most; quantum: how coarsely everything is rounded, 2^-10 to 16, where encode()
     takes about 0.15 at 0.25 bpp; one of the two.

@@ -28,7 +28,7 @@ MOST_PAGES = 100
 Span = tuple[bytes, int, int]  # kind, where its content begins and ends
 
 JPEG_XL_MAGICS = (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")  # of a bare codestream, and of one in boxes
-# ISO/IEC 18181-1: what a number of so many bits is added to; by two bits before it.
+# ISO/IEC 18181-1: two bits choose a pair, the width in bits of the number that follows and the offset added to it.
 SIDES = ((9, 1), (13, 1), (18, 1), (30, 1))
 PREVIEW_SIDES = ((6, 1), (8, 65), (10, 321), (12, 1345))
 PREVIEW_EIGHTHS = ((0, 16), (0, 32), (5, 1), (9, 33))

@@ -34,7 +34,7 @@ PathLike = str | os.PathLike[str]
 
 
 def read_gaussianimage(path: PathLike, width: int, height: int) -> Gaussians:
-    """Gaussians of a gaussian_model.pth.tar, for a picture of width x height pixels, which the file does not say.
+    """Gaussians of a gaussian_model.pth.tar, for a picture of width x height pixels, which the file does not record.
 
     Raises GaussiansError for anything else, and OSError.
     """
@@ -53,8 +53,8 @@ def read_gaussianimage(path: PathLike, width: int, height: int) -> Gaussians:
 
 
 def read_image_gs(path: PathLike, width: int, height: int) -> Gaussians:
-    """Gaussians of a ckpt_step-N.pt, for a picture of width x height pixels, which the file does not say; to be drawn
-    with blend="normalised". Raises GaussiansError for anything else, and OSError."""
+    """Gaussians of a ckpt_step-N.pt, for a picture of width x height pixels, which the file does not record; to be
+    drawn with blend="normalised". Raises GaussiansError for anything else, and OSError."""
     state = _loaded(path, "xy", "scale", "rot", "feat")
     factors = _turned(1 / state["scale"], state["rot"])
     colors = state["feat"]

@@ -44,13 +44,13 @@ def render(
     colors [..., N, 3]: red, green and blue, of any sign. All of one device, in float32 or float64.
     size: width and height of the picture in pixels.
     background: below the Gaussians, a number or [..., 3].
-    scale: pixels of the result along a side of one of the picture's, 1/64 to 64.
+    scale: output pixels per pixel of the picture, 1/64 to 64.
     pyramid: draw wide Gaussians on coarser levels, as files from version 4 on do; without, sample every pixel of each.
     The two differ by 0.002 on average in a fitted photograph (root mean square).
     blend: "accumulated" adds Gaussians up, as files do; "normalised" divides by the sum of their weights.
 
     Gaussians with a value that is not finite, or l1 or l3 <= 0, are not drawn, and get gradients of 0. Raises
-    GaussiansError for other shapes, and ViewError for a scale or size that makes no picture.
+    GaussiansError for other shapes, and ViewError for an invalid scale or size.
     """
     means, factors, colors, lead = _checked(means, factors, colors)
     width, height = (whole(side, "a side", 1, native.MAX_SIDE, ViewError) for side in size)

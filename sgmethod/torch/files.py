@@ -65,8 +65,8 @@ class SgDataset(Dataset[dict[str, Tensor]]):
     >>> SgDataset(["photo.sg"], most_gaussians=500)[0]["mask"].shape
     torch.Size([500])
 
-    size: each item has "pixels" [3, height, width], uint8, without alpha: the middle of the picture, drawn as large as
-    covers that width and height.
+    size: each item has "pixels" [3, height, width], uint8, without alpha: the middle of the picture, scaled
+    to cover that width and height.
     most_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True where there is one; "size"
     (width, height) and "background" [3]. The first Gaussians of a file, its largest, are taken, and zeros, which draw
     nothing, fill the rest.
@@ -76,7 +76,7 @@ class SgDataset(Dataset[dict[str, Tensor]]):
         self, files: Sequence[File], *, size: tuple[int, int] | None = None, most_gaussians: int | None = None
     ) -> None:
         if (size is None) == (most_gaussians is None):
-            raise SgError("a data set gives pixels of a size, or at most so many Gaussians: one of the two is needed")
+            raise SgError("SgDataset needs either size or most_gaussians")
         self._files, self._size, self._most = files, size, most_gaussians
 
     def __len__(self) -> int:

@@ -18,14 +18,6 @@ def report(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=100)
 
 
-def sections(results: Path) -> str:
-    """What docs/results.md would say of the JSON in a folder, and of no other: a moment in place of eight seconds."""
-    script = "import sys; from pathlib import Path; from benchmarks.report.__main__ import sections; "
-    script += "print(*(section.text() for section in sections(Path(sys.argv[1]))))"
-    command = [sys.executable, "-c", script, str(results)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-
-
 def copied(folder: Path) -> Path:
     """The results in another folder, beside the documents that are made of them."""
     results = folder / "benchmarks" / "results"

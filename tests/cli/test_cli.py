@@ -203,7 +203,9 @@ def test_summary_and_trace(run: Run) -> None:
     assert (ran.status, ran.err) == (0, "")
     size = Path("out.sg").stat().st_size
     assert re.fullmatch(
-        rf"128 x 96: {size} bytes, \d\.\d{{4}} bpp, \d+\.\d\d dB, (?:1\d|20) Gaussians, \d+ steps, .* s\n", ran.out
+        rf"photo\.png -> out\.sg: 128 x 96: {size} bytes, \d\.\d{{4}} bpp, \d+\.\d\d dB, "
+        r"(?:1\d|20) Gaussians, \d+ steps, .* s\n",
+        ran.out,
     )
     written = json.loads(Path("trace.json").read_text())
     assert written["stats"]["bytes"] == size
@@ -291,8 +293,8 @@ def test_help(run: Run, command: list[str]) -> None:
         ("encode photo.png --output-dir photo.png", "cannot write photo.png: File exists"),
         ("encode photo.png ./photo.jpg --output-dir folder", "would both become folder/photo.sg"),
         (ENCODE + "--jobs 0", "from 1 to 256"),
-        ("decode picture.sg out.gif", "must end in .png, .jpg"),
-        ("decode picture.sg out", "must end in .png, .jpg"),
+        ("decode picture.sg out.gif", "must end in one of .png, .jpg"),
+        ("decode picture.sg out", "must end in one of .png, .jpg"),
         ("compare photo.png picture.sg", "differ in size: 128 x 96 and 40 x 56"),
         ("compare photo.png missing.png", "cannot read missing.png"),
         ("compare photo.png folder", "cannot read folder: Is a directory"),

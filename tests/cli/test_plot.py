@@ -70,7 +70,7 @@ def test_what_is_no_trace_is_refused(content: str, capsys: pytest.CaptureFixture
 
 def test_names_that_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["plot", "fit.json", "fit.gif"]) == 2
-    assert "must end in .svg, .png, .pdf" in capsys.readouterr().err
+    assert "must end in one of .svg, .png, .pdf" in capsys.readouterr().err
     assert cli.main(["plot", "fit.json", "fit.json"]) == 2
     assert not capsys.readouterr().out
 

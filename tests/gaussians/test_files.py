@@ -62,7 +62,7 @@ def test_a_data_set_of_gaussians() -> None:
     [
         (lambda: decode("picture.sg", dtype=torch.int32), SgError, "uint8 or of a floating-point type"),
         (lambda: decode("picture.sg", layout="NCHW"), SgError, "CHW or HWC, not 'NCHW'"),
-        (lambda: SgDataset(["picture.sg"]), SgError, "one of the two is needed"),
+        (lambda: SgDataset(["picture.sg"]), SgError, "needs either size or most_gaussians"),
         (lambda: SgDataset(["picture.sg"], size=(1, 9000))[0], ViewError, "no size for a picture of 48 x 40"),
     ],
 )

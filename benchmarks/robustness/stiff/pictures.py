@@ -46,7 +46,7 @@ def lines(degrees: float, *, white: bool) -> Pixels:
 
 
 def checkerboard(cell: int) -> Pixels:
-    """Black and white squares of so many pixels."""
+    """Black and white squares with sides of that many pixels."""
     y, x = grid()
     return grey(255 * ((x // cell + y // cell) % 2))
 

@@ -106,7 +106,7 @@ def measure(picture: str, pixels: Pixels, seed: int, budget: Budget) -> Row:
 
 
 def best_traced(trace: Sequence[TracePoint], max_bytes: int) -> TracePoint | None:
-    """The point of highest PSNR among those whose size is known and at most so many bytes."""
+    """The point of highest PSNR among those whose size is known and within the limit."""
     return max((p for p in trace if 0 < p.bytes <= max_bytes), key=lambda p: p.psnr, default=None)
 
 

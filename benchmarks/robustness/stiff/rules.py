@@ -38,7 +38,7 @@ class Check:
 
 
 def failed(rows: Sequence[Row]) -> Found:
-    """An encode ends with a file, or says that no file is as small as its budget, and none is."""
+    """An encode ends with a file, or correctly reports that the budget is too small for one."""
     smallest = min((row.size for row in with_file(rows)), default=None)
     for row in rows:
         wrongly = row.refused is not None and smallest is not None and smallest <= row.most
@@ -53,26 +53,26 @@ def falls(rows: Sequence[Row]) -> Found:
 
 
 def exceeded(rows: Sequence[Row]) -> Found:
-    """A file is within its bytes."""
+    """A file does not exceed its budget."""
     for row in of_kind("bpp", rows):
         yield row, float(row.size - row.most)
 
 
 def missed(rows: Sequence[Row]) -> Found:
-    """A PSNR that any file of the picture reaches is reached where it is asked for."""
+    """A target PSNR is reached if any file of the picture reaches it."""
     for row in of_kind("psnr", rows):
         if any(other.db >= row.value for other in with_file(rows)):
             yield row, row.value - row.db
 
 
 def clipped(rows: Sequence[Row]) -> Found:
-    """No number of a file is clipped, and all are finite."""
+    """Every number in a file is finite, and none is clipped."""
     for row in with_file(rows):
         yield row, float(row.clipped)
 
 
 def trace(rows: Sequence[Row]) -> Found:
-    """A file is no worse than what its own trace had shown at its size, or has the PSNR asked for."""
+    """A file is no worse than its trace showed at that size, or has the target PSNR."""
     for row in with_file(rows):
         if row.traced is not None:
             enough = row.exact or (row.kind == "psnr" and row.db >= row.value)

@@ -1,6 +1,6 @@
 """The differentiable renderer, forward and backward, beside plain torch, in turns.
 
-    python -m benchmarks.tensors --image FILE [--gaussians 10000] [--steps 300] [--rounds 7] [--device cuda] [--out OUT]
+    python -m benchmarks.speed tensors --image FILE [--gaussians 10000] [--steps 300] [--rounds 7] [--device cuda]
 
 Gaussians are those of a short fit to the picture, at 768 x 512. Each row is the median time of the gradient of the mean
 squared error against it, by all means, factors and colours:
@@ -117,10 +117,8 @@ def main() -> None:
     for _ in range(args.rounds):
         for name, compute in measured.items():
             times[name].append(seconds(compute))
-    record = Record(args.out, "benchmarks.tensors", {"gaussians": args.gaussians, "size": SIZE, "steps": args.steps})
+    record = Record(
+        args.out, "benchmarks.speed tensors", {"gaussians": args.gaussians, "size": SIZE, "steps": args.steps}
+    )
     for name, some in times.items():
         record.add({"name": name, "gradient_ms": 1e3 * statistics.median(some[1:])})  # the first one warms up
-
-
-if __name__ == "__main__":
-    main()
