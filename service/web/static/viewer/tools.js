@@ -53,8 +53,8 @@ export class Tools {
   }
 
   #bytesInPart() {
-    const { bytes, start } = this.#file;
-    return Math.ceil(($("prefix").value / 100) * (bytes - start)) + start;
+    const { bytes, payloadBytes } = this.#file;
+    return bytes - payloadBytes + Math.ceil(($("prefix").value / 100) * payloadBytes);
   }
 
   #showPrefix() {
