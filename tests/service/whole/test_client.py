@@ -53,7 +53,7 @@ def test_an_encode(service: Service) -> None:
 def test_a_file_that_came_out_badly(service: Service) -> None:
     """The job says so, as sgmethod.Stats does."""
     with Client(service.url) as client:
-        job_id = client.submit(SMALL, Budget("bytes", 20))
+        job_id = client.submit(SMALL, Budget("bytes", 13))
         result = client.wait(job_id)["result"]
         client.remove(job_id)
     (warning,) = result["warnings"]
