@@ -115,12 +115,12 @@ def test_representations_are_compared_over_the_pictures_that_all_have(tmp_path: 
         {**key, "image": "a.png", "psnr": 10.0, "method": "siren"},  # measured once, and no longer
     ]
     text = shown_by_report(tmp_path, "representation", rows)
-    assert "| both, 70,000 Gaussians | +1.32 dB | -0.50 dB | - | the other way round |" in text
+    assert "| both, 70,000 Gaussians | +1.32 dB | -0.50 dB | - | no, the opposite |" in text
 
 
 @pytest.mark.parametrize(
     ("db", "verdict"),
-    [(0.25, "yes"), (0.24, "in part"), (0.03, "too small to tell"), (-0.2, "the other way round")],
+    [(0.25, "yes"), (0.24, "in part"), (0.03, "too small to tell"), (-0.2, "no, the opposite")],
 )
 def test_a_claim_of_the_paper_has_a_verdict(db: float, verdict: str) -> None:
     """The paper's regularisation is worth 0.49 dB with 30,000 Gaussians."""
