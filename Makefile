@@ -35,6 +35,8 @@ TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/tes
 UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/fuzz/test_fuzz_*.py)
 # About half of the service's tests, all of which mostly wait: for processes that start, end or are killed.
 WHOLE := tests/service/whole tests/service/process tests/service/worker
+# About half of the other tests, so that neither half has the machine for itself in the end.
+ENCODES := tests/benchmarks/ tests/cli/ tests/rd/
 # The service's encoders stand behind all who answer, so behind tests that compute as well, unless those do so too: without
 # this an encode beside them has a hundredth of a core.
 YIELDING := nice -n 19
@@ -47,7 +49,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check types test measured measured-service measured-whole unmeasured versions sanitize fuzz cross wheel wasm bench
+.PHONY: serve check types test measured measured-encodes measured-service measured-whole unmeasured versions sanitize fuzz cross wheel wasm bench
 
 serve: $(SERVED)
 	$(BIN)/python -m service serve
@@ -67,21 +69,24 @@ check: $(STAMP)
 types: $(STAMP)
 	$(YIELDING) $(BIN)/python -m mypy
 
-# Measured, four parts at a time: those of the service mostly wait, and leave two cores to the others, of which the longest
-# begin first.
+# Measured, four parts at a time: those of the service mostly wait, and leave two cores to the others.
 test: check
 ifeq ($(COVERAGE),)
 	$(BIN)/python -m mypy
 	$(BIN)/python -m pytest $(TESTS)
 else
 	$(BIN)/python -m coverage erase
-	$(MAKE) --jobs 4 measured-whole measured-service measured types $(ALSO) unmeasured
+	$(MAKE) --jobs 4 measured-whole measured-service measured-encodes measured types $(ALSO) unmeasured
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report
 endif
 
 measured: $(STAMP)
-	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service,$(TESTS)) $(addprefix --ignore=,$(UNMEASURED))
+	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service $(ENCODES),$(TESTS)) \
+	  $(addprefix --ignore=,$(UNMEASURED))
+
+measured-encodes: $(STAMP)
+	$(YIELDING) $(BIN)/python -m coverage run -m pytest --quiet $(ENCODES)
 
 measured-whole: $(STAMP)
 	$(BIN)/python -m coverage run -m pytest --quiet $(WHOLE)
