@@ -13,7 +13,6 @@ from anyio import to_thread
 from fastapi import Depends, FastAPI, Security
 from fastapi.security import HTTPBearer
 from starlette.middleware.cors import CORSMiddleware
-from starlette.middleware.gzip import GZipMiddleware
 from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
@@ -153,7 +152,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         dependencies = [Depends(known_query), Depends(no_stray_body), *security]
         app.include_router(routes.router, dependencies=dependencies, responses=refusals)
     app.include_router(health_routes.router, dependencies=[Depends(known_query)])
-    app.mount("/static", GZipMiddleware(PageFiles(directory=STATIC)))
+    app.mount("/static", PageFiles(directory=STATIC))
 
     @app.get("/", include_in_schema=False)
     async def page() -> FileResponse:
