@@ -24,7 +24,7 @@ from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, own_number, unas
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.deadline import Clock, Deadline
-from sgmethod.fitting.level import background_of
+from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.files import own_path, write_atomically
@@ -206,7 +206,7 @@ def _rd(
     height, width, channels = pixels.shape
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
     rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
-    if background_of(objective.pixels)[1]:
+    if rate.is_short and Histogram(objective.pixels).is_most:
         rate = rate.for_exact_background()
     request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:

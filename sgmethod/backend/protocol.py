@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.backend.planes import halved
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.shared import OptimiserSettings
@@ -65,11 +65,7 @@ class Visibility:
 
     def halved(self) -> Visibility:
         """At half the size: means of four."""
-        height, width = self.values.shape
-        size = (-(-width // 2), -(-height // 2))
-        even = np.pad(self.values, ((0, height % 2), (0, width % 2)), mode="edge")
-        small = np.asarray(cv2.resize(even, size, interpolation=cv2.INTER_AREA), np.int16)
-        return Visibility(small, self.by_eye)
+        return Visibility(halved(self.values), self.by_eye)
 
 
 @dataclass(frozen=True)

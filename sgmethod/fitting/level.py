@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, Backend, Frame, Target, Visibility
 from sgmethod.fitting.bands import Rows, bands
 from sgmethod.fitting.visibility import amplitudes
@@ -21,22 +22,35 @@ from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import PyramidSettings
 from sgmethod.threads import in_parallel
 
+# Adds the Laplacian that a blur by a variance of 1 / 16 along each axis takes away.
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 
 
-def background_of(pixels: NDArray[np.uint8]) -> tuple[tuple[int, int, int], bool]:
-    """The colour of more than half of an image [H, W, 3], such as a page's white, and True; or the mean of all, and
-    False."""
-    number = pixels.shape[0] * pixels.shape[1]
+class Histogram:
+    """What the counts of an image's levels tell.
+
+    background: the colour of more than half of the image, such as a page's white (is_most), or else the mean of all;
+    spread: from a channel's lowest level to its highest, at most.
+    """
+
+    def __init__(self, pixels: NDArray[np.uint8]) -> None:
+        """pixels: [H, W, 3]."""
+        number = pixels.shape[0] * pixels.shape[1]
+        counts = _counts(pixels)
+        most = counts.argmax(1).astype(np.uint8)
+        self.is_most = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
+        red, green, blue = (round(float(c)) for c in (most if self.is_most else counts @ np.arange(256) / number))
+        self.background = red, green, blue
+        self.spread = int(max(np.ptp(np.flatnonzero(of_channel)) for of_channel in counts))
+
+
+def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """[3, 256]: of each channel's levels in an image [H, W, 3]."""
 
     def counts_of(band: tuple[int, int]) -> list[NDArray[Any]]:
         return [cv2.calcHist([pixels[slice(*band)]], [c], None, [256], [0, 256]).ravel() for c in range(3)]
 
-    counts = np.sum(in_parallel(counts_of, bands(*pixels.shape[:2])), axis=0, dtype=np.float64)
-    most = counts.argmax(1).astype(np.uint8)
-    is_most = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
-    red, green, blue = (round(float(level)) for level in (most if is_most else counts @ np.arange(256) / number))
-    return (red, green, blue), is_most
+    return np.asarray(np.sum(in_parallel(counts_of, bands(*pixels.shape[:2])), axis=0, dtype=np.float64))
 
 
 def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 0, 0)) -> Target:
@@ -78,12 +92,11 @@ class Level:
         target = np.empty((3, frame.height, frame.width), np.int16)
 
         def halve(plane: int) -> None:
-            even = cv2.copyMakeBorder(self.target[plane], 0, f.height % 2, 0, f.width % 2, cv2.BORDER_REPLICATE)
-            small = cv2.resize(even, (frame.width, frame.height), dst=target[plane], interpolation=cv2.INTER_AREA)
+            small = halved(self.target[plane])
             if sharpened:
                 least, most, *_ = cv2.minMaxLoc(self.target[plane])
-                sharp = cv2.filter2D(small, -1, SHARPEN, borderType=cv2.BORDER_REPLICATE)
-                np.clip(sharp, int(least), int(most), out=target[plane])
+                small = cv2.filter2D(small, -1, SHARPEN, borderType=cv2.BORDER_REPLICATE).clip(int(least), int(most))
+            target[plane] = small
 
         in_parallel(halve, range(3))
         return replace(self, frame=frame, target=target, visibility=self.visibility and self.visibility.halved())

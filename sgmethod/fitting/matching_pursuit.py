@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.backend.planes import even, halved
 from sgmethod.fitting.bands import Rows, bands
 from sgmethod.scene import FloatArray
 from sgmethod.threads import in_parallel
@@ -82,7 +83,7 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by:
     if by_shrink:
         for first, end in parts:
             for plane, to in zip(residual(first, end), half[:, first // 2 : -(-end // 2)], strict=True):
-                to[...] = _halved(plane)
+                to[...] = halved(plane)
         levels = _coarse_levels(list(half), by_shrink)
     hiding = levels[-1].most(hidden_by - 1) if levels else None
     found = []
@@ -170,7 +171,7 @@ def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> lis
     """One for each shrink, from the coarsest. half: the residual's planes at half the size."""
     planes = {2: half}
     for shrink in list(blurs)[1:]:
-        planes[shrink] = [_halved(plane) for plane in planes[shrink // 2]]
+        planes[shrink] = [halved(plane) for plane in planes[shrink // 2]]
     levels: list[_Level] = []
     for shrink, here in reversed(blurs.items()):
         levels.append(_Level(planes[shrink], shrink, here, levels[-1] if levels else None))
@@ -207,21 +208,8 @@ def _reach(blur: float, shrink: int) -> int:
     return max(1, int(blur / shrink))
 
 
-def _even(plane: FloatArray) -> FloatArray:
-    """With both sides even: the last sample counts twice."""
-    height, width = plane.shape
-    return np.pad(plane, ((0, height % 2), (0, width % 2)), mode="edge") if height % 2 or width % 2 else plane
-
-
-def _halved(plane: FloatArray) -> FloatArray:
-    """At half the size."""
-    plane = _even(plane)
-    size = (plane.shape[1] // 2, plane.shape[0] // 2)
-    return np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
 def _most_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray:
     """At half the size, the largest of each four samples."""
-    plane = _even(plane)
+    plane = even(plane)
     rows = np.maximum(plane[0::2], plane[1::2])
     return np.maximum(rows[:, 0::2], rows[:, 1::2], out=out)

@@ -16,7 +16,7 @@ from sgmethod.rd.request import Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
 
-MANY_VALUES = 1 << 23  # of a picture; the growth of a smaller one leaves little memory behind
+MANY_VALUES = 1 << 23  # of a level; growth on a smaller one leaves little memory behind
 
 
 def prune(plan: Plan, state: State, stage: Stage) -> State:
@@ -61,7 +61,7 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
     saturated = price if len(new) < min(room, s.saturated * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
-    if plan.request.samples > MANY_VALUES:
+    if level.values > MANY_VALUES:
         release_memory()
     gaussians = state.gaussians.with_more(new)
     size = state.size * len(gaussians) // max(n, 1)

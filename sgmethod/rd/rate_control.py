@@ -101,8 +101,9 @@ class RateControl:
         return cls(settings, pixels, 0.0, is_short=asked <= SHORT_BYTES).for_bytes(asked)
 
     def for_exact_background(self) -> RateControl:
-        """The same, without the short file's rounded background, where a budget has the few bytes that this takes."""
-        return replace(self, is_short=self.is_short and (self.max_bytes or 0) < LONG_FILE)
+        """The same for a file that is not short and rounds no background, where a budget has the bytes that this
+        takes."""
+        return replace(self, is_short=(self.max_bytes or 0) < LONG_FILE)
 
     def for_bytes(self, max_bytes: int) -> RateControl:
         """The same for a budget of bytes, or as many as a file can use."""

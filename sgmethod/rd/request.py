@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sgmethod.backend.protocol import Backend, Coding, Frame, Moments, Visibility
 from sgmethod.bitstream.v5 import StreamV5, coded_background
 from sgmethod.fitting.deadline import Deadline, Pace
-from sgmethod.fitting.level import Level, Pyramid, background_of, target_of
+from sgmethod.fitting.level import Histogram, Level, Pyramid, target_of
 from sgmethod.fitting.moving_target import MovingTarget
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
@@ -45,14 +45,12 @@ class Request:
     spread: int = field(init=False)
 
     def __post_init__(self) -> None:
-        pixels = self.pixels
-        background = coded_background(background_of(pixels)[0], self.rate.is_short)
+        pixels, found = self.pixels, Histogram(self.pixels)
+        background = coded_background(found.background, self.rate.is_short)
         grey = len(set(background)) == 1 and bool((pixels == pixels[:, :, :1]).all())
-        rows = pixels.reshape(len(pixels), -1)
-        lowest, highest = (of_columns.reshape(-1, 3).astype(int) for of_columns in (rows.min(0), rows.max(0)))
         object.__setattr__(self, "background", background)
         object.__setattr__(self, "grey", grey)
-        object.__setattr__(self, "spread", (highest.max(0) - lowest.min(0)).max())
+        object.__setattr__(self, "spread", found.spread)
 
     @property
     def pixels(self) -> Pixels:
@@ -174,7 +172,7 @@ def stages(pace: Pace, times: Times) -> Iterator[Stage]:
 class State:
     """Where a fit stands.
 
-    moments: the optimiser's; target: of the whole picture as it moves; steps: taken so far; size: of the file in bytes,
+    moments: the optimiser's; target: of the finest level, as it moves; steps: taken so far; size: of the file in bytes,
     about; saturated_price: the price of a bit at which growth last found next to nothing.
     """
 

@@ -92,12 +92,14 @@ class Refinement {
 
   // Takes what has changed above a level since look() from the residual there, which is less work than to look again.
   void follow(int level) {
-    std::vector<Symbols> changed;
-    for (size_t i = 0; i < all_.size(); ++i)
-      if (levels_[i] > level && std::memcmp(&drawn_[i], &all_[i], sizeof all_[i]) != 0) changed.push_back(drawn_[i]);
+    std::vector<Symbols> changed, now;
+    for (size_t i = 0; i < all_.size(); ++i) {
+      if (levels_[i] <= level || std::memcmp(&drawn_[i], &all_[i], sizeof all_[i]) == 0) continue;
+      changed.push_back(drawn_[i]);
+      now.push_back(all_[i]);
+    }
     const size_t before = changed.size();
-    for (size_t i = 0; i < all_.size(); ++i)
-      if (levels_[i] > level && std::memcmp(&drawn_[i], &all_[i], sizeof all_[i]) != 0) changed.push_back(all_[i]);
+    changed.insert(changed.end(), now.begin(), now.end());
     GaussianArrays g;
     decode(changed, g);
     for (size_t i = 3 * before; i < g.colors.size(); ++i) g.colors[i] = -g.colors[i];
