@@ -24,6 +24,7 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     paper/      profiles paper and baseline
     rd/         profile rd
     codec       encode(): a profile's pipeline, then the decoded result measured
+    previews/   a picture -> a text of some hundred characters, for pages
     many/       any number of pictures, in several processes, with a manifest
     exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
     torch/      tensors: the differentiable renderer, files, data sets
@@ -44,6 +45,7 @@ from sgmethod.pillow import plugin
 
 if TYPE_CHECKING:
     from sgmethod.bitstream.stream import Info
+    from sgmethod.bitstream.text import from_text, to_text
     from sgmethod.budget import Budget
     from sgmethod.codec import Encoded, Stats, encode
     from sgmethod.decoder import SgFile, decode, info, open
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
     from sgmethod.many.encoding import encode_many
     from sgmethod.many.manifest import Row
     from sgmethod.many.run import Tally
+    from sgmethod.previews.preview import Preview, preview
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
     from sgmethod.view import View
@@ -80,6 +83,7 @@ __all__ = [
     "ImageWarning",
     "Info",
     "NativeModuleError",
+    "Preview",
     "Row",
     "ServerError",
     "SgError",
@@ -92,12 +96,15 @@ __all__ = [
     "decode",
     "encode",
     "encode_many",
+    "from_text",
     "info",
     "open",
     "pack",
+    "preview",
     "read_npz",
     "read_ply",
     "set_threads",
+    "to_text",
     "write_npz",
     "write_ply",
 ]
@@ -105,6 +112,7 @@ __all__ = [
 # Each is imported once it is asked for: numpy takes 0.1 s, torch more.
 _HOMES = {
     "bitstream.stream": ("Info",),
+    "bitstream.text": ("from_text", "to_text"),
     "budget": ("Budget",),
     "codec": ("Encoded", "Stats", "encode"),
     "decoder": ("SgFile", "decode", "info", "open"),
@@ -117,6 +125,7 @@ _HOMES = {
     "many.encoding": ("encode_many",),
     "many.manifest": ("Row",),
     "many.run": ("Tally",),
+    "previews.preview": ("Preview", "preview"),
     "scene": ("Gaussians",),
     "trace": ("TracePoint",),
     "view": ("View",),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
+from sgmethod.bitstream.text import file_of
 from sgmethod.budget import whole
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.io.files import own_path
@@ -31,7 +32,7 @@ def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, text
     >>> sgmethod.decode("photo.sg").shape
     (96, 128, 3)
 
-    data: the path or bytes of a file; texture: False leaves texture out, like View(texture=False).
+    data: the path or bytes of a file, or of its text; texture: False leaves texture out, like View(texture=False).
     Raises BitstreamError for a damaged file, and for a picture or view of more than max_pixels; ViewError for an
     invalid view; OSError for a path that cannot be read; MemoryError.
     """
@@ -46,7 +47,7 @@ def info(data: File, max_gaussians: int | None = None) -> Info:
     >>> sgmethod.info("photo.sg").width
     128
 
-    data: the path or bytes of a file.
+    data: the path or bytes of a file, or of its text.
     Raises BitstreamError for a damaged file, and for more than max_gaussians before allocating memory for them;
     OSError.
     """
@@ -71,8 +72,10 @@ class SgFile:
     """
 
     def __init__(self, data: File, max_pixels: int = MAX_PIXELS) -> None:
-        """data: the path or bytes of a file; max_pixels: limit for the picture and each view. Raises BitstreamError and
-        OSError."""
+        """data: the path or bytes of a file, or of its text; max_pixels: limit for the picture and each view.
+
+        Raises BitstreamError and OSError.
+        """
         self._limits = Limits(whole(max_pixels, "max_pixels", 0, MOST))
         self._data = _bytes_of(data)
         self._stream = container.parse(self._data, self._limits)
@@ -137,9 +140,9 @@ class SgFile:
 
 def _bytes_of(file: File) -> bytes:
     if isinstance(file, str | os.PathLike):
-        return own_path(file, BitstreamError).read_bytes()
+        file = own_path(file, BitstreamError).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
-        return bytes(file)
+        return file_of(bytes(file))
     raise BitstreamError(f"an .sg file must be a path or bytes, not {type(file).__name__}")
 
 

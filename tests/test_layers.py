@@ -39,6 +39,7 @@ EXPORTED = {
     *("Info", "NativeModuleError", "ServerError", "SgError", "SgFile", "Stats", "TracePoint", "View", "ViewError"),
     *("Row", "Tally", "decode", "encode", "encode_many", "info", "open", "pack", "set_threads"),
     *("read_npz", "read_ply", "write_npz", "write_ply"),
+    *("Preview", "from_text", "preview", "to_text"),
 }
 
 

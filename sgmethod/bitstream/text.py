@@ -12,6 +12,8 @@ from sgmethod.bitstream.container import LAST_WITH_MAGIC, parse, version_of
 from sgmethod.bitstream.stream import NO_LIMITS, SIGNATURE, Limits
 from sgmethod.errors import BitstreamError
 
+FIRST = b"x"  # character of a text of version 5, and of no other file
+
 
 def to_text(data: bytes) -> str:
     """The text of a file of version 5: 4 characters for 3 bytes, of A-Z a-z 0-9 - _ alone. Raises BitstreamError for an
@@ -31,3 +33,8 @@ def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
     if to_text(data) != text:  # padding, or bits behind the last byte
         raise BitstreamError("this is not the text of an .sg file")
     return data
+
+
+def file_of(data: bytes) -> bytes:
+    """The file, where data are its text, as in a file with a line end. Raises BitstreamError as from_text() does."""
+    return from_text(data.decode("latin-1").strip()) if data[:1] == FIRST else data

@@ -59,6 +59,19 @@ examples:
   sgmethod decode - - <photo.sg >photo.png
   sgmethod decode *.sg --output-dir out            writes out/NAME.png for each""",
 )
+PREVIEW = (
+    "Print pictures as short texts, which a page shows until they have loaded.",
+    """Prints the text alone, or NAME, a tab and the text for each of several pictures. The text is an .sg file in
+base64url: 4 characters for 3 bytes. decode and info read it too, in a file or from stdin.
+
+examples:
+  sgmethod preview photo.jpg
+  sgmethod preview photo.jpg --bytes 400 --json    with width, height, average colour, and whether that is dark
+  sgmethod preview photo.jpg --html                an <img> with the preview as its background
+  sgmethod preview photos --jobs 4 --json >previews.jsonl
+  sgmethod preview photos --output-dir out --resume
+                                                   out/NAME.sg, and all texts in out/manifest.jsonl""",
+)
 INFO = (
     "Show the header of an .sg file and where its bits go.",
     """examples:
@@ -136,6 +149,7 @@ def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
 
     for name, (texts, add) in {
         "encode": (ENCODE, _add_encode_arguments),
+        "preview": (PREVIEW, _add_preview_arguments),
         "decode": (DECODE, _add_decode_arguments),
         "info": (INFO, _add_info_arguments),
         "compare": (COMPARE, _add_compare_arguments),
@@ -162,14 +176,7 @@ def _add_encode_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_output_arguments(parser, "encode every IN, a picture or a folder of them, to DIR/NAME.sg")
     _add_budget_arguments(parser)
-    parser.add_argument(
-        "--jobs",
-        type=_whole_number("a number of jobs", 1, MAX_JOBS),
-        default=1,
-        metavar="N",
-        help="encode N pictures at a time (default: 1)",
-    )
-    parser.add_argument("--resume", action="store_true", help="skip pictures that DIR/manifest.jsonl has as encoded")
+    _add_run_arguments(parser)
     parser.add_argument(
         "--profile",
         choices=PROFILE_NAMES,
@@ -210,6 +217,32 @@ def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
         # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
         read = _size if kind == "bytes" else float
         budget.add_argument(*flags, type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
+
+
+def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("names", nargs="+", type=_path, metavar="IN", help="pictures, and folders of them; - for stdin")
+    parser.add_argument(
+        "--output-dir", type=_path, metavar="DIR", help="write DIR/NAME.sg for every IN, and DIR/manifest.jsonl"
+    )
+    parser.add_argument("--bytes", type=_size, metavar="N", default=200, help="of the .sg file at most (default: 200)")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print one JSON object per picture")
+    form.add_argument("--html", action="store_true", help="print an <img> that needs no JavaScript")
+    form.add_argument("--element", action="store_true", help="print an <sg-img>, which draws the preview itself")
+    _add_run_arguments(parser)
+    _add_common_arguments(parser)
+    parser.set_defaults(output=None)
+
+
+def _add_run_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--jobs",
+        type=_whole_number("a number of jobs", 1, MAX_JOBS),
+        default=1,
+        metavar="N",
+        help="encode N pictures at a time (default: 1)",
+    )
+    parser.add_argument("--resume", action="store_true", help="skip pictures that DIR/manifest.jsonl has as encoded")
 
 
 def _add_decode_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,4 @@
-"""The command line: sgmethod encode, decode, info, compare and plot.
+"""The command line: sgmethod encode, preview, decode, info, compare and plot.
 
 Exit status: 0 for success; 1 when some of several files failed; 2 when the command failed, with one line on stderr that
 says why; 130 after Ctrl-C; 141 when the reader of stdout has gone. A file is written completely or not at all, and
@@ -25,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     began = time.perf_counter()  # all that takes long is imported later
     ends_here = argv is None  # and not in somebody's process
     argv = sys.argv[1:] if argv is None else argv
-    if argv[:1] != ["encode"]:
+    if argv[:1] not in (["encode"], ["preview"]):
         # Threads for numpy's linear algebra, of which only encodes have much, take a third of a short command's time.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from sgmethod.cli.arguments import parse
@@ -62,6 +62,10 @@ def _run(arguments: argparse.Namespace) -> int:
         from sgmethod.cli.encoding import run_encode
 
         return run_encode(arguments)
+    if arguments.run == "preview":
+        from sgmethod.cli.previewing import run_preview
+
+        return run_preview(arguments)
     if arguments.run == "plot":
         from sgmethod.cli.plotting import run_plot
 

@@ -44,7 +44,7 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
     if arguments.output_dir is not None:
         if arguments.trace is not None:
             raise CommandError("--trace cannot be combined with --output-dir")
-        return _into_folder(arguments, PICTURES, sg_beside)
+        return into_folder(arguments, PICTURES, sg_beside)
     if arguments.resume:
         raise CommandError("--resume needs --output-dir")
     source, target = _pair(arguments, "out.sg")
@@ -62,7 +62,7 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
 def decodes(arguments: argparse.Namespace) -> list[Conversion]:
     """.sg files to pictures. Raises CommandError."""
     if arguments.output_dir is not None:
-        return _into_folder(arguments, {SUFFIX}, png_beside)
+        return into_folder(arguments, {SUFFIX}, png_beside)
     source, target = _pair(arguments, "out.png")
     if target is None:
         raise CommandError("OUT is missing: name a picture, such as out.png, or use --output-dir out")
@@ -80,14 +80,14 @@ def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]
     return names[0], files.output(names[1]) if len(names) == 2 else None
 
 
-def _into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
+def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
     """Each file, and each file with a known extension in a folder, to its name in the output folder."""
     if arguments.output is not None:
         raise CommandError("--output cannot be combined with --output-dir")
     if STREAM in arguments.names:
         raise CommandError("--output-dir cannot be combined with standard input")
     made: dict[str, Conversion] = {}
-    for source in (one for name in arguments.names for one in _files_of(name, known)):
+    for source in (one for name in arguments.names for one in files_of(name, known)):
         target = str(Path(arguments.output_dir) / Path(renamed(source)).name)
         if target in made:
             raise CommandError(f"{made[target].source} and {source} would both become {target}")
@@ -96,7 +96,7 @@ def _into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callab
     return list(made.values())
 
 
-def _files_of(name: str, known: set[str]) -> Iterator[str]:
+def files_of(name: str, known: set[str]) -> Iterator[str]:
     """The file itself; for a folder, its files with a known extension, without hidden ones, by name."""
     if not Path(name).is_dir():
         yield name

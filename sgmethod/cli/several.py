@@ -85,7 +85,7 @@ def convert_all(
         keys = {one: manifest.key(one.source) for one in wanted}
         if arguments.resume:
             wanted = [one for one in wanted if not manifest.has(Path(one.target).name, keys[one])]
-    finished = _outcomes(wanted, convert, arguments)
+    finished = outcomes(wanted, convert, arguments)
     if manifest is not None:
         finished = _noted(finished, manifest, keys)
     with closing(finished):
@@ -154,7 +154,7 @@ def _noted(
             yield outcome
 
 
-def _outcomes(
+def outcomes(
     conversions: list[Conversion], convert: Convert, arguments: argparse.Namespace
 ) -> Generator[Outcome, None, None]:
     """The outcomes, as they finish."""

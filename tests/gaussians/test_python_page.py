@@ -30,7 +30,7 @@ def test_the_examples() -> None:
     torch.manual_seed(0)
     names: dict[str, Any] = {}
     examples = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    assert len(examples) == 7
+    assert len(examples) == 8
     for example in examples:
         exec(compile(example, "docs/python.md", "exec"), names)
     assert (names["tally"].encoded, names["tally"].failed) == (1, 0)

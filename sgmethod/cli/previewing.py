@@ -1,0 +1,93 @@
+"""sgmethod preview: pictures as short texts, printed or in a folder's manifest."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Iterable
+from contextlib import closing
+from typing import TYPE_CHECKING
+
+from sgmethod.budget import Budget
+from sgmethod.cli import files, naming
+from sgmethod.cli.arguments import one_line
+from sgmethod.cli.files import STREAM, CommandError
+from sgmethod.cli.naming import PICTURES, Conversion
+from sgmethod.cli.several import SOME_FAILED, Outcome, convert_all, outcomes, say_notes
+from sgmethod.cli.terminal import silent_stderr
+from sgmethod.errors import ImageWarning
+from sgmethod.many.manifest import Manifest
+
+if TYPE_CHECKING:
+    from sgmethod.previews.preview import Preview
+
+
+def run_preview(arguments: argparse.Namespace) -> int:
+    """sgmethod preview"""
+    Budget("bytes", arguments.bytes)  # or every picture would be refused
+    if (arguments.html or arguments.element) and (STREAM in arguments.names or arguments.output_dir is not None):
+        raise CommandError("--html and --element name each picture, and print: they take no - and no --output-dir")
+    if arguments.output_dir is not None:
+        conversions = naming.into_folder(arguments, PICTURES, naming.sg_beside)
+        files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
+        with Manifest(arguments.output_dir, {"preview": True, "bytes": arguments.bytes}) as manifest:
+            return convert_all(conversions, _preview, "made", arguments, manifest)
+    if arguments.resume:
+        raise CommandError("--resume needs --output-dir")
+    listed = ([name] if name == STREAM else naming.files_of(name, PICTURES) for name in arguments.names)
+    wanted = [Conversion(source, STREAM) for names in listed for source in names]
+    if len(wanted) > 1:
+        with closing(outcomes(wanted, _preview, arguments)) as finished:
+            return _print_each(finished, arguments)
+    outcome = _preview(wanted[0], arguments)
+    say_notes(outcome, arguments)
+    print(json.dumps(outcome.figures) if arguments.json else outcome.said)
+    return 0
+
+
+def _print_each(finished: Iterable[Outcome], arguments: argparse.Namespace) -> int:
+    """A line for each picture, with its name, and the failures on stderr."""
+    status = 0
+    for outcome in finished:
+        source = outcome.conversion.source
+        say_notes(outcome, arguments)
+        if outcome.error:
+            print(f"sgmethod: {one_line(source)}: {one_line(outcome.error)}", file=sys.stderr)
+            status = SOME_FAILED
+        elif arguments.json:
+            print(json.dumps({"input": source, **outcome.figures}), flush=True)
+        elif arguments.html or arguments.element:
+            print(outcome.said, flush=True)
+        else:
+            print(f"{one_line(source)}\t{outcome.said}", flush=True)
+    return status
+
+
+def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
+    """Read, encode, and write where there is a folder for it."""
+    try:
+        from sgmethod.previews.preview import preview
+    except ImportError as error:
+        raise CommandError(f"encoding needs extra packages ({error}): pip install 'sgmethod[encode]'") from error
+    image = files.read(conversion.source)
+    with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
+        warnings.simplefilter("always", ImageWarning)
+        made = preview(image, int(arguments.bytes))
+    if conversion.target != STREAM:
+        files.write(conversion.target, made.data)
+    notes = [str(warning.message) for warning in caught]
+    return Outcome(conversion, len(made.data), _said(made, conversion, arguments), made.to_dict(), notes)
+
+
+def _said(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:
+    from sgmethod.previews.preview import quoted
+
+    if arguments.html:
+        return made.html(quoted(conversion.source))
+    if arguments.element:
+        return made.element(quoted(conversion.source))
+    if conversion.target == STREAM:
+        return made.text
+    return f"{made.width} x {made.height} pixels, {len(made.data):,} bytes"

@@ -1,0 +1,103 @@
+"""Preview: the text of a picture, and what a page must know of it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from html import escape
+from urllib.parse import quote
+
+import numpy as np
+
+from sgmethod.bitstream.text import from_text, to_text
+from sgmethod.budget import whole
+from sgmethod.codec import encode
+from sgmethod.decoder import SgFile
+from sgmethod.errors import BudgetError
+from sgmethod.io.header import ImageLimits
+from sgmethod.io.inputs import Input
+from sgmethod.previews.placeholder import data_uri
+from sgmethod.previews.reducing import Pixels, reduced
+
+DEFAULT_BYTES, MAX_BYTES = 200, 16_384
+PIXELS_PER_BYTE = 64  # more gain nothing: docs/notebook/optimiser.md
+DARK = 0.179  # relative luminance below which white contrasts more than black (WCAG 2, 1.4.3)
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True)
+class Preview:
+    """A picture in a few hundred characters.
+
+    text: base64url of an .sg file, which the decoder for pages and sgmethod.from_text() read; width, height: of the
+    picture as displayed, in pixels; color: the average, "#rrggbb", of what is not transparent; dark: whether white
+    text reads better on that than black.
+    """
+
+    text: str
+    width: int
+    height: int
+    color: str
+    dark: bool
+
+    @cached_property
+    def data(self) -> bytes:
+        """The .sg file, which is smaller than the picture: it has the same aspect ratio."""
+        return from_text(self.text)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain JSON types."""
+        return asdict(self)
+
+    def html(self, src: str, alt: str = "") -> str:
+        """An <img> that shows the preview until the picture has loaded, without JavaScript: as a small WebP in its
+        style. A transparent picture, through which that would be seen, has none.
+
+        src: the picture's URL, already quoted; alt: its alternative text.
+        """
+        style = f"background:{self.color} url({data_uri(self.data)}) center/cover"
+        shown = "" if SgFile(self.data).has_alpha else f' style="{style}"'
+        return f'<img {self._attributes(src, alt)} loading="lazy" decoding="async"{shown}>'
+
+    def element(self, src: str, alt: str = "") -> str:
+        """An <sg-img>, which draws the preview itself and fits a strict content security policy. Without JavaScript,
+        the picture is shown alone. Arguments as in html()."""
+        plain = f'<noscript><img {self._attributes(src, alt)} loading="lazy"></noscript>'
+        return f'<sg-img {self._attributes(src, alt)} preview="{self.text}">{plain}</sg-img>'
+
+    def _attributes(self, src: str, alt: str) -> str:
+        return f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'
+
+
+def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | None = None) -> Preview:
+    """A picture as a text of a few hundred characters, for an attribute or a JSON string.
+
+    >>> made = sgmethod.preview("photo.jpg")
+    >>> made.width, made.height, len(made.text) <= 266
+    (128, 96, True)
+
+    image: as encode() takes it; transparency is kept; bytes: of the file at most, 12 to 16,384, which are 4 characters
+    for 3; limits: of image files.
+    Raises ImageError, BudgetError, OSError and MemoryError, and warns with ImageWarning, as encode() does.
+    """
+    bytes = whole(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
+    pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
+    text = to_text(encode(pixels, bytes=bytes, tune="psnr").data)
+    color = average_of(pixels)
+    values = np.array(color) / 255
+    light = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    hexadecimal = "#{:02x}{:02x}{:02x}".format(*color)
+    return Preview(text, width, height, hexadecimal, bool(light @ LUMINANCE < DARK))
+
+
+def average_of(pixels: Pixels) -> tuple[int, int, int]:
+    """The average colour of [H, W, 3], or of [H, W, 4] as far as it is opaque."""
+    flat = pixels.reshape(-1, pixels.shape[2]).astype(np.float64)
+    weights = flat[:, 3] if flat.shape[1] == 4 and flat[:, 3].any() else np.ones(len(flat))
+    red, green, blue = (round(float(level)) for level in weights @ flat[:, :3] / weights.sum())
+    return red, green, blue
+
+
+def quoted(path: str) -> str:
+    """A path as the URL of a file beside the page."""
+    return quote(path.replace("\\", "/"), safe="/:~")

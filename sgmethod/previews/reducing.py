@@ -1,0 +1,59 @@
+"""A picture reduced to what a preview can show, read no larger than it must be."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from sgmethod.errors import ImageError
+from sgmethod.io.files import own_path
+from sgmethod.io.header import ImageLimits
+from sgmethod.io.image import read_header, read_image_8_bit
+from sgmethod.io.inputs import Input, read_input
+
+Pixels = NDArray[np.uint8]
+Size = tuple[int, int]  # width, height
+
+SHORTEST = 3 / 4  # of the shorter side that pixels allow, among which one keeps the aspect ratio best
+SPARE = 2  # times the size: to this a picture is reduced cheaply, a JPEG while it is read
+
+
+def reduced(image: Input, pixels: int, limits: ImageLimits | None = None) -> tuple[Pixels, Size]:
+    """The picture at reduced_size(), uint8 [H, W, 3 or 4], and its own size as displayed.
+
+    limits: of files. Raises ImageError, and OSError for a path that cannot be read.
+    """
+    if isinstance(image, str | os.PathLike):
+        image = own_path(image, ImageError).read_bytes()
+    if isinstance(image, bytes | bytearray | memoryview):
+        header = read_header(bytes(image), limits)
+        own = header.width, header.height
+        smaller = min(side // to for side, to in zip(own, reduced_size(own, pixels), strict=True)) // SPARE
+        whole = read_image_8_bit(bytes(image), limits, keep_alpha=True, smaller=smaller)
+    else:
+        whole = read_input(image, keep_alpha=True)
+        own = whole.shape[1], whole.shape[0]
+    size = reduced_size(own, pixels)
+    if whole.shape[1::-1] == size:
+        return whole, own
+    return np.asarray(Image.fromarray(whole).resize(size, Image.Resampling.LANCZOS, reducing_gap=SPARE)), own
+
+
+def reduced_size(size: Size, pixels: int) -> Size:
+    """The size of at most about so many pixels whose aspect ratio is nearest to that of `size`.
+
+    >>> reduced_size((4032, 3024), 12_800), reduced_size((3872, 2592), 12_800)
+    ((128, 96), (121, 81))
+    """
+    width, height = size
+    scale = (pixels / (width * height)) ** 0.5
+    if scale >= 1:
+        return size
+    short, long = sorted(size)
+    most = max(int(scale * short), 1)
+    sides = [(side, max(round(side * long / short), 1)) for side in range(most, int(SHORTEST * most), -1)]
+    best = min(sides, key=lambda one: abs(one[1] / one[0] * short / long - 1))
+    return best if width < height else best[::-1]

@@ -1,0 +1,91 @@
+"""sgmethod preview: what it prints for one picture and for several, and the folder it writes."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+import sgmethod
+from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, run
+
+__all__ = ["in_folder", "run"]  # fixtures
+
+FIELDS = ["text", "width", "height", "color", "dark"]
+
+
+@pytest.fixture
+def pictures() -> None:
+    Path("photos").mkdir()
+    for number in (1, 2):
+        PHOTO.rotate(number).save(f"photos/{number} a.png")
+    Path("photos/broken.jpg").write_bytes(b"\xff\xd8\xff")
+
+
+def test_one_text(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = run("preview", "photo.png", "--bytes", "0.1k")
+    assert (ran.status, ran.err) == (0, "")
+    data = sgmethod.from_text(ran.out.strip())
+    assert len(data) <= 100
+    again = run("preview", "photo.png", "--bytes", "100", "--json")
+    assert list(json.loads(again.out)) == FIELDS
+    assert json.loads(again.out)["text"] == ran.out.strip()
+    Path("text").write_text(ran.out)
+    assert run("decode", "text", "out.png").status == 0
+    assert "version 5" in run("info", "text").out
+    Path("text").write_text(ran.out[:50])
+    damaged = run("info", "text")
+    assert (damaged.status, damaged.err) == (2, "sgmethod: the file is damaged: its checksum does not match\n")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(Path("photo.png").read_bytes())))
+    assert run("preview", "-", "--bytes", "100").out == ran.out
+
+
+@pytest.mark.usefixtures("pictures")
+@pytest.mark.parametrize(("option", "tag"), [("--html", "<img "), ("--element", "<sg-img ")])
+def test_html(run: Run, option: str, tag: str) -> None:
+    ran = run("preview", "photos/1 a.png", "photo.png", option, "--bytes", "60")
+    first, second = ran.out.splitlines()
+    assert first.startswith(f'{tag}src="photos/1%20a.png" alt="" width="128" height="96"')
+    assert second.startswith(f'{tag}src="photo.png"')
+
+
+@pytest.mark.usefixtures("pictures")
+def test_several(run: Run) -> None:
+    ran = run("preview", "photos", "--bytes", "60")
+    assert ran.status == 1
+    assert [line.split("\t")[0] for line in ran.out.splitlines()] == ["photos/1 a.png", "photos/2 a.png"]
+    assert ran.err.startswith("sgmethod: photos/broken.jpg: ")
+    lines = [json.loads(line) for line in run("preview", "photos", "--bytes", "60", "--json").out.splitlines()]
+    assert [list(line) for line in lines] == [["input", *FIELDS]] * 2
+    assert [line["text"] for line in lines] == [line.split("\t")[1] for line in ran.out.splitlines()]
+
+
+@pytest.mark.usefixtures("pictures")
+def test_a_folder_and_its_manifest(run: Run) -> None:
+    arguments = ("preview", "photos", "--output-dir", "out", "--resume", "--bytes", "60")
+    ran = run(*arguments)
+    assert ran.status == 1
+    rows = {row["name"]: row for row in map(json.loads, Path("out/manifest.jsonl").read_text().splitlines())}
+    assert sorted(rows) == ["1 a.sg", "2 a.sg", "broken.sg"]
+    assert list(rows["1 a.sg"]["figures"]) == FIELDS
+    assert sgmethod.from_text(rows["1 a.sg"]["figures"]["text"]) == Path("out/1 a.sg").read_bytes()
+    assert "0 made, 2 skipped, 1 failed" in run(*arguments).out
+    assert "2 made, 0 skipped, 1 failed" in run(*arguments, "--bytes", "61").out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("photo.png --bytes 5", "at least 12 bytes"),
+        ("photo.png --bytes 100k", "from 1 to 16384"),
+        ("photo.png --resume", "--resume needs --output-dir"),
+        ("photo.png --html --json", "not allowed with"),
+        ("- --html", "take no -"),
+        ("photo.png --element --output-dir out", "no --output-dir"),
+        ("picture.sg", "an .sg file already"),
+    ],
+)
+def test_refusals(run: Run, arguments: str, said: str) -> None:
+    assert_refused(run("preview", *arguments.split()), said)

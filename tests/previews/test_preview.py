@@ -1,0 +1,205 @@
+"""sgmethod.preview(): what its text, its figures and its HTML say of a picture."""
+
+from __future__ import annotations
+
+import base64
+import doctest
+import io
+import json
+import warnings
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import sgmethod
+from sgmethod.errors import BitstreamError, BudgetError, ImageError
+from sgmethod.io.header import ImageLimits
+from sgmethod.metrics import psnr
+from sgmethod.previews import reducing
+from sgmethod.previews.preview import Preview, average_of, quoted
+from sgmethod.previews.reducing import reduced, reduced_size
+from sgmethod.profiles import PROFILES
+from tests.harness.data import PHOTOGRAPHS
+from tests.rd.short import short
+
+PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
+LARGE = PHOTO.resize((1200, 900), Image.Resampling.BICUBIC)
+
+
+def saved(picture: Image.Image, kind: str, **options: object) -> bytes:
+    file = io.BytesIO()
+    picture.save(file, kind, **options)
+    return file.getvalue()
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(PROFILES, "rd", short(60))
+
+
+@pytest.fixture(scope="module")
+def made() -> Preview:
+    return sgmethod.preview(LARGE, 120)
+
+
+def test_the_text_is_a_small_picture_of_the_same_shape(made: Preview) -> None:
+    assert len(made.data) <= 120
+    assert len(made.text) <= 160
+    assert (made.width, made.height) == LARGE.size
+    decoded = sgmethod.decode(made.data)
+    height, width, _ = decoded.shape
+    assert width * 900 == height * 1200
+    assert width * height <= 64 * 120
+    assert psnr(decoded, np.asarray(LARGE.resize((width, height), Image.Resampling.BOX))) > 18  # seen: 19.5
+
+
+def test_color_and_dark(made: Preview) -> None:
+    mean = np.asarray(LARGE).mean((0, 1))
+    assert np.abs([int(made.color[at : at + 2], 16) for at in (1, 3, 5)] - mean).max() < 2
+    grey = {level: sgmethod.preview(np.full((8, 8), level, np.uint8), 60) for level in (0, 116, 119, 255)}
+    assert {level: one.dark for level, one in grey.items()} == {0: True, 116: True, 119: False, 255: False}
+    assert [one.color for one in grey.values()] == ["#000000", "#747474", "#777777", "#ffffff"]
+
+
+def test_every_decoder_of_files_reads_the_text(made: Preview, tmp_path: Path) -> None:
+    pixels = sgmethod.decode(made.data)
+    (tmp_path / "text").write_text(made.text + "\n")
+    assert sgmethod.from_text(made.text) == made.data
+    assert sgmethod.to_text(made.data) == made.text
+    np.testing.assert_array_equal(sgmethod.decode(made.text.encode()), pixels)
+    np.testing.assert_array_equal(sgmethod.open(tmp_path / "text").pixels(), pixels)
+    assert sgmethod.info(made.text.encode()) == sgmethod.info(made.data)
+
+
+def test_damaged_texts_are_refused(made: Preview) -> None:
+    swapped = "A" if made.text[30] != "A" else "B"
+    damaged = [made.text[:end] for end in range(1, len(made.text), 7)]
+    damaged += [made.text[:30] + swapped + made.text[31:], made.text + "!", made.text + "=", "xé", "x"]
+    for text in damaged:
+        with pytest.raises(BitstreamError):
+            sgmethod.from_text(text)
+        with pytest.raises(BitstreamError):
+            sgmethod.decode(text.encode())
+
+
+def test_transparency_is_kept() -> None:
+    pixels = np.zeros((90, 120, 4), np.uint8)
+    pixels[:, :60] = (200, 40, 40, 255)
+    pixels[:, 60:] = (0, 255, 0, 0)  # a colour that cannot be seen
+    made = sgmethod.preview(pixels, 120)
+    decoded = sgmethod.decode(made.data)
+    third = decoded.shape[1] // 3
+    assert decoded[:, :third, 3].mean() > 200
+    assert decoded[:, -third:, 3].mean() < 55
+    assert made.color == "#c82828"
+    assert "style" not in made.html("a.png")
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP"])
+def test_files_of_several_kinds(kind: str) -> None:
+    exif = Image.Exif()
+    exif[274] = 6  # to be turned by a quarter
+    file = saved(LARGE, kind, exif=exif)
+    made = sgmethod.preview(file, 60)
+    assert (made.width, made.height) == (900, 1200)
+    width, height = sgmethod.open(made.data).size
+    assert width * 4 == height * 3
+
+
+def test_a_large_jpeg_is_read_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[int, ...]] = []
+    read = reducing.read_image_8_bit
+    monkeypatch.setattr(reducing, "read_image_8_bit", lambda *a, **k: seen.append((p := read(*a, **k)).shape) or p)
+    file = saved(LARGE, "JPEG", quality=95)
+    small, own = reduced(file, 5000)
+    assert (seen, own) == ([(225, 300, 3)], (1200, 900))
+    assert small.shape == (60, 80, 3)
+    whole = np.asarray(LARGE.resize((80, 60), Image.Resampling.BOX))
+    assert psnr(small, whole) > 35  # seen: 42
+
+
+@pytest.mark.parametrize("size", [(4032, 3024), (3872, 2592), (1280, 853), (1999, 1333), (853, 1280), (1000, 1001)])
+@pytest.mark.parametrize("bytes_", [200, 1024])
+def test_aspect_ratios_reserve_the_right_space(size: tuple[int, int], bytes_: int) -> None:
+    """To a pixel in 1,000, even where that pixel is all by which the sides differ."""
+    width, height = reduced_size(size, 64 * bytes_)
+    assert 32 * bytes_ < width * height <= 64 * bytes_ * 1.02
+    assert abs(width / height * size[1] / size[0] - 1) <= 1 / 999
+
+
+@pytest.mark.parametrize("size", [(1, 1), (5, 3), (2, 60_000), (60_000, 1), (300, 20_000)])
+def test_odd_sizes(size: tuple[int, int]) -> None:
+    width, height = reduced_size(size, 4096)
+    assert 1 <= width <= size[0]
+    assert 1 <= height <= size[1]
+
+
+class Tags(HTMLParser):
+    """The attributes of each tag."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+
+def test_html(made: Preview) -> None:
+    ((tag, attributes),) = Tags(made.html('a"b.jpg', "<a> & b")).tags
+    assert tag == "img"
+    assert (attributes["src"], attributes["alt"]) == ('a"b.jpg', "<a> & b")
+    assert (attributes["width"], attributes["height"], attributes["loading"]) == ("1200", "900", "lazy")
+    style = attributes["style"] or ""
+    assert style.startswith(f"background:{made.color} url(data:image/webp;base64,")
+    picture = Image.open(io.BytesIO(base64.b64decode(style.split("base64,")[1].split(")")[0])))
+    assert picture.size == (32, 24)
+    assert len(style) < 600
+    expected = LARGE.resize((32, 24), Image.Resampling.BOX)
+    assert psnr(np.asarray(picture.convert("RGB")), np.asarray(expected)) > 16  # seen: 18.3
+
+
+def test_element(made: Preview) -> None:
+    tags = Tags(made.element("a.jpg", "b")).tags
+    assert [tag for tag, _ in tags] == ["sg-img", "noscript", "img"]
+    same = {"src": "a.jpg", "alt": "b", "width": "1200", "height": "900"}
+    assert tags[0][1] == {**same, "preview": made.text}
+    assert tags[2][1] == {**same, "loading": "lazy"}
+    assert "style" not in made.element("a.jpg")
+
+
+def test_dictionary_and_names(made: Preview) -> None:
+    facts = json.loads(json.dumps(made.to_dict()))
+    assert list(facts) == ["text", "width", "height", "color", "dark"]
+    assert quoted("a b/ü#1?.jpg") == "a%20b/%C3%BC%231%3F.jpg"
+
+
+def test_average_of_what_cannot_be_seen() -> None:
+    assert average_of(np.full((2, 2, 4), (10, 20, 30, 0), np.uint8)) == (10, 20, 30)
+
+
+@pytest.mark.parametrize("asked", [5, 20_000, 1.5, True, "200"])
+def test_bytes_that_no_preview_has(asked: object) -> None:
+    with pytest.raises(BudgetError):
+        sgmethod.preview(PHOTO, asked)  # type: ignore[arg-type]
+
+
+def test_what_is_no_picture() -> None:
+    with pytest.raises(ImageError, match="not a PNG"):
+        sgmethod.preview(b"hello")
+    with pytest.raises(ImageError, match="too large"):
+        sgmethod.preview(saved(LARGE, "PNG"), limits=ImageLimits(max_pixels=1000))
+
+
+def test_examples_in_docstrings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    PHOTO.save("photo.jpg")
+    for module in ("preview", "reducing"):
+        with warnings.catch_warnings(record=True) as caught:
+            source = __import__(f"sgmethod.previews.{module}", fromlist=["x"])
+            ran = doctest.testmod(source, extraglobs={"sgmethod": sgmethod})
+        assert (ran.attempted > 0, ran.failed, caught) == (True, 0, [])
