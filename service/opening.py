@@ -20,6 +20,7 @@ def open_job_table(settings: Settings) -> JobTable:
         max_attempts=settings.max_attempts,
         max_running_per_owner=settings.max_running_per_key,
         source_retention_s=settings.source_retention_s,
+        webhooks=settings.webhook_addresses,
     )
     if settings.uses_postgres:
         try:

@@ -6,6 +6,7 @@ holds the same table; a test compares the two.
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterable
 from functools import cached_property
 from ipaddress import ip_network
@@ -21,6 +22,7 @@ from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 
 MIN_SECRET_LENGTH = 32
+MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # what the system and both databases can surely count
 MOST = 10**9
 OTHER_NAMES = frozenset({"SG_API_KEY"})  # the client's
@@ -90,7 +92,7 @@ class Settings(BaseSettings):
 
     workers: int = Field(default_factory=default_workers, ge=1, description="number of concurrent encodes")
     threads: int = Field(default=0, ge=0, description="threads per encode; 0 divides the cores among the workers")
-    queue_length: int = Field(default=100, ge=1, description="queued jobs before new ones get 429")
+    queue_length: int = Field(default=1000, ge=1, description="queued jobs before new ones get 429")
 
     api_keys: str = Field(
         default="", description="API keys as name:SHA-256, separated by commas; without keys the service is open to all"
@@ -100,7 +102,7 @@ class Settings(BaseSettings):
         default=50.0, gt=0, description="requests per second and API key (bursts of twice as many) before 429"
     )
     max_queued_per_key: int = Field(
-        default=50, ge=0, description="queued jobs per API key before new ones get 429; 0 for no limit"
+        default=500, ge=0, description="queued jobs per API key before new ones get 429; 0 for no limit"
     )
     metrics_key: str = Field(
         default="", description="name of the only API key that may read /metrics; empty for any key"
@@ -109,6 +111,16 @@ class Settings(BaseSettings):
         default=SecretStr(""), description="at least 32 characters that sign links; empty disables links"
     )
     link_max_age_s: int = Field(default=7 * 86_400, ge=1, description="longest lifetime of a link in seconds")
+
+    webhook_urls: str = Field(
+        default="",
+        pattern=r"^(|https?://[^/,\s][^,\s]*(,\s*https?://[^/,\s][^,\s]*)*)$",
+        repr=False,
+        description="addresses, separated by commas, that are told when a job ends",
+    )
+    webhook_secret: SecretStr = Field(
+        default=SecretStr(""), description="what signs webhooks: whsec_ and at least 24 bytes in base64"
+    )
 
     max_connections: int = Field(
         default=1000, ge=1, description="concurrent connections before the slowest is closed, or new ones get 503"
@@ -214,6 +226,12 @@ class Settings(BaseSettings):
                 raise ValueError(f"SG_{name.upper()} must be at most {getattr(most, name)}: no larger image is read")
         return self
 
+    @model_validator(mode="after")
+    def _webhooks_are_signed(self) -> Settings:
+        if self.webhook_urls and len(self.webhook_key) < MIN_WEBHOOK_KEY_BYTES:
+            raise ValueError("SG_WEBHOOK_URLS needs SG_WEBHOOK_SECRET: whsec_ and at least 24 bytes in base64")
+        return self
+
     @field_validator("trusted_proxies")
     @classmethod
     def _proxies_are_addresses(cls, text: str) -> str:
@@ -246,6 +264,20 @@ class Settings(BaseSettings):
         if not keys and (self.api_keys or self.api_keys_file):
             raise ValueError("SG_API_KEYS and SG_API_KEYS_FILE contain no key, which would leave the service open")
         return keys
+
+    @property
+    def webhook_addresses(self) -> tuple[str, ...]:
+        """Where it is told that a job has ended."""
+        return tuple(address.strip() for address in self.webhook_urls.split(",") if address.strip())
+
+    @property
+    def webhook_key(self) -> bytes:
+        """What signs webhooks; empty unless the secret is one."""
+        kind, _, encoded = self.webhook_secret.get_secret_value().rpartition("_")
+        try:
+            return base64.b64decode(encoded, validate=True) if kind == "whsec" else b""
+        except ValueError:
+            return b""
 
     @property
     def encode_threads(self) -> int:

@@ -17,7 +17,7 @@ from typing import Any
 import httpx
 
 from tests.harness.data import ROOT
-from tests.harness.processes import PATIENCE_S, Kind, processes
+from tests.harness.processes import PATIENCE_S, Kind, Process, processes
 from tests.harness.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
@@ -53,7 +53,7 @@ class ChaosService(ServiceProcess):
             path = page["next"]
         return jobs
 
-    def family(self) -> dict[int, str]:
+    def family(self) -> dict[int, Process]:
         family = super().family()
         self._seen |= family.keys()
         return family

@@ -17,27 +17,27 @@ from psycopg_pool import ConnectionPool
 from service.jobs.engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
 from service.jobs.sql import WATCHED, SqlJobTable
-from service.jobs.statements import OVERDUE, SCHEMA, WORKERS, Cursor, Database
+from service.jobs.statements import NOTICES, OVERDUE, SCHEMA, WORKERS, Cursor, Database
 from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
 # The database's clock: those of several machines differ.
 EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;{WORKERS}"
+UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;{WORKERS}{NOTICES}"
 UPGRADE_FROM_1 = f"""
 ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;
 UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN (result::json -> 'stats' ->> 'bytes')::BIGINT
     WHEN 'failed' THEN 0 ELSE (image::json ->> 'size_bytes')::BIGINT END, 0);
 {UPGRADE_FROM_2}
 """
-UPGRADES = {1: UPGRADE_FROM_1, 2: UPGRADE_FROM_2, 3: WORKERS}
+UPGRADES = {1: UPGRADE_FROM_1, 2: UPGRADE_FROM_2, 3: WORKERS + NOTICES, 4: NOTICES}
 # Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
 # stopped within a transaction must not hold its locks for ever.
 SESSION = {

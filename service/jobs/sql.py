@@ -6,6 +6,7 @@ What differs is in sqlite.py and postgres.py: connections, transactions, and how
 from __future__ import annotations
 
 import json
+import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, fields
 from typing import Any, TypeVar
 
+from service.jobs import notices
 from service.jobs.job import (
     JOB_STATES,
     EncodeRequest,
@@ -24,6 +26,7 @@ from service.jobs.job import (
     NewJob,
     SourceImage,
 )
+from service.jobs.notices import Notice
 from service.jobs.statements import (
     CLAIM,
     CRASH,
@@ -48,6 +51,8 @@ from service.jobs.table import (
     Room,
 )
 from service.storage.files import bitstream_key, source_key
+
+log = logging.getLogger(__name__)
 
 WORKER_LOST = JobError("crashed", "the worker of this job was lost")
 NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
@@ -193,13 +198,16 @@ class SqlJobTable(ABC):
             ).fetchone()
             stored_bytes = _stored_bytes(db)
             seen = db.execute("SELECT name, epoch() - seen_at AS seconds FROM workers").fetchall()
+            query = "SELECT count(*) AS notices, coalesce(epoch() - min(ended_at), 0) AS waits FROM notices"
+            untold = db.execute(query).fetchone()
         counts = {row["state"]: row["jobs"] for row in rows}
         jobs = {state: counts.get(state, 0) for state in JOB_STATES}
         # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
         lease_over = ages["lease_over"]
         alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
         silent_s = min((age for age in alive if age is not None), default=None)
-        return Census(jobs, ages["waiting"], silent_s, stored_bytes, {row["name"]: row["seconds"] for row in seen})
+        workers = {row["name"]: row["seconds"] for row in seen}
+        return Census(jobs, ages["waiting"], silent_s, stored_bytes, workers, untold["notices"], untold["waits"])
 
     def page(
         self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
@@ -231,6 +239,7 @@ class SqlJobTable(ABC):
             rows = [db.execute(statement, (*values, *claim)).fetchone() for claim in lost]
             jobs = [_job(row) for row in rows if row is not None]
             for job in jobs:
+                notices.note(db, job, self._rules.webhooks)
                 if job.state == "queued":
                     self._wake(db)
         return [job for job in jobs if job.state == "failed"]
@@ -302,6 +311,7 @@ class SqlJobTable(ABC):
                 "state = 'done', result = ?, stored_bytes = ? + ? * stored_bytes, error = NULL, finished_at = epoch()"
             )
             if self._change(db, claim, done, text, _bytes_of(result), self._keeps_sources):
+                self._note_end(db, claim.job_id)
                 return True
             # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
@@ -311,15 +321,25 @@ class SqlJobTable(ABC):
         with self._transaction() as db:
             if not retry:
                 failed = "state = 'failed', error = ?, stored_bytes = ? * stored_bytes, finished_at = epoch()"
-                return self._change(db, claim, failed, _json(error), self._keeps_sources)
+                mine = self._change(db, claim, failed, _json(error), self._keeps_sources)
+                if mine:
+                    self._note_end(db, claim.job_id)
+                return mine
             return self._crash(db, claim.job_id, claim.attempt, error)
 
     def _crash(self, db: Database, job_id: str, attempt: int, error: JobError) -> bool:
         values = self._crash_values(error)
         mine = db.execute(f"UPDATE jobs SET {CRASH} {MINE}", (*values, job_id, attempt)).rowcount == 1
         if mine:
+            self._note_end(db, job_id)
             self._wake(db)  # in vain if the job has failed, which does no harm
         return mine
+
+    def _note_end(self, db: Database, job_id: str) -> None:
+        """Let the operator's addresses hear of it, if the job has ended."""
+        if self._rules.webhooks:
+            row = db.execute(SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
+            notices.note(db, _job(row), self._rules.webhooks)
 
     def _crash_values(self, error: JobError) -> tuple[Any, ...]:
         """For the places in CRASH."""
@@ -343,6 +363,23 @@ class SqlJobTable(ABC):
         """Update the claimed job under its fencing token; False if the token is stale."""
         statement = f"UPDATE jobs SET {assignments} {MINE}"
         return db.execute(statement, (*values, claim.job_id, claim.attempt)).rowcount == 1
+
+    def due_notice(self, address: str) -> Notice | None:
+        with self._connection() as db:  # asked every second: look before taking a lock
+            if notices.due(db, address) is None:
+                return None
+        with self._transaction() as db:
+            self._alone(db)
+            if given_up := notices.give_up(db):
+                log.error("gave up on %d webhooks", given_up)
+            notice = notices.due(db, address)
+            if notice is not None:
+                notices.put_off(db, notice)
+            return notice
+
+    def notice_delivered(self, notice: Notice) -> None:
+        with self._transaction() as db:
+            notices.forget(db, notice)
 
     def needed_keys(self) -> set[str]:
         with self._connection() as db:

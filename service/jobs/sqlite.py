@@ -10,13 +10,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.jobs.sql import SqlJobTable
-from service.jobs.statements import SCHEMA, WORKERS, Database
+from service.jobs.statements import NOTICES, SCHEMA, WORKERS, Database
 from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
 # From version 1, which knew no owners: new tables, filled from the old ones.
 UPGRADE_FROM_1 = f"""
@@ -36,9 +36,16 @@ COUNT_BYTES = """
 UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN json_extract(result, '$.stats.bytes')
     WHEN 'failed' THEN 0 ELSE json_extract(image, '$.size_bytes') END, 0);
 """
-UPGRADE_FROM_3 = f"ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;{WORKERS}"
+UPGRADE_FROM_3 = f"ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;{WORKERS}{NOTICES}"
 UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;{COUNT_BYTES}{UPGRADE_FROM_3}"
-SCRIPTS = {0: SQLITE_SCHEMA, 1: UPGRADE_FROM_1 + COUNT_BYTES, 2: UPGRADE_FROM_2, 3: UPGRADE_FROM_3, 4: WORKERS}
+SCRIPTS = {
+    0: SQLITE_SCHEMA,
+    1: UPGRADE_FROM_1 + COUNT_BYTES,
+    2: UPGRADE_FROM_2,
+    3: UPGRADE_FROM_3,
+    4: WORKERS + NOTICES,
+    5: NOTICES,
+}
 
 
 class SqliteJobTable(SqlJobTable):

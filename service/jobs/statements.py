@@ -11,8 +11,20 @@ CREATE TABLE workers (
     seen_at DOUBLE PRECISION NOT NULL
 );
 """
+NOTICES = """
+CREATE TABLE notices (
+    job      TEXT NOT NULL,
+    address  TEXT NOT NULL,
+    body     TEXT NOT NULL,
+    tries    INTEGER NOT NULL,
+    ended_at DOUBLE PRECISION NOT NULL,
+    due_at   DOUBLE PRECISION NOT NULL,
+    PRIMARY KEY (job, address)
+);
+CREATE INDEX notices_by_time ON notices (address, due_at);
+"""
 # In place of {number} stands how each database counts rows up.
-SCHEMA = f"""{WORKERS}
+SCHEMA = f"""{WORKERS}{NOTICES}
 CREATE TABLE jobs (
     number          {{number}},
     id              TEXT NOT NULL UNIQUE,

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, JobState, JsonObject, NewJob
+from service.jobs.notices import Notice
 from service.process.stopping import StopSignal
 
 
@@ -62,13 +63,14 @@ class JobRules:
 
     lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
     max_running_per_owner: jobs of one owner that run at once, 0 for any number; source_retention_s: for how long the
-    image of a finished job is kept.
+    image of a finished job is kept; webhooks: addresses that are told when a job ends.
     """
 
     lease_s: float
     max_attempts: int
     max_running_per_owner: int = 0
     source_retention_s: float = 0.0
+    webhooks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ class Census:
 
     jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
     any worker was last heard from, None if none ever was. Seconds, by the table's own clock. stored_bytes: of images
-    and bitstreams; workers: seconds since the last sign of life of each, by name.
+    and bitstreams; workers: seconds since the last sign of life of each, by name; notices: webhooks to be delivered;
+    notice_waits_s: age of the oldest of them.
     """
 
     jobs: Mapping[JobState, int]
@@ -94,6 +97,8 @@ class Census:
     silent_s: float | None
     stored_bytes: int
     workers: Mapping[str, float] = field(default_factory=dict)
+    notices: int = 0
+    notice_waits_s: float = 0.0
 
 
 class JobTable(Protocol):
@@ -220,6 +225,16 @@ class JobTable(Protocol):
 
     def finished(self, older_than_s: float, owner: str | None = None) -> list[Job]:
         """The jobs, oldest first, that were done or failed for longer than that (seconds); with an owner, theirs."""
+        ...
+
+    def due_notice(self, address: str) -> Notice | None:
+        """A notice that a job has ended, for the caller to send now; unless it is said to be delivered, it is due again
+        after a pause, which doubles. Those of more than three days ago are given up.
+        """
+        ...
+
+    def notice_delivered(self, notice: Notice) -> None:
+        """The address has taken it."""
         ...
 
     def close(self) -> None:

@@ -1,9 +1,12 @@
-"""The encoder process, which encodes one image: `service.worker.encoder SPEC`, started confined by a worker.
+"""The encoder process, which encodes one image, and the process that starts it: `service.worker.encoder DESCRIPTOR`.
 
-It knows neither the job table nor the storage. SPEC is a JSON object (see Spec). The image comes in as standard
-input, and everything goes out as frames on standard output. When the process ends its memory is free again, and
-whatever an image broke is gone. Once the first trace point is out, the signal END_EARLY asks it to stop fitting and to
-send what it has.
+Over the socket of that descriptor comes one line of JSON for each encode (see Spec), with three open files beside it:
+the image, a pipe for frames, and one for what the encoder complains of. The process forks, and answers with the number
+of its fork; so an encode does not wait until the codec is imported. The fork confines itself before it reads the image.
+It is a child of the worker, which must be a subreaper.
+
+An encoder knows neither the job table nor the storage. When it ends its memory is free again, and whatever an image
+broke is gone. Once the first trace point is out, the signal END_EARLY asks it to stop fitting and to send what it has.
 
 A frame is one letter, the payload's length (32 bits, big-endian) and the payload:
     T  a trace point (JSON)          any number of times
@@ -15,26 +18,38 @@ A frame is one letter, the payload's length (32 bits, big-endian) and the payloa
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import os
 import resource
 import signal
+import socket
 import struct
 import sys
 import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, BinaryIO
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn
 
+import sgmethod
 from service.jobs.job import EncodeRequest
 from service.process import lifeline
+from service.process.confinement import confine
 
+READY = b"!"  # said once, when encoders can be started
+PROCESS = struct.Struct(">I")  # the number of one
+SPEC_BYTES = 1 << 16
 FRAME_HEADER = struct.Struct(">cI")
 TRACE, PREVIEW, REFUSED, STATS, BITSTREAM = b"T", b"P", b"E", b"R", b"D"
 
+# What one line of a PPM file is enough for: the first encode of a process takes longer than those that follow.
+TINY_PICTURE = b"P6 8 8 255 " + bytes(range(192))
+NAME_LENGTH = 15  # of a process, which shows the beginning of its job's id
 # Behind all who answer, so that answers come at once while every core encodes: the least share that the system gives.
 NICENESS = 19
 PARENT_GONE = 3
@@ -45,24 +60,26 @@ NO_MEMORY = b"the encode exceeds the memory limit"
 
 @dataclass(frozen=True)
 class Spec:
-    """What to do. job_id and attempt are there for operators, who see them in the process list.
+    """What to do.
 
-    lifeline: descriptor to watch; memory_bytes, cpu_s: limits of this process, the latter in seconds of one core.
+    job_id: for operators, who see it in the process list; folder: the encoder's own; lifeline: descriptor to watch;
+    threads: of an encode; memory_bytes, cpu_s: limits of this process, the latter in seconds of one core.
     """
 
     job_id: str
-    attempt: int
     request: EncodeRequest
+    folder: str
     lifeline: int
+    threads: int
     memory_bytes: int
     cpu_s: int
 
-    def to_json(self) -> str:
-        """The spec as a command-line argument."""
-        return json.dumps(asdict(self))
+    def to_json(self) -> bytes:
+        """One line."""
+        return json.dumps(asdict(self)).encode()
 
     @classmethod
-    def from_json(cls, text: str) -> Spec:
+    def from_json(cls, text: bytes) -> Spec:
         """The inverse of to_json."""
         fields = json.loads(text)
         return cls(**{**fields, "request": EncodeRequest(**fields["request"])})
@@ -90,13 +107,6 @@ def limit_memory(limit_bytes: int) -> None:
 def limit_time(limit_s: int) -> None:
     """End this process after this much CPU time. The worker ends it before, unless it is stopped itself."""
     resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
-
-
-def take_standard_output() -> BinaryIO:
-    """A private copy of standard output; what libraries print goes to standard error from now on."""
-    pipe = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    return pipe
 
 
 def _now_and_then(show: Callable[[bytes], None]) -> Callable[[bytes], None]:
@@ -149,15 +159,90 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     send(pipe, BITSTREAM, encoded.data)
 
 
+def encode_one(spec: Spec, source: int, frames: int, complaints: int) -> NoReturn:
+    """What a fork does with the three descriptors: exit status 0 whenever an outcome was sent."""
+    status = 1
+    try:
+        os.dup2(complaints, 1)  # what libraries print
+        os.dup2(complaints, 2)
+        Path("/proc/self/comm").write_text(spec.job_id[:NAME_LENGTH])
+        os.environ["TMPDIR"] = spec.folder
+        confine()
+        lifeline.watch(spec.lifeline, lambda: os._exit(PARENT_GONE))
+        limit_memory(spec.memory_bytes)
+        limit_time(spec.cpu_s)
+        os.nice(NICENESS)
+        sgmethod.set_threads(spec.threads)
+        with os.fdopen(source, "rb") as image, os.fdopen(frames, "wb") as pipe:
+            encode_to(pipe, spec.request, image.read())
+        status = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def warm_up() -> None:
+    """Import and set up what every encode needs. No thread may be left: a fork would not have it."""
+    sgmethod.set_threads(1)
+    from sgmethod.budget import Budget
+    from sgmethod.codec import encode
+
+    for tune in ("psnr", "visual"):
+        encode(
+            TINY_PICTURE,
+            Budget("bpp", 8.0),
+            "rd",
+            tune=tune,
+            effort=1,
+            time_limit_s=0.1,
+            on_progress=lambda _point: None,
+            stop=lambda: False,
+        )
+    gc.collect()
+    gc.freeze()  # so that forks share it
+
+
+def fork_to_worker() -> int:
+    """As os.fork(), but the new process, in a group of its own, is the worker's child: its parent has ended."""
+    told, tell = os.pipe()
+    between = os.fork()
+    if between == 0:
+        child = -1
+        try:
+            child = os.fork()
+            if child:
+                os.setpgid(child, child)
+                os.write(tell, PROCESS.pack(child))
+        finally:  # without a number the read below fails, and the worker sees this process end
+            if child:
+                os._exit(0)
+        os.close(told)
+        os.close(tell)
+        return 0
+    os.close(tell)
+    os.waitpid(between, 0)
+    with os.fdopen(told, "rb") as pipe:
+        return int(PROCESS.unpack(pipe.read())[0])
+
+
 def main() -> None:
-    """Run one encode; exit status 0 whenever an outcome was sent."""
-    spec = Spec.from_json(sys.argv[1])
-    lifeline.watch(spec.lifeline, lambda: os._exit(PARENT_GONE))
-    limit_memory(spec.memory_bytes)
-    limit_time(spec.cpu_s)
-    os.nice(NICENESS)
-    pipe = take_standard_output()
-    encode_to(pipe, spec.request, sys.stdin.buffer.read())
+    """Start encoders until the worker is gone."""
+    worker = socket.socket(fileno=int(sys.argv[1]))
+    warm_up()
+    worker.sendall(READY)
+    while True:
+        line, descriptors, _, _ = socket.recv_fds(worker, SPEC_BYTES, 3)
+        if not line:
+            return
+        child = fork_to_worker()
+        if child == 0:
+            worker.close()
+            encode_one(Spec.from_json(line), *descriptors)
+        worker.sendall(PROCESS.pack(child))
+        for descriptor in descriptors:
+            os.close(descriptor)
 
 
 if __name__ == "__main__":

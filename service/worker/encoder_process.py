@@ -1,4 +1,4 @@
-"""The worker's side of an encoder process: start it, read its frames, end it."""
+"""The worker's side of encoder processes: start one, read its frames, end it."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ import json
 import os
 import selectors
 import signal
-import subprocess
-from collections.abc import Mapping, Sequence
+import time
 from dataclasses import dataclass
 from types import TracebackType
-from typing import BinaryIO
 
 from service.jobs.job import JsonObject
 from service.worker.encoder import BITSTREAM, END_EARLY, FRAME_HEADER, PREVIEW, REFUSED, STATS, TRACE
 
 READ_BYTES = 1 << 16
-STDERR_TAIL_BYTES = 4096
+COMPLAINTS_BYTES = 4096  # the last of them
+SILENT_S = 1.0
 MAX_LAST_WORDS = 300  # characters of an error that a client gets to read
 MAX_FRAME_BYTES = 1 << 29  # a file of the largest image that is read takes 300 MB at most
 
@@ -72,31 +71,20 @@ Message = TracePoint | Preview | Refused | Encoded
 class EncoderProcess:
     """An encoder process in a group of its own. Leaving the context kills the whole group.
 
-    command: the program; source: the open image, its standard input; environment: all of it;
-    lifeline: the descriptor to hand down.
+    number: of the process, a child of this one; frames, complaints: where it writes, two pipes' reading ends.
     """
 
-    def __init__(self, command: Sequence[str], source: BinaryIO, environment: Mapping[str, str], lifeline: int) -> None:
-        self._process = subprocess.Popen(
-            command,
-            stdin=source,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=environment,
-            pass_fds=(lifeline,),
-            process_group=0,
-        )
+    def __init__(self, number: int, frames: int, complaints: int) -> None:
+        self.number = number
         self._output = bytearray()
-        self._stderr_tail = bytearray()
+        self._complaints = bytearray()
         self._stats: JsonObject = {}
         self._listens = False  # to the signal that ends it early, as it does once it fits
         self._selector = selectors.DefaultSelector()
-        assert self._process.stdout is not None
-        assert self._process.stderr is not None
-        for pipe in (self._process.stdout, self._process.stderr):
-            os.set_blocking(pipe.fileno(), False)
-        self._selector.register(self._process.stdout, selectors.EVENT_READ, self._output)
-        self._selector.register(self._process.stderr, selectors.EVENT_READ, self._stderr_tail)
+        self._pipes = (frames, complaints)
+        for pipe, read in zip(self._pipes, (self._output, self._complaints), strict=True):
+            os.set_blocking(pipe, False)
+            self._selector.register(pipe, selectors.EVENT_READ, read)
 
     def __enter__(self) -> EncoderProcess:
         return self
@@ -104,14 +92,15 @@ class EncoderProcess:
     def __exit__(
         self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
     ) -> None:
-        # Until wait() below, the system gives the group's number to no other group, even if this process is dead.
+        # Until it is waited for, the system gives the group's number to no other group, even if the process is dead.
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
-        self._process.wait()
+            os.killpg(self.number, signal.SIGKILL)
+        with contextlib.suppress(ChildProcessError):
+            while True:  # what it has started is a child of the worker too, now that its own parent is gone
+                os.waitpid(-self.number, 0)
         self._selector.close()
-        for pipe in (self._process.stdout, self._process.stderr):
-            assert pipe is not None
-            pipe.close()
+        for pipe in self._pipes:
+            os.close(pipe)
 
     @property
     def ended(self) -> bool:
@@ -128,23 +117,25 @@ class EncoderProcess:
             if not data:
                 self._selector.unregister(key.fileobj)
             key.data.extend(data)
-        del self._stderr_tail[:-STDERR_TAIL_BYTES]
+        del self._complaints[:-COMPLAINTS_BYTES]
         return self._take_messages()
 
     def end_early(self) -> None:
         """Ask it, once it fits, to end soon with what it has. To ask again changes nothing."""
         if self._listens:
-            self._process.send_signal(END_EARLY)
+            os.kill(self.number, END_EARLY)
 
     def last_words(self) -> str:
         """One sentence on how the encoder process ended, once it has closed its pipes without an outcome."""
-        try:
-            status = self._process.wait(timeout=1.0)
-        except subprocess.TimeoutExpired:
-            return "the encoder fell silent"
-        how = f"exit status {status}" if status >= 0 else signal.strsignal(-status)
-        lines = self._stderr_tail.decode(errors="replace").strip().splitlines()
-        words = f": {lines[-1].strip()[:MAX_LAST_WORDS]}" if lines and status > 0 else ""
+        deadline = time.monotonic() + SILENT_S
+        while (ended := os.waitid(os.P_PID, self.number, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is None:
+            if time.monotonic() > deadline:
+                return "the encoder fell silent"
+            time.sleep(0.01)
+        exited, status = ended.si_code == os.CLD_EXITED, ended.si_status
+        how = f"exit status {status}" if exited else signal.strsignal(status)
+        lines = self._complaints.decode(errors="replace").strip().splitlines()
+        words = f": {lines[-1].strip()[:MAX_LAST_WORDS]}" if lines and exited and status else ""
         return f"the encoder crashed ({how}){words}"
 
     def _take_messages(self) -> list[Message]:

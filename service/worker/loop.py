@@ -19,14 +19,16 @@ from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.encoder import Spec
 from service.worker.encoder_process import Crashed, EncoderProcess, Outcome, Preview, TimedOut, TracePoint
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat, SignsOfLife
+from service.worker.notifying import Notifier
 from service.worker.publishing import Publisher, StoppedError
+from service.worker.starting import Encoders
 from service.worker.sweeping import Sweeper
 
 log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
 SWEEP_ENDS_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
-THREAD_VARIABLES = ("SG_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Worker:
@@ -41,9 +43,9 @@ class Worker:
         self._publisher = Publisher(table, storage, stop, keeps_sources=self._keeps_sources)
         self._name = f"{socket.gethostname()}:{os.getpid()}"
         self._lifeline = Lifeline()
-        # Libraries read these when they are loaded, so they must be set before the encoder process begins.
-        threads = str(settings.encode_threads)
-        self._environment = {**confinement.environment(os.environ), **dict.fromkeys(THREAD_VARIABLES, threads)}
+        # Libraries read these when they are loaded.
+        threads = dict.fromkeys(THREAD_VARIABLES, str(settings.encode_threads))
+        self._encoders = Encoders({**confinement.environment(os.environ), **threads}, self._lifeline.read_end)
 
     def run(self) -> None:
         """Claim and work until stopping is requested; sweep meanwhile."""
@@ -52,17 +54,21 @@ class Worker:
         sweeper.start()
         signs = SignsOfLife(self._table, self._name, self._stop)
         signs.start()
+        for address in self._settings.webhook_addresses:
+            Notifier(self._table, address, self._settings.webhook_key, self._stop).start()
         try:
             self._table.deliver(self._run_next, self._stop)
             sweeper.join(SWEEP_ENDS_S)
             signs.join(SWEEP_ENDS_S)
         finally:
+            self._encoders.close()
             self._lifeline.close()
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""
         try:
-            return self.run_one()
+            # The codec is imported before a job is claimed, not within its lease.
+            return self._encoders.get_ready(self._stop) and self.run_one()
         except (JobTableError, OSError) as error:
             log.error("worker %s: %s", self._name, error)
             self._stop.wait(PAUSE_AFTER_TROUBLE_S)
@@ -97,15 +103,6 @@ class Worker:
 
         Raises ClaimLostError, StoppedError, OSError.
         """
-        spec = Spec(
-            claim.job_id,
-            claim.attempt,
-            claim.request,
-            self._lifeline.read_end,
-            self._settings.job_memory_bytes,
-            math.ceil(self._settings.job_timeout_s * (self._settings.encode_threads + 1)),
-        )
-        command = confinement.command("service.worker.encoder", spec.to_json())
         try:
             source = self._storage.open(source_key(claim.job_id))
         except FileNotFoundError:
@@ -113,12 +110,24 @@ class Worker:
         with (
             source,
             tempfile.TemporaryDirectory(prefix="sgmethod-", ignore_cleanup_errors=True) as folder,
-            EncoderProcess(command, source, {**self._environment, "TMPDIR": folder}, spec.lifeline) as process,
+            self._encoders.start(self._spec(claim, folder), source) as process,
         ):
             try:
                 return self._follow(process, heartbeat, bitstream_key(claim.job_id, claim.attempt))
             except ValueError as error:
                 return Crashed(f"the encoder spoke nonsense: {error}")
+
+    def _spec(self, claim: Claim, folder: str) -> Spec:
+        threads = self._settings.encode_threads
+        return Spec(
+            claim.job_id,
+            claim.request,
+            folder,
+            self._lifeline.read_end,
+            threads,
+            self._settings.job_memory_bytes,
+            math.ceil(self._settings.job_timeout_s * (threads + 1)),
+        )
 
     def _follow(self, process: EncoderProcess, heartbeat: Heartbeat, key: str) -> Outcome:
         """Relay progress to the job table, and previews to where the bitstream will lie, until there is an outcome, the

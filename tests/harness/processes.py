@@ -11,17 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from service.worker.encoder import END_EARLY
+from service.worker.encoder import END_EARLY, NAME_LENGTH
 
 T = TypeVar("T")
 Kind = Literal["web", "worker", "encoder"]
 
 PATIENCE_S = 120.0  # far more than anything takes, on a busy machine too
 POLL_S = 0.05  # seldom enough to take little of a core
-COMMANDS: dict[Kind, str] = {
-    "web": "-m service web",
-    "worker": "-m service worker",
-    "encoder": " service.worker.encoder ",
+# Of command lines; an encoder has its job's id for a name.
+KINDS: dict[Kind, str] = {
+    "web": r".* -m service web .*",
+    "worker": r".* -m service worker .*",
+    "encoder": rf"[0-9a-f]{{{NAME_LENGTH}}}",
 }
 
 
@@ -38,10 +39,15 @@ def wait_until(what: Callable[[], T], patience_s: float = PATIENCE_S) -> T:
 
 @dataclass(frozen=True)
 class Process:
-    """A process that is alive: who started it, and its command line."""
+    """A process that is alive: whose child it is, its name and its command line."""
 
     parent: int
+    name: str
     command: str
+
+    def is_a(self, kind: Kind) -> bool:
+        """Whether it is one of the service's processes of this kind."""
+        return re.fullmatch(KINDS[kind], self.name if kind == "encoder" else self.command) is not None
 
 
 def processes() -> dict[int, Process]:
@@ -54,7 +60,8 @@ def processes() -> dict[int, Process]:
                 state, parent = (entry / "stat").read_bytes().rpartition(b")")[2].split()[:2]
                 if state != b"Z":
                     command = os.fsdecode((entry / "cmdline").read_bytes().replace(b"\0", b" "))
-                    found[int(entry.name)] = Process(int(parent), command)
+                    name = os.fsdecode((entry / "comm").read_bytes().strip())
+                    found[int(entry.name)] = Process(int(parent), name, command)
     return found
 
 
@@ -66,7 +73,7 @@ def state_of(number: int) -> str:
 def encoder_of(job_id: str) -> int | None:
     """The process that encodes a job, if there is one."""
     for number, process in processes().items():
-        if COMMANDS["encoder"] in process.command and job_id in process.command:
+        if process.name == job_id[:NAME_LENGTH]:
             return number
     return None
 

@@ -24,7 +24,7 @@ from service.settings import Settings
 from service.storage.files import bitstream_key
 from tests.harness.data import ROOT
 from tests.harness.pictures import SLOW, SMALL
-from tests.harness.processes import COMMANDS, PATIENCE_S, Kind, processes, wait_until
+from tests.harness.processes import PATIENCE_S, Kind, Process, processes, wait_until
 
 SMALL_QUEUE = 5
 # The environment of a service whose encodes take their time limit and no core, for tests of what stands around them.
@@ -67,17 +67,17 @@ class ServiceProcess:
         self.url = words[3].rstrip(",")
         self.client = httpx.Client(base_url=self.url, timeout=self.timeout_s)
 
-    def family(self) -> dict[int, str]:
-        """All its processes that are alive, by number, with their command lines."""
+    def family(self) -> dict[int, Process]:
+        """All its processes that are alive, by number."""
         alive = processes()
         family = {self.process.pid}
         for _ in range(2):  # children, then theirs
             family |= {number for number, process in alive.items() if process.parent in family}
-        return {number: alive[number].command for number in sorted(family & alive.keys())}
+        return {number: alive[number] for number in sorted(family & alive.keys())}
 
     def ours(self, kind: Kind) -> list[int]:
         """The numbers of its processes of a kind."""
-        return [number for number, command in self.family().items() if COMMANDS[kind] in command]
+        return [number for number, process in self.family().items() if process.is_a(kind)]
 
     def stop(self) -> int:
         """Stop it as an operator does; the exit status."""

@@ -52,6 +52,9 @@ class Metrics:
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
         seen = "Since the last sign of life of a worker, which gives one every 5 s."
         self._workers = Gauge("sgmethod_worker_seen_seconds", seen, ("worker",), registry=registry)
+        self._notices = Gauge("sgmethod_webhooks_waiting", "Webhooks to be delivered.", registry=registry)
+        waits = "Since the job ended whose webhook has been waiting for longest."
+        self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
 
     def watch(self, shares: Shares) -> None:
@@ -76,6 +79,8 @@ class Metrics:
             self._jobs.labels(state).set(count)
         self._stored.set(census.stored_bytes)
         self._waiting.set(census.waiting_s or 0.0)
+        self._notices.set(census.notices)
+        self._notice_waits.set(max(0.0, census.notice_waits_s))
         self._silence.set(max(0.0, census.silent_s or 0.0))
 
     def text(self) -> bytes:

@@ -101,18 +101,24 @@ def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobTable) -> No
     assert jobs.census().jobs["running"] == 3
 
 
-@pytest.mark.parametrize(("version", "missing"), [(1, ("stored_bytes", "stopped")), (2, ("stopped",)), (3, ())])
+@pytest.mark.parametrize(
+    ("version", "missing"), [(1, ("stored_bytes", "stopped")), (2, ("stopped",)), (3, ()), (4, ())]
+)
 def test_an_older_table_is_brought_up_to_date(
     url: str, jobs: PostgresJobTable, version: int, missing: tuple[str, ...]
 ) -> None:
-    """Version 1 did not count bytes; in version 2 nothing could be stopped; version 3 knew of no workers."""
+    """Version 1 did not count bytes; in version 2 nothing could be stopped; 3 knew of no
+    workers, 4 of no webhooks.
+    """
     waiting = submitted(jobs)
     size = jobs.stored_bytes()
     jobs.close()
     with psycopg.connect(url) as db:
         for column in missing:
             db.execute(f"ALTER TABLE sgmethod.jobs DROP COLUMN {column}".encode())
-        db.execute("DROP TABLE sgmethod.workers")
+        db.execute("DROP TABLE sgmethod.notices")
+        if version < 4:
+            db.execute("DROP TABLE sgmethod.workers")
         db.execute("UPDATE sgmethod.version SET version = %s WHERE part = 'jobs'", (str(version),))
     again = PostgresJobTable(url, RULES)
     try:

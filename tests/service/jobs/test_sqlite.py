@@ -73,7 +73,7 @@ def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
     database = sqlite3.connect(path)
     tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
     database.close()
-    assert tables == {"jobs", "trace", "served", "workers", "sqlite_sequence"}
+    assert tables == {"jobs", "trace", "served", "workers", "notices", "sqlite_sequence"}
 
 
 def test_rule_6_durability_settings(tmp_path: Path) -> None:
@@ -87,11 +87,15 @@ def test_rule_6_durability_settings(tmp_path: Path) -> None:
     table.close()
 
 
-@pytest.mark.parametrize(("version", "missing"), [(2, ("stored_bytes", "stopped")), (3, ("stopped",)), (4, ())])
+@pytest.mark.parametrize(
+    ("version", "missing"), [(2, ("stored_bytes", "stopped")), (3, ("stopped",)), (4, ()), (5, ())]
+)
 def test_a_table_of_a_later_version_is_brought_up_to_date(
     tmp_path: Path, version: int, missing: tuple[str, ...]
 ) -> None:
-    """Version 2 did not count bytes; in version 3 nothing could be stopped; version 4 knew of no workers."""
+    """Version 2 did not count bytes; in version 3 nothing could be stopped; 4 knew of no
+    workers, 5 of no webhooks.
+    """
     path = tmp_path / "jobs.sqlite3"
     table = SqliteJobTable(path, RULES)
     waiting = submitted(table)
@@ -99,7 +103,9 @@ def test_a_table_of_a_later_version_is_brought_up_to_date(
     with contextlib.closing(sqlite3.connect(path)) as connection, connection as db:
         for column in missing:
             db.execute(f"ALTER TABLE jobs DROP COLUMN {column}")
-        db.execute("DROP TABLE workers")
+        db.execute("DROP TABLE notices")
+        if version < 5:
+            db.execute("DROP TABLE workers")
         db.execute(f"PRAGMA user_version = {version}")
     table = SqliteJobTable(path, RULES)
     job = table.get(waiting)

@@ -104,9 +104,9 @@ def test_secrets_stay_behind() -> None:
     assert confinement.environment(given) == {"PATH": "/bin", "PYTHONPATH": "/opt"}
 
 
-def test_the_encoder_of_a_service_is_confined(start_service: StartService) -> None:
+def test_the_encoder_of_a_service_is_confined(tmp_path: Path, start_service: StartService) -> None:
     """Not only the launcher works: the service uses it."""
-    service = start_service(link_secret=SECRET, extra=STAND_IN)
+    service = start_service(link_secret=SECRET, extra={**STAND_IN, "TMPDIR": str(tmp_path)})
     job_id = service.accepted_slow()
     number = wait_until(lambda: encoder_of(job_id))
     process = Path("/proc", str(number))
@@ -114,7 +114,6 @@ def test_the_encoder_of_a_service_is_confined(start_service: StartService) -> No
     assert SECRET.encode() not in (process / "environ").read_bytes()
     limits = (process / "limits").read_text()
     assert limits.count("unlimited  ") < (Path("/proc/self/limits")).read_text().count("unlimited  ")
-    folder = Path((process / "environ").read_bytes().split(b"TMPDIR=")[1].split(b"\0")[0].decode())
-    assert folder.is_dir()
+    (folder,) = tmp_path.glob("sgmethod-*")
     service.client.delete(f"/jobs/{job_id}")
     wait_until(lambda: not folder.exists())

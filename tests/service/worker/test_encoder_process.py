@@ -2,42 +2,69 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
 import signal
-import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
-from service.jobs.job import EncodeRequest
-from service.process import confinement
+from service.jobs.job import EncodeRequest, new_job_id
 from service.process.lifeline import Lifeline
+from service.process.stopping import StopSignal
 from service.worker.encoder import Spec, send, to_json
 from service.worker.encoder_process import Encoded, EncoderProcess, Message, Refused, TracePoint
+from service.worker.starting import PROGRAM, Encoders
 from tests.harness.data import ROOT
 from tests.harness.pictures import SMALL
-from tests.harness.processes import PATIENCE_S, processes, wait_until
+from tests.harness.processes import processes, wait_until
+from tests.harness.service import STAND_IN
 
 PREAMBLE = "import os, sys, time; from service.worker.encoder import send; out = sys.stdout.buffer\n"
 
 
 @contextmanager
-def child(script: str, source: bytes = b"") -> Iterator[EncoderProcess]:
+def child(script: str) -> Iterator[EncoderProcess]:
     """A process that runs the script where the encoder would run."""
+    frames, complaints = os.pipe(), os.pipe()
+    number = os.posix_spawn(
+        sys.executable,
+        [sys.executable, "-c", PREAMBLE + script],
+        {**os.environ, "PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}"},
+        file_actions=[(os.POSIX_SPAWN_DUP2, pipe[1], to) for to, pipe in ((1, frames), (2, complaints))],
+        setpgroup=0,
+    )
+    for pipe in (frames, complaints):
+        os.close(pipe[1])
+    with EncoderProcess(number, frames[0], complaints[0]) as process:
+        yield process
+
+
+@pytest.fixture
+def lifeline() -> Iterator[Lifeline]:
     lifeline = Lifeline()
-    command = [sys.executable, "-c", PREAMBLE + script]
-    with tempfile.TemporaryFile() as file:
-        file.write(source)
-        file.seek(0)
-        environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{os.environ.get('PYTHONPATH', '')}"}
-        with EncoderProcess(command, file, environment, lifeline.read_end) as process:
-            yield process
-    lifeline.close()
+    yield lifeline
+    with contextlib.suppress(OSError):
+        lifeline.close()
+
+
+@pytest.fixture
+def encoders(lifeline: Lifeline) -> Iterator[Encoders]:
+    """Starts encoders that have a stand-in for the codec."""
+    encoders = Encoders({**os.environ, **STAND_IN}, lifeline.read_end)
+    assert encoders.get_ready(StopSignal())
+    yield encoders
+    encoders.close()
+
+
+def spec(lifeline: Lifeline, folder: object, time_limit_s: float) -> Spec:
+    request = EncodeRequest("bpp", 1.0, "rd", time_limit_s)
+    return Spec(new_job_id(), request, str(folder), lifeline.read_end, 1, 2**33, 600)
 
 
 def messages_of(process: EncoderProcess) -> list[Message]:
@@ -61,9 +88,51 @@ for at in range(0, len(data), 1000):  # a frame in many pieces, larger than a pi
     assert second == Encoded({"bytes": 3}, bytes(200_000))
 
 
-def test_the_source_is_standard_input() -> None:
-    with child("send(out, b'D', sys.stdin.buffer.read()[::-1])", source=SMALL) as process:
-        assert messages_of(process) == [Encoded({}, SMALL[::-1])]
+def test_encoders_start_one_after_the_other(encoders: Encoders, lifeline: Lifeline, tmp_path: Path) -> None:
+    """Each is a process of its own, and reads the image it is given from its beginning."""
+    image = tmp_path / "image"
+    image.write_bytes(SMALL)
+    seen = set()
+    for _ in range(2):
+        with image.open("rb") as source, encoders.start(spec(lifeline, tmp_path, 0.1), source) as process:
+            seen.add(process.number)
+            *points, outcome = messages_of(process)
+        assert all(isinstance(point, TracePoint) for point in points)
+        assert isinstance(outcome, Encoded)
+        assert outcome.stats["bytes"] == len(outcome.bitstream)
+    assert len(seen) == 2
+    assert not seen & set(processes())
+
+
+def starter() -> int:
+    """The process that starts encoders."""
+    ours = {number: process for number, process in processes().items() if process.parent == os.getpid()}
+    (number,) = (n for n, p in ours.items() if PROGRAM in p.command and not p.is_a("encoder"))
+    return number
+
+
+@pytest.mark.usefixtures("encoders")
+def test_what_starts_encoders_has_no_thread() -> None:
+    """A fork would lack it, and wait for it for ever."""
+    assert len([*Path("/proc", str(starter()), "task").iterdir()]) == 1
+
+
+def test_what_starts_encoders_is_started_again(encoders: Encoders, lifeline: Lifeline, tmp_path: Path) -> None:
+    """Its end does no harm to an encoder that runs, and the next one has to wait only until it is back."""
+    image = tmp_path / "image"
+    image.write_bytes(SMALL)
+    with image.open("rb") as source, encoders.start(spec(lifeline, tmp_path, 100), source) as process:
+        number = starter()
+        os.kill(number, signal.SIGKILL)
+        wait_until(lambda: number not in processes())
+        with pytest.raises(OSError, match=r"has died|roken pipe"):
+            encoders.start(spec(lifeline, tmp_path, 100), source)
+        wait_until(lambda: process.read(1.0))
+        process.end_early()
+        wait_until(lambda: any(isinstance(message, Encoded) for message in process.read(1.0)))
+    assert encoders.get_ready(StopSignal())
+    with image.open("rb") as source, encoders.start(spec(lifeline, tmp_path, 0.1), source) as process:
+        assert isinstance(messages_of(process)[-1], Encoded)
 
 
 def test_one_that_is_to_end_early() -> None:
@@ -126,22 +195,19 @@ time.sleep(60)
     wait_until(lambda: not sleeps())
 
 
-def test_the_encoder_ends_with_its_parent() -> None:
+def test_the_encoder_ends_with_its_worker(encoders: Encoders, lifeline: Lifeline, tmp_path: Path) -> None:
     """Rule 4: the pipe ends, the encoder ends, even while it waits for its image."""
-    lifeline = Lifeline()
-    spec = Spec("0" * 32, 1, EncodeRequest("bpp", 1.0, "paper", 60.0), lifeline.read_end, 2**33, 600)
-    command = confinement.command("service.worker.encoder", spec.to_json())
-    with subprocess.Popen(
-        command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, pass_fds=(lifeline.read_end,)
-    ) as process:
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(1.0)
+    source, never_written = os.pipe()
+    with os.fdopen(source, "rb") as image, encoders.start(spec(lifeline, tmp_path, 100), image) as process:
+        wait_until(lambda: processes()[process.number].is_a("encoder"))
         lifeline.close()
-        assert process.wait(PATIENCE_S) == 3
+        assert messages_of(process) == []
+        assert process.last_words() == "the encoder crashed (exit status 3)"
+    os.close(never_written)
 
 
-def test_spec_survives_the_command_line() -> None:
-    spec = Spec("0" * 32, 3, EncodeRequest("psnr", 30.5, "baseline", 2.5), 7, 10**9, 600)
+def test_spec_survives_the_way() -> None:
+    spec = Spec("0" * 32, EncodeRequest("psnr", 30.5, "baseline", 2.5), "/tmp/x", 7, 2, 10**9, 600)
     assert Spec.from_json(spec.to_json()) == spec
 
 
@@ -158,6 +224,6 @@ def test_a_frame() -> None:
 
 def test_signals_have_names_for_operators() -> None:
     with child("time.sleep(60)") as process:
-        os.kill(process._process.pid, signal.SIGTERM)
+        os.kill(process.number, signal.SIGTERM)
         assert messages_of(process) == []
         assert process.last_words() == "the encoder crashed (Terminated)"

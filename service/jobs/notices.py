@@ -1,0 +1,75 @@
+"""Notices that a job has ended, for the operator's addresses: rows beside the jobs, until they are delivered."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from service.jobs.job import FINAL_STATES, Job
+from service.jobs.statements import Database
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0  # between tries; each is twice as long as the one before
+KEPT_S = 3 * 86_400.0  # for which a notice is tried
+
+NOTE = """
+INSERT INTO notices VALUES (?, ?, ?, 0, epoch(), epoch()) ON CONFLICT (job, address) DO NOTHING
+"""
+DUE = """
+SELECT job, body, tries FROM notices WHERE address = ? AND due_at <= epoch() ORDER BY due_at LIMIT 1
+"""
+
+
+@dataclass(frozen=True)
+class Notice:
+    """One job, one address. body: JSON; tries: how often it was sent before."""
+
+    job_id: str
+    address: str
+    body: str
+    tries: int
+
+
+def note(db: Database, job: Job, addresses: Sequence[str]) -> None:
+    """Keep a notice for each address, if the job has ended."""
+    if job.state in FINAL_STATES:
+        for address in addresses:
+            db.execute(NOTE, (job.id, address, _body(job)))
+
+
+def due(db: Database, address: str) -> Notice | None:
+    """The notice of the address that has waited longest for a try."""
+    row = db.execute(DUE, (address,)).fetchone()
+    return None if row is None else Notice(row["job"], address, row["body"], row["tries"])
+
+
+def put_off(db: Database, notice: Notice) -> None:
+    """Let the next try be later, before this one begins: whatever becomes of the worker, there is one."""
+    pause_s = min(FIRST_PAUSE_S * 2.0 ** min(notice.tries, 30), LONGEST_PAUSE_S)
+    db.execute(
+        "UPDATE notices SET tries = tries + 1, due_at = epoch() + ? WHERE job = ? AND address = ?",
+        (pause_s, notice.job_id, notice.address),
+    )
+
+
+def forget(db: Database, notice: Notice) -> None:
+    """It is delivered."""
+    db.execute("DELETE FROM notices WHERE job = ? AND address = ?", (notice.job_id, notice.address))
+
+
+def give_up(db: Database) -> int:
+    """Forget those that were tried for long enough; how many."""
+    return db.execute("DELETE FROM notices WHERE ended_at < epoch() - ?", (KEPT_S,)).rowcount
+
+
+def _body(job: Job) -> str:
+    """As Standard Webhooks has it: type, timestamp, data."""
+    ended = datetime.fromtimestamp(job.finished_at or 0.0, UTC)
+    data = {
+        **{"id": job.id, "key": job.owner, "state": job.state, "attempt": job.attempt},
+        "error": None if job.error is None else {"code": job.error.code, "detail": job.error.detail},
+        "bytes": None if job.result is None else job.result.stats.get("bytes"),
+        "sha256": None if job.result is None else job.result.sha256,
+    }
+    return json.dumps({"type": f"job.{job.state}", "timestamp": ended.isoformat(), "data": data})

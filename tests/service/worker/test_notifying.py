@@ -1,0 +1,174 @@
+"""Webhooks, to a receiver that fails, hangs and comes back."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import hmac
+import json
+import threading
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import pytest
+
+from service.jobs import notices
+from service.jobs.job import JobError
+from service.jobs.notices import Notice
+from service.jobs.table import JobTable
+from service.process.stopping import StopSignal
+from service.worker import notifying
+from service.worker.notifying import Notifier, headers
+from tests.harness.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
+from tests.harness.processes import PATIENCE_S, wait_until
+from tests.harness.service import STAND_IN, StartService
+
+KEY = bytes(range(24))
+SECRET = f"whsec_{base64.b64encode(KEY).decode()}"
+
+
+class Receiver:
+    """Takes what is posted to it, and behaves as it is told: "well", with an "error", a "redirect", or "hangs"."""
+
+    def __init__(self) -> None:
+        self.behaves = "well"
+        self.tries: list[str] = []
+        self.taken: list[dict[str, Any]] = []
+        self.released = threading.Event()
+        receiver = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                receiver._answer(self)
+
+            def log_message(self, *_arguments: Any) -> None:
+                pass
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.url = f"http://127.0.0.1:{self.server.server_address[1]}/hook?token=secret"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def _answer(self, request: BaseHTTPRequestHandler) -> None:
+        body = request.rfile.read(int(request.headers["Content-Length"]))
+        name, at = request.headers["webhook-id"], request.headers["webhook-timestamp"]
+        signed = hmac.new(KEY, f"{name}.{at}.".encode() + body, hashlib.sha256).digest()
+        assert request.headers["webhook-signature"] == f"v1,{base64.b64encode(signed).decode()}"
+        self.tries.append(name)
+        if self.behaves == "hangs":
+            self.released.wait(PATIENCE_S)
+            return
+        if self.behaves == "well":
+            self.taken.append(json.loads(body))
+        request.send_response({"well": 204, "error": 500, "redirect": 302}[self.behaves])
+        request.send_header("Location", "/elsewhere")
+        request.end_headers()
+
+
+@pytest.fixture
+def receiver() -> Iterator[Receiver]:
+    receiver = Receiver()
+    yield receiver
+    receiver.released.set()
+    receiver.server.shutdown()
+    receiver.server.server_close()
+
+
+def ended(table: JobTable) -> str:
+    """The id of a job that is done."""
+    job_id = submitted(table)
+    assert table.finish(claimed(table), RESULT)
+    return job_id
+
+
+def test_the_signature_of_the_standard() -> None:
+    """The example that its libraries are tested with."""
+    notice = Notice("msg_p5jXN8AQM9LWM0D4loKWxJek", "", '{"test": 2432232314}', 0)
+    named = headers(base64.b64decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw"), notice, 1614265330)
+    assert named["webhook-signature"] == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
+
+
+def test_a_receiver_that_fails_hangs_and_comes_back(
+    open_job_table: OpenTable, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is lost, nothing delivered is sent again, and another address does not wait."""
+    monkeypatch.setattr(notices, "FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr(notices, "LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr(notifying, "ANSWER_S", 0.3)
+    monkeypatch.setattr(notifying, "POLL_S", 0.02)
+    other = Receiver()
+    table, stop = open_job_table(LONG_S, webhooks=(receiver.url, other.url)), StopSignal()
+    threads = [Notifier(table, url, KEY, stop) for url in (receiver.url, other.url)]
+    for thread in threads:
+        thread.start()
+    jobs = []
+    for behaviour in ("error", "redirect", "hangs"):
+        receiver.behaves = behaviour
+        jobs.append(ended(table))
+        before = len(receiver.tries)
+        wait_until(lambda before=before: len(receiver.tries) >= before + 3)
+        wait_until(lambda: {each["data"]["id"] for each in other.taken} == set(jobs))
+    assert table.census().notices == 3
+    assert receiver.taken == []
+    receiver.behaves = "well"
+    wait_until(lambda: table.census().notices == 0)
+    assert sorted(each["data"]["id"] for each in receiver.taken) == sorted(jobs)
+    stop.request()
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    other.server.shutdown()
+    other.server.server_close()
+
+
+def test_every_end_is_told_once(open_job_table: OpenTable) -> None:
+    """Done, refused, crashed too often; not what goes back into the queue. The notice outlives its job."""
+    table = open_job_table(LONG_S, webhooks=("http://a", "http://b"))
+    done = ended(table)
+    refused = submitted(table)
+    assert table.fail(claimed(table), JobError("refused", "it is no picture"), retry=False)
+    crashed = submitted(table)
+    for _ in range(3):
+        assert table.census().notices == 4
+        assert table.fail(claimed(table), CRASH, retry=True)
+    assert table.census().notices == 6
+    table.remove(done)
+    told = {}
+    while (notice := table.due_notice("http://a")) is not None:
+        told[notice.job_id] = json.loads(notice.body)
+    assert {job_id: body["type"] for job_id, body in told.items()} == {
+        done: "job.done",
+        refused: "job.failed",
+        crashed: "job.failed",
+    }
+    assert told[done]["data"]["sha256"] == RESULT.sha256
+    assert told[refused]["data"]["error"] == {"code": "refused", "detail": "it is no picture"}
+    assert table.census().notices == 6  # none is said to be delivered
+
+
+def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = open_job_table(LONG_S, webhooks=("http://a",))
+    ended(table)
+    pauses = []
+    for _ in range(12):
+        notice = table.due_notice("http://a")
+        assert notice is not None
+        assert table.due_notice("http://a") is None
+        with table._transaction() as db:  # type: ignore[attr-defined]
+            pauses.append(db.execute("SELECT due_at - epoch() AS s FROM notices").fetchone()["s"])
+            db.execute("UPDATE notices SET due_at = 0")
+    assert [round(pause, -1) for pause in pauses[:4]] == [10, 20, 40, 80]
+    assert pauses[-1] == pytest.approx(3600, abs=60)
+    monkeypatch.setattr(notices, "KEPT_S", 0.0)
+    assert table.due_notice("http://a") is None
+    assert table.census().notices == 0
+
+
+def test_a_service_tells_of_its_jobs(start_service: StartService, receiver: Receiver) -> None:
+    service = start_service(webhook_urls=receiver.url, webhook_secret=SECRET, extra=STAND_IN)
+    job_id = service.accepted()
+    wait_until(lambda: receiver.taken)
+    (body,) = receiver.taken
+    job = service.wait(job_id)
+    assert (body["type"], body["data"]["id"], body["data"]["bytes"]) == ("job.done", job_id, job["result"]["bytes"])
+    wait_until(lambda: service.figures()["sgmethod_webhooks_waiting"] == 0)
+    assert "secret" not in service.log.read_text()
