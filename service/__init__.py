@@ -17,5 +17,6 @@ The rooms and modules; each imports only from those above it:
     web/            the application and its server
     checking        whether an installation can work
 
-`python -m service` is the command line. Only worker/encoder.py imports the encoder, and with it torch.
+`python -m service` is the command line. Only worker/encoder.py and, for a preview, a helper import the encoder; only
+the first of them torch.
 """

@@ -23,7 +23,10 @@ OUTSIDE = {"__init__", "__main__"}  # a package's face and its command: they imp
 MOST_FILES = 12  # in a room
 CODE = ("sgmethod", "service", "tests", "benchmarks", "docs")
 
-ENCODER = r"sgmethod\.(codec|rd|paper|fitting|start)\b|from sgmethod import .*\b(codec|encode)\b|(import|from) torch"
+ENCODER = (
+    r"sgmethod\.(codec|rd|paper|fitting|start|previews)\b|from sgmethod import .*\b(codec|encode|preview)\b"
+    r"|(import|from) torch"
+)
 
 EXPORTED = {
     *(
@@ -152,10 +155,9 @@ def test_each_room_says_what_it_is_for(name: str) -> None:
     assert len(re.findall(r"[.;:](?=\s|$)", text)) >= 3
 
 
-def test_the_service_leaves_the_encoder_to_its_own_process() -> None:
-    for name, path in modules("service").items():
-        imported = re.search(ENCODER, path.read_text())
-        assert imported is None or name == "service.worker.encoder"
+def test_the_service_leaves_the_encoder_to_confined_processes() -> None:
+    importing = {name for name, path in modules("service").items() if re.search(ENCODER, path.read_text())}
+    assert importing == {"service.worker.encoder", "service.web.helpers.helper"}
 
 
 def test_the_reference_is_for_tests() -> None:

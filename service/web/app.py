@@ -40,6 +40,7 @@ from service.web.routes import events as event_routes
 from service.web.routes import health as health_routes
 from service.web.routes import jobs as job_routes
 from service.web.routes import pictures as picture_routes
+from service.web.routes import previews as preview_routes
 from service.web.routes.decoding import PictureCache
 from service.web.routes.health import VERSION
 from service.web.routes.parts import Parts, known_query, no_stray_body
@@ -148,7 +149,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
     # The gate does the work; this is how the document says so.
     security = [Security(HTTPBearer(auto_error=False))] if settings.key_names else []
     refusals = problems(401, 429) if settings.key_names else {}
-    for routes in (job_routes, event_routes, picture_routes):
+    for routes in (job_routes, event_routes, picture_routes, preview_routes):
         dependencies = [Depends(known_query), Depends(no_stray_body), *security]
         app.include_router(routes.router, dependencies=dependencies, responses=refusals)
     app.include_router(health_routes.router, dependencies=[Depends(known_query)])

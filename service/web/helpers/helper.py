@@ -16,6 +16,7 @@ import signal
 import socket
 import struct
 import sys
+import warnings
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from typing import Any
 import sgmethod
 from service.web.helpers.drawing import Drawing, Wish
 from service.web.helpers.picture_files import Rival
-from sgmethod.errors import ImageError, SgError
+from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
 
 READY = b"!"  # said once, at the start
@@ -45,7 +46,7 @@ class Errand:
 
     memory_bytes, cpu_s: more than the process has already, and seconds of one core; max_pixels, max_side,
     max_gaussians: of what is read or drawn; wish: the picture file to make of a bitstream, rival: the one to make of an
-    image; without either, an image's header is read.
+    image; preview_bytes: of the preview to make of an image. Without any of them, an image's header is read.
     """
 
     memory_bytes: int
@@ -55,6 +56,7 @@ class Errand:
     max_gaussians: int | None = None
     wish: Wish | None = None
     rival: Rival | None = None
+    preview_bytes: int | None = None
 
     def to_json(self) -> bytes:
         """One line."""
@@ -74,6 +76,8 @@ class Errand:
 
 def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     """The answer: figures, and the bytes of a picture file. Raises SgError, MemoryError."""
+    if errand.preview_bytes is not None:
+        return _preview(file, errand.preview_bytes, ImageLimits(errand.max_pixels, errand.max_side)), b""
     if errand.rival is not None:
         return {}, errand.rival.made_of(read_image_8_bit(file, ImageLimits(errand.max_pixels, errand.max_side)))
     if errand.wish is None:
@@ -84,6 +88,14 @@ def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     info = sgmethod.info(file, errand.max_gaussians)  # a few kilobytes can hold millions of equal ones
     drawing = Drawing.of(errand.wish, (info.width, info.height), errand.max_pixels)
     return {}, drawing.draw(file)
+
+
+def _preview(image: bytes, most_bytes: int, limits: ImageLimits) -> dict[str, Any]:
+    from sgmethod.previews.preview import preview  # and the encoder, which other errands do without
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ImageWarning)
+        return preview(image, most_bytes, limits=limits).to_dict()
 
 
 def _answer(errand: Errand, descriptor: int) -> tuple[dict[str, Any], bytes]:

@@ -1,8 +1,8 @@
-"""What helpers do for requests: headers of images and pictures, each kind with turns of its own."""
+"""What helpers do for requests: headers of images, and pictures and previews, each kind with turns of its own."""
 
 from __future__ import annotations
 
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from service.jobs.job import SourceImage
 from service.settings import Settings
@@ -55,6 +55,20 @@ class Work:
             limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, limits.max_side, rival=rival
         )
         return await self._picture(client, file, errand)
+
+    async def preview(self, client: str, file: BinaryIO, most_bytes: int) -> dict[str, Any]:
+        """The preview of an image, as Preview.to_dict(). Raises HelperError, ProblemError 429 or 503, OSError."""
+        limits = self._settings
+        errand = Errand(
+            limits.decode_memory_bytes,
+            limits.decode_time_s,
+            limits.max_pixels,
+            limits.max_side,
+            preview_bytes=most_bytes,
+        )
+        async with self._drawings.turn(client):
+            made, _ = await self._helpers.ask(errand, file)
+        return made
 
     async def _picture(self, client: str, file: BinaryIO, errand: Errand) -> bytes:
         async with self._drawings.turn(client):

@@ -55,6 +55,23 @@ EXAMPLE_SUMMARY: dict[str, Any] = {
 EXAMPLE_TRACE = {"progress": 0.06, "trace": [{**EXAMPLE_POINT, "phase": "fit"}]}
 
 
+EXAMPLE_PREVIEW = {
+    "text": "xYMQtjRiDiYJEwCUUeehgKV_5UkIqTnuzptoNyvAPCDfXzxwoLw3ixinHIvg0gIR-MkWNBXhPhxJVW-3ASM",
+    "width": 4032,
+    "height": 3024,
+    "color": "#644138",
+    "dark": True,
+}
+HOST = "http://127.0.0.1:8000"  # in commands
+
+
+def curl(arguments: str) -> dict[str, Any]:
+    """A command to copy, in the OpenAPI document and so at /docs; a test runs it. HOST and ID stand for the service and
+    for a job."""
+    source = f"curl {arguments}".replace("HOST", HOST).replace("ID", EXAMPLE_ID)
+    return {"x-codeSamples": [{"lang": "Shell", "label": "curl", "source": source}]}
+
+
 def _example(value: dict[str, Any]) -> ConfigDict:
     return ConfigDict(json_schema_extra={"examples": [value]})
 
@@ -152,6 +169,18 @@ class LinksView(BaseModel):
     decode_url: str = Field(description="URL of the picture; its extension and view parameters can be changed")
     bitstream_url: str
     expires_at: datetime
+
+
+class PreviewView(BaseModel):
+    """The answer to POST /preview."""
+
+    model_config = _example(EXAMPLE_PREVIEW)
+
+    text: str = Field(description="base64url of an .sg file, for the preview attribute of an <sg-img>")
+    width: int = Field(description="pixels of the image as displayed")
+    height: int = Field(description="pixels of the image as displayed")
+    color: str = Field(description="average colour, #rrggbb")
+    dark: bool = Field(description="whether white text reads better on that colour than black")
 
 
 class HealthView(BaseModel):

@@ -13,7 +13,7 @@ from service.jobs.job import FINAL_STATES, Job
 from service.jobs.table import JobTableError
 from service.web.guards.problems import problems
 from service.web.routes import answers
-from service.web.routes.examples import curl
+from service.web.routes.answers import curl
 from service.web.routes.gone import set_within
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
 

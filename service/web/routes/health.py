@@ -14,7 +14,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from service.jobs.table import Census, JobTableError
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
-from service.web.routes.examples import curl
+from service.web.routes.answers import curl
 from service.web.routes.parts import Parts, UseCaller, UseParts
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from service.keys import Link
 from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
-from service.web.routes.examples import curl
+from service.web.routes.answers import curl
 from service.web.routes.file_answers import has_already
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts, no_such_job
 from service.web.routes.pictures import open_image

@@ -21,8 +21,8 @@ from service.web.helpers.drawing import Drawing, Wish
 from service.web.helpers.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.routes import answers
+from service.web.routes.answers import curl
 from service.web.routes.decoding import ViewQuery
-from service.web.routes.examples import curl
 from service.web.routes.file_answers import (
     IMMUTABLE,
     VARIES,

@@ -132,8 +132,13 @@ async def read_header(submitted: Submission, work: Work, client: str, max_bytes:
     try:
         return await work.read_header(client, submitted.image.file, size)
     except RefusedError as error:
-        await submitted.image.seek(0)
-        first = await submitted.image.read(FORMAT_BYTES)
-        raise ProblemError(422 if is_read(first) or not first else 415, str(error)) from error
+        raise await refusal(error, submitted.image) from error
     except HelperError as error:
         raise ProblemError(422, f"the image's header cannot be read: {error}") from error
+
+
+async def refusal(error: RefusedError, image: UploadFile) -> ProblemError:
+    """415 for an image in none of the formats, 422 for a damaged one or a size beyond the limits."""
+    await image.seek(0)
+    first = await image.read(FORMAT_BYTES)
+    return ProblemError(422 if is_read(first) or not first else 415, str(error))

@@ -22,13 +22,13 @@ POLL_S = 0.05  # how soon it ends when it is to end early
 
 
 def encode(
-    image: bytes,
-    _budget: Any,
-    profile: str,
+    image: Any,
+    _budget: Any = None,
+    profile: str = "rd",
     *,
-    time_limit_s: float,
-    on_progress: Callable[[Any], None],
-    stop: Callable[[], bool],
+    time_limit_s: float = 0.0,
+    on_progress: Callable[[Any], None] = lambda _: None,
+    stop: Callable[[], bool] = lambda: False,
     **_more: Any,
 ) -> Any:
     """As sgmethod.codec.encode has it."""
@@ -36,11 +36,11 @@ def encode(
 
     from sgmethod.bitstream import container
     from sgmethod.bitstream.v5 import StreamV5
-    from sgmethod.io.image import read_image_8_bit
+    from sgmethod.io.inputs import read_input
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
 
-    pixels = read_image_8_bit(image, keep_alpha=True)
+    pixels = read_input(image, keep_alpha=True)
     for step in range(STEPS + 1):
         seconds = time_limit_s * step / STEPS
         on_progress(TracePoint(seconds, step, STEPS, 20.0 + step, 0, 1, "joint"))

@@ -16,7 +16,7 @@ from PIL import Image
 import sgmethod
 from service.keys import digest
 from service.web.routes import answers
-from service.web.routes.examples import HOST
+from service.web.routes.answers import HOST
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S
@@ -53,7 +53,7 @@ def test_no_answer_is_beyond_the_document(
 
 
 def test_examples_are_what_they_are_examples_of() -> None:
-    for view in (answers.AcceptedView, answers.JobSummary, answers.TraceView, answers.JobView):
+    for view in (answers.AcceptedView, answers.JobSummary, answers.TraceView, answers.JobView, answers.PreviewView):
         (example,) = view.model_json_schema()["examples"]
         assert set(example) == set(view.model_fields)
         view.model_validate(example)

@@ -173,3 +173,38 @@ def test_a_removed_job_is_gone_from_memory_too(web: Service) -> None:
     assert web.client.get(f"/decode/{job_id}.png").status_code == 200
     assert web.client.delete(f"/jobs/{job_id}").status_code == 204
     assert_problem(web.client.get(f"/decode/{job_id}.png"), 404)
+
+
+def test_a_preview_is_answered_at_once_and_decoded_from_its_text(web: Service) -> None:
+    answer = web.client.post("/preview?bytes=80", content=PHOTOGRAPH)
+    made = sgmethod.preview(PHOTOGRAPH, 80)
+    assert (answer.status_code, answer.json()) == (200, made.to_dict())
+    assert answer.headers["cache-control"] == "no-store"
+    drawn = web.client.post("/decode", content=made.text.encode())
+    np.testing.assert_array_equal(pixels_of(drawn), sgmethod.decode(made.data))
+    assert_problem(web.client.post("/decode", content=made.text[:40].encode()), 422, "checksum")
+
+
+@pytest.mark.parametrize(
+    ("query", "body", "status", "words"),
+    [
+        ("", b"hello", 415, "not a PNG"),
+        ("", b"", 422, "empty"),
+        ("", PHOTOGRAPH[:-500], 422, "truncated"),
+        ("?bytes=11", PHOTOGRAPH, 422, "bytes"),
+        ("?bytes=4097", PHOTOGRAPH, 422, "bytes"),
+        ("?size=100", PHOTOGRAPH, 422, "unknown query parameter"),
+        ("", bytes(200_001), 413, "larger than 200000"),
+    ],
+)
+def test_what_gets_no_preview(web: Service, query: str, body: bytes, status: int, words: str) -> None:
+    assert_problem(web.client.post(f"/preview{query}", content=body), status, words)
+
+
+def test_limits_of_previews(web: Service, start_service: StartService) -> None:
+    assert_problem(web.client.post("/preview", files={"image": PHOTOGRAPH}), 415, "not a form")
+    file = io.BytesIO()
+    Image.new("1", (1200, 900)).save(file, "PNG")
+    assert_problem(web.client.post("/preview", content=file.getvalue()), 422, "limit is 1,000,000 pixels")
+    short = start_service("web", decode_time_s=0.01)
+    assert_problem(short.client.post("/preview", content=PHOTOGRAPH), 422, "time limit")
