@@ -25,6 +25,7 @@ KODAK = "--images {images}"
 SEEN = f"{KODAK} --weights {{weights}}"
 RATES, QUALITIES, PATIENT = "--bpp 0.1,0.15,0.25,0.4", "--quality 20,30,40,50,60,70", "--effort 9 --tune psnr"
 FEW = "--bpp 0.5 --most 1"
+SEEN_KINDS = "psnr visual avif 'avif grain' 'avif tune=ssimulacra2' jpegxl"
 NO_RIVALS = "--methods 'rd,rd visual,paper,baseline,plain Adam,siren'"
 # The JSON of each command, and the command.
 SMALL = {
@@ -53,7 +54,7 @@ FULL = {
     "--paper-limits 10,30",
     "convergence/codecs": f"convergence {SEEN} --megapixels 2,12 --settings ',effort 1,10,9,8,7,6,5,4,3,2,1,0' "
     "--methods 'rd,rd visual,jpeg,jpeg2000,webp,avif,jpegxl,avif visual'",
-    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.1,0.25,0.5 --kinds psnr visual avif",
+    "perceptual/kodak": f"perceptual {SEEN} --bpp 0.1,0.25,0.4 --kinds {SEEN_KINDS}",
     "version4/stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes",
     "speed": f"speed {KODAK}",

@@ -1,9 +1,11 @@
 """What people see, over a folder of pictures: python -m benchmarks.perceptual --images FOLDER --weights FOLDER
 
 For each picture and rate: a file tuned for PSNR, one tuned for the eye, the latter decoded without its texture, and
-AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is libavif's own) at the best quality that takes no more bytes. A
-picture that AVIF cannot make so small is left out of the means. What the JSON already holds for the same code and
-machine is not done again. Needs the extra "benchmark", and weights (python -m benchmarks.perceptual.weights FOLDER).
+other codecs at the best quality that takes no more bytes: AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is
+libavif's own), the same with grain of its own, AVIF with tune=ssimulacra2, and JPEG XL. A picture that AVIF cannot make
+so small is left out of the means, a codec that cannot with one of the others does not get any. What the JSON already
+holds for the same code and machine is not done again. Needs the extra "benchmark", and weights (python -m
+benchmarks.perceptual.weights FOLDER).
 """
 
 from __future__ import annotations
@@ -16,14 +18,16 @@ import numpy as np
 
 from benchmarks.arguments import numbers
 from benchmarks.machine import RUNS, Record, in_words
-from benchmarks.perceptual.means import KINDS, TITLES, lines
+from benchmarks.perceptual.means import KINDS, RIVALS, TITLES, lines
 from benchmarks.pictures import Pixels, pictures_in
-from benchmarks.rd.rivals import Avif
+from benchmarks.rd import rivals
 from benchmarks.tables import table
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr
+from sgmethod.metrics.local import local_statistics
 from sgmethod.metrics.perceptual import Networks, ssimulacra2
+from sgmethod.metrics.wasserstein import Wasserstein
 
 
 def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[str, int, float, Pixels]]:
@@ -36,10 +40,20 @@ def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[
         yield "visual", len(visual), info(visual).bits["texture"] / (8 * len(visual)), decode(visual)
     if "visual, no texture" in kinds:
         yield "visual, no texture", len(visual), 0.0, decode(visual, texture=False)
-    if "avif" in kinds:
-        avif = Avif().run(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1]))
-        if len(avif.data) <= len(visual):
-            yield "avif", len(avif.data), 0.0, avif.decode(avif.data)
+    for name in (name for name in RIVALS if name in kinds):
+        rival = rivals.Avif() if name == "avif" else rivals.RIVALS[name]()
+        made = rival.run(pixels, 8 * len(visual) / (pixels.shape[0] * pixels.shape[1]))
+        if len(made.data) <= len(visual):
+            yield name, len(made.data), 0.0, made.decode(made.data)
+
+
+def figures(picture: Pixels, source: Pixels, networks: Networks, wasserstein: Wasserstein) -> dict[str, float | None]:
+    """By the names of means.FIGURES."""
+    similarity = ms_ssim(picture, source)
+    found = {"psnr": psnr(picture, source), "ms_ssim": similarity, "ssimulacra2": ssimulacra2(picture, source)}
+    found |= {**networks(picture, source), "wasserstein": wasserstein(picture, source)}
+    found |= local_statistics(picture, source)
+    return {name: None if value is None else round(value, 4) for name, value in found.items()}
 
 
 def main() -> None:
@@ -56,7 +70,7 @@ def main() -> None:
     paths = pictures_in(options.images)
     if not paths:
         parser.error(f"there is no picture in {options.images}")
-    networks = Networks(options.weights)
+    networks, wasserstein = Networks(options.weights), Wasserstein(options.weights)
     record = Record(options.out, "benchmarks.perceptual", {"kinds": list(options.kinds)})
     for path in paths:
         pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
@@ -69,11 +83,7 @@ def main() -> None:
                 continue
             for kind, size, texture, picture in decoded(pixels, bpp, wanted):
                 row = {**key, "kind": kind, "bytes": size, "texture": round(texture, 5)}
-                similarity = ms_ssim(picture, pixels)
-                assert similarity is not None
-                found = {"psnr": psnr(picture, pixels), "ms_ssim": similarity}
-                found |= {"ssimulacra2": ssimulacra2(picture, pixels), **networks(picture, pixels)}
-                record.add({**row, **{name: round(value, 4) for name, value in found.items()}})
+                record.add(row | figures(picture, pixels, networks, wasserstein))
     print(table(TITLES, list(lines(record.rows))), in_words(record.content), sep="\n\n")
 
 

@@ -7,25 +7,32 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from benchmarks.rd.report import TITLES as NAMES
+from benchmarks.tables import number
+from sgmethod.metrics import local
 
-FIGURES = ("psnr", "ms_ssim", "ssimulacra2", "lpips", "dists")
-BETTER_IF_LOWER = ("lpips", "dists")
-KINDS = ("psnr", "visual", "visual, no texture", "avif")
+NAMES = NAMES | {"wasserstein": "Wasserstein"} | {name: name.replace("_", ", ") for name in local.FIGURES}
+WHOLE = ("psnr", "ms_ssim", "ssimulacra2", "lpips", "dists", "wasserstein")
+FIGURES = (*WHOLE, *local.FIGURES)
+BETTER_IF_LOWER = ("lpips", "dists", "wasserstein")
+OURS = ("psnr", "visual", "visual, no texture")
+RIVALS = ("avif", "avif grain", "avif tune=ssimulacra2", "jpegxl")
+KINDS = (*OURS, *RIVALS)
 TITLES = " | ".join(["bpp at most", "pictures", "file", "bytes", "texture", *(NAMES[name] for name in FIGURES)])
 Row = dict[str, Any]
 
 
 def means(rows: Sequence[Row], bpp: float) -> dict[str, Row]:
-    """By kind, over the pictures that AVIF has too; with the number of pictures."""
+    """By kind, over the pictures that AVIF has too; with the number of pictures. A kind that lacks some of these is
+    left out. A figure is None where no row has it, and else the mean of those that do."""
     mine = [row for row in rows if row["max_bpp"] == bpp]
     there = {row["image"] for row in mine if row["kind"] == "avif"}
     found: dict[str, Row] = {}
     for kind in KINDS:
         these = [row for row in mine if row["kind"] == kind and (row["image"] in there or not there)]
-        if these:
-            found[kind] = {
-                name: statistics.fmean(row[name] for row in these) for name in ("bytes", "texture", *FIGURES)
-            }
+        if these and len(these) >= len(there):
+            values = {name: [row[name] for row in these if row.get(name) is not None] for name in FIGURES}
+            found[kind] = {name: statistics.fmean(known) if known else None for name, known in values.items()}
+            found[kind] |= {name: statistics.fmean(row[name] for row in these) for name in ("bytes", "texture")}
             found[kind]["pictures"] = len(these)
     return found
 
@@ -35,7 +42,7 @@ def lines(rows: Sequence[Row]) -> Iterator[list[str]]:
     for bpp in rates(rows):
         found = means(rows, bpp)
         for kind, mean in found.items():
-            cells = [f"{mean[name]:.3f}{against(name, mean, found.get('avif'))}" for name in FIGURES]
+            cells = [number(mean[name], ".3f") + against(name, mean, found.get("avif")) for name in FIGURES]
             yield [f"{bpp:g}", f"{mean['pictures']:g}", kind, f"{mean['bytes']:,.0f}", f"{mean['texture']:.2%}", *cells]
 
 
@@ -46,7 +53,7 @@ def rates(rows: Sequence[Row]) -> list[float]:
 
 def against(name: str, mean: Row, avif: Row | None) -> str:
     """How a mean compares with AVIF's."""
-    if avif is None or mean is avif:
+    if avif is None or mean is avif or name in local.FIGURES or None in (mean[name], avif[name]):
         return ""
     return f" ({mean[name] / avif[name]:.2f})" if name in BETTER_IF_LOWER else f" ({mean[name] - avif[name]:+.3f})"
 

@@ -3,15 +3,20 @@
     python -m benchmarks.perceptual.sheet --images KODAK [--bpp 0.25] [--out FILE]
     python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif,jpeg \\
         --parts kodim08:230:150,kodim15:390:150,kodim13:120:300 --out docs/crop.webp
+    python -m benchmarks.perceptual.sheet --images KODAK PHOTOGRAPHS/measured --blind 7 --bpp 0.2 --out blind.png
 
 For each part: the picture, ours tuned for the eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is libavif's own)
 and JPEG XL; or what --of names. AVIF's is the largest file within --bpp, and ours has no more bytes than that; others
-have no fewer than ours.
+have no fewer than ours. --earlier: a folder with NAME.sg of an earlier version, for the column "earlier".
+
+--blind: for someone who has not seen them, twelve grainy parts: the source, then ours and AVIF's, or what --of names,
+in an order that is drawn anew for each part. Which is which goes into a text beside the picture.
 """
 
 from __future__ import annotations
 
 import argparse
+import random
 from bisect import bisect_left
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,32 +36,43 @@ PARTS = (
     "kodim01:60:250,kodim04:190:330,kodim05:430:120,kodim08:150:150,kodim13:60:380,"
     "kodim14:330:250,kodim15:230:110,kodim18:130:330,kodim19:180:560,kodim22:500:350"
 )
-OF = "source,visual,avif,jpegxl"
-LABELS = {"visual": "sgmethod", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
+# Water, lawn, foliage; then of benchmarks.perceptual.photographs trees, water, meadow, rock, moss, heath, lake, stone.
+GRAINY = (
+    "kodim13:60:380,kodim14:330:250,kodim19:180:560,kodim22:500:350,"
+    "life_by_aitzol_berasategi:40:60,life_by_aitzol_berasategi:340:340,"
+    "picosdeeuropa_by_aitzol_berasategi:500:300,picosdeeuropa_by_aitzol_berasategi:400:120,"
+    "onestandsout:400:330,sunset_by_aitzol_berasategi:120:370,bythewater:400:110,picture_0b_by_freespace:20:400"
+)
+OF, BLIND = "source,visual,avif,jpegxl", "visual,avif"
+LABELS = {"visual": "sgmethod", "earlier": "sgmethod, earlier", "avif": "AVIF", "jpegxl": "JPEG XL", "jpeg": "JPEG"}
 RIVALS = {rival.name: rival for rival in (Avif, JpegXl, Jpeg)}
-COLUMNS = ("source", "visual", *RIVALS)
+COLUMNS = ("source", "visual", "earlier", *RIVALS)
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
 MARGIN = 22  # pixels of the sheet, for words
 
 
-def made_by(wanted: list[str], path: Path, bpp: float) -> Iterator[tuple[str, Pixels]]:
-    """For each that is wanted, its label and its pixels."""
+Column = tuple[str, str, Pixels]  # its name, what stands over it, and the whole picture
+
+
+def made_by(wanted: list[str], path: Path, bpp: float, earlier: Path | None = None) -> Iterator[Column]:
+    """Each that is wanted."""
     source = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
     avif = Avif().run(source, bpp)
     ours = encode(source, bytes=len(avif.data), tune="visual").data
     for name in wanted:
         if name == "source":
-            yield f"{path.stem}, source", source
+            yield name, f"{path.stem}, source", source
             continue
-        if name == "visual":
-            data, pixels = ours, decode(ours)
+        if name in ("visual", "earlier"):
+            data = (earlier / f"{path.stem}.sg").read_bytes() if earlier and name == "earlier" else ours
+            pixels = decode(data)
         elif name == "avif":
             data, pixels = avif.data, avif.decode(avif.data)
         else:
             rival = RIVALS[name]()
             data = no_fewer(rival, source, len(ours))
             pixels = rival.decode(data)
-        yield f"{LABELS.get(name, name)}, {len(data):,} bytes", pixels
+        yield name, f"{LABELS[name]}, {len(data):,} bytes", pixels
 
 
 def no_fewer(rival: Rival, source: Pixels, least: int) -> bytes:
@@ -66,28 +82,51 @@ def no_fewer(rival: Rival, source: Pixels, least: int) -> bytes:
     return rival.encode(source, qualities[first])
 
 
+def hidden(columns: list[Column], order: random.Random) -> list[Column]:
+    """The source, then the others under letters."""
+    others = [column for column in columns if column[0] != "source"]
+    order.shuffle(others)
+    named = [(name, letter, pixels) for (name, _, pixels), letter in zip(others, "ABCD", strict=False)]
+    return [*(column for column in columns if column[0] == "source"), *named]
+
+
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=Path, required=True, help="folder of the Kodak pictures")
-    parser.add_argument("--parts", default=PARTS, help="NAME:X:Y of each, separated by commas")
-    parser.add_argument("--of", type=some_of(COLUMNS, "column"), default=OF, help=f"of {', '.join(COLUMNS)}")
+    parser.add_argument("--images", type=Path, nargs="+", required=True, help="folders of the pictures, PNG")
+    parser.add_argument("--parts", help="NAME:X:Y of each, separated by commas")
+    parser.add_argument("--of", type=some_of(COLUMNS, "column"), help=f"of {', '.join(COLUMNS)}")
     parser.add_argument("--bpp", type=float, default=0.25)
+    parser.add_argument("--earlier", type=Path, help="folder of .sg files")
+    parser.add_argument("--blind", type=int, metavar="SEED", help="of the order in which names are hidden")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "seen.webp")
     options = parser.parse_args()
-    chosen = [part.split(":") for part in options.parts.split(",")]
-    sheet = Image.new("RGB", (len(options.of) * ZOOM * WIDTH, len(chosen) * (ZOOM * HEIGHT + MARGIN)), "white")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
-    for row, (name, *corner) in enumerate(chosen):
+    is_blind = options.blind is not None
+    wanted = options.of or (f"source,{BLIND}" if is_blind else OF).split(",")
+    if "earlier" in wanted and not options.earlier:
+        parser.error("the column earlier needs --earlier")
+    order, key = random.Random(options.blind), []
+    parts = [part.split(":") for part in (options.parts or (GRAINY if is_blind else PARTS)).split(",")]
+    paths = {path.stem: path for folder in options.images for path in folder.glob("*.png")}
+    made = {name: [*made_by(wanted, paths[name], options.bpp, options.earlier)] for name in {part[0] for part in parts}}
+    sheet = Image.new("RGB", (len(wanted) * ZOOM * WIDTH, len(parts) * (ZOOM * HEIGHT + MARGIN)), "white")
+    for row, (name, *corner) in enumerate(parts):
+        columns = hidden(made[name], order) if is_blind else made[name]
         x, y = map(int, corner)
-        path = options.images / f"{name}.png"
-        for column, (label, pixels) in enumerate(made_by(options.of, path, options.bpp)):
-            at = column * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)
-            draw.text((at[0] + 4, at[1] + 3), label, "black", font)
-            part = Image.fromarray(np.ascontiguousarray(pixels[y : y + HEIGHT, x : x + WIDTH]))
-            large = part.resize((ZOOM * WIDTH, ZOOM * HEIGHT), Image.Resampling.LANCZOS)
-            sheet.paste(large, (at[0], at[1] + MARGIN))
+        key.append(f"{row + 1} {name}: {', '.join(f'{label} {of}' for of, label, _ in columns if of != 'source')}")
+        for at, (_, label, pixels) in enumerate(columns):
+            place(sheet, at, row, label, pixels[y : y + HEIGHT, x : x + WIDTH])
     sheet.save(options.out, quality=80, method=6)
+    if is_blind:
+        options.out.with_suffix(".txt").write_text("\n".join(key) + "\n")
+
+
+def place(sheet: Image.Image, column: int, row: int, label: str, part: Pixels) -> None:
+    """One part at twice its size, under its label."""
+    x, y = column * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)
+    ImageDraw.Draw(sheet).text((x + 4, y + 3), label, "black", ImageFont.load_default(13))
+    large = Image.fromarray(np.ascontiguousarray(part)).resize((ZOOM * WIDTH, ZOOM * HEIGHT), Image.Resampling.LANCZOS)
+    sheet.paste(large, (x, y + MARGIN))
 
 
 if __name__ == "__main__":

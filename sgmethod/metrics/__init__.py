@@ -1,4 +1,5 @@
-"""How close two pictures are: PSNR and MS-SSIM (pixels); SSIMULACRA 2, LPIPS and DISTS (perceptual)."""
+"""How close two pictures are: PSNR and MS-SSIM (pixels); SSIMULACRA 2, LPIPS and DISTS (perceptual); Wasserstein
+Distortion (wasserstein); spread and kurtosis of detail (local)."""
 
 from sgmethod.metrics.pixels import MIN_SIDE, ms_ssim, psnr
 
