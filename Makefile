@@ -12,6 +12,7 @@
 # make cross   compile the kernels for other machines, and run what can be run here; takes what compilers there are
 # make wheel   pack the source, build wheels of it for this system, and decode with each where it is installed alone; the
 #              results lie in dist
+# make npm     the package for browsers: built, held to its sizes, compared with the page's decoder, and packed in dist
 # make wasm    the decoder in WebAssembly, in build/wasm, and its tests; needs Clang and Debian's libraries for it
 #
 # The set-up is done again only when pyproject.toml or a source of the compiled part changes. Edits to Python
@@ -49,7 +50,7 @@ ATHERIS := atheris>=3
 MUTATIONS ?= 10000
 MINUTES ?= 5
 
-.PHONY: serve check types test measured measured-encodes measured-service measured-whole unmeasured versions sanitize fuzz cross wheel wasm bench
+.PHONY: serve check types test measured measured-encodes measured-service measured-whole unmeasured versions sanitize fuzz cross wheel npm wasm bench
 
 serve: $(SERVED)
 	$(BIN)/python -m service serve
@@ -113,6 +114,13 @@ cross: $(STAMP)
 
 wheel: $(STAMP)
 	$(BIN)/python -m tests.wheels
+
+npm:
+	@command -v npm >/dev/null || { echo "The package for browsers needs npm: sudo apt install npm" >&2; exit 1; }
+	mkdir -p build/npm dist
+	cp -r service/npm/. LICENSE build/npm/
+	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && node build.mjs ../../service/web/static \
+	  && npm pack --silent --pack-destination ../../dist
 
 WASM_CLANG ?= clang++
 WASM_SOURCES := $(wildcard $(addprefix sgmethod/native/,core/isa.cpp texture/*.cpp raster/*.cpp rd/codec.cpp rd/symbols.cpp \

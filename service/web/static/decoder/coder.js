@@ -1,98 +1,73 @@
 // The entropy decoder of versions 4 and 5: docs/format.md, "The entropy decoder of version 4".
 
-export const COLOUR = 0; // the two states; a short file has one for both
-export const SHAPE = 1;
+import { refuseUnless } from "./header.js";
+import { SEEN, SLOW, newModels } from "./models.js";
 
-/** A number whose last bits may still follow. */
-export const NONE = Object.freeze({ least: 0, rest: 0, symbol: 0 });
+/** Functions that decode a payload. A state is 0 or 1; a short file has one for both. told(bits, state, row) is called
+ * for whatever is decoded, with the bits of information that it took, and the row of its model. */
+export function newCoder(payload, isShort, told) {
+  const models = newModels();
+  const queue = new Uint8Array(64); // a ring of raw bits
+  let [at, head, tail] = [0, 0, 0]; // the byte that is read next, the bit that is taken next, the end of the queue
+  const byte = () => payload[at++] ?? 0;
+  const half = () => byte() + 256 * byte();
+  const first = () => half() + 65536 * half();
+  const states = [first()];
+  WHOLE: if (!isShort) states.push(first());
 
-export class Coder {
-  constructor(payload, states) {
-    this.payload = payload;
-    this.at = 0;
-    this.queue = new Uint8Array(32); // a ring of bytes, least significant bit first
-    this.head = 0; // the bit that is taken next
-    this.queued = 0; // bits
-    this.states = Array.from({ length: states }, () => this.first());
-    this.cost = 0; // bits of information decoded since somebody set it to 0
-  }
+  WHOLE: refuseUnless(states.every((state) => state >= 65536), "its first state is too small");
 
-  byte() {
-    return this.at < this.payload.length ? this.payload[this.at++] : (this.at++, 0);
-  }
-
-  first() {
-    return this.byte() + 256 * this.byte() + 65536 * this.byte() + 16777216 * this.byte();
-  }
-
-  get pastEnd() {
-    return this.at > this.payload.length;
-  }
-
-  symbol(lane, model) {
-    const which = lane % this.states.length;
-    const state = this.states[which];
-    const place = state % 32768;
-    let symbol = 0;
-    let low = 0;
-    let high = model.edge(1);
-    while (place >= high) {
-      symbol++;
-      low = high;
-      high = model.edge(symbol + 1);
+  const symbol = (state, row) => {
+    const model = models[row];
+    const edge = (i) => (model[i] + model[i + SLOW]) >> 1;
+    let which = 0;
+    WHOLE: which = isShort ? 0 : state;
+    const place = states[which] & 32767;
+    let found = 0;
+    while (place >= edge(found + 1)) found++;
+    const low = edge(found);
+    const share = edge(found + 1) - low;
+    const next = share * (states[which] >>> 15) + place - low;
+    states[which] = next < 65536 ? next * 65536 + half() : next;
+    const j = Math.min(31 - Math.clz32(model[SEEN]++ + 16), 7);
+    for (let i = 1; i < 16; i++) {
+      const aim = 4 * i + (i > found && 32704);
+      model[i] += (aim - model[i] + 15) >> 5;
+      model[i + SLOW] += (aim - model[i + SLOW] + (1 << (j - 1)) - 1) >> j;
     }
-    const next = (high - low) * Math.floor(state / 32768) + place - low;
-    model.adapt(symbol);
-    this.cost += 15 - Math.log2(high - low);
-    this.states[which] = next < 65536 ? next * 65536 + this.byte() + 256 * this.byte() : next;
-    return symbol;
-  }
+    WHOLE: told?.(15 - Math.log2(share), state, row);
+    return found;
+  };
 
   /** Append whole bytes until the queue holds `count` bits. */
-  fetch(count) {
-    while (this.queued < count) {
-      this.queue[((this.head + this.queued) >> 3) & 31] = this.byte();
-      this.queued += 8;
-    }
-  }
+  const fetch = (count) => {
+    while (tail - head < count) for (let bits = byte() + 256; bits > 1; bits >>= 1) queue[tail++ & 63] = bits & 1;
+  };
 
-  take(count) {
-    this.cost += count;
-    this.queued -= count;
+  const take = (count, state, row) => {
     let value = 0;
-    let weight = 1;
-    while (count > 0) {
-      const within = this.head & 7;
-      const taken = Math.min(8 - within, count);
-      value += ((this.queue[this.head >> 3] >> within) & ((1 << taken) - 1)) * weight;
-      weight *= 2 ** taken;
-      this.head = (this.head + taken) & 255;
-      count -= taken;
-    }
+    for (let weight = 1; weight < 2 ** count; weight *= 2) value += queue[head++ & 63] * weight;
+    WHOLE: told?.(count, state, row);
     return value;
-  }
+  };
 
-  number(which, model) {
-    const symbol = this.symbol(which, model);
-    if (symbol < 4) return { least: symbol, rest: 0, symbol };
-    if (symbol < 15) {
-      const rest = (symbol >> 1) - 1;
-      return { least: (2 + (symbol & 1)) * 2 ** rest, rest, symbol };
-    }
-    this.fetch(5);
-    const bits = this.take(5);
-    this.fetch(bits);
-    return { least: 2 ** bits + this.take(bits), rest: 0, symbol };
-  }
+  /** A number whose last bits may still follow: its least value, how many bits, its symbol, state and row. */
+  const number = (state, row) => {
+    const found = symbol(state, row);
+    if (found < 4) return [found, 0, found];
+    if (found < 15) return [(2 + (found & 1)) << ((found >> 1) - 1), (found >> 1) - 1, found, state, row];
+    fetch(5);
+    const bits = take(5, state, row);
+    fetch(bits);
+    return [2 ** bits + take(bits, state, row), 0, found];
+  };
 
-  rest(number) {
-    return number.least + this.take(number.rest);
-  }
+  /** How many bytes were read. */
+  const read = () => at;
 
   /** Whether the payload ended as it has to. */
-  get ended() {
-    if (this.states.some((state) => state !== 65536) || this.take(this.queued) !== 0) return false;
-    for (let i = this.at; i < this.payload.length; i++) if (this.payload[i]) return false;
-    return true;
-  }
+  const isEnded = () =>
+    states.every((state) => state === 65536) && !take(tail - head) && payload.subarray(at).every((rest) => rest === 0);
+
+  return [symbol, fetch, take, number, read, isEnded];
 }

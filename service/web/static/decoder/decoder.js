@@ -6,7 +6,7 @@
 import { draw } from "./drawing.js";
 import { countInPart, readFile } from "./file.js";
 
-export { SgError } from "./file.js";
+export { SgError } from "./header.js";
 
 /**
  * The picture in a file, or a view of it: { width, height, data }, data being RGBA of 8 bits, row by row.

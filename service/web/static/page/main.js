@@ -7,7 +7,6 @@ import { Tools } from "../viewer/tools.js";
 import { Viewer } from "../viewer/viewer.js";
 import { budget, listen, rememberBudget, sayRate } from "./giving.js";
 import { draw, imageOf, Item } from "./items.js";
-import { kindOf } from "./kinds.js";
 import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples } from "./samples.js";
 import { fillLines, linkOf, offerWidths, saveFile, savePicture, snippetOf } from "./taking.js";
@@ -140,6 +139,7 @@ async function give(files) {
   const refusals = [];
   let shown = false;
   trouble("");
+  const { kindOf } = await import("./kinds.js");
   for (const file of files) {
     const { kind, format, refused } = await kindOf(file).catch(() => ({ refused: `${file.name} cannot be read.` }));
     if (refused) {

@@ -6,7 +6,7 @@ import { $ } from "./parts.js";
 import { size, withoutSuffix } from "./words.js";
 
 const IN_BROWSER = { png: "image/png", jpg: "image/jpeg", webp: "image/webp" };
-const SOURCES = ["models.js", "coder.js", "file.js", "drawing.js", "decoder.js"];
+const SOURCES = ["math", "models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
 
 /** Let the browser download a file; what to say of it. */
 function save(blob, name) {
@@ -77,7 +77,7 @@ export async function linkOf(item) {
 /** HTML that shows the picture from its .sg file, with the decoder in it: no other file is needed. The picture's name is
  * the text for those who do not see it. */
 export async function snippetOf(item) {
-  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/decoder/${name}`)).text()));
+  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/decoder/${name}.js`)).text()));
   const decoder = sources
     .join("\n")
     .replace(/^(import|export) \{.*$/gm, "")

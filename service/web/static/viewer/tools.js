@@ -3,7 +3,6 @@
 import { countInPart } from "../decoder/file.js";
 import { $ } from "../page/parts.js";
 import { count, size } from "../page/words.js";
-import { heatOf, heatPicture } from "./overlays.js";
 
 const UNFOLD_MS = 1400;
 const STILL_MS = 4000;
@@ -86,9 +85,16 @@ export class Tools {
   #showOverlay() {
     const [file, viewer] = [this.#file, this.#viewer];
     const overlay = overlays().find((input) => input.checked).value;
+    if (overlay !== "none" && !viewer.overlays) {
+      import("./overlays.js").then((module) => {
+        viewer.overlays = module;
+        this.#showOverlay();
+      });
+      return;
+    }
     Object.assign(viewer, { overlay, smooth: !$("pixels").checked, textured: this.textured });
-    if (overlay === "heat" && file && !file.heat) file.heat = heatOf(file);
-    viewer.heat = file?.heat ? (file.heat.picture ??= heatPicture(file.heat)) : null;
+    if (overlay === "heat" && file && !file.heat) file.heat = viewer.overlays.heatOf(file);
+    viewer.heat = file?.heat ? (file.heat.picture ??= viewer.overlays.heatPicture(file.heat)) : null;
     $("legend").textContent = {
       none: "",
       ellipses: "Each ellipse is a Gaussian at one standard deviation. Orange ones add light, blue ones remove it.",

@@ -1,6 +1,5 @@
 // The large picture: two pictures on one canvas with a divider between them, moved and zoomed together.
 
-import { drawEllipses } from "./overlays.js";
 import { latest } from "../page/parts.js";
 
 const MOST_ZOOM = 64; // pixels of the screen for a pixel of the picture
@@ -27,6 +26,7 @@ export class Viewer {
   constructor(stage, canvas, divider, draw) {
     Object.assign(this, { stage, canvas, divider, moved() {}, timed() {} });
     this.gpu = null;
+    this.overlays = null; // the module, once one is wanted
     this.context = canvas.getContext("2d", { alpha: false });
     this.size = [1, 1];
     this.left = this.right = this.file = this.heat = null;
@@ -194,7 +194,7 @@ export class Viewer {
       }
     }
     const view = { zoom, x: -x / zoom, y: -y / zoom, left: seam, right: canvas.width, height: canvas.height };
-    if (this.overlay === "ellipses" && file) drawEllipses(context, file, count, view);
+    if (this.overlay === "ellipses" && file) this.overlays.drawEllipses(context, file, count, view);
     if (this.overlay === "heat" && this.heat) {
       context.imageSmoothingEnabled = true;
       context.drawImage(this.heat, x, y, w, h);
