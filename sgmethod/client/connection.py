@@ -15,7 +15,7 @@ from sgmethod.errors import ServerError
 
 Json = dict[str, Any]
 Say = Callable[[str], None]
-AGAIN = frozenset({429, 503})  # the server is busy, and says when to come back
+AGAIN = frozenset({429, 502, 503, 504})  # the server is busy, or restarting behind its proxy
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 SILENCE_S = 60.0  # the server sends a sign of life every 15 s
 PASSING = (httpx.TimeoutException, httpx.NetworkError, httpx.RemoteProtocolError)

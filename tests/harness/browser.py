@@ -127,6 +127,7 @@ class Chromium(Browser):
         self._http = httpx.Client(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE_S)
         chrome = {"args": (*OPTIONS, "--window-size={},{}".format(*size)), "binary": shutil.which("chromium")}
         wanted = {"goog:chromeOptions": chrome, "goog:loggingPrefs": {"browser": "ALL"}, "timeouts": TIMEOUTS}
+        wanted["acceptInsecureCerts"] = True  # those of tests
         self._session = ""
         started = self._ask("POST", "session", capabilities={"alwaysMatch": wanted})
         self._session = f"session/{started['sessionId']}/"

@@ -1,4 +1,4 @@
-"""A server that speaks S3, for tests: moto's, in a process of its own."""
+"""Servers that speak S3, for tests: moto's, which forgets all when it ends, and rclone's, which does not."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import signal
 import socket
 import subprocess
 import sys
+import urllib.error
 import urllib.request
+from pathlib import Path
 
 from tests.harness.processes import PATIENCE_S, wait_until
+
+KEY = "test"
 
 
 class S3Server:
@@ -20,22 +24,26 @@ class S3Server:
         self._buckets = 0
         self.environment = {
             "AWS_ENDPOINT_URL": f"http://127.0.0.1:{self._port}",
-            "AWS_ACCESS_KEY_ID": "test",
-            "AWS_SECRET_ACCESS_KEY": "test",
+            "AWS_ACCESS_KEY_ID": KEY,
+            "AWS_SECRET_ACCESS_KEY": KEY,
             "AWS_REGION": "us-east-1",
         }
         self.start()
 
     def start(self) -> None:
         """Start it; it answers when this returns, and has forgotten everything."""
-        command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(self._port)]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._process = subprocess.Popen(self._command(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wait_until(self._answers)
+
+    def _command(self) -> list[str]:
+        return [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(self._port)]
 
     def _answers(self) -> bool:
         try:
             urllib.request.urlopen(f"http://127.0.0.1:{self._port}/", timeout=PATIENCE_S).close()
-        except OSError:  # an error of HTTP too, or one that comes before it has begun to answer
+        except urllib.error.HTTPError:  # which rclone answers those with who do not sign
+            return True
+        except OSError:  # one that comes before it has begun to answer
             return False
         return True
 
@@ -55,3 +63,20 @@ class S3Server:
         """End it."""
         self._process.kill()
         self._process.wait()
+
+
+class KeptS3Server(S3Server):
+    """One whose objects are files of a folder, and are still there after a restart."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        super().__init__()
+
+    def _command(self) -> list[str]:
+        rclone = str(Path(sys.executable).with_name("rclone"))
+        address = f"127.0.0.1:{self._port}"
+        return [rclone, "serve", "s3", "--addr", address, "--auth-key", f"{KEY},{KEY}", str(self._folder)]
+
+    def new_storage(self) -> str:
+        (self._folder / "pictures").mkdir(parents=True)
+        return "s3://pictures/sgmethod"

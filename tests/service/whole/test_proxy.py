@@ -1,4 +1,6 @@
-"""Behind nginx, set up as docs/deploy.md says: under / and under a path, with large bodies, long waits and events."""
+"""Behind nginx with TLS, set up as docs/deploy.md says: two web processes, under / and under a path, with large bodies,
+long waits and events; and with a database and a store that restart.
+"""
 
 from __future__ import annotations
 
@@ -6,10 +8,13 @@ import io
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import httpx
@@ -18,12 +23,15 @@ import pytest
 from PIL import Image
 
 import sgmethod
-from sgmethod.client import client
+from sgmethod.client import client, encode_many
+from sgmethod.many.manifest import Row
 from tests.harness.browser import Chromium
 from tests.harness.data import ROOT
 from tests.harness.pictures import SLOW, SMALL
+from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import STAND_IN, Service
+from tests.harness.s3_server import KeptS3Server
+from tests.harness.service import STAND_IN, Service, StartService
 from tests.service.page.steps import complaints, give
 
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
@@ -40,7 +48,8 @@ http {{
 }}
 """
 PREFIX = "/sg"
-StartProxy = Callable[[Service, str, bool], str]
+PICTURES = 12
+StartProxy = Callable[[Sequence[Service], str, bool], str]
 
 
 def replaced(text: str, old: str, new: str) -> str:
@@ -49,26 +58,43 @@ def replaced(text: str, old: str, new: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def start_proxy(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartProxy]:
-    """Starts nginx before a service, under a prefix that it may cut off; where it is then."""
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A certificate for this machine, which clients trust, beside its key."""
+    file = tmp_path_factory.mktemp("tls") / "certificate"
+    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1", "-days", "2"]
+    kind = ["-x509", "-nodes", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"]
+    files = ["-out", str(file), "-keyout", str(file.with_name("key"))]
+    subprocess.run(["openssl", "req", *kind, *names, *files], check=True, capture_output=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SSL_CERT_FILE", str(file))
+        yield file
+
+
+@pytest.fixture(scope="module")
+def start_proxy(tmp_path_factory: pytest.TempPathFactory, certificate: Path) -> Iterator[StartProxy]:
+    """Starts nginx before two web processes, under a prefix that it may cut off; where it is then."""
     if NGINX is None:
         if os.environ.get(REQUIRED) == "required":
             pytest.fail(HINT)
         pytest.skip(HINT)
     started: list[subprocess.Popen[bytes]] = []
 
-    def start(service: Service, prefix: str, cut: bool) -> str:
+    def start(webs: Sequence[Service], prefix: str, cut: bool) -> str:
         with socket.create_server(("127.0.0.1", 0)) as free:
             port = free.getsockname()[1]
-        block = replaced(BLOCK, "listen 80;", f"listen 127.0.0.1:{port};")
-        block = replaced(block, "http://127.0.0.1:8000;", f"{service.url}{'/' if cut else ''};")
+        block = replaced(BLOCK, "listen 443 ssl;", f"listen 127.0.0.1:{port} ssl;")
+        for number, web in enumerate(webs):
+            block = replaced(block, f"127.0.0.1:{8000 + number};", f"{web.url.removeprefix('http://')};")
+        block = replaced(block, "/etc/ssl/certs/pictures.example.pem", str(certificate))
+        block = replaced(block, "/etc/ssl/private/pictures.example.key", str(certificate.with_name("key")))
+        block = replaced(block, "http://sgmethod;", "http://sgmethod/;" if cut else "http://sgmethod;")
         block = replaced(block, "location / {", f"location {prefix}/ {{")
         user = "user root;" if os.geteuid() == 0 else ""  # no other may enter the folder
         folder = tmp_path_factory.mktemp("nginx")
         (folder / "nginx.conf").write_text(AROUND.format(folder=folder, block=block, user=user))
         command = [str(NGINX), "-c", str(folder / "nginx.conf"), "-e", str(folder / "error.log")]
         started.append(subprocess.Popen(command))
-        root = f"http://127.0.0.1:{port}{prefix}"
+        root = f"https://127.0.0.1:{port}{prefix}"
         wait_until(lambda: answers(root))
         return root
 
@@ -96,8 +122,9 @@ def proxied(
     settings = {"trusted_proxies": "127.0.0.1", "path_prefix": prefix, "link_secret": "x" * 32}
     data_dir = tmp_path_factory.mktemp("proxied") / "data"
     service = Service(data_dir, source_retention_s=1000, extra=STAND_IN, **settings)
-    yield service, start_proxy(service, prefix, cut)
-    assert service.stop() == 0
+    second = Service(data_dir, "web", source_retention_s=1000, **settings)
+    yield service, start_proxy((service, second), prefix, cut)
+    assert service.stop() == second.stop() == 0
 
 
 @pytest.fixture
@@ -106,6 +133,14 @@ def behind(proxied: tuple[Service, str]) -> Iterator[str]:
     service, root = proxied
     yield root
     service.clear()
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[KeptS3Server]:
+    """An empty store that keeps what it has when it is restarted."""
+    store = KeptS3Server(tmp_path / "store")
+    yield store
+    store.stop()
 
 
 def test_addresses_in_answers_lead_back(behind: str) -> None:
@@ -163,6 +198,75 @@ def test_events_are_not_held_back(behind: str) -> None:
         wait_until(lambda: next(lines).startswith("event: trace"))
         assert time.monotonic() - began < 90
     assert httpx.delete(f"{behind}/jobs/{job}").status_code == 204
+
+
+def test_parts_of_files(behind: str) -> None:
+    """Of either web process."""
+    fields = {"time_limit_s": "0.1"}
+    first = httpx.post(f"{behind}/encode?wait=50", files={"image": SMALL}, data=fields, timeout=PATIENCE_S)
+    job = urlsplit(first.headers["location"]).path.rpartition("/")[2]
+    for _ in range(4):
+        part = httpx.get(f"{behind}/bitstreams/{job}.sg", headers={"Range": "bytes=2-5"})
+        assert (part.status_code, part.content) == (206, first.content[2:6])
+        tag = {"If-None-Match": part.headers["etag"]}
+        assert httpx.get(f"{behind}/bitstreams/{job}.sg", headers=tag).status_code == 304
+
+
+def test_clients_keep_their_addresses(proxied: tuple[Service, str]) -> None:
+    """Whatever they say of themselves; and both web processes get requests."""
+    service, root = proxied
+    transport = httpx.HTTPTransport(local_address="127.0.0.3")
+    with httpx.Client(transport=transport, headers={"X-Forwarded-For": "9.9.9.9"}) as client:
+        names = [client.get(f"{root}/jobs").headers["x-request-id"] for _ in range(4)]
+    lines = wait_until(
+        lambda: (
+            len(found := [x for x in service.log.read_text().splitlines() if any(n in x for n in names)]) == 4 and found
+        )
+    )
+    assert lines
+    assert all("127.0.0.3" in line for line in lines)
+    assert "9.9.9.9" not in "".join(lines)
+
+
+def test_everything_restarts(
+    tmp_path: Path, start_proxy: StartProxy, start_service: StartService, postgres: PostgresServer, store: KeptS3Server
+) -> None:
+    """While a client encodes in bulk, the database, the store, a web process and the worker end and come back: each
+    picture is there in the end, once.
+    """
+    shared = {
+        "trusted_proxies": "127.0.0.1",
+        "database_url": postgres.new_database(),
+        "storage_url": store.new_storage(),
+        "lease_s": 2,
+    }
+    environment = {**store.environment, **STAND_IN}
+    webs = [start_service(command, **shared, extra=environment) for command in ("serve", "web")]
+    root = start_proxy(webs, "", False)
+    rows: list[Row] = []
+
+    def encode() -> None:
+        with client.Client(root, patience_s=PATIENCE_S) as ours:
+            items = [(str(number), SMALL) for number in range(PICTURES)]
+            encode_many(ours, items, tmp_path / "out", jobs=4, on_row=lambda row, _: rows.append(row), time_limit_s=0.5)
+
+    bulk = threading.Thread(target=encode)
+    bulk.start()
+    for trouble in (
+        lambda: (store.stop(), time.sleep(1), store.start()),
+        lambda: (postgres.stop("immediate"), time.sleep(1), postgres.start()),
+        lambda: os.kill(webs[0].ours("worker")[0], signal.SIGKILL),
+        lambda: os.kill(webs[0].ours("web")[0], signal.SIGKILL),
+    ):
+        before = len(rows)
+        wait_until(lambda before=before: len(rows) >= before + 2)
+        trouble()
+    bulk.join(PATIENCE_S)
+    assert not bulk.is_alive()
+    assert [row.error for row in rows if row.error] == []
+    names = sorted(f"{number}.sg" for number in range(PICTURES))
+    assert sorted(row.name for row in rows) == names
+    assert len({(tmp_path / "out" / name).read_bytes() for name in names}) == 1
 
 
 def test_the_page_works(behind: str, browser: Chromium) -> None:
