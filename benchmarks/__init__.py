@@ -2,6 +2,7 @@
 
 python -m benchmarks              a small set of all, or with --full what docs/results shows
 python -m benchmarks.rd           rate and quality over a folder of pictures, beside other codecs
+python -m benchmarks.previews     the same from 32 to 4,096 bytes, beside placeholders and reduced pictures
 python -m benchmarks.perceptual   the same by metrics that follow the eye, at equal bytes; crops to look at
 python -m benchmarks.convergence  error against run time, beside other methods and codecs
 python -m benchmarks.speed        time and memory by size, bytes and number of Gaussians; the kernels

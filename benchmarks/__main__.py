@@ -48,6 +48,7 @@ FULL = {
     "rd/quality": f"rd {KODAK} {QUALITIES}",
     "rd/effort-quality": f"rd {KODAK} {PATIENT} {QUALITIES}",
     "rd/paper": f"rd {SEEN} --profiles paper --bpp 0.147,0.43",
+    "previews/kodak": f"previews {SEEN}",
     "convergence/kodak": f"convergence {SEEN} --megapixels 0.4",
     "convergence/2-megapixels": f"convergence {SEEN} --megapixels 2 --few",
     "convergence/12-megapixels": f"convergence {SEEN} --megapixels 12 --few --limits 0.25,0.5,1,2,4,8,16,32 "
@@ -65,7 +66,7 @@ FULL = {
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
-COMMANDS = ("rd", "convergence", "speed", "ablation", "robustness", "service", "perceptual")
+COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual")
 
 
 def run(result: str, line: str, folder: Path) -> float:

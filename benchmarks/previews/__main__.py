@@ -1,0 +1,91 @@
+"""Previews of 32 to 4,096 bytes over a folder of pictures, beside placeholders and other codecs, each at its best.
+
+    python -m benchmarks.previews --images FOLDER [--most N] [--bytes 64,256] [--codecs sgmethod,WebP]
+                                  [--weights FOLDER] [--seen 256,1024]
+
+Each file is the best within so many bytes. There is no row where a codec makes none so small, or the same as within
+fewer. Times are of processors,
+all threads added up. --weights: as benchmarks.perceptual takes it, for SSIMULACRA 2, LPIPS and DISTS at the bytes of
+--seen. What the JSON already holds for the same code and machine is not done again. Needs the extra "benchmark".
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.arguments import integers, some_of
+from benchmarks.machine import RUNS, Record, in_words
+from benchmarks.pictures import Pixels, add_options, named_in
+from benchmarks.previews.codecs import CODECS, Made
+from benchmarks.rd.rivals import package
+from benchmarks.tables import number, table
+from sgmethod.io.image import read_image_8_bit
+from sgmethod.metrics import psnr
+from sgmethod.metrics.perceptual import Networks, ssimulacra2
+
+BYTES = [32, 64, 128, 256, 512, 1024, 2048, 4096]
+SEEN = [512]
+DECODES = 5  # the median of their times counts
+
+
+def measured(made: Made, pixels: Pixels, networks: Networks | None) -> dict[str, Any]:
+    """The figures of a file."""
+    times = []
+    for _ in range(DECODES):
+        began = time.process_time()
+        decoded = made.decode()
+        times.append(1e3 * (time.process_time() - began))
+    found: dict[str, Any] = {"bytes": made.bytes, "text": made.text, "psnr": round(psnr(decoded, pixels), 4)}
+    if networks is not None:
+        seen = {"ssimulacra2": ssimulacra2(decoded, pixels), **networks(decoded, pixels)}
+        found |= {name: round(value, 4) for name, value in seen.items()}
+    return found | {"encode_s": round(made.encode_s, 4), "decode_ms": round(statistics.median(times), 3)}
+
+
+def summary(rows: list[dict[str, Any]]) -> str:
+    """Mean PSNR by bytes and codec, with the pictures where some are missing."""
+    lines = []
+    for most in sorted({row["max_bytes"] for row in rows}):
+        cells = []
+        for codec in CODECS:
+            values = [row["psnr"] for row in rows if (row["codec"], row["max_bytes"]) == (codec, most)]
+            cells.append(number(statistics.fmean(values) if values else None, ".2f") + f" ({len(values)})")
+        lines.append([f"{most:,}", *cells])
+    return table(" | ".join(["bytes at most", *(f"{codec}, dB (pictures)" for codec in CODECS)]), lines)
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_options(parser, most=10**6)
+    parser.add_argument("--bytes", type=integers, default=BYTES, help="of a file at most")
+    parser.add_argument("--codecs", type=some_of(CODECS, "codec"), default=[*CODECS], help=f"of {', '.join(CODECS)}")
+    parser.add_argument("--weights", type=Path, help="folder of the networks' weights")
+    parser.add_argument("--seen", type=integers, default=SEEN, help="bytes at which the networks look")
+    parser.add_argument("--out", type=Path, default=RUNS / "previews.json")
+    options = parser.parse_args()
+    for name in ("imagecodecs", "blurhash", "fast_thumbhash"):
+        package(name)
+    networks = Networks(options.weights) if options.weights else None
+    record = Record(options.out, "benchmarks.previews", {"seen": options.seen if networks else []})
+    for path in named_in(options):
+        pixels = np.ascontiguousarray(read_image_8_bit(path.read_bytes()))
+        for most in sorted(options.bytes):
+            for codec in options.codecs:
+                key = {"codec": codec, "image": path.name}
+                if record.has(**key, max_bytes=most) or (made := CODECS[codec](pixels, most)) is None:
+                    continue
+                if not record.has(**key, bytes=made.bytes):
+                    found = measured(made, pixels, networks if most in options.seen else None)
+                    record.add({"codec": codec, "max_bytes": most, "image": path.name} | found)
+    print(summary(record.rows), in_words(record.content), sep="\n\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,149 @@
+"""Codecs at a few hundred bytes: each makes its best file of a picture that is reduced first.
+
+Other codecs try every factor of FACTORS and take the one with the highest PSNR, enlarged bicubically. BlurHash has as
+many components as its text has room for. Bytes are those of whole files, headers included; of BlurHash, whose text is
+no base64, 3 for 4 characters.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from PIL import Image
+
+import sgmethod
+from benchmarks.pictures import Pixels
+from benchmarks.rd.rivals import AvifForPsnr, Jpeg, JpegXl, Rival, WebP, package
+from sgmethod.metrics import psnr
+
+FACTORS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
+BPP = 0.1, 4.0  # of a reduced picture: beyond these, another factor is better
+MOST_COMPONENTS = 9  # of BlurHash, along each side
+HASHED_SIDE, BLURRED_SIDE = 100, 64  # pixels to which pictures are reduced: the most that ThumbHash takes; plenty
+
+
+@dataclass(frozen=True)
+class Made:
+    """A file, or its bytes; text: characters in a page, in base64; encode_s: seconds of processor time; decode: to
+    pixels of the picture's size."""
+
+    bytes: int
+    text: int
+    encode_s: float
+    decode: Callable[[], Pixels]
+
+
+def resized(pixels: Pixels, width: int, height: int) -> Pixels:
+    """Averaged where it becomes smaller, else bicubic."""
+    method = cv2.INTER_AREA if width < pixels.shape[1] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(pixels, (width, height), interpolation=method), np.uint8)
+
+
+def reduced(pixels: Pixels, side: int) -> Pixels:
+    """At most `side` pixels along either side."""
+    height, width = pixels.shape[:2]
+    scale = min(side / max(width, height), 1)
+    return resized(pixels, max(round(scale * width), 1), max(round(scale * height), 1))
+
+
+def sg(pixels: Pixels, most: int) -> Made:
+    """This project's preview."""
+    height, width = pixels.shape[:2]
+    began = time.process_time()
+    made = sgmethod.preview(pixels, most)
+    took_s = time.process_time() - began
+
+    def decode() -> Pixels:
+        file = sgmethod.open(made.data)
+        drawn = file.pixels(scale=width / file.size[0])
+        return drawn if drawn.shape == pixels.shape else resized(drawn, width, height)
+
+    return Made(len(made.data), len(made.text), took_s, decode)
+
+
+def blurhash(pixels: Pixels, most: int) -> Made | None:
+    """BlurHash, of a colour to begin with and two characters for each component."""
+    height, width = pixels.shape[:2]
+    sides = range(1, MOST_COMPONENTS + 1)
+    grids = [(x, y) for x in sides for y in sides if 4 + 2 * x * y <= most * 4 // 3]
+    if not grids:
+        return None
+    aspect = math.log(width / height)
+    x, y = max(grids, key=lambda grid: (grid[0] * grid[1], -abs(math.log(grid[0] / grid[1]) - aspect)))
+    began = time.process_time()
+    text = package("blurhash").encode(Image.fromarray(reduced(pixels, BLURRED_SIDE)), x, y)
+    took_s = time.process_time() - began
+
+    def decode() -> Pixels:
+        small = reduced(pixels, BLURRED_SIDE).shape
+        drawn = package("blurhash").decode(text, small[1], small[0])
+        return resized(np.asarray(drawn, np.uint8)[..., :3], width, height)
+
+    return Made(math.ceil(len(text) * 3 / 4), len(text), took_s, decode)
+
+
+def thumbhash(pixels: Pixels, most: int) -> Made | None:
+    """ThumbHash, whose size depends on the picture alone."""
+    height, width = pixels.shape[:2]
+    began = time.process_time()
+    small = reduced(pixels, HASHED_SIDE)
+    opaque = np.dstack([small, np.full(small.shape[:2], 255, np.uint8)])
+    data = bytes(package("fast_thumbhash").rgba_to_thumb_hash(small.shape[1], small.shape[0], opaque.tobytes()))
+    took_s = time.process_time() - began
+    if len(data) > most:
+        return None
+
+    def decode() -> Pixels:
+        w, h, rgba = package("fast_thumbhash").thumb_hash_to_rgba(data)
+        return resized(np.frombuffer(bytes(rgba), np.uint8).reshape(h, w, 4)[..., :3], width, height)
+
+    return Made(len(data), len(base64.b64encode(data)), took_s, decode)
+
+
+def of_rival(rival: Rival) -> Callable[[Pixels, int], Made | None]:
+    """Its best file over all factors, None where none is so small."""
+
+    def make(pixels: Pixels, most: int) -> Made | None:
+        height, width = pixels.shape[:2]
+        best, best_db = None, 0.0
+        for factor in FACTORS:
+            began = time.process_time()
+            small = pixels if factor == 1 else resized(pixels, max(width // factor, 1), max(height // factor, 1))
+            took_s = time.process_time() - began
+            bpp = 8 * most / (small.shape[0] * small.shape[1])
+            if not BPP[0] <= bpp <= BPP[1]:
+                continue
+            file = rival.best(small, bpp)
+            if len(file.data) > most:
+                continue
+
+            def decode(data: bytes = file.data) -> Pixels:
+                decoded = rival.decode(data)
+                return decoded if decoded.shape == pixels.shape else resized(decoded, width, height)
+
+            db = psnr(decode(), pixels)
+            if db > best_db:
+                began = time.process_time()
+                rival.encode(small, file.quality)
+                took_s += time.process_time() - began
+                best, best_db = Made(len(file.data), len(base64.b64encode(file.data)), took_s, decode), db
+        return best
+
+    return make
+
+
+CODECS: dict[str, Callable[[Pixels, int], Made | None]] = {
+    "sgmethod": sg,
+    "BlurHash": blurhash,
+    "ThumbHash": thumbhash,
+    "WebP": of_rival(WebP()),
+    "AVIF": of_rival(AvifForPsnr(speed=6)),
+    "JPEG XL": of_rival(JpegXl()),
+    "JPEG": of_rival(Jpeg()),
+}
