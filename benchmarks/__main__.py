@@ -61,12 +61,13 @@ FULL = {
     "speed": f"speed {KODAK}",
     "representation": f"ablation representation {SEEN}",
     "ablation": f"ablation {KODAK}",
+    "others": f"others {KODAK}",
     "service/load": "service load",
     "service/attacks": "service attacks",
     "service/chaos-sqlite": "service chaos --jobs 200 --seed 7",
     "service/chaos-postgresql": "service chaos --jobs 200 --seed 7 --database-url postgresql",
 }
-COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "robustness", "service", "perceptual")
+COMMANDS = ("rd", "previews", "convergence", "speed", "ablation", "others", "robustness", "service", "perceptual")
 
 
 def run(result: str, line: str, folder: Path) -> float:

@@ -23,10 +23,12 @@ LAYERS, FREQUENCY = 4, 30  # hidden ones; of their sines
 
 @dataclass(frozen=True)
 class Network:
-    """colours: [K, 3] of places [K, 2] in [0, 1]; numbers: what is learned."""
+    """colours: [K, 3] of places [K, 2] in [0, 1]; numbers: what is learned; rate and eps: of Adam."""
 
     colours: Callable[[Tensor], Tensor]
     numbers: list[nn.Parameter]
+    rate: float = RATE
+    eps: float = 1e-8
 
 
 def siren(numbers: int) -> Network:
@@ -55,7 +57,7 @@ class Training:
     def __init__(self, network: Network, pixels: Pixels) -> None:
         self.network, self.shape = network, pixels.shape
         self._colours = torch.tensor(pixels.reshape(-1, 3))
-        self._optimiser = torch.optim.Adam(network.numbers, lr=RATE)
+        self._optimiser = torch.optim.Adam(network.numbers, lr=network.rate, eps=network.eps)
         self._random = torch.Generator().manual_seed(0)
 
     def step(self) -> None:

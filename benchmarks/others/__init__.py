@@ -1,0 +1,1 @@
+"""What the paper compares with and quotes, fitted here in plain torch: python -m benchmarks.others"""
