@@ -95,7 +95,7 @@ const level = ([, , symbol]) => (symbol > 0) + (symbol > 2) + (symbol > 5);
 /** The bits of a number below 2^32 for one of the axes: every other one. */
 function even(cell, axis) {
   let n = 0;
-  for (let bit = 0; bit < 16; bit++) n |= ((cell / 2 ** (2 * bit + axis)) & 1) << bit;
+  for (let rest = cell >>> axis, bit = 1; rest; rest >>>= 2, bit *= 2) n += rest & 1 && bit;
   return n;
 }
 

@@ -245,6 +245,7 @@ $("save-picture").addEventListener("click", () =>
 );
 $("link").addEventListener("click", () => take(copyLink));
 $("snippet").addEventListener("click", () => take(copyHtml));
+$("show-wall").addEventListener("click", async () => (await import("../wall/wall.js")).showWall($("wall")));
 addEventListener("hashchange", begin);
 
 /** Once the empty page has been painted, which WebGL and workers would hold up. */

@@ -45,30 +45,29 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
     root.adoptedStyleSheets = [sheet];
     const slot = document.createElement("slot");
     root.append(slot);
-    if (this.querySelector("img") || !(this.hasAttribute("src") || this.hasAttribute("srcset"))) {
-      // The parser may bring it later.
-      slot.addEventListener("slotchange", () => this.#watch(this.querySelector("img")));
-      return;
-    }
-    const img = document.createElement("img");
-    img.part = "img";
-    img.loading = "lazy";
-    img.decoding = "async";
-    this.#watch(img);
-    for (const name of ATTRIBUTES) if (this.hasAttribute(name)) img.setAttribute(name, this.getAttribute(name));
-    root.append(img);
+    const own = document.createElement("img");
+    own.part = "img";
+    own.loading = "lazy";
+    own.decoding = "async";
+    const find = () => this.#watch(this.querySelector("img") ?? own);
+    find();
+    slot.addEventListener("slotchange", find); // the parser brings an <img> later
+    for (const name of ATTRIBUTES) if (this.hasAttribute(name)) own.setAttribute(name, this.getAttribute(name));
+    if (this.#img === own) root.append(own);
   }
 
   attributeChangedCallback(name, _, value) {
-    if (!this.#img) return;
+    const img = this.#img;
+    if (!img) return;
     if (name === "preview") this.#cover();
-    else if (this.contains(this.#img)) return;
-    else if (value === null) this.#img.removeAttribute(name);
-    else this.#img.setAttribute(name, value);
+    else if (this.contains(img)) return;
+    else if (value === null) img.removeAttribute(name);
+    else img.setAttribute(name, value);
   }
 
   #watch(img) {
-    if (!img || img === this.#img) return;
+    if (img === this.#img) return;
+    this.#img?.remove();
     this.#img = img;
     if (img.complete && img.naturalWidth) return; // nothing to wait for
     img.addEventListener("load", () => img.decode().then(this.#uncover, this.#uncover));

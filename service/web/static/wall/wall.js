@@ -1,0 +1,83 @@
+// Photographs as previews, beside other placeholders of at most as many characters; then the photographs themselves.
+
+import "../preview/sg-img.js";
+import { element } from "../page/parts.js";
+
+const NOTES = [
+  "All have at most that many bytes; chars are what they take in HTML or JSON. WebP is reduced first, to the size that" +
+    " suits it best; BlurHash and ThumbHash are as large as they get.",
+  "Six of the photographs are Kodak's, released for unrestricted use.",
+];
+const PLAIN = 1; // of the sizes, the one that is shown first
+const blobs = new Map(); // addresses of pictures by their text
+
+/** The address of a picture that is there as text: the page's policy allows no data URIs. */
+function addressOf(text) {
+  if (!blobs.has(text)) {
+    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    blobs.set(text, URL.createObjectURL(new Blob([bytes], { type: "image/webp" })));
+  }
+  return blobs.get(text);
+}
+
+const tile = (kind, shown, name, words) =>
+  element("figure", { className: kind }, shown, element("figcaption", {}, element("b", {}, name), ` ${words}`));
+
+function ours({ src, alt, previews }, size, isLoaded) {
+  const shown = element("sg-img", { alt, preview: previews[size], width: 432, height: 288 });
+  if (isLoaded) shown.setAttribute("src", `static/${src}`);
+  return tile("ours", shown, "sgmethod", `${previews[size].length} chars`);
+}
+
+function rival(name, webp, characters, { src }, isLoaded) {
+  const shown = element("div", { className: "rival" });
+  if (webp) shown.append(element("img", { src: addressOf(webp), alt: "" }));
+  else shown.append(element("p", { className: "none" }, "No file is so small"));
+  if (isLoaded) {
+    const looks = { className: "photograph late", alt: "", loading: "lazy" };
+    const photograph = element("img", { ...looks, src: `static/${src}` });
+    photograph.addEventListener("load", () => photograph.classList.remove("late"));
+    shown.append(photograph);
+  }
+  return tile("other", shown, name, webp ? `${characters} chars` : "");
+}
+
+function tilesOf(picture, size, isLoaded) {
+  const { webp, blurhash, thumbhash } = picture;
+  return [
+    ours(picture, size, isLoaded),
+    rival("WebP", webp[size], webp[size]?.length, picture, isLoaded),
+    rival("BlurHash", blurhash[size].webp, blurhash[size].characters, picture, isLoaded),
+    rival("ThumbHash", thumbhash.webp, thumbhash.characters, picture, isLoaded),
+  ];
+}
+
+/** Fill a part of the page. */
+export async function showWall(place) {
+  document.head.append(element("link", { rel: "stylesheet", href: "static/wall/wall.css" }));
+  const { bytes, pictures } = await (await fetch("static/wall/wall.json")).json();
+  let size = PLAIN;
+  let isLoaded = false;
+  const tiles = element("div", { className: "tiles" });
+  const load = element("button", { type: "button", className: "button", id: "load-wall" });
+  const fill = () => {
+    load.textContent = isLoaded ? "Show the previews again" : "Load the photographs";
+    tiles.replaceChildren(...pictures.flatMap((picture) => tilesOf(picture, size, isLoaded)));
+  };
+  const choices = bytes.map((count, i) => {
+    const input = element("input", { type: "radio", name: "wall-size", checked: i === size });
+    input.addEventListener("change", () => {
+      [size, isLoaded] = [i, false];
+      fill();
+    });
+    return element("label", {}, input, element("span", {}, `${count} bytes`));
+  });
+  load.addEventListener("click", () => {
+    isLoaded = !isLoaded;
+    fill();
+  });
+  fill();
+  const group = element("span", { className: "group", role: "radiogroup", ariaLabel: "Size of a preview" }, ...choices);
+  place.replaceChildren(element("div", { className: "line" }, group, load), tiles);
+  for (const words of NOTES) place.append(element("p", { className: "quiet small" }, words));
+}
