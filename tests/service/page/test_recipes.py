@@ -1,0 +1,87 @@
+"""The recipes of docs/previews.md that need no framework: in Node, in Chromium, and with FastAPI."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from sgmethod.bitstream.text import from_text, to_text
+from tests.harness.browser import Chromium
+from tests.harness.data import PHOTOGRAPHS, ROOT, golden
+from tests.harness.processes import wait_until
+from tests.harness.service import Service
+from tests.service.page.steps import open_blank
+from tests.service.page.test_previews import show
+
+PAGE = (ROOT / "docs" / "previews.md").read_text()
+PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
+PICTURE = """
+    const one = document.querySelector("sg-img");
+    const img = one.querySelector("img") ?? one.shadowRoot.querySelector("img");
+    return [img.alt, img.naturalWidth > 0, !one.shadowRoot.querySelector("canvas")];
+"""
+
+
+def blocks(heading: str) -> list[str]:
+    """The code below a heading."""
+    (section,) = re.findall(rf"^## {heading}$(.*?)(?=^## |\Z)", PAGE, re.M | re.S)
+    found: list[str] = re.findall(r"^```\w+\n(.*?)^```$", section, re.M | re.S)
+    return found
+
+
+def test_plain_html(page: Chromium, web: Service) -> None:
+    text = to_text(golden(5)["v5-color"])
+    open_blank(page, web)
+    for block in blocks("Plain HTML"):
+        html = block.replace("xYOAaA...", text).replace("photo.avif", "static/samples/cat.webp")
+        show(page, f"<div>{html.replace('photo-2x.avif', 'static/samples/cat.webp')}</div>")
+        wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
+
+
+def test_eleventy(tmp_path: Path) -> None:
+    if shutil.which("node") is None:
+        pytest.skip("Node is not installed: sudo apt install nodejs")
+    for name, block in zip(("preview.mjs", "eleventy.config.mjs"), blocks("Eleventy"), strict=True):
+        (tmp_path / name).write_text(block)
+    shutil.copy(PHOTOGRAPH, tmp_path / "door.png")
+    script = """
+        const { default: configure } = await import("./eleventy.config.mjs");
+        const addShortcode = (name, made) => console.log(made("door.png", "A red door"));
+        configure({ addPassthroughCopy() {}, addShortcode });
+    """
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    command = ["node", "--input-type=module", "--eval", script]
+    environment = {**os.environ, "PATH": path}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True, timeout=120
+    )
+    tag = r'<sg-img src="/door.png" alt="A red door" width="128" height="96" preview="(\S+)"></sg-img>\n'
+    found = re.fullmatch(tag, done.stdout)
+    assert found
+    assert len(from_text(found[1])) <= 200
+
+
+def test_fastapi() -> None:
+    (block,) = blocks("FastAPI")
+    names: dict[str, Any] = {"__name__": "recipe"}
+    exec(compile(block, "recipe", "exec"), names)
+
+    async def upload() -> httpx.Response:
+        transport = httpx.ASGITransport(app=names["app"])
+        async with httpx.AsyncClient(transport=transport, base_url="http://recipe") as client:
+            return await client.post("/photos", content=PHOTOGRAPH.read_bytes())
+
+    answer = asyncio.run(upload())
+    assert answer.status_code == 200
+    photo = answer.json()
+    assert (photo["width"], photo["height"]) == (128, 96)
+    assert len(from_text(photo["preview"])) <= 200
