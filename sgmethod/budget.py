@@ -13,12 +13,23 @@ from typing import Literal, get_args
 
 from sgmethod.errors import BudgetError, SgError
 
-BudgetKind = Literal["bpp", "bytes", "psnr", "quality", "gaussians"]
+BudgetKind = Literal["bpp", "bytes", "looks", "psnr", "quality", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 
 MAX_PSNR_DB = 60.0  # 8-bit rounding alone leaves 58.9 dB; asking for more has no meaning
 
 MAX_QUALITY = 100.0
+
+LOOKS = {"preview": 40.0, "web": 60.0, "archive": 80.0}
+
+
+def looks_of(asked: float | str) -> float:
+    """What a name in LOOKS stands for; a number is left as it is. Raises BudgetError for another text."""
+    if not isinstance(asked, str):
+        return asked
+    if asked not in LOOKS:
+        raise BudgetError(f"looks must be a number or one of {', '.join(LOOKS)}, got {asked!r}")
+    return LOOKS[asked]
 
 
 def own_number(value: object) -> int | float | None:
@@ -46,9 +57,10 @@ class Budget:
     """The target of an encode.
 
     kind: "bpp" (bits per pixel) and "bytes" are limits on the file size, never exceeded; "psnr" is the quality to reach
-    (dB, whole picture, 8-bit RGB), in as few bytes as the profile manages; "quality" (above 0 and up to 100, profile rd
-    only) sets how finely everything is quantised, and so what a Gaussian must gain to be kept; "gaussians" is the
-    number of Gaussians, for profile rd a maximum.
+    (dB, whole picture, 8-bit RGB), in as few bytes as the profile manages; "looks" the same as SSIMULACRA 2 (above 0
+    and up to 100, profile rd only), or "preview" for 40, "web" for 60 and "archive" for 80; "quality" (above 0 and up
+    to 100, profile rd only) sets how finely everything is quantised, and so what a Gaussian must gain to be kept;
+    "gaussians" is the number of Gaussians, for profile rd a maximum.
 
     Raises BudgetError if value is not a positive finite number or, for bytes and gaussians, not whole.
     """
@@ -59,14 +71,14 @@ class Budget:
     def __post_init__(self) -> None:
         if self.kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {self.kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        value = own_number(self.value)
+        value = own_number(looks_of(self.value) if self.kind == "looks" else self.value)
         if value is None or value <= 0:
             raise BudgetError(f"{self.kind} must be a positive number, got {self.value!r}")
         object.__setattr__(self, "value", value)
         if self.kind in ("bytes", "gaussians") and value != int(value):
             raise BudgetError(f"{self.kind} must be a whole number, got {value}")
-        if self.kind == "quality" and value > MAX_QUALITY:
-            raise BudgetError(f"quality must be at most {MAX_QUALITY:g}, got {value}")
+        if self.kind in ("looks", "quality") and value > MAX_QUALITY:
+            raise BudgetError(f"{self.kind} must be at most {MAX_QUALITY:g}, got {value}")
         if self.kind == "psnr" and value > MAX_PSNR_DB:
             raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {value}")
 

@@ -10,6 +10,7 @@ import math
 import os
 import statistics
 import sys
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from sgmethod.backend.devices import backend_on
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, own_number, unasked, whole
+from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, looks_of, own_number, unasked, whole
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.deadline import Clock, Deadline
@@ -30,7 +31,7 @@ from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.files import own_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.io.laying import on_backgrounds
-from sgmethod.metrics import ms_ssim, psnr
+from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
@@ -44,6 +45,7 @@ from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
 Pixels = NDArray[np.uint8]
 
 SEEN_DB = 0.005  # a smaller miss is none in two decimals
+SEEN_LOOKS = 1.0  # points of SSIMULACRA 2, within which looks are met
 
 MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
 
@@ -52,15 +54,17 @@ MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
 class Stats:
     """The figures of an encode.
 
-    psnr (dB) and ms_ssim are of the decoded file; ms_ssim is None for sides below 161 pixels. With alpha, they are
-    means over the picture on black and on white. source_bytes: size of the image file, None for arrays; psnr_missed_db:
-    how far the file is below the requested PSNR, None if none was requested.
+    psnr (dB), ms_ssim and ssimulacra2 (up to 100) are of the decoded file; ms_ssim is None for sides below 161 pixels,
+    ssimulacra2 below 8. With alpha, they are means over the picture on black and on white. source_bytes: size of the
+    image file, None for arrays; psnr_missed_db, looks_missed: how far the file is below the requested PSNR, or
+    SSIMULACRA 2, None if none was requested.
     """
 
     bytes: int
     bpp: float
     psnr: float
     ms_ssim: float | None
+    ssimulacra2: float | None
     gaussians: int
     steps: int
     seconds: float
@@ -71,6 +75,7 @@ class Stats:
     effort: int
     source_bytes: int | None = None
     psnr_missed_db: float | None = None
+    looks_missed: float | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -79,7 +84,16 @@ class Stats:
         if self.psnr_missed_db is not None and self.psnr_missed_db >= SEEN_DB:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
             found.append(f"the requested PSNR is missed by {missed}")
-        if self.psnr_missed_db is None and self.gaussians == 0 and math.isfinite(self.psnr):
+        if self.looks_missed is not None and self.looks_missed >= SEEN_LOOKS:
+            found.append(
+                f"the requested looks are missed by {self.looks_missed:.1f}: the file has {self.ssimulacra2:.1f}"
+            )
+        if (
+            self.psnr_missed_db is None
+            and self.looks_missed is None
+            and self.gaussians == 0
+            and math.isfinite(self.psnr)
+        ):
             found.append("the file contains only a background and no Gaussians: try a larger budget")
         if self.source_bytes is not None and self.bytes > self.source_bytes:
             found.append(f"the file is larger than its source: {self.bytes:,} bytes, source {self.source_bytes:,}")
@@ -112,6 +126,7 @@ def encode(
     bpp: float | None = None,
     bytes: int | None = None,
     psnr: float | None = None,
+    looks: float | str | None = None,
     quality: float | None = None,
     gaussians: int | None = None,
     tune: str | None = None,
@@ -137,8 +152,8 @@ def encode(
     4] in uint8, uint16 or floating point in [0, 1]. sgmethod/io/image.py has the rules for files. Input is rounded to 8
     bits, and the figures are relative to that. Profile rd keeps alpha; the others composite it over white, with a
     warning.
-    bpp, bytes, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is 0.3
-    bpp.
+    bpp, bytes, looks, psnr, quality, gaussians: at most one of these, or a Budget, which documents them; the default is
+    0.3 bpp.
     profile: one of sgmethod.profiles.PROFILE_NAMES.
     tune: "visual" (the default of profile rd) optimises for the eye, "psnr" for squared error. Budgets in dB and other
     profiles support only "psnr".
@@ -159,9 +174,9 @@ def encode(
     """
     clock, limit_s = Clock(stop), _own_time_limit(time_limit_s)
     seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
-    budget = _only_budget(
-        budget, {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality, "gaussians": gaussians}
-    )
+    kinds: dict[BudgetKind, float | None] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality}
+    kinds |= {"looks": None if looks is None else looks_of(looks), "gaussians": gaussians}
+    budget = _only_budget(budget, kinds)
     tuned_for = tuning(tune, checked_profile(profile), budget)
     effort, backend = checked_effort(effort), backend_on(device)
     settings = settings_of(profile, effort) if settings is None else settings
@@ -180,9 +195,19 @@ def encode(
         request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
     encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort))
-    missed_db = max(budget.value - encoded.stats.psnr, 0.0) if budget.kind == "psnr" else None
-    stats = replace(encoded.stats, source_bytes=_file_bytes(image), psnr_missed_db=missed_db)
+    psnr_missed, looks_missed = _missed(budget, encoded.stats)
+    stats = replace(
+        encoded.stats, source_bytes=_file_bytes(image), psnr_missed_db=psnr_missed, looks_missed=looks_missed
+    )
     return replace(encoded, stats=stats)
+
+
+def _missed(budget: Budget, stats: Stats) -> tuple[float | None, float | None]:
+    """By how much a file misses a PSNR and looks, None for what was not asked for."""
+    psnr_missed = max(budget.value - stats.psnr, 0.0) if budget.kind == "psnr" else None
+    if budget.kind != "looks" or stats.ssimulacra2 is None:
+        return psnr_missed, None
+    return psnr_missed, max(budget.value - stats.ssimulacra2, 0.0)
 
 
 def _file_bytes(image: Input) -> int | None:
@@ -236,13 +261,14 @@ def _measured(
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
-    similar = [one for one in map(ms_ssim, decoded, source) if one is not None]
+    similar, looks = (_mean(map(measure, decoded, source)) for measure in (ms_ssim, ssimulacra2))
     recorder.report("done", steps, steps, 10 ** (-db / 10), gaussians, len(data))
     stats = Stats(
         bytes=len(data),
         bpp=8 * len(data) / (width * height),
         psnr=db,
-        ms_ssim=statistics.fmean(similar) if similar else None,
+        ms_ssim=similar,
+        ssimulacra2=looks,
         gaussians=gaussians,
         steps=steps,
         seconds=recorder.points[-1].seconds,
@@ -253,6 +279,12 @@ def _measured(
         effort=asked[2],
     )
     return Encoded(data, stats, recorder.points)
+
+
+def _mean(figures: Iterable[float | None]) -> float | None:
+    """None where there are none."""
+    found = [one for one in figures if one is not None]
+    return statistics.fmean(found) if found else None
 
 
 def _own_time_limit(seconds: float | None) -> float | None:

@@ -237,13 +237,15 @@ def test_black_is_black() -> None:
         ({"source_bytes": 999}, ["the file is larger than its source: 1,000 bytes, source 999"]),
         ({"psnr_missed_db": 0.004}, []),
         ({"psnr_missed_db": 18.77}, ["the requested PSNR is missed by 18.77 dB: the file has 31.23 dB"]),
+        ({"looks_missed": 0.9}, []),
+        ({"looks_missed": 18.74}, ["the requested looks are missed by 18.7: the file has 51.3"]),
         ({"gaussians": 0}, ["the file contains only a background and no Gaussians: try a larger budget"]),
         ({"gaussians": 0, "psnr_missed_db": 0.0}, []),  # which is what was asked for
         ({"gaussians": 0, "psnr": math.inf}, []),  # a picture of one colour
     ],
 )
 def test_what_may_not_be_expected_of_a_file_is_said(changes: dict[str, Any], said: list[str]) -> None:
-    stats = replace(Stats(1000, 0.5, 31.234, None, 9, 60, 1.0, 128, 96, "rd", "psnr", 5), **changes)
+    stats = replace(Stats(1000, 0.5, 31.234, None, 51.26, 9, 60, 1.0, 128, 96, "rd", "psnr", 5), **changes)
     assert stats.warnings == said
     figures = stats.to_dict()
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures

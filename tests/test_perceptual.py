@@ -1,5 +1,5 @@
-"""SSIMULACRA 2, LPIPS and DISTS, with weights from a seed: the real ones are not here, nor are their figures.
-Measures of local statistics, on pictures whose value can be worked out by hand."""
+"""LPIPS and DISTS, with weights from a seed: the real ones are not here, nor are their figures. Measures of local
+statistics, on pictures whose value can be worked out by hand."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from sgmethod.metrics.local import FIGURES, local_statistics
-from sgmethod.metrics.perceptual import Networks, Pixels, ssimulacra2
+from sgmethod.metrics.perceptual import Networks, Pixels
 from sgmethod.metrics.wasserstein import SPREAD, Wasserstein, distance, statistics
 from tests.cli.test_cli import Run, in_folder, run
 from tests.test_metrics import disturbed, picture
@@ -53,12 +53,6 @@ def test_networks(weights: Path) -> None:
     other = disturbed(SOURCE, 60)
     assert networks(SOURCE, other)["dists"] == pytest.approx(more["dists"], rel=1e-4)  # it has no direction
     assert networks.lpips(other, SOURCE) == pytest.approx(more["lpips"], rel=1e-5)
-
-
-def test_ssimulacra2() -> None:
-    found = [ssimulacra2(disturbed(SOURCE, strength), SOURCE) for strength in (0, 5, 60)]
-    assert found[0] == pytest.approx(100, abs=0.01)
-    assert found[0] > found[1] > found[2]
 
 
 def test_compare_with_weights(run: Run, weights: Path, tmp_path: Path) -> None:

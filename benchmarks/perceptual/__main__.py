@@ -24,9 +24,9 @@ from benchmarks.rd import rivals
 from benchmarks.tables import table
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr
+from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr, ssimulacra2
 from sgmethod.metrics.local import local_statistics
-from sgmethod.metrics.perceptual import Networks, ssimulacra2
+from sgmethod.metrics.perceptual import Networks
 from sgmethod.metrics.wasserstein import Wasserstein
 
 

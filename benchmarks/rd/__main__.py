@@ -34,8 +34,8 @@ from benchmarks.rd.codecs import FITTED, Codec, Sg
 from benchmarks.rd.report import Row, means, means_table
 from benchmarks.rd.rivals import RIVALS, USUAL, versions
 from sgmethod.io.image import read_image_8_bit
-from sgmethod.metrics import ms_ssim, psnr
-from sgmethod.metrics.perceptual import MIN_SIDE, Networks, ssimulacra2
+from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
+from sgmethod.metrics.perceptual import MIN_SIDE, Networks
 from sgmethod.profiles import DEFAULT_EFFORT, EFFORTS, PROFILE_NAMES, TUNES
 
 DECODES = 5  # the median of their times is reported

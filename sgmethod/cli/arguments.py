@@ -13,8 +13,9 @@ BAD_INPUT = 2
 BUDGET_HELP = {
     "bpp": ("F", "maximum size in bits per pixel (default: {default})"),
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
+    "looks": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
-    "quality": ("Q", "quality, above 0 and up to 100 (profile rd only)"),
+    "quality": ("Q", argparse.SUPPRESS),  # for old scripts
     "gaussians": ("N", "number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
@@ -43,7 +44,7 @@ converted to sRGB.
 examples:
   sgmethod encode photo.jpg                        writes photo.sg, at most 0.3 bits per pixel
   sgmethod encode photo.jpg -o small.sg --bytes 20k
-  sgmethod encode - - --psnr 35 <photo.jpg >photo.sg
+  sgmethod encode - - --looks web <photo.jpg >photo.sg
   sgmethod encode *.jpg --output-dir out --jobs 4  writes out/NAME.sg for each
   sgmethod encode photos --output-dir out  --resume
                                                    every picture in the folder, on from where a run ended""",
@@ -215,7 +216,7 @@ def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
         metavar, text = BUDGET_HELP[kind]
         flags = ["-q", "--quality"] if kind == "quality" else [f"--{kind}"]
         # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
-        read = _size if kind == "bytes" else float
+        read = {"bytes": _size, "looks": _looks}.get(kind, float)
         budget.add_argument(*flags, type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
 
 
@@ -313,6 +314,12 @@ def _size(text: str) -> float:
         with suppress(InvalidOperation):
             return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, in which 1.001k is whole
     raise argparse.ArgumentTypeError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
+
+
+def _looks(text: str) -> float:
+    from sgmethod.budget import LOOKS
+
+    return LOOKS[text] if text in LOOKS else float(text)
 
 
 def _region(text: str) -> tuple[int, int, int, int]:

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-SEEN = {"ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
+TITLES = {"ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
+NEEDS_ENCODE = "needs extra packages: pip install 'sgmethod[encode]'"
 SMALL = "undefined for sides below {} pixels"
 
 
@@ -63,45 +64,41 @@ def run_compare(arguments: argparse.Namespace) -> int:
     if sizes[0] != sizes[1]:
         raise CommandError(f"the pictures differ in size: {sizes[0]} and {sizes[1]} pixels")
     db = psnr(first, second)
-    similarity, seen = _similarity(first, second), _seen(first, second, arguments.weights)
+    others = {**_similarity(first, second), **_seen(first, second, arguments.weights)}
     if arguments.json:
-        others = {"ms_ssim": similarity, **seen}
         found = {key: value if isinstance(value, float) else None for key, value in others.items()}
         print(json.dumps({"psnr": None if db == float("inf") else db, **found}, allow_nan=False))
         return 0
     print(f"{'PSNR':<16}{'no error' if db == float('inf') else f'{db:.2f} dB'}")
-    print(f"{'MS-SSIM':<16}{similarity if isinstance(similarity, str) else f'{similarity:.4f}'}")
-    for key, value in seen.items():
-        print(f"{SEEN[key]:<16}{value if isinstance(value, str) else f'{value:.4g}'}")
+    for key, value in others.items():
+        print(f"{TITLES[key]:<16}{value if isinstance(value, str) else f'{value:.4g}'}")
     return 0
 
 
 Measured = float | str  # or why there is no figure
 
 
-def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> Measured:
-    from sgmethod.metrics import MIN_SIDE, ms_ssim
+def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[str, Measured]:
+    """MS-SSIM and SSIMULACRA 2."""
+    from sgmethod.metrics import MIN_SIDE, looks, ms_ssim
 
     try:
-        found = ms_ssim(picture, source)
+        found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
     except ImportError:
-        return "needs extra packages: pip install 'sgmethod[encode]'"
-    return SMALL.format(MIN_SIDE) if found is None else found
+        return dict.fromkeys(("ms_ssim", "ssimulacra2"), NEEDS_ENCODE)
+    smallest = {"ms_ssim": MIN_SIDE, "ssimulacra2": looks.SMALLEST_SIDE}
+    return {key: SMALL.format(smallest[key]) if one is None else one for key, one in found.items()}
 
 
 def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | None) -> dict[str, Measured]:
-    """By the keys of SEEN."""
+    """LPIPS and DISTS."""
     try:
         from sgmethod.metrics import perceptual
     except ImportError:
-        return dict.fromkeys(SEEN, "needs extra packages: pip install 'sgmethod[compare]'")
+        return dict.fromkeys(("lpips", "dists"), NEEDS_ENCODE)
     if min(source.shape[:2]) < perceptual.MIN_SIDE:
-        return dict.fromkeys(SEEN, SMALL.format(perceptual.MIN_SIDE))
-    found: dict[str, Measured] = dict.fromkeys(SEEN, "needs --weights (docs/command_line.md)")
-    try:
-        found["ssimulacra2"] = perceptual.ssimulacra2(picture, source)
-    except ImportError:
-        found["ssimulacra2"] = "needs an extra package: pip install 'sgmethod[compare]'"
+        return dict.fromkeys(("lpips", "dists"), SMALL.format(perceptual.MIN_SIDE))
+    found: dict[str, Measured] = dict.fromkeys(("lpips", "dists"), "needs --weights (docs/command_line.md)")
     if weights is not None:
         try:
             found |= perceptual.Networks(Path(weights))(picture, source)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from sgmethod.client.client import Priority
     from sgmethod.codec import Encoded
 
+OLD_QUALITY = "this scale is kept for old scripts; --looks is one that can be measured"
 PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # with a server that is busy or restarts
 
 
@@ -37,6 +38,8 @@ def run_encode(arguments: argparse.Namespace) -> int:
     traces = [] if arguments.trace is None else [files.output(arguments.trace)]
     files.check_outputs([one.source for one in conversions], [*(one.target for one in conversions), *traces])
     budget = _only_budget(arguments)
+    if budget.kind == "quality" and not arguments.quiet:
+        files.print_lines("note", "--quality", [OLD_QUALITY])
     if arguments.output_dir is not None:
         if arguments.server is None:
             _load_encoder(arguments.profile)  # or none would succeed
@@ -64,6 +67,8 @@ def _only_budget(arguments: argparse.Namespace) -> Budget:
 def _summary(figures: Figures) -> str:
     psnr = "no error" if figures["psnr"] is None else f"{figures['psnr']:.2f} dB"
     ssim = "" if figures["ms_ssim"] is None else f", MS-SSIM {figures['ms_ssim']:.4f}"
+    looks = figures.get("ssimulacra2")  # older servers have none
+    ssim += "" if looks is None else f", SSIMULACRA 2 {looks:.1f}"
     size = "{width} x {height}: {bytes:,} bytes, {bpp:.4f} bpp".format(**figures)
     return f"{size}, {psnr}{ssim}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import Target, Visibility
+from sgmethod.backend.protocol import VISIBLE, Target, Visibility
 from sgmethod.bitstream.stream import Stream
 from sgmethod.bitstream.texture import Codes
 from sgmethod.decoder import draw_whole
@@ -15,12 +15,13 @@ from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
 from sgmethod.fitting.moving_target import AheadOfCoarseError, BeyondBlackAndWhite, MovingTarget
 from sgmethod.fitting.visibility import SeenShare
-from sgmethod.metrics import psnr
+from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import Effort, ObjectiveSettings
 from sgmethod.settings.shared import Tune
 
 Pixels = NDArray[np.uint8]
+GREY = 128.0
 
 
 @dataclass(frozen=True)
@@ -88,6 +89,17 @@ class Objective:
         if self.shown is not None:  # no texture where alpha hides it
             drawn = np.where(self.shown.values[..., None] > 0, drawn, self.pixels)
         return texture.estimate(self.pixels, drawn, self.settings.texture)
+
+    def looks(self, decoded: Pixels) -> float:
+        """SSIMULACRA 2 of a decoded picture [H, W, 3], on grey where alpha shows it in part. No side is below
+        8 pixels."""
+        pixels = self.pixels
+        if self.shown is not None:
+            share = np.sqrt(self.shown.values[..., None] / VISIBLE)
+            decoded, pixels = (np.rint(GREY + share * (one - GREY)).astype(np.uint8) for one in (decoded, pixels))
+        found = ssimulacra2(decoded, pixels)
+        assert found is not None
+        return found
 
     def error(self, decoded: Pixels) -> float:
         """Of a decoded picture [H, W, 3] without texture: squared, summed, 1 being white."""

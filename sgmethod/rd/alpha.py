@@ -6,6 +6,8 @@ error d of alpha is d times the colour less the background. A file's error is th
 
 from __future__ import annotations
 
+import math
+import statistics
 from dataclasses import replace
 from typing import Any
 
@@ -19,9 +21,9 @@ from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.laying import on_backgrounds
-from sgmethod.metrics import psnr
+from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.rd import encode as pipeline
-from sgmethod.rd.rate_control import allows_alpha, beside_alpha, missed_db, of_alpha, raised
+from sgmethod.rd.rate_control import RateControl, allows_alpha, beside_alpha, looks_db, missed_db, of_alpha, raised
 from sgmethod.rd.request import Request
 from sgmethod.trace import Preview, shown_to_nobody
 
@@ -42,7 +44,7 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV5, int]:
         stream, taken = pipeline.encode(colours)
         steps += taken
         stream = replace(stream, alpha=layer)
-        missing = missed_db(request.rate, _error(draw_whole(stream), pixels, alpha))
+        missing = missed_db(request.rate, _reached(request.rate, draw_whole(stream), pixels, alpha))
         found.append((missing, stream))
         if missing == 0:
             break
@@ -73,6 +75,14 @@ def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV5, f
             break
         rate = replace(rate, quantum=rate.quantum / 2)
     return layer, error, steps
+
+
+def _reached(rate: RateControl, decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
+    """What decoded pixels [H, W, 4] have of what is asked for, in dB."""
+    if not rate.by_looks:
+        return -10 * math.log10(max(_error(decoded, pixels, alpha), 1e-12))
+    found = map(ssimulacra2, on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha])))
+    return looks_db(statistics.fmean(one for one in found if one is not None))
 
 
 def _error(decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:

@@ -22,6 +22,7 @@ from sgmethod.budget import MAX_PSNR_DB, Budget
 from sgmethod.decoder import draw_whole
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.objective import Objective
+from sgmethod.metrics.looks import SMALLEST_SIDE
 from sgmethod.settings.rd import RdSettings, Times
 
 LONG_FILE = 32  # bytes that surely hold the header that is not short, with alpha
@@ -32,6 +33,12 @@ def quality_quantum(quality: float) -> float:
     """The quantum of a quality in 0 .. 100: 16 points halve it, 0 is 3.2. On photographs of 0.4 megapixels 25 comes to
     about 0.05 bpp, 50 to 0.2, 75 to 0.8, 100 to 2.3."""
     return 3.2 * 2 ** (-quality / 16)
+
+
+def looks_db(looks: float) -> float:
+    """SSIMULACRA 2 in decibels below the worst that has a name, 0: like PSNR it gains about 2.5 dB when the quantum is
+    halved, on photographs from 30 to 90. 0 dB for 0, 5.2 for 70, 10 for 90."""
+    return -10 * math.log10(max(100 - looks, 1e-6) / 100)
 
 
 def error_per_bit(quantum: float) -> float:
@@ -62,21 +69,28 @@ class Coded:
         """In dB, for files that are tuned for it."""
         return min(-10 * math.log10(max(self.error, 1e-12) / self.objective.pixels.size), EXACT_DB)
 
+    @cached_property
+    def looks_db(self) -> float:
+        """Of the whole file."""
+        return looks_db(self.objective.looks(draw_whole(self.stream)))
+
 
 @dataclass(frozen=True)
 class RateControl:
     """What a budget asks of one picture.
 
     pixels: of the picture; quantum: the first, and the last one where nothing steers it; max_bytes: of the file, never
-    to be exceeded; psnr: dB to reach; max_gaussians: not to be exceeded; is_steered: the quantum follows max_bytes or
-    psnr; is_short: the file is to be a short one. Times (`at`) are parts of a run of the schedule, 0 to 1.
+    to be exceeded; aim_db: the PSNR to reach or, by_looks, SSIMULACRA 2 as looks_db; max_gaussians: not to be exceeded;
+    is_steered: the quantum follows max_bytes or aim_db; is_short: the file is to be a short one. Times (`at`) are parts
+    of a run of the schedule, 0 to 1.
     """
 
     settings: RdSettings
     pixels: int
     quantum: float
     max_bytes: int | None = None
-    psnr: float | None = None
+    aim_db: float | None = None
+    by_looks: bool = False
     max_gaussians: int | None = None
     is_steered: bool = True
     is_short: bool = False
@@ -89,8 +103,13 @@ class RateControl:
             return cls(settings, pixels, quality_quantum(budget.value))
         if budget.kind == "psnr":
             of_photograph = 0.1 * 2 ** ((34 - budget.value) / s.db_per_doubling)  # about
-            quantum = min(of_photograph, s.coarsest_of_psnr)
-            return cls(settings, pixels, quantum, psnr=budget.value)
+            return cls(settings, pixels, min(of_photograph, s.coarsest_of_aim), aim_db=budget.value)
+        if budget.kind == "looks":
+            if min(size) < SMALLEST_SIDE:
+                raise BudgetError(f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
+            (looks, quantum), aim = s.looks_quantum, looks_db(budget.value)
+            of_photograph = quantum * 2 ** ((looks_db(looks) - aim) / s.db_per_doubling)
+            return cls(settings, pixels, min(of_photograph, s.coarsest_of_aim), aim_db=aim, by_looks=True)
         if budget.kind == "gaussians":
             quantum = quality_quantum(s.gaussians_quality)
             return cls(settings, pixels, quantum, max_gaussians=budget.max_gaussians(*size))
@@ -112,7 +131,7 @@ class RateControl:
         # Of a picture with more pixels than its Gaussians need, reduced to as many. Quanta grow with a picture's side.
         pixels = min(self.pixels, s.pyramid.pixels_per_gaussian * bits / s.rate.bits_per_gaussian)
         quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
-        return replace(self, quantum=quantum, max_bytes=max_bytes, psnr=None)
+        return replace(self, quantum=quantum, max_bytes=max_bytes, aim_db=None)
 
     def expected_gaussians(self) -> int:
         """A first guess of how many Gaussians there will be."""
@@ -147,16 +166,16 @@ class RateControl:
         times: Times,
         at: float,
         file_bytes: int,
-        psnr: Callable[[], float],
-        unrounded_psnr: Callable[[], float],
+        reached: Callable[[], float],
+        lost: Callable[[], float],
     ) -> float:
-        """The quantum from this time on, given that of now and what it comes to: the file's size, and its PSNR in dB
-        and that before rounding, which are asked for where they are needed."""
-        s = self.settings.rate
-        if not self.is_steered or (self.max_bytes is None and self.psnr is None):
+        """The quantum from this time on, given that of now and what it comes to: the file's size, how much of aim_db it
+        has, and the PSNR that rounding takes, both in dB and asked for where they are needed."""
+        s, limit = self.settings.rate, self.settings.rate.steering_limit
+        if not self.is_steered or (self.max_bytes is None and self.aim_db is None):
             # That asked for; finer early, where a size or a PSNR would have steered it to.
             return self.quantum / float(times.finer_early ** _surplus(times, at))
-        if at < times.steering_from:
+        if at < times.steering_from or (self.by_looks and at not in times.looks_at):
             return quantum
         exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
         ratio: float
@@ -165,20 +184,37 @@ class RateControl:
             # are few. Later there are more Gaussians than can stay, and those that gain least for their bits go.
             ratio = (file_bytes / (self.max_bytes * _excess(times, at))) ** exponent
         else:
-            assert self.psnr is not None
+            assert self.aim_db is not None
             # Early in the growth a larger error than the final one is right.
             missing = max(1 - (at - times.steering_from) / (times.early_until - times.steering_from), 0)
-            aim = self.psnr - times.early_db * missing
-            rounded = psnr()
-            ratio = 2 ** ((rounded - aim) / s.db_per_doubling * exponent)
+            above = reached() - self.aim_db
+            if self.by_looks:
+                limit = s.looks_limit
+                above += s.looks_refined_db if self.settings.effort.refine_sweeps else 0
+            ratio = 2 ** ((above + times.early_db * missing) / s.db_per_doubling * exponent)
             # Where rounding takes next to nothing, a finer quantum cannot give what is missing.
-            if ratio < 1 and at > times.growth_at[-1] and unrounded_psnr() < min(rounded + s.missed_db, self.psnr):
+            if ratio < 1 and at > times.growth_at[-1] and lost() < min(s.missed_db, -above):
                 return quantum
-        return quantum if ratio == 1.0 else quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
+        return quantum if ratio == 1.0 else quantum * min(max(ratio, 1 / limit), limit)
+
+    @property
+    def further_rounds(self) -> int:
+        """Beyond those of the effort, while what is asked for is missed."""
+        s = self.settings.schedule
+        return 0 if self.aim_db is None else s.rounds_for_looks if self.by_looks else s.rounds_for_psnr
+
+    @property
+    def tries(self) -> int:
+        """Files with different quanta, at most, where something is to be reached."""
+        return self.settings.rate.looks_tries if self.by_looks else self.settings.rate.aim_tries
 
     def allows(self, psnr: Callable[[], float]) -> bool:
         """Whether Gaussians may be dropped that leave this PSNR: none would come back once growth is over."""
-        return self.psnr is None or psnr() >= self.psnr - self.settings.prune.missed_db
+        return self.aim_db is None or self.by_looks or psnr() >= self.aim_db - self.settings.prune.missed_db
+
+    def reached(self, coded: Coded) -> float:
+        """Of a coded picture, what aim_db asks for."""
+        return coded.looks_db if self.by_looks else coded.psnr
 
 
 @dataclass(frozen=True)
@@ -201,7 +237,7 @@ class Selection:
         if not self.rate.is_steered or self.rate.max_gaussians is not None:
             return self.rate.quantum
         if self.rate.max_bytes is None:
-            return quantum if self.rate.psnr is not None else self.rate.quantum
+            return quantum if self.rate.aim_db is not None else self.rate.quantum
         low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
         while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
             low, high = high, high + math.log(2)
@@ -215,8 +251,8 @@ class Selection:
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
         """The quantum to try after those tried; None where nothing is to be gained."""
         last = tried[-1]
-        if self.rate.psnr is not None:
-            found = self._nearer_to_psnr(tried) if len(tried) < self.rate.settings.rate.psnr_tries else None
+        if self.rate.aim_db is not None:
+            found = self._nearer(tried) if len(tried) < self.rate.tries else None
             known = {quantum_code(one.stream.quantum) for one in tried}
             return None if found is None or quantum_code(found) in known else found
         if not self.rate.is_steered or self.rate.max_bytes is None or len(tried) > size_tries:
@@ -235,59 +271,64 @@ class Selection:
         )
 
     def spared(self, coded: Coded) -> int:
-        """Bytes with which a coded picture, once it is relaxed, has about the PSNR that was asked for, if any was."""
+        """Bytes with which a coded picture, once it is relaxed, has about what was asked for, if anything was."""
         s = self.rate.settings.refine
-        above = -1.0 if self.rate.psnr is None else coded.psnr - self.rate.psnr
+        above = -1.0 if self.rate.aim_db is None else self.rate.reached(coded) - self.rate.aim_db
         if above < 0:
             return NO_LIMIT
         return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.most_spared)))
 
     def is_missed(self, found: Iterable[Coded]) -> bool:
-        """Whether a PSNR was asked for, and none of the files has it."""
-        return self.rate.psnr is not None and max(one.psnr for one in found) < self.rate.psnr
+        """Whether a PSNR, or looks, were asked for, and none of the files has them. Less than a point of looks is not
+        worth another round."""
+        if self.rate.aim_db is None:
+            return False
+        slack = self.rate.settings.rate.slack_db if self.rate.by_looks else 0.0
+        return max(map(self.rate.reached, found)) < self.rate.aim_db - slack
 
     def best(self, found: Iterable[Coded], aim: float | None = None) -> Coded:
-        """The one that meets the budget best. aim: a PSNR that is out of reach is replaced by this."""
+        """The one that meets the budget best. aim: an aim_db that is out of reach is replaced by this."""
         first, *others = found
         return max([first, *others], key=lambda one: self.merit(one, aim)) if others else first
 
     def merit(self, coded: Coded, aim: float | None = None) -> tuple[float, float]:
         """By which files of one budget are compared; the second where the first is equal."""
-        if self.rate.psnr is not None:
-            return min(coded.psnr, self.rate.psnr if aim is None else aim), -coded.size
+        if self.rate.aim_db is not None:
+            return min(self.rate.reached(coded), self.rate.aim_db if aim is None else aim), -coded.size
         if self.rate.max_bytes is not None or self.rate.max_gaussians is not None:
             return -coded.error, -coded.size
         return -coded.error - 8 * error_per_bit(self.rate.quantum) * coded.size, -coded.size
 
-    def reachable_psnr(self, tried: Sequence[Coded]) -> float | None:
-        """The PSNR to aim at: a little less than the best so far where a finer quantum hardly helps any more."""
-        s = self.rate.settings.rate
-        if self.rate.psnr is None or len(tried) < 2:
-            return self.rate.psnr
-        best = max(one.psnr for one in tried)
-        if best >= self.rate.psnr:
-            return self.rate.psnr
+    def reachable(self, tried: Sequence[Coded]) -> float | None:
+        """What to aim at, in dB: a little less than the best so far where a finer quantum hardly helps any more."""
+        s, reached = self.rate.settings.rate, self.rate.reached
+        if self.rate.aim_db is None or len(tried) < 2:
+            return self.rate.aim_db
+        best = max(map(reached, tried))
+        if best >= self.rate.aim_db:
+            return self.rate.aim_db
         finest, finer = sorted(tried, key=lambda one: one.stream.quantum)[:2]
         octaves = math.log2(finer.stream.quantum / finest.stream.quantum)
-        if finest.psnr - finer.psnr >= s.least_gain * s.db_per_doubling * octaves:
-            return self.rate.psnr
+        if reached(finest) - reached(finer) >= s.least_gain * s.db_per_doubling * octaves:
+            return self.rate.aim_db
         return best - s.missed_db
 
-    def _nearer_to_psnr(self, tried: Sequence[Coded]) -> float | None:
-        """Where the line through the two tries nearest to the PSNR meets it, or a little above."""
-        s, aim = self.rate.settings.rate, self.reachable_psnr(tried)
+    def _nearer(self, tried: Sequence[Coded]) -> float | None:
+        """Where the line through the two tries nearest to what is asked for meets it, or a little above."""
+        s, aim = self.rate.settings.rate, self.reachable(tried)
         assert aim is not None
-        if 0 <= tried[-1].psnr - aim <= s.psnr_slack_db:
+        above = [self.rate.reached(one) - aim for one in tried]
+        if 0 <= above[-1] <= s.slack_db:
             return None
         slope = -s.db_per_doubling
-        points = ((math.log2(one.stream.quantum), one.psnr - aim) for one in tried)
+        points = ((math.log2(one.stream.quantum), y) for one, y in zip(tried, above, strict=True))
         (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
         if others and others[0][0] != x:
             x1, y1 = others[0]
             slope = min(max((y1 - y) / (x1 - x), 2 * slope), slope / 4)
         # Near the aim chance decides, so each near miss asks for a little more.
-        near_misses = sum(-s.psnr_slack_db < one.psnr - aim < 0 for one in tried)
-        at = x + (0.4 * (1 + near_misses) * s.psnr_slack_db - y) / slope
+        near_misses = sum(-s.slack_db < y < 0 for y in above)
+        at = x + (0.4 * (1 + near_misses) * s.slack_db - y) / slope
         return float(2 ** min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM)))
 
 
@@ -298,7 +339,7 @@ def of_alpha(rate: RateControl) -> RateControl:
     if rate.max_gaussians is not None:
         return replace(rate, quantum=quantum, max_gaussians=max(int(s.most_gaussians * rate.max_gaussians), 1))
     if rate.max_bytes is None:
-        return replace(rate, quantum=quantum, psnr=None)
+        return replace(rate, quantum=quantum, aim_db=None)
     most = int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA))
     return replace(rate, quantum=quantum, max_bytes=StreamV5.MIN_BYTES + most, is_steered=False)
 
@@ -310,27 +351,29 @@ def beside_alpha(rate: RateControl, alpha: StreamV5, error: float) -> RateContro
         return replace(rate, max_gaussians=max(rate.max_gaussians - used, 1))
     if rate.max_bytes is not None:
         return rate.for_bytes(rate.max_bytes - alpha_bytes(alpha))
-    if rate.psnr is None:
+    if rate.aim_db is None or rate.by_looks:
         return rate
-    allowed = 10 ** (-rate.psnr / 10)
-    return replace(rate, psnr=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
+    allowed = 10 ** (-rate.aim_db / 10)
+    return replace(rate, aim_db=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
 
 
 def allows_alpha(rate: RateControl, error: float) -> bool:
     """Whether alpha alone makes no more than its share of the error that a PSNR allows."""
-    return rate.psnr is None or error <= rate.settings.alpha.most_error * 10 ** (-rate.psnr / 10)
+    if rate.aim_db is None or rate.by_looks:
+        return True
+    return error <= rate.settings.alpha.most_error * 10 ** (-rate.aim_db / 10)
 
 
-def missed_db(rate: RateControl, error: float) -> float:
-    """By how much a file of this mean squared error misses the PSNR asked for; 0 where it does not."""
-    return 0.0 if rate.psnr is None else max(rate.psnr + 10 * math.log10(max(error, 1e-12)), 0.0)
+def missed_db(rate: RateControl, reached: float) -> float:
+    """By how much a file that reaches this, as aim_db is counted, misses it; 0 where it does not."""
+    return 0.0 if rate.aim_db is None else max(rate.aim_db - reached, 0.0)
 
 
 def raised(rate: RateControl, by_db: float) -> RateControl:
-    """The same with a PSNR that is higher by this, and a little more."""
-    if rate.psnr is None:
+    """The same with an aim that is higher by this, and a little more."""
+    if rate.aim_db is None:
         return rate
-    return replace(rate, psnr=min(rate.psnr + by_db + rate.settings.rate.psnr_slack_db / 2, MAX_PSNR_DB))
+    return replace(rate, aim_db=min(rate.aim_db + by_db + rate.settings.rate.slack_db / 2, MAX_PSNR_DB))
 
 
 def _surplus(times: Times, at: float) -> float:

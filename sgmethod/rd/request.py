@@ -119,7 +119,7 @@ class Plan:
         """Steps of the first run and of each round, those for a PSNR that is missed included."""
         first = self.request.rate.steps(self.settings)
         a_round = max(round(self.settings.schedule.round_steps * first), 1)
-        further = 0 if self.request.rate.psnr is None else self.settings.schedule.rounds_for_psnr
+        further = self.request.rate.further_rounds
         return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
 
     def all_steps(self, done: int) -> int:

@@ -20,7 +20,7 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     """
     request, selection = plan.request, Selection(plan.request.rate)
     texture = request.objective.texture(request.stream(state.gaussians, state.quantum))
-    if texture is not None and not selection.affords(texture):
+    if texture is not None and (request.rate.by_looks or not selection.affords(texture)):
         texture = None
     empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
     limit, target = selection.payload_limit(empty), state.target.now
@@ -31,14 +31,14 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
 
     tried: list[Coded] = []
     quantum: float | None = selection.first_quantum(state.quantum, payload, limit)
-    for _ in request.deadline.tries(plan.settings.rate.psnr_tries):
+    for _ in request.deadline.tries(plan.settings.rate.aim_tries):
         if quantum is None:
             break
         tried.append(quantised(plan, state.gaussians, target, quantum, room))
         quantum = selection.next_quantum(tried, limit, plan.settings.effort.size_tries)
     if selection.is_cut_short(payload(state.quantum), limit):
         tried.append(quantised(plan, state.gaussians, target, state.quantum, room))
-    best = selection.best(tried, selection.reachable_psnr(tried))
+    best = selection.best(tried, selection.reachable(tried))
     lot = np.random.default_rng(request.seed)
     for _ in request.deadline.tries(max(rounds - 1, 0) if best.size else 0):
         held = lot.random(len(best.stream.gaussians())) < 0.5

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.decoder import draw_whole
 from sgmethod.rd.quantise import exact_psnr, rounded_psnr
+from sgmethod.rd.rate_control import looks_db
 from sgmethod.rd.request import Plan, Stage, State
 from sgmethod.trace import shown_to_nobody
 
@@ -18,6 +20,14 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
     size = stream.file_bytes
     if request.recorder.preview is not shown_to_nobody:
         request.recorder.preview(container.serialise(stream))
-    psnrs = (lambda: rounded_psnr(plan, state)), (lambda: exact_psnr(plan, state.gaussians))
-    quantum = request.rate.steered(state.quantum, stage.times, stage.at, size, *psnrs)
+
+    def reached() -> float:
+        if request.rate.by_looks:
+            return looks_db(request.objective.looks(draw_whole(stream)))
+        return rounded_psnr(plan, state)
+
+    def lost() -> float:
+        return exact_psnr(plan, state.gaussians) - rounded_psnr(plan, state)
+
+    quantum = request.rate.steered(state.quantum, stage.times, stage.at, size, reached, lost)
     return replace(state, size=size, quantum=StreamV5.coded_quantum(quantum, request.rate.is_short))

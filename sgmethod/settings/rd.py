@@ -26,6 +26,7 @@ class Times:
     steering_from: float = 0.12
     early_db: float = 2.0  # when steering begins, a PSNR this far below the final one is right
     early_until: float = 0.45
+    looks_at: tuple[float, ...] = (0.33, 0.65, 0.86)  # to measure looks takes as long as steps
 
     # Surplus: there may be more than the budget allows at first. It is given up between these times.
     excess: float = 0.5  # a budget of 100 bytes, or Gaussians, allows 150 at first
@@ -40,13 +41,18 @@ class Times:
 
 # For a first look: few growths, no surplus, and smaller pictures for longer.
 QUICK = Times(
-    growth_at=(0.03, 0.1, 0.2, 0.32, 0.46, 0.6), trim_at=(0.72, 0.8, 0.88, 0.94, 0.98), excess=0.0, few_until=0.85
+    growth_at=(0.03, 0.1, 0.2, 0.32, 0.46, 0.6),
+    trim_at=(0.72, 0.8, 0.88, 0.94, 0.98),
+    excess=0.0,
+    few_until=0.85,
+    looks_at=(0.2, 0.32, 0.46, 0.6, 0.88),
 )
 
 # Of a round: more Gaussians than can stay are added to a file that is as large as it may be, and those that gain least
 # for their bits go.
 ROUND = Times(
     growth_at=(0.0, 0.1, 0.2),
+    looks_at=(0.5, 0.88),
     trim_at=(0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.88, 0.94, 0.98),
     steering_from=0.0,
     early_db=0.0,
@@ -98,6 +104,7 @@ class ScheduleSettings:
     round_steps: float = 0.4  # of the first run's
     round_times: Times = ROUND
     rounds_for_psnr: int = 2  # beyond those of the effort, while a PSNR is missed
+    rounds_for_looks: int = 1
 
 
 @dataclass(frozen=True)
@@ -162,16 +169,20 @@ class RateSettings:
     fewest_pixels: int = 20  # of a first guess, for each Gaussian; growth may put more
     most_bytes: int = 12  # that a pixel can use, where each has a Gaussian of its own
     gaussians_quality: float = 85.0  # at which a number of Gaussians is fitted
-    coarsest_of_psnr: float = 0.4  # first quantum
+    coarsest_of_aim: float = 0.4  # first quantum
+    looks_quantum: tuple[float, float] = (70.0, 0.16)  # looks, and about the quantum that photographs have there
     steering_exponent: float = 0.9  # at the times of growth
     trim_exponent: float = 1.0  # later
     steering_limit: float = 1.35  # the quantum's largest change at one time, as a factor
+    looks_limit: float = 1.8  # the same where looks are measured, which is seldom
+    looks_refined_db: float = 0.35  # that refining adds, at least
+    looks_tries: int = 5  # in place of aim_tries
     db_per_doubling: float = 2.5  # PSNR that is lost when the quantum doubles
     least_used: float = 0.985  # of the bytes allowed; if refining leaves less in use, a finer quantum is tried
     quantum_per_size: float = 1.4  # the quantum goes with about this power of the size's inverse
     far_from_size: float = 1.1  # of the bytes allowed; a fit that ends beyond was cut short, and also tries to drop
-    psnr_tries: int = 7
-    psnr_slack_db: float = 0.05  # this far above the PSNR asked for is near enough
+    aim_tries: int = 7
+    slack_db: float = 0.05  # this far above the PSNR asked for is near enough
     least_gain: float = 0.1  # of what a finer quantum should gain; one that gains less is finer than the picture needs
     missed_db: float = 0.1  # where a PSNR is out of reach, one this far below the best seen will do
 

@@ -12,6 +12,7 @@ from service.web.guards.problems import ProblemError
 from service.web.submitting.fields import Asked
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import Budget, unasked
+from sgmethod.metrics.looks import SMALLEST_SIDE
 from sgmethod.profiles import PROFILES
 from sgmethod.settings.rd import RdSettings
 
@@ -24,9 +25,11 @@ def feasible(asked: Asked, image: SourceImage) -> Asked:
     if not asked.has_budget:
         budget = unasked(image.width, image.height, smallest_file(settings, has_alpha=True))
         return replace(asked, request=replace(request, budget_kind=budget.kind, budget_value=budget.value))
-    if budget.kind == "quality" and not isinstance(settings, RdSettings):
-        detail = f"profile {request.profile} has no quality scale; use bpp, bytes, psnr or gaussians"
+    if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
+        detail = f"profile {request.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
         raise ProblemError(422, detail)
+    if budget.kind == "looks" and min(image.width, image.height) < SMALLEST_SIDE:
+        raise ProblemError(422, f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
     if budget.kind == "gaussians" and budget.value > pixels:
         raise ProblemError(422, f"{budget.value:.0f} Gaussians exceed the image's {pixels} pixels")
     allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)

@@ -14,7 +14,7 @@ from starlette.datastructures import UploadFile
 
 from service.jobs.job import PRIORITIES, EncodeRequest, Priority
 from service.web.guards.problems import ProblemError
-from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, Budget
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget
 from sgmethod.errors import BudgetError
 from sgmethod.profiles import (
     DEFAULT_EFFORT,
@@ -37,6 +37,10 @@ def _number(text: str, info: ValidationInfo) -> float:
     if _NUMBER.fullmatch(text) is None:
         raise ValueError(f"{info.field_name} must be a number, got {text!r}")
     return float(text)
+
+
+def _looks(text: str, info: ValidationInfo) -> float:
+    return LOOKS[text] if text in LOOKS else _number(text, info)
 
 
 def _choice(text: str, info: ValidationInfo) -> str:
@@ -78,8 +82,13 @@ class EncodeFields(BaseModel):
 
     bpp: Number = _positive("budget: maximum bits per pixel", 0.3)
     bytes: Number = _positive("budget: maximum bytes", 20_000)
+    looks: Annotated[float | SkipJsonSchema[None], BeforeValidator(_looks)] = _positive(
+        "budget: target SSIMULACRA 2, up to 100, or preview (40), web (60), archive (80); profile rd only", 60
+    )
     psnr: Number = _positive("budget: target PSNR in dB, at most 60", 32)
-    quality: Number = _positive("budget: quality, above 0 and up to 100, profile rd only", 50)
+    quality: Number = _positive(
+        "budget: a scale kept for old clients, above 0 and up to 100, profile rd only; use looks", 50
+    )
     gaussians: Number = _positive("budget: number of Gaussians", 1000)
     profile: Annotated[str, BeforeValidator(_choice)] = Field(
         default=DEFAULT_PROFILE, json_schema_extra={"enum": list(PROFILE_NAMES)}

@@ -287,7 +287,7 @@ def test_image_larger_than_the_limit(web: Service) -> None:
 @hypothesis_settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     name=st.sampled_from(
-        ["bpp", "bytes", "psnr", "quality", "gaussians", "profile", "tune", "effort", "time_limit_s", "x"]
+        ["bpp", "bytes", "looks", "psnr", "quality", "gaussians", "profile", "tune", "effort", "time_limit_s", "x"]
     ),
     value=st.text(max_size=20) | st.floats().map(str) | st.integers().map(str),
     image=st.binary(max_size=60) | st.binary(max_size=20).map(lambda junk: SMALL[:60] + junk),

@@ -36,15 +36,28 @@ export function listen(given) {
 /** The slider's bits per pixel: 0.05 to 2, each step 3.8 % more. */
 const rate = () => Number((0.05 * 40 ** ($("bpp").value / 100)).toFixed(3));
 
+/** SSIMULACRA 2, 5 to 95. */
+const looks = () => Math.round(5 + 0.9 * Number($("bpp").value));
+const LOOKS = [[80, "hardly different from the original"], [60, "good beside the original"], [30, "good on its own"], [0, "a preview"]];
+
 export function budget() {
   const timeLimit = Number($("time-limit").value) || null;
   const kind = $("aim").value;
-  const value = kind === "bpp" ? rate() : Number($("aim-value").value) || AIMS[kind][1];
+  const value = kind === "bpp" ? rate() : kind === "looks" ? looks() : Number($("aim-value").value) || AIMS[kind][1];
   return { kind, value, tune: $("tune").value, effort: Number($("effort").value), timeLimit };
 }
 
 /** Say what the slider means for a picture, or for any. */
 export function sayRate(item) {
+  const byLooks = $("aim").value === "looks";
+  $("rate-name").textContent = byLooks ? "How good" : "How small";
+  $("bpp").setAttribute("aria-label", $("rate-name").textContent);
+  if (byLooks) {
+    $("rate").textContent = `${looks()} of 100`;
+    $("bpp").setAttribute("aria-valuetext", $("rate").textContent);
+    $("rate-words").textContent = `SSIMULACRA 2, ${LOOKS.find(([least]) => looks() >= least)[1]}, in as few bytes as that takes.`;
+    return;
+  }
   const bpp = rate();
   const words = [`${bpp.toFixed(2)} bits per pixel`];
   if (item?.size && item.originalBytes) {
@@ -68,7 +81,7 @@ export function rememberBudget(changed) {
     $("aim-name").textContent = aim[0];
     $("aim-value").value = localStorage.getItem(name()) ?? aim[1];
   };
-  $("aim").addEventListener("change", showAim);
+  $("aim").addEventListener("change", () => { showAim(); changed(); });
   $("aim-value").addEventListener("input", () => localStorage.setItem(name(), $("aim-value").value));
   $("bpp").addEventListener("input", changed);
   showAim();
