@@ -109,6 +109,8 @@ class RateControl:
                 raise BudgetError(f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
             (looks, quantum), aim = s.looks_quantum, looks_db(budget.value)
             of_photograph = quantum * 2 ** ((looks_db(looks) - aim) / s.db_per_doubling)
+            if min(size) < s.looks_small[0]:
+                of_photograph *= s.looks_small[1]
             return cls(settings, pixels, min(of_photograph, s.coarsest_of_aim), aim_db=aim, by_looks=True)
         if budget.kind == "gaussians":
             quantum = quality_quantum(s.gaussians_quality)

@@ -171,6 +171,10 @@ class RateSettings:
     gaussians_quality: float = 85.0  # at which a number of Gaussians is fitted
     coarsest_of_aim: float = 0.4  # first quantum
     looks_quantum: tuple[float, float] = (70.0, 0.16)  # looks, and about the quantum that photographs have there
+    looks_small: tuple[int, float] = (
+        113,
+        0.25,
+    )  # pixels of a side, and times the quantum: SSIMULACRA 2 is harsher below
     steering_exponent: float = 0.9  # at the times of growth
     trim_exponent: float = 1.0  # later
     steering_limit: float = 1.35  # the quantum's largest change at one time, as a factor
