@@ -30,7 +30,7 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     ),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
     (stability.page, (), ("version4/stiff", "stability")),
-    (paper.page, (), ("representation", "ablation", "rd/paper")),
+    (paper.page, (), ("representation", "ablation", "rd/paper", "others")),
     (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
 APART = {"version4/stiff": "picture", "speed": "gaussians"}  # of the CSV, besides the usual

@@ -41,7 +41,13 @@ def test_splats_are_blended_and_packed() -> None:
     assert of_integers < 1e-4
 
 
-def test_methods_of_others_are_fitted(tmp_path: Path) -> None:
+TABLES = (
+    "import json, sys; from pathlib import Path; from benchmarks.others.report import summary\n"
+    "print(*summary(json.loads(Path(sys.argv[1]).read_text())))\n"
+)
+
+
+def test_methods_of_others_are_fitted_and_shown(tmp_path: Path) -> None:
     out = tmp_path / "others.json"
     words = ["--images", str(PHOTOGRAPHS), "--most", "1", "--sides", "96,72", "--seconds", "0.5", "--bpp", "2.5"]
     run("others", out, *words)
@@ -53,3 +59,8 @@ def test_methods_of_others_are_fitted(tmp_path: Path) -> None:
             assert 1000 < row["bytes"] <= 2.5 * 96 * 72 / 8
         else:
             assert 0.95 < row["numbers"] / rows["paper"]["numbers"] <= 1
+    command = [sys.executable, "-c", TABLES, str(out)]
+    shown = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    lines = {line.split(" | ")[0]: line for line in shown.splitlines()}
+    assert lines["| I-NGP"].endswith(" | 43.88 |")  # as quoted
+    assert lines["| 2DGS"].split(" | ")[1] == f"{rows['2dgs']['bytes']:,}"

@@ -1,0 +1,39 @@
+"""Methods of others, as they were fitted here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from benchmarks.published import quoted_values
+from benchmarks.tables import MISSING, mean, number, table
+
+NAMES = {"paper": "the paper", "ingp": "I-NGP", "neurbf": "NeuRBF", "2dgs": "2DGS", "3dgs": "3D-GS, flattened"}
+NAMES |= {"rd": "profile `rd`"}
+QUOTED = "representation, Kodak, 70,000 Gaussians"
+TABLES = {"representation": "numbers", "compression": "bytes"}
+FORMS = {"steps": ",.0f", "seconds": ".1f", "psnr": ".2f", "ms_ssim": ".4f"}
+
+
+def summary(content: dict[str, Any]) -> Iterator[str]:
+    """A table of fits in floating point, and one of files: means over the pictures that every method has."""
+    quoted, (width, height) = quoted_values(QUOTED, "psnr"), content["settings"]["sides"]
+    for name, size in TABLES.items():
+        rows = [row for row in content["rows"] if row["table"] == name]
+        images = [
+            {row["image"] for row in rows if row["method"] == method} for method in {row["method"] for row in rows}
+        ]
+        common = set.intersection(*images) if images else set()
+        lines = []
+        for method in dict.fromkeys(row["method"] for row in rows):
+            own = [row for row in rows if row["method"] == method and row["image"] in common]
+            cells = [
+                number(mean([row.get(figure) for row in own]), form)
+                for figure, form in ({size: ",.0f"} | FORMS).items()
+            ]
+            theirs = number(quoted.get(NAMES[method]), ".2f") if name == "representation" else MISSING
+            lines.append([NAMES[method], *cells, theirs])
+        if common:
+            titles = f"method | {size} | steps | seconds of the processor | PSNR | MS-SSIM | PSNR quoted"
+            of = f"{len(common)} pictures of {width}x{height} pixels; quoted: whole pictures, minutes on a GPU"
+            yield f"Methods of others, {name} ({of}):\n\n{table(titles, lines)}"
