@@ -42,6 +42,9 @@ ENCODES := tests/benchmarks/ tests/cli/ tests/rd/
 # this an encode beside them has a hundredth of a core.
 YIELDING := nice -n 19
 COVERAGE ?=
+# Without ninja, CMake calls make, which by itself compiles one file at a time.
+CORES := $(shell nproc)
+export CMAKE_BUILD_PARALLEL_LEVEL ?= $(CORES)
 # Further targets, made beside the measured tests.
 ALSO ?=
 VERSIONS ?= 3.12 3.13 3.14
@@ -150,6 +153,7 @@ $(OTHERS): $(STAMP)
 # The stamp is written last: a set-up that was interrupted is taken up again by the next call.
 define SET_UP
 @$(CHECK)
+@echo "Setting up $(VENV) once, for some minutes: PyTorch first, then the kernels are compiled on $(CORES) cores"
 $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 $(BIN)/python -m pip install '$(TORCH)'
 $(BIN)/python -m pip install --editable '.[$(1)]'

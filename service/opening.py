@@ -8,6 +8,8 @@ from service.settings import Settings
 from service.storage.disk import DiskStorage
 from service.storage.files import Storage
 
+MAX_ATTEMPTS = 4  # crashes until a job fails
+
 
 class MissingPackagesError(Exception):
     """What the settings name needs more packages than are installed; one sentence with the command."""
@@ -17,7 +19,7 @@ def open_job_table(settings: Settings) -> JobTable:
     """The job table, made if there is none yet. Raises JobTableError, MissingPackagesError, OSError."""
     rules = JobRules(
         lease_s=settings.lease_s,
-        max_attempts=settings.max_attempts,
+        max_attempts=MAX_ATTEMPTS,
         max_running_per_owner=settings.max_running_per_key,
         source_retention_s=settings.source_retention_s,
         webhooks=settings.webhook_addresses,

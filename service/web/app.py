@@ -53,6 +53,7 @@ PAGE_POLICY = (
 )
 FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY = 4
+MIN_UPLOAD_RATE = 2000  # bytes a second, on average
 KEYS_POLL_S = 1.0
 
 log = logging.getLogger(__name__)
@@ -111,7 +112,7 @@ def _body_limits(settings: Settings) -> BodyLimits:
         settings.max_upload_bytes + MULTIPART_OVERHEAD_BYTES,
         settings.body_chunk_timeout_s,
         settings.body_timeout_s,
-        settings.min_upload_rate,
+        MIN_UPLOAD_RATE,
     )
 
 
@@ -136,8 +137,8 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         open_storage(settings),
         Work(settings),
         PictureCache(settings.decode_cache_bytes),
-        Turns(UPLOADS_IN_MEMORY, settings.max_uploads),
-        Shares(settings.max_event_streams, "streams", "streams of events are open"),
+        Turns(UPLOADS_IN_MEMORY, settings.max_streams),
+        Shares(settings.max_streams, "streams", "streams of events are open"),
         Shares(settings.max_answer_bytes, "answers", "pictures are on their way to clients"),
         stopping,
         KeyRing(settings.key_names),
@@ -175,7 +176,7 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
     secret = settings.link_secret.get_secret_value()
     paced = PacedRequests(HeadAsGet(app), settings.max_connections_per_address)
     gate = Gate(paced, parts.keys, RateLimit(settings.key_request_rate), secret)
-    uploads = Shares(settings.max_uploads, "uploads", "uploads are under way")
+    uploads = Shares(settings.max_streams, "uploads", "uploads are under way")
     parts.metrics.watch(uploads)
     guarded: ASGIApp = BodyGuard(gate, _body_limits(settings), uploads)
     if settings.cors_origins:

@@ -20,6 +20,7 @@ from service.web.guards.connections import ConnectionLimits, limited_connections
 from service.web.guards.metrics import Metrics
 
 KEEP_ALIVE_S = 10
+MAX_HEAD_BYTES = 32_768  # of a request line and headers
 ACCEPTED_AT_ONCE = 16  # connections, in one turn of the event loop
 
 
@@ -33,7 +34,7 @@ def run_web(settings: Settings, listen: Callable[[], socket.socket]) -> None:
         settings.max_connections,
         settings.max_connections_per_address,
         networks(settings.trusted_proxies),
-        settings.max_header_bytes,
+        MAX_HEAD_BYTES,
         settings.header_timeout_s,
         settings.send_timeout_s,
     )

@@ -184,7 +184,6 @@ def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
         tmp_path_factory.mktemp("web") / "data",
         "web",
         max_upload_bytes=200_000,
-        max_side=3000,
         max_pixels=1_000_000,
         queue_length=10_000,
     )

@@ -14,6 +14,7 @@ from service.web.helpers.turns import Turns
 
 # The header of a photograph takes milliseconds and little memory. What takes more was made to.
 HEADERS_AT_ONCE = 3
+MAX_SIDE = 16_384  # pixels of an image's longer side
 HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
 
@@ -24,7 +25,7 @@ class Work:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._helpers = Helpers()
-        self._headers = Turns(HEADERS_AT_ONCE, settings.max_uploads)
+        self._headers = Turns(HEADERS_AT_ONCE, settings.max_streams)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
 
     async def read_header(self, client: str, file: BinaryIO, size_bytes: int) -> SourceImage:
@@ -32,7 +33,7 @@ class Work:
         limits = self._settings
         memory_bytes = HEADER_MEMORY_BYTES + size_bytes
         async with self._headers.turn(client):
-            errand = Errand(memory_bytes, HEADER_CPU_S, limits.max_pixels, limits.max_side)
+            errand = Errand(memory_bytes, HEADER_CPU_S, limits.max_pixels, MAX_SIDE)
             header, _ = await self._helpers.ask(errand, file)
         return SourceImage(header["format"], header["width"], header["height"], size_bytes)
 
@@ -42,7 +43,7 @@ class Work:
         errand = Errand(
             limits.decode_memory_bytes,
             limits.decode_time_s,
-            limits.max_decode_pixels,
+            limits.max_pixels,
             max_gaussians=max_gaussians,
             wish=wish,
         )
@@ -51,9 +52,7 @@ class Work:
     async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
         """The rival that is made of an image. Raises HelperError, ProblemError 429 or 503, OSError."""
         limits = self._settings
-        errand = Errand(
-            limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, limits.max_side, rival=rival
-        )
+        errand = Errand(limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, MAX_SIDE, rival=rival)
         return await self._picture(client, file, errand)
 
     async def preview(self, client: str, file: BinaryIO, most_bytes: int) -> dict[str, Any]:
@@ -63,7 +62,7 @@ class Work:
             limits.decode_memory_bytes,
             limits.decode_time_s,
             limits.max_pixels,
-            limits.max_side,
+            MAX_SIDE,
             preview_bytes=most_bytes,
         )
         async with self._drawings.turn(client):

@@ -99,7 +99,7 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
     wish = query.wish(kind)
     size = (int(result.stats["width"]), int(result.stats["height"]))
     try:
-        drawing = Drawing.of(wish, size, parts.settings.max_decode_pixels)
+        drawing = Drawing.of(wish, size, parts.settings.max_pixels)
     except ViewError as error:
         raise ProblemError(422, str(error)) from error
     etag = drawing.etag(result.sha256)
@@ -210,7 +210,7 @@ async def picture_of_body_as(
 async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, parts: Parts) -> Response:
     wish = query.wish(kind)
     parts.outflow.check(request.state.caller.client)
-    async with body_as_file(request, parts.settings.max_bitstream_bytes) as upload:
+    async with body_as_file(request, parts.settings.max_upload_bytes) as upload:
         try:
             file = await _drawn(request, parts, upload.file, wish, parts.settings.max_decode_gaussians)
         except BitstreamError as error:

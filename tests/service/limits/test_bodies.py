@@ -138,7 +138,7 @@ def test_a_body_that_trickles(hasty: Service) -> None:
 
 def test_a_body_that_comes_too_slowly_for_its_size(start_service: StartService) -> None:
     """Neither a long silence nor long in all, but too few bytes a second."""
-    web = start_service("web", body_chunk_timeout_s=1, body_timeout_s=100, min_upload_rate=1000)
+    web = start_service("web", body_chunk_timeout_s=1, body_timeout_s=100)
     with connect(web, "Content-Length: 5000") as connection:
         connection.sendall(HEAD)
         wait_until(lambda: answered_meanwhile(connection))
@@ -148,7 +148,7 @@ def test_a_body_that_comes_too_slowly_for_its_size(start_service: StartService) 
 def test_uploads_at_once_are_limited(start_service: StartService) -> None:
     """One client has half of them: a hundred slow ones of one address kept everybody's out."""
     keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann", "bob"))
-    web = start_service("web", max_uploads=4, api_keys=keys, body_chunk_timeout_s=1000)
+    web = start_service("web", max_streams=4, api_keys=keys, body_chunk_timeout_s=1000)
     crowd: list[socket.socket] = []
 
     def begin(name: str) -> None:

@@ -94,7 +94,7 @@ def test_a_job_table_that_goes_away(start_service: StartService) -> None:
 
 def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: StartService) -> None:
     """One client has half of them."""
-    web = start_service("web", max_event_streams=3)
+    web = start_service("web", max_streams=3)
     job_id = web.accepted()
     elsewhere = httpx.Client(transport=httpx.HTTPTransport(local_address="127.0.0.2"), timeout=PATIENCE_S)
     with stream(web, job_id) as first, stream(web, job_id) as second, elsewhere as other:

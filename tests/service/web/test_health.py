@@ -123,7 +123,7 @@ def test_figures(start_service: StartService) -> None:
 
 def test_refusals_by_reason(start_service: StartService) -> None:
     """Where it is the application that refuses, and where the connection never comes so far."""
-    web = start_service("web", queue_length=1, max_header_bytes=1024)
+    web = start_service("web", queue_length=1)
     web.post(key="once")
     web.post(key="once")
     assert web.figures()["sgmethod_jobs_accepted_total"] == 1
@@ -131,7 +131,7 @@ def test_refusals_by_reason(start_service: StartService) -> None:
         assert answer.status_code in (422, 429)
     web.client.get("/livez?x=1")
     web.client.get("/livez", headers={"Upgrade": "websocket", "Connection": "upgrade"})
-    web.raw(b"GET /livez HTTP/1.1\r\nHost: test\r\nX: " + b"x" * 2000)
+    web.raw(b"GET /livez HTTP/1.1\r\nHost: test\r\nX: " + b"x" * 33_000)
     web.raw(b"nonsense\r\n\r\n")
     reasons = {name: number for name, number in web.figures().items() if name.startswith("sgmethod_refusals_total")}
     expected = {"queue": 2, "invalid": 2, "websocket": 1, "head": 1, "malformed": 1}

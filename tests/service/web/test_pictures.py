@@ -34,7 +34,7 @@ def done(web: Service) -> str:
 def tight(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A web process that draws and takes no more than it must."""
     folder = tmp_path_factory.mktemp("tight") / "data"
-    service = Service(folder, "web", max_decode_pixels=10_000, max_bitstream_bytes=len(PICTURE))
+    service = Service(folder, "web", max_pixels=10_000, max_upload_bytes=len(PICTURE))
     yield service
     assert service.stop() == 0
 

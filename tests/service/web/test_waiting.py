@@ -114,7 +114,7 @@ def test_who_waits_is_told_when_the_service_stops(start_service: StartService) -
 @pytest.fixture(scope="module")
 def one_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A web process where one alone may wait or watch."""
-    service = Service(tmp_path_factory.mktemp("one") / "data", "web", max_event_streams=1)
+    service = Service(tmp_path_factory.mktemp("one") / "data", "web", max_streams=1)
     yield service
     assert service.stop() == 0
 

@@ -222,8 +222,10 @@ def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
 
 def test_rule_4_timed_out(start_service: StartService) -> None:
     """An encode beyond the time-out is ended and not tried again."""
-    service = start_service(job_timeout_s=0.5, max_time_limit_s=0.4)
-    job = service.wait(service.accepted(SLOW, bpp=1, time_limit_s=0.4))
+    service = start_service(max_time_limit_s=2, extra=STAND_IN)
+    job_id = service.accepted(SLOW, bpp=1, time_limit_s=2)
+    os.kill(running(job_id), signal.SIGSTOP)
+    job = service.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]["code"]) == ("failed", 1, "timed_out")
     assert_settled(service)
 
@@ -260,7 +262,7 @@ def test_rule_5_poison(solo: Service) -> None:
 
 def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
-    service = start_service(max_attempts=1, stop_grace_s=PATIENCE_S, extra=STAND_IN)
+    service = start_service(stop_grace_s=PATIENCE_S, extra=STAND_IN)
     job_id = service.accepted_slow()
     encoder = running(job_id)
     ours = {service.process.pid, encoder, *service.ours("web"), *service.ours("worker")}
