@@ -75,6 +75,7 @@ def test_openapi_lists_the_routes(web: Service) -> None:
         "/jobs/{job_id}/preview.sg",
         "/jobs/{job_id}/rival.{kind}",
         "/jobs/{job_id}/stop",
+        "/preview",
         "/livez",
         "/readyz",
         "/metrics",
