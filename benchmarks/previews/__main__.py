@@ -45,7 +45,7 @@ def measured(made: Made, pixels: Pixels, networks: Networks | None) -> dict[str,
     found: dict[str, Any] = {"bytes": made.bytes, "text": made.text, "psnr": round(psnr(decoded, pixels), 4)}
     if networks is not None:
         seen = {"ssimulacra2": ssimulacra2(decoded, pixels), **networks(decoded, pixels)}
-        found |= {name: round(value, 4) for name, value in seen.items()}
+        found |= {name: round(value, 4) for name, value in seen.items() if value is not None}
     return found | {"encode_s": round(made.encode_s, 4), "decode_ms": round(statistics.median(times), 3)}
 
 
