@@ -13,8 +13,8 @@ import argparse
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from benchmarks.report import paper, rate, readme, seen, service, speed, stability
-from benchmarks.report.flat import flat
+from benchmarks.flat import flat
+from benchmarks.report import paper, previews, rate, readme, seen, service, speed, stability
 from benchmarks.report.plots import save
 from benchmarks.report.section import Content, Page, load, table
 from sgmethod.io.files import write_atomically
@@ -28,6 +28,7 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
         ("convergence/kodak",),
         ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed"),
     ),
+    (previews.page, ("previews/kodak",), ()),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
     (stability.page, (), ("version4/stiff", "stability")),
     (paper.page, (), ("representation", "ablation", "rd/paper", "others")),

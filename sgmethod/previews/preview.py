@@ -61,9 +61,9 @@ class Preview:
 
     def element(self, src: str, alt: str = "") -> str:
         """An <sg-img>, which draws the preview itself and fits a strict content security policy. Without JavaScript,
-        the picture is shown alone. Arguments as in html()."""
-        plain = f'<noscript><img {self._attributes(src, alt)} loading="lazy"></noscript>'
-        return f'<sg-img {self._attributes(src, alt)} preview="{self.text}">{plain}</sg-img>'
+        the <img> within is shown alone. Arguments as in html()."""
+        image = f'<img {self._attributes(src, alt)} loading="lazy" decoding="async">'
+        return f'<sg-img preview="{self.text}">{image}</sg-img>'
 
     def _attributes(self, src: str, alt: str) -> str:
         return f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'

@@ -43,12 +43,13 @@ def test_one_text(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("pictures")
-@pytest.mark.parametrize(("option", "tag"), [("--html", "<img "), ("--element", "<sg-img ")])
+@pytest.mark.parametrize(("option", "tag"), [("--html", "<img "), ("--element", "<sg-img preview=")])
 def test_html(run: Run, option: str, tag: str) -> None:
     ran = run("preview", "photos/1 a.png", "photo.png", option, "--bytes", "60")
     first, second = ran.out.splitlines()
-    assert first.startswith(f'{tag}src="photos/1%20a.png" alt="" width="128" height="96"')
-    assert second.startswith(f'{tag}src="photo.png"')
+    assert first.startswith(tag)
+    assert '<img src="photos/1%20a.png" alt="" width="128" height="96"' in first
+    assert '<img src="photo.png"' in second
 
 
 @pytest.mark.usefixtures("pictures")
