@@ -49,7 +49,7 @@ TABLES = (
 
 def test_methods_of_others_are_fitted_and_shown(tmp_path: Path) -> None:
     out = tmp_path / "others.json"
-    words = ["--images", str(PHOTOGRAPHS), "--most", "1", "--sides", "96,72", "--seconds", "0.5", "--bpp", "2.5"]
+    words = ["--images", str(PHOTOGRAPHS), "--most", "1", "--sides", "96,72", "--seconds", "0.2", "--bpp", "2.5"]
     run("others", out, *words)
     rows = {row["method"]: row for row in json.loads(out.read_text())["rows"]}
     assert list(rows) == ["paper", "ingp", "neurbf", "2dgs", "3dgs", "rd"]
