@@ -8,7 +8,7 @@ import stat
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -53,7 +53,7 @@ def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.u
     return pixels, [str(warning.message) for warning in caught]
 
 
-def print_lines(kind: str, path: str, texts: Sequence[str]) -> None:
+def print_lines(kind: str, path: str, texts: Iterable[str]) -> None:
     """Print lines about a file to stderr."""
     for text in texts:
         print(f"sgmethod: {kind}: {one_line(name_of(path))}: {one_line(text)}", file=sys.stderr)

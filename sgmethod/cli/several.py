@@ -49,6 +49,7 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
         source = outcome.conversion.source
         files.print_lines("note", source, outcome.notes)
         files.print_lines("warning", source, outcome.figures.get("warnings", []))  # older servers have none
+        files.print_lines("advice", source, filter(None, [outcome.figures.get("advice")]))
 
 
 def say_done(outcome: Outcome, out: TextIO) -> None:

@@ -1,0 +1,74 @@
+"""Advice: pictures that Gaussians do not suit, and the file that suits them better.
+
+Text, screenshots, charts and line art are flat, and where they change they jump. No photograph is both.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from sgmethod.errors import ImageError
+from sgmethod.io.pictures import encode_picture
+from sgmethod.metrics import psnr
+
+Pixels = NDArray[np.uint8]
+
+EVERY = 8  # rows; the others look alike
+JUMP = 64  # levels from one pixel to the next
+# Of 72 photographs none had more than 0.59 and 0.06; of 21 drawn pictures 18 had more than 0.86 and 0.21.
+FLAT, SHARP = 0.7, 0.1
+CLEARLY_DB = 1.0
+# Of a screenshot, WebP of method 0 takes three times the bytes, and AVIF of speed 10 is 6 dB worse than of speed 6.
+QUICK_WEBP = {"lossless": True, "quality": 50, "method": 6}
+QUICK_AVIF = {"speed": 8, "subsampling": "4:4:4"}
+NEAR = 8  # of AVIF's quality
+UNSUITED = "Gaussians do not suit text, screenshots, charts and line art"
+
+
+def is_drawn(pixels: Pixels) -> bool:
+    """Whether a picture [H, W, C] is drawn or typeset and no photograph: most pixels equal their neighbours, and many
+    of the others jump. Two milliseconds for 0.4 megapixels."""
+    rows = pixels[::EVERY, :, :3]
+    changes = int((rows[:, 1:] != rows[:, :-1]).any(2).sum())
+    green = rows[..., 1].astype(np.int16)
+    jumps = int((np.abs(np.diff(green, axis=1)) > JUMP).sum())
+    return changes <= (1 - FLAT) * rows[:, 1:, 0].size and jumps > SHARP * changes
+
+
+def advice(pixels: Pixels, size: int, db: float) -> str | None:
+    """One sentence on a better file for a drawn picture [H, W, 3 or 4], given the bytes and the PSNR of its encode;
+    None for a photograph, and where neither lossless WebP nor quick AVIF is clearly better in no more bytes."""
+    if not is_drawn(pixels):
+        return None
+    try:
+        lossless = len(encode_picture(pixels, "WebP", QUICK_WEBP))
+        if lossless <= size:
+            return f"{UNSUITED}: lossless WebP takes {lossless:,} bytes"
+        if pixels.shape[2] == 4:
+            return None
+        found = max(((psnr(_decoded(data), pixels), len(data)) for data in _avif(pixels, size)), default=(0.0, 0))
+    except ImageError:  # no such encoder here, or too large for it
+        return None
+    if found[0] < db + CLEARLY_DB:
+        return None
+    return f"{UNSUITED}: AVIF has {found[0]:.1f} dB in {found[1]:,} bytes, this file {db:.1f} dB in {size:,}"
+
+
+def _avif(pixels: Pixels, size: int) -> Iterator[bytes]:
+    """Files of at most this size, by bisection of the quality."""
+    low, high = 0, 100
+    while high - low > NEAR:
+        quality = (low + high) // 2
+        data = encode_picture(pixels, "AVIF", {"quality": quality, **QUICK_AVIF})
+        if len(data) <= size:
+            yield data
+        low, high = (quality, high) if len(data) <= size else (low, quality)
+
+
+def _decoded(data: bytes) -> Pixels:
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
