@@ -55,8 +55,8 @@ def page(contents: Mapping[str, Content]) -> Page:
         "are those of whole files, headers included; a page needs 4 characters of text for 3 bytes.",
         table=by_bytes(rows),
         conclusion=conclusion(rows),
-        limits="- The smallest files alone are those of few codecs: a dash means that a picture has no file so small, "
-        "or none that differs from the one of fewer bytes.\n"
+        limits="- A dash: some picture has no file so small, or none that differs from that of fewer bytes.\n"
+        "- Other pictures, and single ones, which differ from the mean.\n"
         "- A `data:` URI adds some 23 characters to files of other codecs, and nothing to ours, BlurHash and "
         "ThumbHash, which need a decoder of their own.\n"
         "- Files without their headers: a page could keep those of JPEG once for all its pictures.\n"
@@ -91,7 +91,7 @@ def conclusion(rows: Sequence[Row]) -> str:
     parts = [f"{value:.2f} times our {most:,}" for most, value in times.items() if value is not None]
     told = f"For the same PSNR, the better of WebP and AVIF needs {several(parts)} bytes."
     ours, blurs = points(rows, OURS), [points(rows, name) for name in ("BlurHash", "ThumbHash")]
-    least = [f"{min(found.values())[1]:.1f} dB" for found in blurs if found]
+    least = [f"{max(db for most, (_, db) in found.items() if most <= 64):.1f} dB" for found in blurs if found]
     if 64 not in ours or len(least) < 2:
         return told
     return f"{told} A preview of 64 bytes has {ours[64][1]:.1f} dB, where BlurHash and ThumbHash have {several(least)}."
@@ -101,6 +101,7 @@ def figures(rows: Sequence[Row]) -> str:
     """Every figure at the bytes at which the networks looked, of each codec's largest file up to there, and times."""
     at = max((row["max_bytes"] for row in rows if "lpips" in row and row["codec"] == OURS), default=TOLD[1])
     forms = {"bytes": ",.0f", "text": ",.0f", "psnr": ".2f", **SEEN, "encode_s": ".3f", "decode_ms": ".1f"}
+    forms = {name: form for name, form in forms.items() if any(name in row for row in rows)}
     lines = []
     for codec in CODECS:
         sizes = [most for most in points(rows, codec) if most <= at]
