@@ -10,7 +10,7 @@ import math
 import os
 import statistics
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -44,6 +44,7 @@ from sgmethod.start.advice import advice
 from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
 
 Pixels = NDArray[np.uint8]
+Measure = Callable[[Pixels, Pixels], float | None]  # of a picture and its source
 
 SEEN_DB = 0.005  # a smaller miss is none in two decimals
 SEEN_LOOKS = 1.0  # points of SSIMULACRA 2, within which looks are met
@@ -55,8 +56,9 @@ MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
 class Stats:
     """The figures of an encode.
 
-    psnr (dB), ms_ssim and ssimulacra2 (up to 100) are of the decoded file; ms_ssim is None for sides below 161 pixels,
-    ssimulacra2 below 8. With alpha, they are means over the picture on black and on white. source_bytes: size of the
+    psnr (dB), ms_ssim and ssimulacra2 (up to 100) are of the decoded file. The latter two are None unless encode() was
+    asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured where looks were asked
+    for. With alpha, they are means over the picture on black and on white. source_bytes: size of the
     image file, None for arrays; psnr_missed_db, looks_missed: how far the file is below the requested PSNR, or
     SSIMULACRA 2, None if none was requested; advice: a sentence on a better format, for a picture that Gaussians do not
     suit.
@@ -141,6 +143,7 @@ def encode(
     stop: Stop | None = None,
     on_preview: Preview | None = None,
     device: object = None,
+    measure: bool = False,
 ) -> Encoded:
     """Encode a picture within a budget.
 
@@ -170,6 +173,7 @@ def encode(
     3 s.
     on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
     device: a PyTorch device for the fit, such as "cuda"; None and "cpu" mean the compiled kernels.
+    measure: also measure MS-SSIM and SSIMULACRA 2 of the file, which takes as long as much of a small file's encode.
 
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
     BudgetError for a budget that no file can meet, SgError for a device that is missing, OSError for a path that cannot
@@ -197,7 +201,8 @@ def encode(
 
         request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
-    encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort))
+    measures = [ms_ssim, ssimulacra2] if measure else [ssimulacra2] if budget.kind == "looks" else []
+    encoded = _measured(pixels, data, steps, recorder, (profile, tuned_for, effort), measures)
     psnr_missed, looks_missed = _missed(budget, encoded.stats)
     stats = replace(
         encoded.stats, source_bytes=_file_bytes(image), psnr_missed_db=psnr_missed, looks_missed=looks_missed
@@ -257,21 +262,27 @@ def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -
 
 
 def _measured(
-    pixels: Pixels, data: builtins.bytes, steps: int, recorder: Recorder, asked: tuple[str, Tune, int]
+    pixels: Pixels,
+    data: builtins.bytes,
+    steps: int,
+    recorder: Recorder,
+    asked: tuple[str, Tune, int],
+    measures: Sequence[Measure],
 ) -> Encoded:
-    """Decode the file and measure it against pixels [H, W, 3 or 4]. asked: profile, tuning, effort."""
+    """Decode the file and measure it against pixels [H, W, 3 or 4]. asked: profile, tuning, effort; measures: besides
+    PSNR."""
     file = SgFile(data)
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
     db, gaussians = psnr(decoded, source), file.info.gaussians
-    similar, looks = (_mean(map(measure, decoded, source)) for measure in (ms_ssim, ssimulacra2))
+    found = {measure: _mean(map(measure, decoded, source)) for measure in measures}
     recorder.report("done", steps, steps, 10 ** (-db / 10), gaussians, len(data))
     stats = Stats(
         bytes=len(data),
         bpp=8 * len(data) / (width * height),
         psnr=db,
-        ms_ssim=similar,
-        ssimulacra2=looks,
+        ms_ssim=found.get(ms_ssim),
+        ssimulacra2=found.get(ssimulacra2),
         gaussians=gaussians,
         steps=steps,
         seconds=recorder.points[-1].seconds,

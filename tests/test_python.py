@@ -98,7 +98,7 @@ def test_pictures_of_pillow_are_taken_as_they_are_seen() -> None:
         (lambda: sgmethod.encode(PIXELS, time_limit_s="soon"), BudgetError, "time limit"),
         (lambda: sgmethod.decode(5), SgError, "a path or bytes, not int"),
         (lambda: sgmethod.info(None), SgError, "not NoneType"),
-        (lambda: sgmethod.open(b"x"), SgError, "too short"),
+        (lambda: sgmethod.open(b"\xd3"), SgError, "too short"),
         (lambda: sgmethod.open(GOLDEN).pixels(scale="big"), ViewError, "got 'big'"),
         (lambda: sgmethod.open(GOLDEN).pixels(region=(1, 2, 3)), ViewError, "four whole numbers"),
         (lambda: sgmethod.open(GOLDEN).pixels(region=(0.5, 0, 3, 3)), ViewError, "four whole numbers"),

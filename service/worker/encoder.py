@@ -142,6 +142,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
                 on_progress=lambda point: send(pipe, TRACE, to_json(point.to_dict())),
                 stop=stopped.is_set,
                 on_preview=_now_and_then(lambda file: send(pipe, PREVIEW, file)),
+                measure=True,
             )
     except SgError as error:
         send(pipe, REFUSED, str(error).encode())

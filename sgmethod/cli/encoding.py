@@ -110,6 +110,7 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
         **_choices(arguments),
         seed=arguments.seed,
         on_progress=show,
+        measure=arguments.json,
     )
     stats = replace(encoded.stats, source_bytes=len(image))
     return encoded.data, stats.to_dict(), encoded.trace, notes

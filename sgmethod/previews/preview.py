@@ -20,7 +20,7 @@ from sgmethod.previews.placeholder import data_uri
 from sgmethod.previews.reducing import Pixels, reduced
 
 DEFAULT_BYTES, MAX_BYTES = 200, 16_384
-PIXELS_PER_BYTE = 64  # more gain nothing: docs/notebook/optimiser.md
+PIXELS_PER_BYTE, EFFORT = 256, 4  # docs/notebook/optimiser.md
 DARK = 0.179  # relative luminance below which white contrasts more than black (WCAG 2, 1.4.3)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -82,7 +82,7 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
     """
     bytes = whole(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
     pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
-    text = to_text(encode(pixels, bytes=bytes, tune="psnr").data)
+    text = to_text(encode(pixels, bytes=bytes, tune="psnr", effort=EFFORT).data)
     color = average_of(pixels)
     values = np.array(color) / 255
     light = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1

@@ -201,7 +201,8 @@ def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) 
     for budget in (Budget("gaussians", 12), Budget("psnr", 15.5), Budget("bpp", 1.25), Budget("bytes", 500)):
         given = ["--profile", "baseline", "--seed", "7", "--time-limit", "5", f"--{budget.kind}", str(budget.value)]
         assert run("encode", "photo.png", "out.sg", "--quiet", *given) == Ran(0, "", "")
-        assert calls.pop() == ((budget, "baseline"), {"tune": None, "effort": 5, "seed": 7, "time_limit_s": 5.0})
+        named = {"tune": None, "effort": 5, "seed": 7, "time_limit_s": 5.0, "measure": False}
+        assert calls.pop() == ((budget, "baseline"), named)
     assert run("encode", "photo.png", "out.sg", "--quiet", "--tune", "visual", "--effort", "2") == Ran(0, "", "")
     assert {name: calls[0][1][name] for name in ("tune", "effort")} == {"tune": "visual", "effort": 2}
 
@@ -659,6 +660,8 @@ def small(line: str) -> str:
 def run_in_order(run: Run, lines: list[str]) -> None:
     """All of them in this folder, where each finds what those before it left."""
     Image.open("photo.png").save("photo.jpg", quality=95)
+    Path("photos").mkdir()
+    Image.open("photo.png").save("photos/another.jpg")
     for line in lines:
         if "--server" not in line and not set("<>|") & set(line):
             words = shlex.split(small(line))[1:]

@@ -86,12 +86,13 @@ def test_fewer_bytes_than_a_file_has() -> None:
         encode(crop(), Budget("bytes", SMALLEST_FILE - 1))
 
 
-@pytest.mark.parametrize(("target_db", "beyond_db"), [(15.0, 0.5), (18.0, 0.2), (22.0, 0.2), (28.0, 0.1)])
+@pytest.mark.parametrize(("target_db", "beyond_db"), [(15.0, 0.5), (18.0, 0.2), (22.0, 0.2), (28.0, 0.2)])
 def test_a_psnr_is_met_closely(target_db: float, beyond_db: float) -> None:
     encoded = encode(crop(), Budget("psnr", target_db))
     assert_sound(encoded, crop())
     # Three Gaussians at 15 dB: one more is 0.3 dB. Files of 88 and 211 bytes at 18 and 22 dB: no single Gaussian is
-    # left out to come nearer than the quantum comes.
+    # left out to come nearer than the quantum comes. At 28 dB 0.05 with AVX-512; 0.14 with AVX2, where a file that is
+    # nearer by 0.1 dB takes two bytes more, and so is not chosen.
     assert target_db <= encoded.stats.psnr <= target_db + beyond_db
 
 

@@ -189,3 +189,12 @@ def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     )
     yield service
     assert service.stop() == 0
+
+
+@pytest.fixture
+def page(browser: Chromium) -> Iterator[Chromium]:
+    """The browser, which has nothing to complain of yet, and is elsewhere afterwards, in a window of its usual size."""
+    browser.complaints()
+    yield browser
+    browser.tell("Emulation.clearDeviceMetricsOverride")
+    browser.open("about:blank")

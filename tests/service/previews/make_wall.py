@@ -1,4 +1,4 @@
-"""Makes the page's wall of previews again from its photographs: python -m tests.service.page.make_wall
+"""Makes the page's wall of previews again from its photographs: python -m tests.service.previews.make_wall
 
 Needs Node and npm. Each photograph gets previews of a few sizes, and rivals of at most as many characters: WebP,
 reduced first to the size that is best for its PSNR; ThumbHash; BlurHash with as many components as fit. The last two

@@ -20,7 +20,7 @@ from tests.harness.data import PHOTOGRAPHS, ROOT, golden
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import open_blank
-from tests.service.page.test_previews import show
+from tests.service.previews.test_previews import show
 
 PAGE = (ROOT / "docs" / "previews.md").read_text()
 PHOTOGRAPH = PHOTOGRAPHS / "kodim23-crop.png"
