@@ -660,7 +660,7 @@ def small(line: str) -> str:
 def run_in_order(run: Run, lines: list[str]) -> None:
     """All of them in this folder, where each finds what those before it left."""
     Image.open("photo.png").save("photo.jpg", quality=95)
-    Path("photos").mkdir()
+    Path("photos").mkdir(exist_ok=True)
     Image.open("photo.png").save("photos/another.jpg")
     for line in lines:
         if "--server" not in line and not set("<>|") & set(line):
@@ -683,7 +683,7 @@ def test_commands_of_the_command_lines_page(run: Run) -> None:
 
 
 def test_commands_of_the_help(run: Run) -> None:
-    Path("photos").mkdir()
+    Path("photos").mkdir(exist_ok=True)
     for name in ("photos/a.jpg", "a.png", "b.png"):
         PHOTO.save(name)
     texts = (arguments.EXAMPLES, arguments.ENCODE[1], arguments.DECODE[1], arguments.INFO[1], arguments.COMPARE[1])
