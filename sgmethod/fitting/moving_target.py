@@ -2,19 +2,30 @@
 
 The eye sees coarse errors more than fine ones. With K e the mean of an error e over small squares, (e + K e)^T V e
 counts in place of e^T V e. Its gradient, V (e + K e), is that of an error against a target that lies K e further off.
+
+It also sees whether detail is as strong as it should be. Let x be an octave of the source, y that of the picture, and
+s = (2 cov(x, y) + c) / (var x + var y + c) their structural similarity in a small window. Its gradient in y goes with
+x - s y, as that of a squared error against x / s does. Squared error alone leaves too weak whatever few Gaussians can
+follow, but for its peaks. Against x / s it comes nearer to the strength of the source.
+
 So the target is moved every few steps, and kernels see nothing of it.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.backend.planes import halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.bands import Rows, bands
 from sgmethod.scene import FloatArray
 from sgmethod.settings.rd import MovingTargetSettings
+
+LUMA = (0.299, 0.587, 0.114)
 
 
 class MovingTarget:
@@ -39,8 +50,9 @@ class MovingTarget:
         """Take this much off the target from now on, [3, H, W]."""
 
 
-class AheadOfCoarseError(MovingTarget):
-    """Runs ahead of recent coarse errors, for the eye, less the grain that is hidden.
+class AheadForTheEye(MovingTarget):
+    """Runs ahead of recent coarse errors, and exaggerates detail that the picture follows badly, less the grain that is
+    hidden.
 
     Only once the growth of a run is over: growth would take the difference for error, add wide Gaussians and leave fine
     errors alone.
@@ -49,11 +61,14 @@ class AheadOfCoarseError(MovingTarget):
     hides = False
 
     def __init__(self, target: Target, shrink: int, settings: MovingTargetSettings) -> None:
-        """shrink: coarse errors are means over squares of this side, in samples of the target."""
+        """shrink: coarse errors are means over squares of this side, in samples of the target; at least 2."""
         super().__init__(target)
         self._settings, self._shrink = settings, shrink
         self._grain: Target | None = None
         self._by: FloatArray | None = None  # at a fraction of the size
+        self._detail: list[FloatArray] = []  # of luma, by octave from half the size on
+        self._more: list[FloatArray] = []  # of that detail
+        self._kept: FloatArray | None = None  # of the detail, where grain is hidden; at half the size
 
     def is_due(self, step: int, has_grown: bool) -> bool:
         """As MovingTarget.is_due."""
@@ -62,24 +77,55 @@ class AheadOfCoarseError(MovingTarget):
     def hide(self, grain: Target) -> None:
         """As MovingTarget.hide."""
         self._grain, self.hides = grain, True
+        finest = self._original[1] - _enlarged(halved(self._original[1]), grain.shape[1:])
+        hidden, whole = (_spread_nearby(plane) for plane in (grain[1], finest))
+        self._kept = 1 - np.minimum(hidden / (whole + 1), 1)
 
     def follow(self, error: Rows) -> None:
         """As MovingTarget.follow."""
-        s, shrink, (_, height, width) = self._settings, self._shrink, self._original.shape
-        coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
-        for first, end in bands(height, width):
-            here = slice(first // shrink, -(-end // shrink))
-            for plane, to in zip(error(first, end), coarse[:, here], strict=True):
-                to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
+        s, (_, height, width) = self._settings, self._original.shape
+        coarse, luma = self._reduced(error)
         np.clip(coarse, -s.furthest, s.furthest, out=coarse)
         self._by = coarse if self._by is None else self._by + np.float32(s.rate) * (coarse - self._by)
         if self.now is self._original:
             self.now = np.empty_like(self._original)
+            self._detail = _octaves(self._reduced(self._source)[1], s)
         moved = np.rint(self._by * TARGET_WHITE).astype(np.int16)
+        detail = _enlarged(np.rint(self._exaggerated(luma) * TARGET_WHITE).astype(np.int16), (height, width))
         for plane, by, to in zip(self._original, moved, self.now, strict=True):
-            np.add(plane, cv2.resize(by, (width, height), interpolation=cv2.INTER_LINEAR), out=to)
+            np.add(plane, _enlarged(by, (height, width)), out=to)
+            to += detail
         if self._grain is not None:
             self.now -= self._grain
+
+    def _source(self, first: int, end: int) -> FloatArray:
+        return self._original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE)
+
+    def _reduced(self, planes: Rows) -> tuple[FloatArray, FloatArray]:
+        """Means over squares of `shrink`, [3, h, w], and luma at half the size."""
+        shrink, (_, height, width) = self._shrink, self._original.shape
+        coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
+        luma = np.zeros((-(-height // 2), -(-width // 2)), np.float32)
+        for first, end in bands(height, width):
+            here = coarse[:, first // shrink : -(-end // shrink)]
+            for plane, weight, to in zip(planes(first, end), LUMA, here, strict=True):
+                half = halved(plane)
+                luma[first // 2 : -(-end // 2)] += np.float32(weight) * half
+                to[...] = cv2.resize(half, to.shape[::-1], interpolation=cv2.INTER_AREA)
+        return coarse, luma
+
+    def _exaggerated(self, missing: FloatArray) -> FloatArray:
+        """What is added to the target's detail, at half the size. missing: luma of the error there."""
+        s = self._settings
+        more = [
+            np.minimum(_unlikeness(source, source - less, s), most) - 1
+            for source, less, most in zip(self._detail, _octaves(missing, s), s.most_detail, strict=True)
+        ]
+        before = self._more or more
+        self._more = [old + np.float32(s.detail_rate) * (new - old) for old, new in zip(before, more, strict=True)]
+        by = [share * detail for share, detail in zip(self._more, self._detail, strict=True)]
+        total = np.asarray(sum(_enlarged(octave, missing.shape) for octave in by), np.float32)
+        return total if self._kept is None else total * self._kept  # or hidden grain would return as dots
 
 
 class BeyondBlackAndWhite(MovingTarget):
@@ -117,6 +163,38 @@ class BeyondBlackAndWhite(MovingTarget):
             moved = np.rint(beyond * TARGET_WHITE).astype(np.int16)
             np.add(self._original[:, here], moved, out=moved_target[:, here])
         self.now = moved_target
+
+
+def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> list[FloatArray]:
+    """The detail of a plane that half the size cannot show, that of half the size, and so on."""
+    found = []
+    for _ in settings.most_detail:
+        coarse = halved(plane)
+        found.append(plane - _enlarged(coarse, plane.shape))
+        plane = coarse
+    return found
+
+
+def _unlikeness(source: FloatArray, drawn: FloatArray, settings: MovingTargetSettings) -> FloatArray:
+    """1 or more: a power of the inverse of the structural similarity around each sample of an octave."""
+
+    def mean(products: FloatArray) -> FloatArray:
+        window = settings.detail_window
+        return np.asarray(cv2.GaussianBlur(products, (0, 0), window, borderType=cv2.BORDER_REFLECT), np.float32)
+
+    faint = np.float32((settings.faint_levels / 255) ** 2)
+    both = mean(source * source + drawn * drawn) + faint
+    return np.asarray((both / (np.maximum(2 * mean(source * drawn), 0) + faint)) ** settings.detail_power, np.float32)
+
+
+def _spread_nearby(plane: Target) -> FloatArray:
+    """The mean of |x| around each sample, at half the size."""
+    return np.asarray(cv2.GaussianBlur(halved(np.abs(plane).astype(np.float32)), (0, 0), 4.0), np.float32)
+
+
+def _enlarged(plane: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any]:
+    """To (height, width)."""
+    return np.asarray(cv2.resize(plane, size[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 def _slope(level: NDArray[np.uint8]) -> FloatArray:

@@ -13,7 +13,7 @@ from sgmethod.bitstream.texture import Codes
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
-from sgmethod.fitting.moving_target import AheadOfCoarseError, BeyondBlackAndWhite, MovingTarget
+from sgmethod.fitting.moving_target import AheadForTheEye, BeyondBlackAndWhite, MovingTarget
 from sgmethod.fitting.visibility import SeenShare
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import FloatArray, Gaussians
@@ -64,7 +64,7 @@ class Objective:
             return BeyondBlackAndWhite(target, background, self.settings.moving)
         shrink = self.settings.moving.shrink // spacing
         if self.for_eye and shrink > 1:
-            return AheadOfCoarseError(target, shrink, self.settings.moving)
+            return AheadForTheEye(target, shrink, self.settings.moving)
         return MovingTarget(target)  # where all errors are coarse, they count alike
 
     def hidden_by(self, effort: Effort) -> int:

@@ -221,12 +221,18 @@ class VisibilitySettings:
 
 @dataclass(frozen=True)
 class MovingTargetSettings:
-    """How the target runs ahead of coarse errors, for the eye; and how far alpha may go beyond black and white."""
+    """How the target runs ahead of coarse errors and of detail, for the eye; and how far alpha may go beyond black and
+    white."""
 
     every: int = 4  # steps
     shrink: int = 4  # coarse errors are means over squares of this side
     rate: float = 0.15  # of the way to the error of now, at once: from 0.5 on, target and fit swing ever wider
     furthest: float = 0.1  # 1 being white
+    most_detail: tuple[float, ...] = (3.0, 1.4)  # times the source's, by octave from half the size on
+    detail_window: float = 1.4  # sigma, in samples of the octave: small, so that peaks do not speak for what is beside
+    detail_power: float = 1.15  # of the inverse of structural similarity
+    detail_rate: float = 0.3  # of the way, at once
+    faint_levels: float = 2.0  # of 8 bits: fainter detail is left as it is
     overshoot: float = 0.4
     overshoot_every: int = 2  # steps
     margin: float = 0.02  # beyond black or white, at least
@@ -243,7 +249,7 @@ class TextureSettings:
     grain_levels: tuple[float, float] = (4.0, 7.0)  # of 8 bits: the same by its strength; faint grain makes no needles
     gain: tuple[float, float] = (0.62, 0.42)  # by octave, of a spread of `middle` that is left
     middle: float = 3.0  # levels of 8 bits
-    power: float = 0.5  # of other spreads, with which strengths go: much grain where much is left looks broken
+    power: float = 0.6  # of other spreads, with which strengths go: much grain where much is left looks broken
     most: tuple[float, float] = (0.7, 0.97)  # by octave, of the spread that is left
     floor: float = 0.3  # levels of 8 bits; rounding two pictures leaves that much between them
     quantile: float = 0.4  # of the blocks of a cell, by the energy that is left in them
