@@ -1,4 +1,4 @@
-"""Plots as SVG and PNG, readable without colour: lines differ by dashes and marks. The same data give the same SVG.
+"""Plots as SVG, readable without colour: lines differ by dashes and marks. The same data give the same SVG.
 
 Narrow, with the legend below, so that two beside each other in the README have letters large enough to read.
 """
@@ -25,7 +25,7 @@ def style(k: int) -> dict[str, Any]:
 
 
 def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
-    """Write path.svg and path.png: the panels one below the other, and one legend. of: a second line of the title."""
+    """Write path.svg: the panels one below the other, and one legend. of: a second line of the title."""
     try:
         import matplotlib as mpl
         from cycler import cycler
@@ -50,4 +50,3 @@ def save(panels: Sequence[Draw], title: str, of: str, path: Path) -> None:
         figure.set_size_inches(WIDTH_IN, HEIGHT_IN * len(panels) + LINE_IN * lines)
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path.with_suffix(".svg"), metadata={"Date": None})
-        figure.savefig(path.with_suffix(".png"), dpi=110)
