@@ -37,7 +37,9 @@ UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/fuzz/t
 # About half of the service's tests, all of which mostly wait: for processes that start, end or are killed.
 WHOLE := tests/service/whole tests/service/process tests/service/worker
 # About half of the other tests, so that neither half has the machine for itself in the end.
-ENCODES := tests/benchmarks/ tests/cli/ tests/rd/
+ENCODES := tests/cli/ tests/rd/
+# Beside the service's that wait.
+COMMANDS := tests/benchmarks/
 # The service's encoders stand behind all who answer, so behind tests that compute as well, unless those do so too: without
 # this an encode beside them has a hundredth of a core.
 YIELDING := nice -n 19
@@ -86,14 +88,14 @@ else
 endif
 
 measured: $(STAMP)
-	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service $(ENCODES),$(TESTS)) \
+	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service $(ENCODES) $(COMMANDS),$(TESTS)) \
 	  $(addprefix --ignore=,$(UNMEASURED))
 
 measured-encodes: $(STAMP)
 	$(YIELDING) $(BIN)/python -m coverage run -m pytest --quiet $(ENCODES)
 
 measured-whole: $(STAMP)
-	$(BIN)/python -m coverage run -m pytest --quiet $(WHOLE)
+	$(BIN)/python -m coverage run -m pytest --quiet $(WHOLE) $(COMMANDS)
 
 measured-service: $(STAMP)
 	$(BIN)/python -m coverage run -m pytest --quiet $(filter tests/service,$(TESTS)) $(addprefix --ignore=,$(WHOLE))
