@@ -412,5 +412,5 @@ def test_all_that_a_client_may_ask(start_service: StartService) -> None:
         assert client.decode(PICTURE, "webp", width=32) == client.picture(first, "webp", width=32)
         assert client.bitstream(first) == PICTURE
         assert web.client.get(client.links(first, 60)["bitstream_url"]).content == PICTURE
-        with pytest.raises(ServerError, match="expires_s.*604800"):
+        with pytest.raises(ServerError, match=r"expires_s.*604800"):
             client.links(first, 10**9)
