@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sgmethod.io.colour import from_srgb
+from sgmethod.metrics.pixels import WINDOW_SIZE, window_weights
 from sgmethod.threads import in_parallel
 
 Plane = NDArray[np.float32]
@@ -19,7 +21,6 @@ Plane = NDArray[np.float32]
 SMALLEST_SIDE = 8  # pixels; a smaller picture, or level, has no figure
 LEVELS = 6
 BAND = 1 << 15  # pixels compared at a time, about: they stay in the cache
-WINDOW_SIZE, WINDOW_SIGMA = 11, 1.5
 MARGIN = WINDOW_SIZE // 2
 C2 = 0.0009
 
@@ -163,8 +164,7 @@ def _linear(pixels: NDArray[Any]) -> Plane:
 
     if pixels.dtype == np.float32:
         return pixels
-    levels = np.arange(256) / 255
-    table = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
+    table = from_srgb(np.arange(256) / 255)
     return np.asarray(cv2.LUT(pixels, table.astype(np.float32)), np.float32)
 
 
@@ -172,9 +172,7 @@ def _window(plane: Plane) -> Plane:
     """Gaussian-weighted means; nothing is left and right of the picture. Margins above and below go."""
     import cv2  # belongs to the extra "encode"
 
-    offsets = np.arange(WINDOW_SIZE) - MARGIN
-    weights = np.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
-    weights /= weights.sum()
+    weights = window_weights()
     filtered = cv2.sepFilter2D(plane, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_CONSTANT)
     return np.asarray(filtered[MARGIN:-MARGIN], np.float32)
 

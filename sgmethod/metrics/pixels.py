@@ -119,13 +119,18 @@ def _ssim_sum(x: Plane, y: Plane, *, whole: bool) -> Float64Array:
     return np.asarray(luminance.sum(0, np.float64).sum(0))
 
 
+def window_weights() -> Float64Array:
+    """Of a Gaussian window along one axis, [WINDOW_SIZE]; they add up to 1."""
+    offsets = np.arange(WINDOW_SIZE) - WINDOW_SIZE // 2
+    weights = np.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
+    return np.asarray(weights / weights.sum())
+
+
 def _window(x: Plane) -> Plane:
     """Gaussian-weighted means over all windows inside x: [H, W, C] -> [H - 10, W - 10, C]."""
     import cv2  # belongs to the extra "encode"; psnr does without
 
-    offsets = np.arange(WINDOW_SIZE) - WINDOW_SIZE // 2
-    weights = np.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
-    weights /= weights.sum()
+    weights = window_weights()
     margin = WINDOW_SIZE // 2
     filtered = np.asarray(cv2.sepFilter2D(x, cv2.CV_32F, weights, weights), np.float32).reshape(x.shape)
     return filtered[margin:-margin, margin:-margin]

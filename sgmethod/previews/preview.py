@@ -14,6 +14,7 @@ from sgmethod.budget import whole
 from sgmethod.codec import encode
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
+from sgmethod.io.colour import from_srgb
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.inputs import Input
 from sgmethod.previews.placeholder import data_uri
@@ -84,8 +85,7 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
     pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
     text = to_text(encode(pixels, bytes=bytes, tune="psnr", effort=EFFORT).data)
     color = average_of(pixels)
-    values = np.array(color) / 255
-    light = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    light = from_srgb(np.array(color) / 255)
     hexadecimal = "#{:02x}{:02x}{:02x}".format(*color)
     return Preview(text, width, height, hexadecimal, bool(light @ LUMINANCE < DARK))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v5 import StreamV5
@@ -21,13 +22,15 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
     if request.recorder.preview is not shown_to_nobody:
         request.recorder.preview(container.serialise(stream))
 
-    def reached() -> float:
-        if request.rate.by_looks:
-            return looks_db(request.objective.looks(draw_whole(stream)))
+    @cache  # a whole picture is drawn for it
+    def rounded() -> float:
         return rounded_psnr(plan, state)
 
+    def reached() -> float:
+        return looks_db(request.objective.looks(draw_whole(stream))) if request.rate.by_looks else rounded()
+
     def lost() -> float:
-        return exact_psnr(plan, state.gaussians) - rounded_psnr(plan, state)
+        return exact_psnr(plan, state.gaussians) - rounded()
 
     quantum = request.rate.steered(state.quantum, stage.times, stage.at, size, reached, lost)
     return replace(state, size=size, quantum=StreamV5.coded_quantum(quantum, request.rate.is_short))

@@ -65,14 +65,16 @@ class Work:
             MAX_SIDE,
             preview_bytes=most_bytes,
         )
-        async with self._drawings.turn(client):
-            made, _ = await self._helpers.ask(errand, file)
+        made, _ = await self._ask(client, file, errand)
         return made
 
     async def _picture(self, client: str, file: BinaryIO, errand: Errand) -> bytes:
-        async with self._drawings.turn(client):
-            _, picture = await self._helpers.ask(errand, file)
+        _, picture = await self._ask(client, file, errand)
         return picture
+
+    async def _ask(self, client: str, file: BinaryIO, errand: Errand) -> tuple[dict[str, Any], bytes]:
+        async with self._drawings.turn(client):
+            return await self._helpers.ask(errand, file)
 
     def close(self) -> None:
         """End the helpers."""

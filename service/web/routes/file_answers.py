@@ -14,6 +14,7 @@ from service.web.helpers.picture_files import MEDIA_TYPES, PictureFormat
 # Private, because an id is a secret that shared caches should not keep.
 IMMUTABLE = "private, max-age=31536000, immutable"
 VARIES = {"Vary": "Accept"}
+NEVER_STORED = {"Cache-Control": "no-store"}
 
 _RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})", re.ASCII | re.IGNORECASE)
 

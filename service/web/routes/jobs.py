@@ -16,7 +16,7 @@ from service.storage.files import source_key
 from service.web.guards.problems import ProblemError, problems
 from service.web.routes import answers
 from service.web.routes.answers import curl
-from service.web.routes.file_answers import has_already
+from service.web.routes.file_answers import NEVER_STORED, has_already
 from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts, no_such_job
 from service.web.routes.pictures import open_image
 from service.web.routes.waiting import ENCODED, WAIT_PARAMETERS, job_within, outcome, wished_wait_s
@@ -38,7 +38,6 @@ router = APIRouter()
 RETRY_AFTER_QUEUE_S = "5"
 JUST_FINISHED_S = 600.0
 LONGEST_LINK_S = 7 * 86_400
-NEVER_STORED = {"Cache-Control": "no-store"}
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
 FORM: dict[str, Any] = {

@@ -10,6 +10,7 @@ from service.web.guards.problems import ProblemError, problems
 from service.web.helpers.pool import HelperError, RefusedError
 from service.web.routes import answers
 from service.web.routes.answers import curl
+from service.web.routes.file_answers import NEVER_STORED
 from service.web.routes.gone import while_client_waits
 from service.web.routes.parts import UseCaller, UseParts
 from service.web.submitting.bodies import body_as_file
@@ -18,7 +19,6 @@ from service.web.submitting.submission import FORM_TYPE, refusal
 router = APIRouter()
 
 LEAST_BYTES, MOST_BYTES = 12, 4096
-NEVER_STORED = {"Cache-Control": "no-store"}
 IMAGE_BODY: dict[str, Any] = {
     "required": True,
     "content": {"image/*": {"schema": {"type": "string", "format": "binary"}}},
