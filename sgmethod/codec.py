@@ -40,7 +40,6 @@ from sgmethod.rd.request import Request
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
 from sgmethod.settings.shared import Tune
-from sgmethod.start.advice import advice
 from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
 
 Pixels = NDArray[np.uint8]
@@ -60,8 +59,7 @@ class Stats:
     asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured where looks were asked
     for. With alpha, they are means over the picture on black and on white. source_bytes: size of the
     image file, None for arrays; psnr_missed_db, looks_missed: how far the file is below the requested PSNR, or
-    SSIMULACRA 2, None if none was requested; advice: a sentence on a better format, for a picture that Gaussians do not
-    suit.
+    SSIMULACRA 2, None if none was requested.
     """
 
     bytes: int
@@ -80,7 +78,6 @@ class Stats:
     source_bytes: int | None = None
     psnr_missed_db: float | None = None
     looks_missed: float | None = None
-    advice: str | None = None
 
     @property
     def warnings(self) -> list[str]:
@@ -291,7 +288,6 @@ def _measured(
         profile=asked[0],
         tune=asked[1],
         effort=asked[2],
-        advice=advice(pixels, len(data), db),
     )
     return Encoded(data, stats, recorder.points)
 

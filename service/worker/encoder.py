@@ -128,12 +128,15 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
     from sgmethod.budget import Budget
     from sgmethod.codec import encode
     from sgmethod.errors import ImageWarning, SgError
+    from sgmethod.io.inputs import read_input
+    from sgmethod.start.advice import advice, better_file
 
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", ImageWarning)
+            pixels = read_input(source, keep_alpha=request.profile == "rd")
             encoded = encode(
-                source,
+                pixels,
                 Budget(request.budget_kind, request.budget_value),
                 request.profile,
                 tune=request.tune,
@@ -144,6 +147,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
                 on_preview=_now_and_then(lambda file: send(pipe, PREVIEW, file)),
                 measure=True,
             )
+            better = better_file(pixels, len(encoded.data), encoded.stats.psnr)
     except SgError as error:
         send(pipe, REFUSED, str(error).encode())
         return
@@ -156,7 +160,8 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
             notes.append(str(warning.message))
         else:  # for the worker's log
             warnings.showwarning(warning.message, warning.category, warning.filename, warning.lineno)
-    send(pipe, STATS, to_json(encoded.stats.to_dict() | ({"notes": notes} if notes else {})))
+    figures = {**encoded.stats.to_dict(), **advice(better, len(encoded.data), encoded.stats.psnr)}
+    send(pipe, STATS, to_json({**figures, "source_bytes": len(source), **({"notes": notes} if notes else {})}))
     send(pipe, BITSTREAM, encoded.data)
 
 

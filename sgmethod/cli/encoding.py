@@ -102,6 +102,8 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
     encode = _load_encoder(arguments.profile)
+    from sgmethod.start.advice import advice, better_file
+
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(
         pixels,
@@ -113,7 +115,8 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
         measure=arguments.json,
     )
     stats = replace(encoded.stats, source_bytes=len(image))
-    return encoded.data, stats.to_dict(), encoded.trace, notes
+    advised = advice(better_file(pixels, stats.bytes, stats.psnr), stats.bytes, stats.psnr)
+    return encoded.data, stats.to_dict() | advised, encoded.trace, notes
 
 
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:

@@ -1,11 +1,11 @@
-"""Pictures that tests make up: one that encodes at once, and one that takes long."""
+"""Pictures that tests make up: one that encodes at once, one that takes long, and one that is no photograph."""
 
 from __future__ import annotations
 
 import io
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw
 
 
 def png(width: int, height: int, seed: int = 0) -> bytes:
@@ -16,6 +16,16 @@ def png(width: int, height: int, seed: int = 0) -> bytes:
     pixels = np.stack([x / width * 160, y / height * 160, disc], axis=2) + noise + 40
     file = io.BytesIO()
     Image.fromarray(pixels.clip(0, 255).astype(np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+def page_of_text() -> bytes:
+    """Lines of text, black on white, 240 pixels wide and 160 high."""
+    picture = Image.new("RGB", (240, 160), "white")
+    for y in range(8, 150, 14):
+        ImageDraw.Draw(picture).text((8, y), "Words of a page, in lines: 0123456789", "black")
+    file = io.BytesIO()
+    picture.save(file, "PNG")
     return file.getvalue()
 
 

@@ -53,7 +53,7 @@ def encode(
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
     data = container.serialise(StreamV5.of(one, (width, height), 0.5, (0, 0, 0), False))
     figures = {"bytes": len(data), "psnr": 24.0, "gaussians": 1, "width": width, "height": height, "profile": profile}
-    return SimpleNamespace(data=data, stats=SimpleNamespace(to_dict=lambda: figures))
+    return SimpleNamespace(data=data, stats=SimpleNamespace(psnr=24.0, to_dict=lambda: figures))
 
 
 def _sleep(seconds: float, stop: Callable[[], bool]) -> None:
