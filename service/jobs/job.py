@@ -16,6 +16,8 @@ JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
 Priority = Literal["interactive", "bulk"]
 PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
+Fallback = Literal["avif", "webp"]
+FALLBACKS: tuple[Fallback, ...] = ("avif", "webp")
 JsonObject = Mapping[str, Any]
 
 _JOB_ID = re.compile(r"[0-9a-f]{32}")
@@ -33,8 +35,8 @@ def is_job_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's. Jobs of releases that had no choice were tuned for PSNR, at
-    the usual effort.
+    """What the client asked for; the names are sgmethod's. fallback: the format that may take the place of Gaussians
+    where it is clearly better. Jobs of releases that had no choice were tuned for PSNR, at the usual effort.
     """
 
     budget_kind: BudgetKind
@@ -43,6 +45,7 @@ class EncodeRequest:
     time_limit_s: float
     tune: Tune = "psnr"
     effort: int = DEFAULT_EFFORT
+    fallback: Fallback | None = None
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,11 @@ class EncodeResult:
     bitstream_key: str
     sha256: str
     stats: JsonObject
+
+    @property
+    def format(self) -> str:
+        """ "sg", or the fallback that took its place."""
+        return str(self.stats.get("format", "sg"))  # older workers name none
 
 
 @dataclass(frozen=True)

@@ -176,11 +176,14 @@ class Service(ServiceProcess):
         table.close()
         return job.id
 
-    def publish(self, job_id: str, bitstream: bytes) -> None:
-        """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running."""
-        info = sgmethod.info(bitstream)
-        size = {"width": info.width, "height": info.height, "bytes": len(bitstream)}
-        stats = {**size, "bpp": 1.0, "psnr": 30.0, "gaussians": 9}
+    def publish(self, job_id: str, bitstream: bytes, **figures: Any) -> None:
+        """Do as a worker that has encoded the job, where there is no worker; jobs before it are left running. figures:
+        others than those of a bitstream; a file of another `format` needs its size.
+        """
+        if "format" not in figures:
+            info = sgmethod.info(bitstream)
+            figures = {"width": info.width, "height": info.height, "gaussians": 9, **figures}
+        stats = {"bytes": len(bitstream), "bpp": 1.0, "psnr": 30.0, **figures}
         table = self._open_table()
         claim = self._claimed(table, job_id)
         key = bitstream_key(job_id, claim.attempt)

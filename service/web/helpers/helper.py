@@ -23,9 +23,10 @@ from typing import Any
 
 import sgmethod
 from service.web.helpers.drawing import Drawing, Wish
-from service.web.helpers.picture_files import Rival
+from service.web.helpers.picture_files import Rival, encode_picture
 from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
+from sgmethod.io.laying import WHITE, laid_over
 
 READY = b"!"  # said once, at the start
 ANSWER_HEADER = struct.Struct(">IQ")
@@ -44,9 +45,10 @@ KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
 class Errand:
     """What to do with a file, and what it may take.
 
-    memory_bytes, cpu_s: more than the process has already, and seconds of one core; max_pixels, max_side,
-    max_gaussians: of what is read or drawn; wish: the picture file to make of a bitstream, rival: the one to make of an
-    image; preview_bytes: of the preview to make of an image. Without any of them, an image's header is read.
+    memory_bytes, cpu_s: more than the process has already, and seconds of one core; max_pixels, max_gaussians: of what
+    is read or drawn; max_side: of an image, 0 for a bitstream; wish: the picture file to make of either, rival: the one
+    to make of an image; preview_bytes: of the preview to make of an image. Without any of them, an image's header is
+    read.
     """
 
     memory_bytes: int
@@ -76,18 +78,32 @@ class Errand:
 
 def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     """The answer: figures, and the bytes of a picture file. Raises SgError, MemoryError."""
+    limits = ImageLimits(errand.max_pixels, errand.max_side)
     if errand.preview_bytes is not None:
-        return _preview(file, errand.preview_bytes, ImageLimits(errand.max_pixels, errand.max_side)), b""
+        return _preview(file, errand.preview_bytes, limits), b""
     if errand.rival is not None:
-        return {}, errand.rival.made_of(read_image_8_bit(file, ImageLimits(errand.max_pixels, errand.max_side)))
+        return {}, _rival(errand.rival, file, limits)
+    if errand.wish is not None and errand.max_side:
+        pixels = read_image_8_bit(file, limits, keep_alpha=True)
+        return {}, encode_picture(pixels, errand.wish.kind, errand.wish.quality)
     if errand.wish is None:
-        header = read_header(file, ImageLimits(errand.max_pixels, errand.max_side))
+        header = read_header(file, limits)
         if not header.still:
             raise ImageError(f"this {header.format} contains more than one picture; send a single still picture")
         return {"format": header.format, "width": header.width, "height": header.height}, b""
     info = sgmethod.info(file, errand.max_gaussians)  # a few kilobytes can hold millions of equal ones
     drawing = Drawing.of(errand.wish, (info.width, info.height), errand.max_pixels)
     return {}, drawing.draw(file)
+
+
+def _rival(rival: Rival, image: bytes, limits: ImageLimits) -> bytes:
+    from sgmethod.start.advice import better_file, is_drawn
+
+    pixels = read_image_8_bit(image, limits, keep_alpha=True)
+    if rival.kind == "webp" and (lossless := better_file(pixels, rival.size, 0.0, ("webp",))):
+        return lossless.data
+    opaque = pixels if pixels.shape[2] == 3 else laid_over(pixels, WHITE)
+    return rival.made_of(opaque, drawn=is_drawn(pixels))
 
 
 def _preview(image: bytes, most_bytes: int, limits: ImageLimits) -> dict[str, Any]:

@@ -72,18 +72,19 @@ class Rival:
     kind: RivalFormat
     size: int
 
-    def made_of(self, pixels: Pixels) -> bytes:
-        """The file of pixels, uint8 [H, W, 3]."""
-        return as_large(lambda quality: self._encoded(pixels, quality), self.size)
+    def made_of(self, pixels: Pixels, *, drawn: bool = False) -> bytes:
+        """The file of pixels, uint8 [H, W, 3]. drawn: they are no photograph, and AVIF keeps their colours sharp."""
+        return as_large(lambda quality: self._encoded(pixels, quality, drawn), self.size)
 
-    def _encoded(self, pixels: Pixels, quality: int) -> bytes:
+    def _encoded(self, pixels: Pixels, quality: int, drawn: bool) -> bytes:
         from PIL import Image  # not before a rival is asked for
 
         name, options = RIVALS[self.kind]
         if self.kind == "avif":
             height, width = pixels.shape[:2]
             speeds = (speed for most, speed in AVIF_SPEEDS if width * height <= most)
-            options = {**options, "speed": next(speeds, FASTEST_AVIF)}
+            sampling = "4:4:4" if drawn else "4:2:0"
+            options = {**options, "speed": next(speeds, FASTEST_AVIF), "subsampling": sampling}
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, name, quality=quality, **options)
         return file.getvalue()

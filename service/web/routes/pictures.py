@@ -35,11 +35,13 @@ from service.web.routes.gone import while_client_waits
 from service.web.routes.parts import KnownJob, Parts, UseParts, no_such_job
 from service.web.submitting.bodies import body_as_file
 from sgmethod.errors import BitstreamError, ViewError
+from sgmethod.view import View
 
 log = logging.getLogger(__name__)
 router = APIRouter()
 
 BITSTREAM_TYPE = "application/octet-stream"
+FILE_TYPES = {"sg": BITSTREAM_TYPE, "avif": MEDIA_TYPES["avif"], "webp": MEDIA_TYPES["webp"]}
 NOTHING_KEPT = {"Cache-Control": "no-store"}
 BITSTREAM_BODY: dict[str, Any] = {
     "required": True,
@@ -102,15 +104,20 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
         drawing = Drawing.of(wish, size, parts.settings.max_pixels)
     except ViewError as error:
         raise ProblemError(422, str(error)) from error
+    if result.format != "sg" and (drawing.view != View() or (query.quality and kind == result.format)):
+        detail = f"the file of this job is {result.format.upper()}, which is only decoded whole and at its own size"
+        raise ProblemError(422, detail)
     etag = drawing.etag(result.sha256)
     headers = {"ETag": etag, **_kept(job, parts), **query.disposition()}
     if has_already(request, etag):
         return not_modified(headers)
 
     async def made() -> bytes:
+        if kind == result.format:
+            return await to_thread.run_sync(_bitstream, parts, job, result)
         with await to_thread.run_sync(_open_bitstream, parts, job, result) as bitstream:
             try:
-                return await _drawn(request, parts, bitstream, wish)
+                return await _drawn(request, parts, bitstream, wish, is_image=result.format != "sg")
             except BitstreamError as error:
                 raise _damaged(job, error) from error
 
@@ -131,12 +138,18 @@ async def _remembered(request: Request, parts: Parts, etag: str, made: Callable[
 
 
 async def _drawn(
-    request: Request, parts: Parts, bitstream: BinaryIO, wish: Wish, max_gaussians: int | None = None
+    request: Request,
+    parts: Parts,
+    bitstream: BinaryIO,
+    wish: Wish,
+    max_gaussians: int | None = None,
+    *,
+    is_image: bool = False,
 ) -> bytes:
     """The picture file. Raises BitstreamError, ProblemError 422, 429 or 503."""
     try:
         with parts.metrics.decode_seconds.time():
-            drawn = parts.work.draw(request.state.caller.client, bitstream, wish, max_gaussians)
+            drawn = parts.work.draw(request.state.caller.client, bitstream, wish, max_gaussians, is_image=is_image)
             return await while_client_waits(request, drawn)
     except RefusedError as error:
         if error.kind is BitstreamError:
@@ -222,12 +235,12 @@ async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, pa
 @router.get(
     "/bitstreams/{job_id}.sg",
     response_class=Response,
-    responses={**_files(BITSTREAM_TYPE), **NOT_MODIFIED, **PARTIAL, **problems(404, 409, 503)},
+    responses={**_files(*FILE_TYPES.values()), **NOT_MODIFIED, **PARTIAL, **problems(404, 409, 503)},
     summary="The bitstream of a job",
     openapi_extra=curl("HOST/bitstreams/ID.sg -o photo.sg"),
 )
 async def bitstream(job: KnownJob, parts: UseParts, request: Request) -> Response:
-    """The .sg file."""
+    """The .sg file, or the AVIF or WebP in its place if the job has a `fallback` and took it: see its media type."""
     return await bitstream_answer(request, job, parts)
 
 
@@ -256,7 +269,8 @@ async def preview(job: KnownJob, parts: UseParts, request: Request) -> Response:
     headers["ETag"] = f'"{hashlib.sha256(data).hexdigest()[:32]}"'
     if has_already(request, headers["ETag"]):
         return not_modified(headers)
-    return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
+    media_type = BITSTREAM_TYPE if job.result is None else FILE_TYPES[job.result.format]
+    return Response(data, headers=headers, media_type=media_type)
 
 
 async def bitstream_answer(request: Request, job: Job, parts: Parts) -> Response:
@@ -265,12 +279,12 @@ async def bitstream_answer(request: Request, job: Job, parts: Parts) -> Response
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
         **_kept(job, parts),
-        "Content-Disposition": f'attachment; filename="{job.id}.sg"',
+        "Content-Disposition": f'attachment; filename="{job.id}.{result.format}"',
     }
     if has_already(request, headers["ETag"]):
         return not_modified(headers)
     data = await to_thread.run_sync(_bitstream, parts, job, result)
-    return file_answer(request, data, BITSTREAM_TYPE, headers)
+    return file_answer(request, data, FILE_TYPES[result.format], headers)
 
 
 def open_image(parts: Parts, job: Job) -> BinaryIO:
@@ -298,7 +312,8 @@ def open_image(parts: Parts, job: Job) -> BinaryIO:
 )
 async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Request) -> Response:
     """The job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller. If no quality
-    setting gives such a file, the next larger one. 410 once the image has been deleted.
+    setting gives such a file, the next larger one. Of a screenshot or a drawing, WebP is lossless where that is no
+    larger, and AVIF in 4:4:4. 410 once the image has been deleted.
     """
     result = result_of(job)
     size = int(result.stats["bytes"])

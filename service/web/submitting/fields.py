@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pydantic.json_schema import SkipJsonSchema
 from starlette.datastructures import UploadFile
 
-from service.jobs.job import PRIORITIES, EncodeRequest, Priority
+from service.jobs.job import FALLBACKS, PRIORITIES, EncodeRequest, Fallback, Priority
 from service.web.guards.problems import ProblemError
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget
 from sgmethod.errors import BudgetError
@@ -28,7 +28,7 @@ from sgmethod.profiles import (
 )
 
 IMAGE_FIELD = "image"  # of the form, and none of the model
-CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES}
+CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES, "fallback": FALLBACKS}
 # Stricter than float(), which also takes "1_0", "nan" and spaces around.
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
@@ -106,6 +106,11 @@ class EncodeFields(BaseModel):
     priority: Annotated[Priority, BeforeValidator(_choice)] = Field(
         default=PRIORITIES[0], description="interactive jobs run before bulk jobs"
     )
+    fallback: Annotated[Fallback | SkipJsonSchema[None], BeforeValidator(_choice)] = Field(
+        default=None,
+        description="take this format's file where it is clearly better than Gaussians in no more bytes, as for text "
+        "and screenshots (`webp` is lossless)",
+    )
 
     @model_validator(mode="after")
     def _within_one_budget(self) -> EncodeFields:
@@ -135,7 +140,7 @@ class EncodeFields(BaseModel):
         except BudgetError as error:
             raise ProblemError(422, str(error)) from error
         budget = self.budget
-        request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
+        request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort, self.fallback)
         return Asked(request, self.priority, budget is not DEFAULT_BUDGET)
 
 

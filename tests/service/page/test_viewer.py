@@ -13,6 +13,7 @@ import sgmethod
 from service.web.app import STATIC
 from tests.harness.browser import Chromium
 from tests.harness.data import golden
+from tests.harness.pictures import SMALL, page_of_text
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService
 from tests.service.page.steps import (
@@ -123,6 +124,37 @@ def test_rivals_that_the_service_makes(page: Chromium, start_service: StartServi
     says(page, "AVIF", "#left-label")
     assert page.run(f"return document.activeElement === document.querySelector('{row} button')")
     assert complaints(page) == []
+
+
+def test_the_better_file_is_offered(page: Chromium, start_service: StartService) -> None:
+    """Of what Gaussians do not suit, with a sentence that says why; the service makes it of the job's picture."""
+    web = start_service("web", source_retention_s=1000)
+    open_page(page, web)
+    assert not page.is_seen("#advice")
+    give(page, "drop", page_of_text(), "words.png")
+    says(page, "in the queue")
+    job = page.run("return location.hash").removeprefix("#")
+    web.publish(job, COFFEE, bytes=20_000, better="webp", advice="Gaussians do not suit this: WebP takes less")
+    says(page, "Gaussians do not suit this: WebP takes less. Save as lossless WebP", "#advice")
+    assert not page.is_seen("#note")
+    page.run("""
+        HTMLAnchorElement.prototype.click = function () { window.saved = this.download; };
+        const made = URL.createObjectURL;
+        URL.createObjectURL = (blob) => { window.size = blob.size; return made(blob); };
+    """)
+    page.click("#advice button")
+    wait_until(lambda: page.run("return window.saved") == "words.webp")
+    assert page.run("return window.size") == len(web.client.get(f"/jobs/{job}/rival.webp").content)
+    assert complaints(page) == []
+
+
+def test_a_job_whose_file_is_no_sg(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    give(page, "drop", SMALL, "disc.png")
+    says(page, "in the queue")
+    job = page.run("return location.hash").removeprefix("#")
+    web.publish(job, b"RIFF", format="webp", width=64, height=48)
+    says(page, f"Its file is webp, as was asked for: /bitstreams/{job}.sg")
 
 
 def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:

@@ -16,13 +16,14 @@ from service.web.app import STATIC
 from service.web.helpers.picture_files import Rival, as_large
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, golden_path
-from tests.harness.pictures import SMALL
+from tests.harness.pictures import SMALL, page_of_text
 from tests.harness.service import Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 TEXTURED = golden_path("v5-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()
+TEXT = page_of_text()
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +103,42 @@ def test_rivals_are_as_large(start_service: StartService) -> None:
     assert_problem(web.client.get(f"/jobs/{waiting}/rival.avif"), 409, "queued")
     assert web.client.get(f"/jobs/{job}/rival.png").status_code == 404
     assert_problem(web.client.post(f"/jobs/{waiting}/stop"), 409, "no result to keep")
+
+
+@pytest.mark.parametrize("fallback", ["webp", "avif"])
+def test_a_fallback_takes_the_place_of_gaussians(service: Service, fallback: str) -> None:
+    """Of a page of text, and of no photograph."""
+    page, photograph = (
+        service.accepted(image, bpp=2, effort=1, time_limit_s=0.5, fallback=fallback) for image in (TEXT, SMALL)
+    )
+    job = service.wait(page)
+    file = service.client.get(job["bitstream_url"])
+    assert file.headers["content-type"] == f"image/{fallback}"
+    assert file.headers["content-disposition"].endswith(f'.{fallback}"')
+    result = job["result"]
+    assert (result["format"], result["better"], result["bytes"]) == (fallback, "webp", len(file.content))
+    assert (result["gaussians"], result["ssimulacra2"], result["warnings"]) == (None, None, [])
+    whole = pixels_of(service.client.get(job["decode_url"]))
+    np.testing.assert_array_equal(whole, pixels_of(file))
+    error = np.square(whole.astype(float) - np.asarray(Image.open(io.BytesIO(TEXT)))).mean()
+    assert result["psnr"] == (None if fallback == "webp" else pytest.approx(10 * np.log10(255**2 / error)))
+    assert service.client.get(f"/decode/{page}.{fallback}").content == file.content
+    assert_problem(service.client.get(f"/decode/{page}.png?scale=0.5"), 422, fallback.upper(), "at its own size")
+    other = service.wait(photograph)
+    assert (other["result"]["format"], other["result"]["better"]) == ("sg", None)
+    assert sgmethod.info(service.client.get(other["bitstream_url"]).content).gaussians
+
+
+def test_rivals_of_a_page_of_text_keep_it_sharp(start_service: StartService) -> None:
+    """Lossless WebP where it is no larger, with its transparency; AVIF whose colours are as sharp as the rest."""
+    web = start_service("web", source_retention_s=1000)
+    clear = np.dstack([pixels := np.asarray(Image.open(io.BytesIO(TEXT))), 255 - pixels[..., 0] // 2])
+    file = io.BytesIO()
+    Image.fromarray(clear).save(file, "PNG")
+    job = web.accepted(file.getvalue())
+    web.publish(job, PICTURE, bytes=20_000)
+    np.testing.assert_array_equal(pixels_of(web.client.get(f"/jobs/{job}/rival.webp")), clear)
+    assert pixels_of(web.client.get(f"/jobs/{job}/rival.avif")).shape == pixels.shape
 
 
 def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:

@@ -9,7 +9,7 @@ import { budget, listen, rememberBudget, sayRate } from "./giving.js";
 import { draw, imageOf, Item } from "./items.js";
 import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples } from "./samples.js";
-import { fillLines, linkOf, offerWidths, saveFile, savePicture, snippetOf } from "./taking.js";
+import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./taking.js";
 import { showLabels, showRows, showWork, trouble } from "./telling.js";
 import { size, withoutSuffix } from "./words.js";
 
@@ -69,6 +69,8 @@ function refresh(item) {
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
   fillContents(file);
+  $("advice").hidden = !decoded || !item.job?.result?.better;
+  if (!$("advice").hidden) import("../viewer/better.js").then(({ showAdvice }) => showAdvice(current));
   fillTable(item, onLeft, (name) => {
     onLeft = name;
     refresh(item);
@@ -223,6 +225,7 @@ async function copyLink(item) {
 }
 
 async function copyHtml(item) {
+  const { snippetOf } = await import("../decoder/snippet.js");
   const html = await snippetOf(item);
   await copy(html);
   return `The HTML (${size(html.length)}) is in the clipboard. In its aria-label, say what the picture shows.`;

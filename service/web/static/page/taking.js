@@ -1,4 +1,4 @@
-// Take away: the file, pictures of any size, lines to do it again, a link, and a page that shows it.
+// Take away: the file, pictures of any size, lines to do it again, and a link.
 
 import { MOST_PIXELS, MOST_SCALE } from "../decoder/drawing.js";
 import { choices, drawn, hasKey, json } from "./api.js";
@@ -6,10 +6,9 @@ import { $ } from "./parts.js";
 import { size, withoutSuffix } from "./words.js";
 
 const IN_BROWSER = { png: "image/png", jpg: "image/jpeg", webp: "image/webp" };
-const SOURCES = ["math", "models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
 
 /** Let the browser download a file; what to say of it. */
-function save(blob, name) {
+export function save(blob, name) {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(blob);
   link.download = name;
@@ -72,30 +71,4 @@ export async function linkOf(item) {
   if (!item.id) return item.url ? new URL(`#${item.sample}`, location).href : null;
   if (!hasKey()) return new URL(`#${item.id}`, location).href;
   return location.origin + (await json(`jobs/${item.id}/links`, { method: "POST" })).decode_url;
-}
-
-/** HTML that shows the picture from its .sg file, with the decoder in it: no other file is needed. The picture's name is
- * the text for those who do not see it. */
-export async function snippetOf(item) {
-  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/decoder/${name}.js`)).text()));
-  const decoder = sources
-    .join("\n")
-    .replace(/^(import|export) \{.*$/gm, "")
-    .replace(/^export /gm, "")
-    .replace(/^ *(\/\/|\/?\*).*\n/gm, "")
-    .replace(/\n\s*\n/g, "\n");
-  let binary = "";
-  for (const byte of item.sg) binary += String.fromCharCode(byte);
-  const [width, height] = item.size;
-  const id = `sg-${Math.random().toString(36).slice(2)}`; // one page may hold several
-  const name = withoutSuffix(item.name).replace(/[&<>"]/g, (letter) => `&#${letter.charCodeAt(0)};`);
-  const looks = `width="${width}" height="${height}" style="max-width: 100%; height: auto"`;
-  return `<canvas id="${id}" ${looks} role="img" aria-label="${name}"></canvas>
-<script type="module">
-${decoder}
-const file = Uint8Array.from(atob("${btoa(binary)}"), (letter) => letter.charCodeAt(0));
-const { data } = decode(file);
-document.getElementById("${id}").getContext("2d").putImageData(new ImageData(data, ${width}), 0, 0);
-</script>
-`;
 }

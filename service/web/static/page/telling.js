@@ -22,8 +22,6 @@ function label(id, seen, name, ...words) {
   $(id).replaceChildren(element("b", {}, name), ...words.filter(Boolean).map((text) => element("span", {}, text)));
 }
 
-const adviceOf = ({ job }) => (job?.result?.advice ? `${job.result.advice}.` : "");
-
 /** The labels on the picture; leftName: what is on the left; part: bytes of the file that are drawn, 0 for all; smooth:
  * whether its texture is left out. */
 export function showLabels(item, leftName, isLeft, part, smooth) {
@@ -38,7 +36,7 @@ export function showLabels(item, leftName, isLeft, part, smooth) {
   else label("right-label", item.decoded, "Gaussians", bytes, psnr && decibels(psnr));
   const unseen = item.source && !item.original && item.state !== "failed" && "This browser cannot show the original.";
   const laid = item.wasTransparent && "Transparent areas are shown on white here, and stay transparent in the file.";
-  $("note").textContent = item.note || unseen || laid || adviceOf(item);
+  $("note").textContent = item.note || unseen || laid || "";
   $("note").hidden = !$("note").textContent;
 }
 
