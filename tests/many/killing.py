@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from pathlib import Path
+from typing import Any
+
+import sgmethod
 
 
 def doubled(item: int) -> int:
@@ -25,3 +29,14 @@ def killed_once(folder: Path, item: int) -> int:
 def process_of(_item: int) -> int:
     """The process that works on the item."""
     return os.getpid()
+
+
+def asleep(seconds: int) -> None:
+    """For a while."""
+    time.sleep(seconds)
+
+
+def encode_killed_once(folder: Path, picture: bytes, **options: Any) -> sgmethod.Encoded:
+    """As sgmethod.encode(); at the first call the process is killed."""
+    killed_once(folder, 3)
+    return sgmethod.encode(picture, **options)
