@@ -1,4 +1,4 @@
-"""API keys, how often each may ask, and links that stand in for one.
+"""API keys, and links that stand in for one.
 
 A key is 192 random bits, so a plain SHA-256 of it is all that has to be kept: it can be neither guessed nor
 turned back. A key's name owns the jobs that come with it.
@@ -13,12 +13,10 @@ import hmac
 import re
 import secrets
 import sys
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 _LINE = re.compile(r"([A-Za-z0-9_.-]{1,64}):([0-9a-f]{64})")
-MOST_BUCKETS = 1000
 
 
 def parse_keys(text: str) -> dict[str, str]:
@@ -62,30 +60,6 @@ class KeyRing:
             if hmac.compare_digest(known, presented):
                 owner = name
         return owner
-
-
-class RateLimit:
-    """Requests per second for each name, with as many at once as two seconds bring."""
-
-    def __init__(self, per_s: float) -> None:
-        self._per_s = per_s
-        self._most = max(2 * per_s, 1.0)
-        self._spent: dict[str, tuple[float, float]] = {}
-
-    def wait_s(self, name: str) -> float:
-        """Count a request: 0 if it may pass now, else the seconds until one would."""
-        now = time.monotonic()
-        if len(self._spent) > MOST_BUCKETS:
-            self._spent = {n: s for n, s in self._spent.items() if self._left(s, now) < self._most}
-        left = self._left(self._spent.get(name, (self._most, now)), now)
-        if left < 1:
-            return (1 - left) / self._per_s
-        self._spent[name] = (left - 1, now)
-        return 0.0
-
-    def _left(self, bucket: tuple[float, float], now: float) -> float:
-        left, at = bucket
-        return min(self._most, left + (now - at) * self._per_s)
 
 
 @dataclass(frozen=True)

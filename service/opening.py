@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from service.jobs.sql import JobTable
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import JobRules, JobTable
+from service.jobs.table import JobRules
 from service.settings import Settings
 from service.storage.disk import DiskStorage
 from service.storage.files import Storage

@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
-from typing import Literal
 
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
@@ -71,7 +70,9 @@ class Settings(BaseSettings):
     retention_s: float = Field(
         default=30 * 86_400, ge=0, description="seconds until finished jobs are removed; 0 for never"
     )
-    quota_bytes: int = Field(default=0, ge=0, description="maximum bytes of all images and bitstreams; 0 for no limit")
+    quota_bytes: int = Field(
+        default=0, ge=0, description="bytes of all images and bitstreams before new jobs get 429; 0 for no limit"
+    )
     database_url: str = Field(
         default="",
         pattern=r"^(|sqlite|postgres(ql)?://.*)$",
@@ -118,17 +119,10 @@ class Settings(BaseSettings):
     min_free_bytes: int = Field(
         default=2**28, ge=0, description="bytes of free disk below which new jobs get 503 and /readyz fails"
     )
-    quota_bytes_per_key: int = Field(default=0, ge=0, description="maximum bytes per API key; 0 for no limit")
-    quota_full: Literal["refuse", "oldest"] = Field(
-        default="refuse",
-        description="when a quota is full: `refuse` new jobs with 429, or remove the `oldest` finished jobs",
-    )
+    quota_bytes_per_key: int = Field(default=0, ge=0, description="the same per API key; 0 for no limit")
 
     # Keys, links and webhooks.
     api_keys: str = Field(default="", description="further API keys, separated by commas")
-    key_request_rate: float = Field(
-        default=50.0, gt=0, description="requests per second and API key (bursts of twice as many) before 429"
-    )
     max_queued_per_key: int = Field(
         default=500, ge=0, description="queued jobs per API key before new ones get 429; 0 for no limit"
     )

@@ -16,7 +16,7 @@ from psycopg_pool import ConnectionPool
 
 from service.jobs.engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.sql import WATCHED, SqlJobTable
+from service.jobs.sql import WATCHED, JobTable
 from service.jobs.statements import NOTICES, OVERDUE, SCHEMA, WORKERS, Cursor, Database
 from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
@@ -30,14 +30,15 @@ EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;{WORKERS}{NOTICES}"
+# From the version of release 0.1.0.
 UPGRADE_FROM_1 = f"""
 ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;
 UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN (result::json -> 'stats' ->> 'bytes')::BIGINT
     WHEN 'failed' THEN 0 ELSE (image::json ->> 'size_bytes')::BIGINT END, 0);
-{UPGRADE_FROM_2}
+ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;
+{WORKERS}{NOTICES}
 """
-UPGRADES = {1: UPGRADE_FROM_1, 2: UPGRADE_FROM_2, 3: WORKERS + NOTICES, 4: NOTICES}
+SCRIPTS = {0: f"{EPOCH} {POSTGRES_SCHEMA}", 1: UPGRADE_FROM_1}
 # Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
 # stopped within a transaction must not hold its locks for ever.
 SESSION = {
@@ -79,7 +80,7 @@ def _translated_errors() -> Iterator[None]:
         raise JobTableError(f"PostgreSQL: {in_words(error)}") from error
 
 
-class PostgresJobTable(SqlJobTable):
+class PostgresJobTable(JobTable):
     """JobTable on a PostgreSQL database, which is set up when first used.
 
     url: postgresql://user:password@host/database, or what else libpq understands.
@@ -116,12 +117,10 @@ class PostgresJobTable(SqlJobTable):
             db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
             versions = {row["part"]: row["version"] for row in db.execute("SELECT * FROM version").fetchall()}
             written = int(versions.get("jobs", 0))
-            if written > SCHEMA_VERSION:
-                raise JobTableError("the database was written by a newer version of this service: upgrade it")
-            if written == 0:
-                db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
-            if written in UPGRADES:
-                db.execute(UPGRADES[written].encode())
+            if written not in (*SCRIPTS, SCHEMA_VERSION):
+                raise JobTableError("the database was written by another version of this service, which can read it")
+            if written < SCHEMA_VERSION:
+                db.execute(SCRIPTS[written].encode())
             if versions.get("engine") != procrastinate.__version__:
                 # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
                 db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")

@@ -9,10 +9,9 @@ import json
 import logging
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, fields
-from typing import Any, TypeVar
+from typing import Any
 
 from service.jobs import notices
 from service.jobs.job import (
@@ -24,9 +23,9 @@ from service.jobs.job import (
     JobState,
     JsonObject,
     NewJob,
-    SourceImage,
 )
 from service.jobs.notices import Notice
+from service.jobs.rows import bytes_of, check_room, job_of, known, queued, stored_bytes, to_json
 from service.jobs.statements import (
     CLAIM,
     CRASH,
@@ -40,16 +39,8 @@ from service.jobs.statements import (
     TRACE_POINT,
     Database,
 )
-from service.jobs.table import (
-    Census,
-    Claim,
-    JobRules,
-    KeyReusedError,
-    OwnQueueFullError,
-    QueueFullError,
-    QuotaError,
-    Room,
-)
+from service.jobs.table import Census, Claim, JobRules, KeyReusedError, Room
+from service.process.stopping import StopSignal
 from service.storage.files import bitstream_key, source_key
 
 log = logging.getLogger(__name__)
@@ -60,72 +51,13 @@ NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted t
 WATCHED = 1 / 2
 FORGOTTEN_S = 900.0  # after which a worker that fell silent is no longer told of
 
-T = TypeVar("T")
 
+class JobTable(ABC):
+    """All jobs, on whatever connections a subclass provides. Every method may raise JobTableError, and may be called
+    from any thread.
 
-def _job(row: Any) -> Job:
-    result, error = row["result"], row["error"]
-    return Job(
-        number=row["number"],
-        id=row["id"],
-        owner=row["owner"] or None,
-        priority=row["priority"],
-        state=row["state"],
-        position=row["position"],
-        request=_known(EncodeRequest, row["request"]),
-        image=_known(SourceImage, row["image"]),
-        attempt=row["attempt"],
-        crashes=row["crashes"],
-        created_at=row["created_at"],
-        started_at=row["started_at"],
-        finished_at=row["finished_at"],
-        result=_known(EncodeResult, result) if result else None,
-        error=_known(JobError, error) if error else None,
-        stored_bytes=row["stored_bytes"],
-    )
-
-
-def _known(kind: type[T], text: str) -> T:
-    """A dataclass from its JSON; what a later version of this service has added is left out."""
-    names = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    return kind(**{name: value for name, value in json.loads(text).items() if name in names})
-
-
-def _queued(db: Database, owner: str | None = None) -> int:
-    """How many jobs wait, of one owner or of all."""
-    query = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
-    return int(db.execute(query, (owner,)).fetchone()["jobs"])
-
-
-def _stored_bytes(db: Database, owner: str | None = None) -> int:
-    """Bytes kept for the jobs of one owner or of all."""
-    query = "SELECT coalesce(sum(stored_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
-    return int(db.execute(query, (owner,)).fetchone()["bytes"])
-
-
-def _check_room(db: Database, job: NewJob, room: Room) -> None:
-    owner = job.owner or ""
-    if _queued(db) >= room.queue_length:
-        raise QueueFullError
-    if room.own_queue_length and _queued(db, owner) >= room.own_queue_length:
-        raise OwnQueueFullError
-    size = job.image.size_bytes
-    if room.own_quota and _stored_bytes(db, owner) + size > room.own_quota:
-        raise QuotaError(of_owner=True)
-    if room.quota and _stored_bytes(db) + size > room.quota:
-        raise QuotaError(of_owner=False)
-
-
-def _bytes_of(result: EncodeResult) -> int:
-    return int(result.stats.get("bytes", 0))
-
-
-def _json(value: Any) -> str:
-    return json.dumps(asdict(value))
-
-
-class SqlJobTable(ABC):
-    """All of JobTable but delivery and closing, on whatever connections a subclass provides."""
+    What a method has done is on the disk when it returns.
+    """
 
     def __init__(self, rules: JobRules) -> None:
         self._rules = rules
@@ -147,7 +79,24 @@ class SqlJobTable(ABC):
     def _wake(self, db: Database) -> None:
         """This transaction puts a job into the queue: let a worker know once it is committed."""
 
+    @abstractmethod
+    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        """Call run_next, in one thread at a time, whenever there may be a job to claim; return when stopping is
+        requested.
+
+        run_next tells whether it ran a job, and never raises.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of connections."""
+
     def submit(self, job: NewJob, room: Room) -> tuple[Job, bool]:
+        """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
+
+        Raises QueueFullError, OwnQueueFullError or QuotaError if there is no room for it, KeyReusedError if the key
+        stands for another request.
+        """
         with self._transaction() as db:
             self._alone(db)
             if job.idempotency_key is not None:
@@ -156,39 +105,44 @@ class SqlJobTable(ABC):
                 if first is not None:
                     if first["fingerprint"] != job.fingerprint:
                         raise KeyReusedError(job.idempotency_key)
-                    return _job(first), False
-            _check_room(db, job, room)
+                    return job_of(first), False
+            check_room(db, job, room)
             db.execute(
                 "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, stored_bytes,"
                 " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",
                 (
                     *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
-                    *(_json(job.request), _json(job.image), job.image.size_bytes),
+                    *(to_json(job.request), to_json(job.image), job.image.size_bytes),
                 ),
             )
             self._wake(db)
-            return _job(db.execute(SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
+            return job_of(db.execute(SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
 
     def find_by_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+        """The owner's job that was accepted under the key; each owner has keys of their own."""
         return self._one("WHERE owner = ? AND idempotency_key = ?", owner or "", idempotency_key)
 
     def get(self, job_id: str, owner: str | None = None) -> Job | None:
+        """The job, or None if there is none of that id; with an owner, only if it is theirs."""
         return self._one("WHERE id = ? AND owner = coalesce(?, owner)", job_id, owner)
 
     def _one(self, condition: str, *values: str | None) -> Job | None:
         with self._connection() as db:
             row = db.execute(SELECT_JOB + condition, values).fetchone()
-        return None if row is None else _job(row)
+        return None if row is None else job_of(row)
 
     def queued(self, owner: str | None = None) -> int:
+        """How many jobs wait; with an owner, how many of theirs."""
         with self._connection() as db:
-            return _queued(db, owner)
+            return queued(db, owner)
 
     def stored_bytes(self, owner: str | None = None) -> int:
+        """Bytes of images and bitstreams that are kept; with an owner, of theirs."""
         with self._connection() as db:
-            return _stored_bytes(db, owner)
+            return stored_bytes(db, owner)
 
     def census(self) -> Census:
+        """How many jobs there are in each state, and how long the queue has waited."""
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
             ages = db.execute(
@@ -196,7 +150,7 @@ class SqlJobTable(ABC):
                 " epoch() - (SELECT max(at) FROM served) AS claimed,"
                 " epoch() - (SELECT max(lease_until) FROM jobs) AS lease_over"
             ).fetchone()
-            stored_bytes = _stored_bytes(db)
+            kept_bytes = stored_bytes(db)
             seen = db.execute("SELECT name, epoch() - seen_at AS seconds FROM workers").fetchall()
             query = "SELECT count(*) AS notices, coalesce(epoch() - min(ended_at), 0) AS waits FROM notices"
             untold = db.execute(query).fetchone()
@@ -207,29 +161,39 @@ class SqlJobTable(ABC):
         alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
         silent_s = min((age for age in alive if age is not None), default=None)
         workers = {row["name"]: row["seconds"] for row in seen}
-        return Census(jobs, ages["waiting"], silent_s, stored_bytes, workers, untold["notices"], untold["waits"])
+        return Census(jobs, ages["waiting"], silent_s, kept_bytes, workers, untold["notices"], untold["waits"])
 
     def page(
         self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
     ) -> list[Job]:
+        """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs; with a
+        state, only those in it.
+        """
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner, "state = ?": state}
         chosen = {condition: value for condition, value in conditions.items() if value is not None}
         where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
         query = f"{SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
         with self._connection() as db:
-            return [_job(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
+            return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
     def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+        """The trace points of the job's latest attempt, oldest first, without the first `first`."""
         query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
         with self._connection() as db:
             return [json.loads(row["point"]) for row in db.execute(query, (job_id, first)).fetchall()]
 
     def remove(self, job_id: str) -> Job | None:
+        """Forget a job in whatever state, and return it. A worker that runs it loses its claim."""
         with self._transaction() as db:
             row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *, NULL AS position", (job_id,)).fetchone()
-        return None if row is None else _job(row)
+        return None if row is None else job_of(row)
 
     def reconcile(self) -> list[Job]:
+        """Put running jobs whose worker is lost back into the queue; those that crashed too often fail.
+
+        A worker is lost when it has not renewed its lease in time, and this object has watched it fail to for a while
+        longer. So call this again and again. Returns the jobs that failed.
+        """
         lost = self._lost_claims()
         if not lost:
             return []
@@ -237,7 +201,7 @@ class SqlJobTable(ABC):
         statement = f"UPDATE jobs SET {CRASH} {LOST} RETURNING *, NULL AS position"
         with self._transaction() as db:
             rows = [db.execute(statement, (*values, *claim)).fetchone() for claim in lost]
-            jobs = [_job(row) for row in rows if row is not None]
+            jobs = [job_of(row) for row in rows if row is not None]
             for job in jobs:
                 notices.note(db, job, self._rules.webhooks)
                 if job.state == "queued":
@@ -260,6 +224,11 @@ class SqlJobTable(ABC):
         return [claim for claim, since in self._overdue.items() if now - since >= watched_s]
 
     def claim(self, worker: str) -> Claim | None:
+        """Take the next queued job for a worker (a name for operators), or None if none may run.
+
+        Interactive jobs come before bulk ones; among equals the owner with the fewest running jobs, then
+        the owner served longest ago, then the oldest job. An owner at the limit of running jobs waits.
+        """
         if self.queued() == 0:  # asked several times a second: look before taking a lock
             return None
         limit = self._rules.max_running_per_owner
@@ -277,15 +246,21 @@ class SqlJobTable(ABC):
                 return None
 
     def sign(self, worker: str) -> None:
+        """The worker lives, whether or not it has a job."""
         with self._transaction() as db:
             db.execute(SIGN, (worker,))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
 
     def sign_off(self, worker: str) -> None:
+        """The worker has stopped on request."""
         with self._transaction() as db:
             db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
     def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
+        """Renew the lease and append trace points, `first` being the index of the first of them.
+
+        False: the job is no longer this worker's.
+        """
         with self._transaction() as db:
             if not self._change(db, claim, "lease_until = epoch() + ?", self._rules.lease_s):
                 return False
@@ -294,10 +269,14 @@ class SqlJobTable(ABC):
             return True
 
     def stop(self, job_id: str) -> bool:
+        """Ask the worker of a running job to end the fit early and publish what there is; a later attempt at the job
+        knows nothing of it. False: the job is not running.
+        """
         with self._transaction() as db:
             return db.execute("UPDATE jobs SET stopped = 1 WHERE id = ? AND state = 'running'", (job_id,)).rowcount == 1
 
     def stop_wanted(self, claim: Claim) -> bool:
+        """Whether this attempt is asked to end early."""
         with self._connection() as db:
             return (
                 db.execute(f"SELECT id FROM jobs {MINE} AND stopped = 1", (claim.job_id, claim.attempt)).fetchone()
@@ -305,12 +284,13 @@ class SqlJobTable(ABC):
             )
 
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
-        text = _json(result)
+        """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
+        text = to_json(result)
         with self._transaction() as db:
             done = (
                 "state = 'done', result = ?, stored_bytes = ? + ? * stored_bytes, error = NULL, finished_at = epoch()"
             )
-            if self._change(db, claim, done, text, _bytes_of(result), self._keeps_sources):
+            if self._change(db, claim, done, text, bytes_of(result), self._keeps_sources):
                 self._note_end(db, claim.job_id)
                 return True
             # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
@@ -318,10 +298,14 @@ class SqlJobTable(ABC):
             return row is not None and row["result"] == text
 
     def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
+        """End an attempt in failure: with retry as a crash, of which a job may have a few, else for good.
+
+        False: the job is no longer this worker's.
+        """
         with self._transaction() as db:
             if not retry:
                 failed = "state = 'failed', error = ?, stored_bytes = ? * stored_bytes, finished_at = epoch()"
-                mine = self._change(db, claim, failed, _json(error), self._keeps_sources)
+                mine = self._change(db, claim, failed, to_json(error), self._keeps_sources)
                 if mine:
                     self._note_end(db, claim.job_id)
                 return mine
@@ -339,12 +323,12 @@ class SqlJobTable(ABC):
         """Let the operator's addresses hear of it, if the job has ended."""
         if self._rules.webhooks:
             row = db.execute(SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
-            notices.note(db, _job(row), self._rules.webhooks)
+            notices.note(db, job_of(row), self._rules.webhooks)
 
     def _crash_values(self, error: JobError) -> tuple[Any, ...]:
         """For the places in CRASH."""
         most = self._rules.max_attempts
-        return _json(error), most, most, most, self._keeps_sources
+        return to_json(error), most, most, most, self._keeps_sources
 
     @property
     def _keeps_sources(self) -> int:
@@ -352,6 +336,7 @@ class SqlJobTable(ABC):
         return int(self._rules.source_retention_s > 0)
 
     def release(self, claim: Claim) -> bool:
+        """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""
         with self._transaction() as db:
             mine = self._change(db, claim, "state = 'queued', started_at = NULL")
             if mine:
@@ -365,6 +350,9 @@ class SqlJobTable(ABC):
         return db.execute(statement, (*values, claim.job_id, claim.attempt)).rowcount == 1
 
     def due_notice(self, address: str) -> Notice | None:
+        """A notice that a job has ended, for the caller to send now; unless it is said to be delivered, it is due again
+        after a pause, which doubles. Those of more than three days ago are given up.
+        """
         with self._connection() as db:  # asked every second: look before taking a lock
             if notices.due(db, address) is None:
                 return None
@@ -378,10 +366,12 @@ class SqlJobTable(ABC):
             return notice
 
     def notice_delivered(self, notice: Notice) -> None:
+        """The address has taken it."""
         with self._transaction() as db:
             notices.forget(db, notice)
 
     def needed_keys(self) -> set[str]:
+        """Storage keys of the files that some job still needs."""
         with self._connection() as db:
             query = "SELECT id, state, attempt, result, coalesce(epoch() - finished_at, 0) AS ended_s FROM jobs"
             rows = db.execute(query).fetchall()
@@ -394,14 +384,15 @@ class SqlJobTable(ABC):
         return sources | unpublished | done
 
     def source_removed(self, job_id: str) -> None:
+        """The image of a finished job is gone, and counts no longer among the bytes that are stored."""
         with self._transaction() as db:
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (job_id,)).fetchone()
-            left = _bytes_of(_known(EncodeResult, row["result"])) if row is not None and row["result"] else 0
+            left = bytes_of(known(EncodeResult, row["result"])) if row is not None and row["result"] else 0
             update = "UPDATE jobs SET stored_bytes = ? WHERE id = ? AND state IN ('done', 'failed')"
             db.execute(update, (left, job_id))
 
-    def finished(self, older_than_s: float, owner: str | None = None) -> list[Job]:
-        condition = "WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? AND owner = coalesce(?, owner)"
-        query = f"{SELECT_JOB} {condition} ORDER BY number"
+    def finished(self, older_than_s: float) -> list[Job]:
+        """The jobs, oldest first, that were done or failed for longer than that (seconds)."""
+        query = f"{SELECT_JOB} WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
         with self._connection() as db:
-            return [_job(row) for row in db.execute(query, (older_than_s, owner)).fetchall()]
+            return [job_of(row) for row in db.execute(query, (older_than_s,)).fetchall()]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.jobs.sql import SqlJobTable
+from service.jobs.sql import JobTable
 from service.jobs.statements import NOTICES, SCHEMA, WORKERS, Database
 from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
@@ -18,37 +18,18 @@ BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
 SCHEMA_VERSION = 6
 SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
-# From version 1, which knew no owners: new tables, filled from the old ones.
-UPGRADE_FROM_1 = f"""
-DROP INDEX jobs_by_state;
-ALTER TABLE trace RENAME TO trace_1;
-ALTER TABLE jobs RENAME TO jobs_1;
-{SQLITE_SCHEMA}
-INSERT INTO jobs (number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
-    lease_until, created_at, started_at, finished_at, result, error)
-SELECT number, id, state, idempotency_key, fingerprint, request, image, attempt, crashes, worker,
-    lease_until, created_at, started_at, finished_at, result, error FROM jobs_1;
-INSERT INTO trace SELECT job, place, point FROM trace_1;
-DROP TABLE trace_1;
-DROP TABLE jobs_1;
-"""
-COUNT_BYTES = """
+# From the version of release 0.1.0.
+UPGRADE_FROM_2 = f"""
+ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;
 UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN json_extract(result, '$.stats.bytes')
     WHEN 'failed' THEN 0 ELSE json_extract(image, '$.size_bytes') END, 0);
+ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;
+{WORKERS}{NOTICES}
 """
-UPGRADE_FROM_3 = f"ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;{WORKERS}{NOTICES}"
-UPGRADE_FROM_2 = f"ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;{COUNT_BYTES}{UPGRADE_FROM_3}"
-SCRIPTS = {
-    0: SQLITE_SCHEMA,
-    1: UPGRADE_FROM_1 + COUNT_BYTES,
-    2: UPGRADE_FROM_2,
-    3: UPGRADE_FROM_3,
-    4: WORKERS + NOTICES,
-    5: NOTICES,
-}
+SCRIPTS = {0: SQLITE_SCHEMA, 2: UPGRADE_FROM_2}
 
 
-class SqliteJobTable(SqlJobTable):
+class SqliteJobTable(JobTable):
     """JobTable on one SQLite file in WAL mode, every commit synced to disk."""
 
     def __init__(self, path: Path, rules: JobRules) -> None:
@@ -67,8 +48,8 @@ class SqliteJobTable(SqlJobTable):
         """Make the tables if there are none, or bring them up to date."""
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
-            if version > SCHEMA_VERSION:
-                raise JobTableError(f"{self._path} was written by a newer version of this service: upgrade it")
+            if version not in (*SCRIPTS, SCHEMA_VERSION):
+                raise JobTableError(f"{self._path} was written by another version of this service, which can read it")
             if version < SCHEMA_VERSION:
                 for statement in SCRIPTS[version].split(";")[:-1]:
                     db.execute(statement)

@@ -17,7 +17,7 @@ from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
-from service.keys import KeyRing, RateLimit
+from service.keys import KeyRing
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.web.guards.access import AccessLog
@@ -28,13 +28,13 @@ from service.web.guards.middleware import (
     BodyGuard,
     BodyLimits,
     HeadAsGet,
+    PacedRequests,
     ResponseHeaders,
     WithoutPrefix,
 )
-from service.web.guards.pace import PacedRequests
 from service.web.guards.problems import install_problem_handlers, problems
 from service.web.guards.shares import Shares
-from service.web.helpers.turns import Turns
+from service.web.guards.turns import Turns
 from service.web.helpers.work import Work
 from service.web.routes import events as event_routes
 from service.web.routes import health as health_routes
@@ -149,7 +149,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
     install_problem_handlers(app)
     # The gate does the work; this is how the document says so.
     security = [Security(HTTPBearer(auto_error=False))] if settings.key_names else []
-    refusals = problems(401, 429) if settings.key_names else {}
+    refusals = problems(401) if settings.key_names else {}
     for routes in (job_routes, event_routes, picture_routes, preview_routes):
         dependencies = [Depends(known_query), Depends(no_stray_body), *security]
         app.include_router(routes.router, dependencies=dependencies, responses=refusals)
@@ -174,8 +174,7 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
     settings = parts.settings
     # From the inside out. They stand outside FastAPI: its answer to an unexpected error skips its own middleware.
     secret = settings.link_secret.get_secret_value()
-    paced = PacedRequests(HeadAsGet(app), settings.max_connections_per_address)
-    gate = Gate(paced, parts.keys, RateLimit(settings.key_request_rate), secret)
+    gate = Gate(PacedRequests(HeadAsGet(app)), parts.keys, secret)
     uploads = Shares(settings.max_streams, "uploads", "uploads are under way")
     parts.metrics.watch(uploads)
     guarded: ASGIApp = BodyGuard(gate, _body_limits(settings), uploads)

@@ -8,7 +8,8 @@ import threading
 import time
 
 from service.jobs.job import JsonObject
-from service.jobs.table import Claim, JobTable, JobTableError
+from service.jobs.sql import JobTable
+from service.jobs.table import Claim, JobTableError
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)

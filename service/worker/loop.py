@@ -10,7 +10,8 @@ import socket
 import tempfile
 import time
 
-from service.jobs.table import Claim, JobTable, JobTableError
+from service.jobs.sql import JobTable
+from service.jobs.table import Claim, JobTableError
 from service.process import confinement
 from service.process.lifeline import Lifeline
 from service.process.stopping import StopSignal

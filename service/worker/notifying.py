@@ -14,7 +14,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from service.jobs.notices import Notice
-from service.jobs.table import JobTable, JobTableError
+from service.jobs.sql import JobTable
+from service.jobs.table import JobTableError
 from service.process.stopping import StopSignal
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S
 

@@ -7,7 +7,8 @@ import logging
 from collections.abc import Callable
 
 from service.jobs.job import FINAL_STATES, EncodeResult, JobError
-from service.jobs.table import Claim, JobTable, JobTableError
+from service.jobs.sql import JobTable
+from service.jobs.table import Claim, JobTableError
 from service.process.stopping import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.encoder_process import Crashed, Encoded, Outcome, Refused, TimedOut

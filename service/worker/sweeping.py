@@ -7,7 +7,8 @@ import threading
 from dataclasses import dataclass
 
 from service.jobs.job import Job
-from service.jobs.table import JobTable, JobTableError
+from service.jobs.sql import JobTable
+from service.jobs.table import JobTableError
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.files import Storage, job_of_source, source_key

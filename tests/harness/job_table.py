@@ -9,8 +9,9 @@ from typing import Any
 
 from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
 from service.jobs.postgres import PostgresJobTable
+from service.jobs.sql import JobTable
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTable, Room
+from service.jobs.table import Claim, JobRules, Room
 
 REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)

@@ -18,7 +18,8 @@ import httpx
 
 import sgmethod
 from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
-from service.jobs.table import Claim, JobTable, Room
+from service.jobs.sql import JobTable
+from service.jobs.table import Claim, Room
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import time
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.keys import KeyRing, Link, RateLimit
+from service.keys import KeyRing, Link
 from service.web.guards.addresses import address_of
 from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError, refused
@@ -47,12 +46,11 @@ def _without_link(scope: Scope) -> bytes:
 
 
 class Gate:
-    """Middleware that identifies the caller for the routes, or answers 401 or 429 itself."""
+    """Middleware that identifies the caller for the routes, or answers 401 itself."""
 
-    def __init__(self, app: ASGIApp, keys: KeyRing, rate: RateLimit, link_secret: str) -> None:
+    def __init__(self, app: ASGIApp, keys: KeyRing, link_secret: str) -> None:
         self._app = app
         self._keys = keys
-        self._rate = rate
         self._link_secret = link_secret
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -71,12 +69,7 @@ class Gate:
             return Caller(address)
         scheme, _, key = (joined(Headers(scope=scope), "authorization") or "").partition(" ")
         # A key that comes with a link stands for itself: if it is not known, the link does not help.
-        caller = self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
-        wait_s = self._rate.wait_s(caller.owner or f"link to {caller.linked_job}")
-        if wait_s > 0:
-            retry = {"Retry-After": str(math.ceil(wait_s))}
-            raise ProblemError(429, "too many requests", reason="rate", headers=retry)
-        return caller
+        return self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
 
     def _key_bearer(self, scheme: str, key: str) -> Caller:
         owner = self._keys.owner_of(key) if scheme.lower() == "bearer" else None

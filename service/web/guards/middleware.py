@@ -12,15 +12,23 @@ import time
 from dataclasses import dataclass
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.web.guards.problems import ProblemError
+from service.web.guards.problems import ProblemError, refused
 from service.web.guards.shares import Shares, client_of
+from service.web.guards.turns import Pace
 
 # A connection that is closed while its client still writes is reset, and the client never sees the
 # answer. So after an early answer the rest of the body is read and dropped, for a while.
 LINGER_S = 2.0
 PIECE_BYTES = 1 << 18  # of an answer that are handed over at once
+
+# A request takes the loop about 2 ms, and has to wait for every other that has begun. A client without company gains
+# nothing from more.
+BEGUN_AT_ONCE = 16
+MOMENT_S = 0.1
+MOST_WAITING = 200
 
 STRICT_POLICY = "default-src 'none'; frame-ancestors 'none'"
 RESPONSE_HEADERS = {
@@ -161,6 +169,25 @@ class HeadAsGet:
             headers = [header for header in scope["headers"] if header[0] != b"range"]
             scope = {**scope, "method": "GET", "headers": headers}
         await self._app(scope, receive, send)
+
+
+class PacedRequests:
+    """Middleware: of one client, few requests begin at once, so that those of others come in between; too many at once
+    get 429."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._pace = Pace(BEGUN_AT_ONCE, MOMENT_S, MOST_WAITING)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        try:
+            async with self._pace.turn(client_of(scope)):
+                await self._app(scope, receive, send)
+        except ProblemError as problem:  # of the line: the application answers with its own
+            await refused(Request(scope), problem)(scope, receive, send)
 
 
 class WithoutPrefix:

@@ -6,11 +6,11 @@ from typing import Any, BinaryIO
 
 from service.jobs.job import SourceImage
 from service.settings import Settings
+from service.web.guards.turns import Turns
 from service.web.helpers.drawing import Wish
 from service.web.helpers.helper import Errand
 from service.web.helpers.picture_files import Rival
 from service.web.helpers.pool import Helpers
-from service.web.helpers.turns import Turns
 
 # The header of a photograph takes milliseconds and little memory. What takes more was made to.
 HEADERS_AT_ONCE = 3

@@ -36,7 +36,6 @@ log = logging.getLogger(__name__)
 router = APIRouter()
 
 RETRY_AFTER_QUEUE_S = "5"
-JUST_FINISHED_S = 600.0
 LONGEST_LINK_S = 7 * 86_400
 
 BINARY: dict[str, Any] = {"type": "string", "format": "binary"}
@@ -207,13 +206,7 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
     own_limit, own_quota = (limits.max_queued_per_key, limits.quota_bytes_per_key) if new.owner is not None else (0, 0)
     room = Room(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
     try:
-        try:
-            return parts.table.submit(new, room)
-        except QuotaError as error:
-            if limits.quota_full == "refuse":
-                raise
-            _make_room(parts, new, error.of_owner)
-            return parts.table.submit(new, room)
+        return parts.table.submit(new, room)
     except QuotaError as error:
         whose, reason = ("this API key", "own_quota") if error.of_owner else ("the service", "quota")
         detail = f"{whose} has reached its storage quota; remove jobs first"
@@ -226,20 +219,6 @@ def _submit(parts: Parts, new: NewJob) -> tuple[Job, bool]:
         refusal = ProblemError(422, "this Idempotency-Key was already used for a different request")
     _discard(parts, source_key(new.id))
     raise refusal
-
-
-def _make_room(parts: Parts, new: NewJob, of_owner: bool) -> None:
-    """Remove the oldest finished jobs, until the new one fits; not those that somebody may be about to fetch."""
-    owner = new.owner if of_owner else None
-    quota = parts.settings.quota_bytes_per_key if of_owner else parts.settings.quota_bytes
-    if new.image.size_bytes > quota:
-        return  # nothing would help
-    surplus = parts.table.stored_bytes(owner) + new.image.size_bytes - quota
-    for job in parts.table.finished(JUST_FINISHED_S, owner):
-        if surplus <= 0:
-            return
-        _forget(parts, job.id)
-        surplus -= job.stored_bytes
 
 
 @router.get("/jobs/{job_id}", responses=problems(404, 503), summary="Get a job", openapi_extra=curl("HOST/jobs/ID"))

@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 from fastapi import Path as PathParameter
 
 from service.jobs.job import Job, is_job_id
-from service.jobs.table import JobTable
+from service.jobs.sql import JobTable
 from service.keys import KeyRing
 from service.settings import Settings
 from service.storage.files import Storage
@@ -19,7 +19,7 @@ from service.web.guards.gate import Caller
 from service.web.guards.metrics import Metrics
 from service.web.guards.problems import ProblemError
 from service.web.guards.shares import Shares
-from service.web.helpers.turns import Turns
+from service.web.guards.turns import Turns
 from service.web.helpers.work import Work
 from service.web.routes.decoding import PictureCache
 from service.web.submitting.bodies import refuse_body

@@ -11,8 +11,8 @@ import pytest
 
 from service.jobs import sql
 from service.jobs.job import EncodeResult, JobError
-from service.jobs.sql import SqlJobTable
-from service.jobs.table import Claim, JobTable
+from service.jobs.sql import JobTable
+from service.jobs.table import Claim
 from service.opening import open_job_table as open_backend_of
 from service.settings import Settings
 from tests.harness.job_table import (
@@ -215,7 +215,7 @@ def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
 
 def move_clock(table: JobTable, seconds: float) -> None:
     """Put the table's clock forward after all that was written."""
-    assert isinstance(table, SqlJobTable)
+    assert isinstance(table, JobTable)
     with table._transaction() as db:
         db.execute("UPDATE jobs SET lease_until = lease_until - ?", (seconds,))
 
@@ -256,7 +256,7 @@ def test_a_clock_that_jumps_keeps_no_job(
 
 def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
     """It is not encoded as if what is new in it were not there, and it fails when nobody has understood it."""
-    assert isinstance(table, SqlJobTable)
+    assert isinstance(table, JobTable)
     strange = submitted(table)
     with table._transaction() as db:
         request = json.dumps({**asdict(REQUEST), "mood": 9})

@@ -9,8 +9,8 @@ import pytest
 
 from service.jobs import sql
 from service.jobs.job import EncodeResult, JobError, new_job_id
-from service.jobs.sql import SqlJobTable
-from service.jobs.table import Census, JobTable, KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.jobs.sql import JobTable
+from service.jobs.table import Census, KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
 from service.storage.files import bitstream_key, source_key
 from tests.harness.job_table import (
     CRASH,
@@ -104,7 +104,7 @@ def test_census(table: JobTable) -> None:
 
 def grow_older(table: JobTable, seconds: float) -> None:
     """Let so much time have passed since all that was written."""
-    assert isinstance(table, SqlJobTable)
+    assert isinstance(table, JobTable)
     with table._transaction() as db:
         db.execute("UPDATE jobs SET created_at = created_at - ?, lease_until = lease_until - ?", (seconds, seconds))
         db.execute("UPDATE served SET at = at - ?", (seconds,))

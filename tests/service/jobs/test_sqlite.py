@@ -12,7 +12,6 @@ import pytest
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTableError
 from tests.harness.job_table import (
-    RESULT,
     RULES,
     claimed,
     submitted,
@@ -32,7 +31,7 @@ def test_a_table_of_a_later_version(tmp_path: Path) -> None:
     database = sqlite3.connect(path)
     database.execute("PRAGMA user_version = 99")
     database.close()
-    with pytest.raises(JobTableError, match="newer"):
+    with pytest.raises(JobTableError, match="another version"):
         SqliteJobTable(path, RULES)
 
 
@@ -57,25 +56,6 @@ def test_a_table_that_is_removed_or_replaced(tmp_path: Path) -> None:
     other.close()
 
 
-def test_a_table_of_version_1_is_brought_up_to_date(tmp_path: Path) -> None:
-    path = tmp_path / "jobs.sqlite3"
-    database = sqlite3.connect(path)
-    database.executescript((Path(__file__).parent / "jobs_version_1.sql").read_text())
-    database.close()
-    for _ in range(2):  # the second time there is nothing left to do
-        table = SqliteJobTable(path, RULES)
-        waiting, done = table.page(10)
-        assert (waiting.number, waiting.state, waiting.owner, waiting.priority) == (7, "queued", None, "interactive")
-        assert (done.number, done.state, done.result) == (5, "done", RESULT)
-        assert table.trace(done.id) == [{"step": 0}, {"step": 1}]
-        assert table.find_by_key("key") == waiting
-        table.close()
-    database = sqlite3.connect(path)
-    tables = {name for (name,) in database.execute("SELECT name FROM sqlite_schema WHERE type = 'table'")}
-    database.close()
-    assert tables == {"jobs", "trace", "served", "workers", "notices", "sqlite_sequence"}
-
-
 def test_rule_6_durability_settings(tmp_path: Path) -> None:
     table = SqliteJobTable(tmp_path / "jobs.sqlite3", RULES)
     with table._connection() as db:
@@ -87,26 +67,18 @@ def test_rule_6_durability_settings(tmp_path: Path) -> None:
     table.close()
 
 
-@pytest.mark.parametrize(
-    ("version", "missing"), [(2, ("stored_bytes", "stopped")), (3, ("stopped",)), (4, ()), (5, ())]
-)
-def test_a_table_of_a_later_version_is_brought_up_to_date(
-    tmp_path: Path, version: int, missing: tuple[str, ...]
-) -> None:
-    """Version 2 did not count bytes; in version 3 nothing could be stopped; 4 knew of no
-    workers, 5 of no webhooks.
-    """
+def test_a_table_of_the_last_release_is_brought_up_to_date(tmp_path: Path) -> None:
+    """It did not count bytes, nothing could be stopped, and it knew of no workers and webhooks."""
     path = tmp_path / "jobs.sqlite3"
     table = SqliteJobTable(path, RULES)
     waiting = submitted(table)
     table.close()
     with contextlib.closing(sqlite3.connect(path)) as connection, connection as db:
-        for column in missing:
+        for column in ("stored_bytes", "stopped"):
             db.execute(f"ALTER TABLE jobs DROP COLUMN {column}")
-        db.execute("DROP TABLE notices")
-        if version < 5:
-            db.execute("DROP TABLE workers")
-        db.execute(f"PRAGMA user_version = {version}")
+        for table_name in ("notices", "workers"):
+            db.execute(f"DROP TABLE {table_name}")
+        db.execute("PRAGMA user_version = 2")
     table = SqliteJobTable(path, RULES)
     job = table.get(waiting)
     assert job is not None

@@ -33,7 +33,7 @@ HELPER_START_CPU_S = 1.0  # more than one takes to start
 def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A web process with two keys, whose decodes may take as long as they like."""
     keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann"))
-    settings = {"api_keys": keys, "key_request_rate": 100_000, "decode_time_s": NEVER_S, "max_queued_per_key": 0}
+    settings = {"api_keys": keys, "decode_time_s": NEVER_S, "max_queued_per_key": 0}
     service = Service(tmp_path_factory.mktemp("abuse") / "data", "web", queue_length=10_000, **settings)
     yield service
     assert service.stop() == 0

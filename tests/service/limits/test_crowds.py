@@ -14,7 +14,7 @@ from pathlib import Path
 import httpx
 
 from service.web.guards.crowd import Crowd
-from service.web.guards.pace import Pace
+from service.web.guards.turns import Pace
 from tests.harness.data import ROOT
 from tests.harness.service import Service, StartService
 from tests.service.limits.test_turns import Clients, settle

@@ -7,16 +7,15 @@ import asyncio
 import pytest
 
 from service.web.guards.addresses import UNKNOWN, address_of
-from service.web.guards.pace import Pace
 from service.web.guards.problems import ProblemError
 from service.web.guards.shares import Shares
-from service.web.helpers.turns import Turns
+from service.web.guards.turns import Turns
 
 
 class Clients:
     """Tasks in turns, or at a pace; each runs until it is told to end. begun: all that have ever run."""
 
-    def __init__(self, turns: Turns | Pace) -> None:
+    def __init__(self, turns: Turns) -> None:
         self.turns = turns
         self.running: list[str] = []
         self.begun: list[str] = []

@@ -117,7 +117,6 @@ def test_missing_kernels_are_one_clear_line(command: str) -> None:
         ("SG_TRUSTED_PROXIES", "10.0.0.1/8"),
         ("SG_CORS_ORIGINS", "a.example"),
         ("SG_CORS_ORIGINS", "*,https://a.example"),
-        ("SG_QUOTA_FULL", "newest"),
         ("SG_LOG_FORMAT", "xml"),
         ("SG_DECODE_TIME_S", "0"),
     ],

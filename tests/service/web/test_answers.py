@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import re
-import sqlite3
 from email.utils import parsedate_to_datetime
 from pathlib import Path
 
@@ -210,21 +208,6 @@ def test_a_quota_refuses(start_service: StartService, setting: str) -> None:
     assert_problem(post("ann"), 429, "has reached its storage quota")
     assert post("bob").status_code == (429 if setting == "quota_bytes" else 202)
     assert len(web.files()) == (1 if setting == "quota_bytes" else 2)
-
-
-def test_a_quota_that_makes_room(start_service: StartService) -> None:
-    """The oldest go, but none that waits or has just finished."""
-    web = start_service("web", quota_bytes=len(SMALL) + len(PICTURE), quota_full="oldest")
-    old, fresh = web.published(PICTURE), web.published(PICTURE)
-    with contextlib.closing(sqlite3.connect(web.data_dir / "jobs.sqlite3")) as connection, connection as db:
-        db.execute("UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", (old,))
-    waiting = web.accepted()
-    assert web.client.get(f"/jobs/{old}").status_code == 404
-    assert not any(old in name for name in web.files())
-    assert (web.job(fresh)["state"], web.job(waiting)["state"]) == ("done", "queued")
-    assert_problem(web.post(), 429, "has reached its storage quota")
-    assert (web.job(fresh)["state"], web.job(waiting)["state"]) == ("done", "queued")
-    assert web.figures()["sgmethod_stored_bytes"] == len(SMALL) + len(PICTURE)
 
 
 def test_pages_of_other_origins(start_service: StartService) -> None:

@@ -1,4 +1,4 @@
-"""API keys: who may see and do what, how often, and links for those without a key."""
+"""API keys: who may see and do what, and links for those without a key."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from service import keys
-from service.keys import KeyRing, Link, RateLimit, digest, parse_keys
+from service.keys import KeyRing, Link, digest, parse_keys
 from service.settings import Settings
 from tests.harness.data import ROOT, golden_path
 from tests.harness.pictures import SMALL
@@ -30,7 +29,7 @@ KEYS = f"ann:{digest(ANN)},bob:{digest(BOB)}"
 def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A web process that knows ann and bob."""
     folder = tmp_path_factory.mktemp("guarded") / "data"
-    service = Service(folder, "web", api_keys=KEYS, link_secret=SECRET, key_request_rate=1000)
+    service = Service(folder, "web", api_keys=KEYS, link_secret=SECRET)
     yield service
     assert service.stop() == 0
 
@@ -98,31 +97,6 @@ def test_key_files_that_cannot_be_used(tmp_path: Path) -> None:
         Settings.model_validate({"link_secret": "short"})
 
 
-def test_rate_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = [0.0]
-    monkeypatch.setattr(keys.time, "monotonic", lambda: clock[0])
-    rate = RateLimit(2.0)
-    assert [rate.wait_s("ann") for _ in range(5)] == [0, 0, 0, 0, 0.5]
-    assert rate.wait_s("bob") == 0
-    clock[0] = 0.5
-    assert [rate.wait_s("ann") for _ in range(2)] == [0, 0.5]
-    clock[0] = 100
-    assert [rate.wait_s("ann") for _ in range(5)] == [0, 0, 0, 0, 0.5]
-    slow = RateLimit(0.1)
-    assert slow.wait_s("ann") == 0
-    assert slow.wait_s("ann") == pytest.approx(10)
-
-
-def test_rate_limit_forgets_names_that_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = [0.0]
-    monkeypatch.setattr(keys.time, "monotonic", lambda: clock[0])
-    rate = RateLimit(1.0)
-    for number in range(3000):
-        clock[0] += 1
-        rate.wait_s(f"link to {number}")
-    assert len(rate._spent) <= keys.MOST_BUCKETS + 1
-
-
 @pytest.mark.parametrize(
     "authorization",
     ["", "Bearer", "Bearer wrong", f"Basic {ANN}", f"Bearer {digest(ANN)}", f"Bearer {ANN} {BOB}", ANN, "Bearer \xff"],
@@ -181,15 +155,6 @@ def test_one_owner_cannot_fill_the_queue(start_service: StartService) -> None:
     web.client.headers.update(bearer(BOB))
     assert web.post(key="c").status_code == 202
     assert len(web.files()) == 3
-
-
-def test_too_many_requests(start_service: StartService) -> None:
-    web = start_service("web", api_keys=KEYS, key_request_rate=0.01)
-    answers = [web.client.get("/jobs", headers=bearer(ANN)) for _ in range(3)]
-    assert [answer.status_code for answer in answers] == [200, 429, 429]
-    assert int(answers[1].headers["retry-after"]) >= 1
-    assert web.client.get("/jobs", headers=bearer(BOB)).status_code == 200
-    assert web.client.get("/livez").status_code == 200
 
 
 def test_use_is_counted_by_key(start_service: StartService) -> None:

@@ -29,7 +29,7 @@ NOT_CHECKED = "positive_data_acceptance"
 
 KEY = "key-of-ann"
 OPEN = {"link_secret": "x" * 32}
-GUARDED = {**OPEN, "api_keys": f"ann:{digest(KEY)}", "key_request_rate": 100_000, "max_queued_per_key": 0}
+GUARDED = {**OPEN, "api_keys": f"ann:{digest(KEY)}", "max_queued_per_key": 0}
 
 
 @pytest.mark.parametrize("settings", [OPEN, GUARDED], ids=["open", "guarded"])

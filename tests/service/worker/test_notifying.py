@@ -16,7 +16,7 @@ import pytest
 from service.jobs import notices
 from service.jobs.job import JobError
 from service.jobs.notices import Notice
-from service.jobs.table import JobTable
+from service.jobs.sql import JobTable
 from service.process.stopping import StopSignal
 from service.worker import notifying
 from service.worker.notifying import Notifier, headers

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from service.jobs.job import EncodeResult, JobError, new_job_id
-from service.jobs.table import JobTable
+from service.jobs.sql import JobTable
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.disk import DiskStorage
