@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+Beyond = Literal["edge", "constant"]
 
-def even(plane: NDArray[Any]) -> NDArray[Any]:
-    """A plane [H, W] with both sides even: where one is odd, its last sample counts twice."""
+
+def even(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
+    """A plane [H, W] with both sides even: where one is odd, its last sample counts twice, or zeros follow it."""
     height, width = plane.shape
-    return np.pad(plane, ((0, height % 2), (0, width % 2)), mode="edge") if height % 2 or width % 2 else plane
+    return np.pad(plane, ((0, height % 2), (0, width % 2)), mode=beyond) if height % 2 or width % 2 else plane
 
 
-def halved(plane: NDArray[Any]) -> NDArray[Any]:
-    """A plane [H, W] at half the size, in its own type: means of four."""
-    whole = even(plane)
+def halved(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
+    """A plane [H, W] at half the size, in its own type: means of four. beyond: as even() takes it."""
+    whole = even(plane, beyond)
     height, width = whole.shape
     return np.asarray(cv2.resize(whole, (width // 2, height // 2), interpolation=cv2.INTER_AREA))

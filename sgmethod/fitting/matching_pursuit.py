@@ -14,6 +14,9 @@ the others: the largest gain at coarser sizes, enlarged, and the largest of each
 Far from the end of the fit, wide gains are everywhere and hide nearly all others: a growth then finds ten places
 for hundreds of Gaussians. So a setting limits the number of coarser sizes that can hide a place.
 
+Beyond an odd side, a coarser sample reaches out of the picture, where nothing is missing. If the last pixels were
+repeated there, a bright or dark frame would promise gains out there that no fit can have, and hide all other places.
+
 The whole size of a large picture is done in bands of rows, which keeps memory small.
 """
 
@@ -83,7 +86,7 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by:
     if by_shrink:
         for first, end in parts:
             for plane, to in zip(residual(first, end), half[:, first // 2 : -(-end // 2)], strict=True):
-                to[...] = halved(plane)
+                to[...] = halved(plane, "constant")
         levels = _coarse_levels(list(half), by_shrink)
     hiding = levels[-1].most(hidden_by - 1) if levels else None
     found = []
@@ -171,7 +174,7 @@ def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> lis
     """One for each shrink, from the coarsest. half: the residual's planes at half the size."""
     planes = {2: half}
     for shrink in list(blurs)[1:]:
-        planes[shrink] = [halved(plane) for plane in planes[shrink // 2]]
+        planes[shrink] = [halved(plane, "constant") for plane in planes[shrink // 2]]
     levels: list[_Level] = []
     for shrink, here in reversed(blurs.items()):
         levels.append(_Level(planes[shrink], shrink, here, levels[-1] if levels else None))

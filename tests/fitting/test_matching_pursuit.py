@@ -53,6 +53,14 @@ def test_the_best_come_first_and_no_more_than_asked() -> None:
         assert len(found_in(residual, most, 0.0)[0]) == 0
 
 
+def test_a_frame_promises_nothing_beyond_the_edge() -> None:
+    """The sides of smaller pictures are odd: 113, 57, 29 and 15."""
+    residual = planted(5.0, (88.5, 80.5), (0.3, 0.3, 0.3), (113, 170))
+    residual[:, -1] = 0.5
+    means, _ = found_in(residual, 1, 0.0)
+    assert means[0] == pytest.approx((88.5, 80.5), abs=1)
+
+
 def test_a_wide_error_hides_narrow_ones_only_where_it_is_to() -> None:
     size = (250, 250)
     narrow = [(x, y) for x in (60.5, 100.5, 140.5, 180.5) for y in (60.5, 100.5, 140.5, 180.5)]
