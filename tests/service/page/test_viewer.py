@@ -155,6 +155,7 @@ def test_a_job_whose_file_is_no_sg(page: Chromium, web: Service) -> None:
     job = page.run("return location.hash").removeprefix("#")
     web.publish(job, b"RIFF", format="webp", width=64, height=48)
     says(page, f"Its file is webp, as was asked for: /bitstreams/{job}.sg")
+    says(page, "No Gaussians", "#work h2")
 
 
 def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:

@@ -64,7 +64,7 @@ function refresh(item) {
     if (item.watched && !item.grown) tools.unfold(file);
     item.watched = false;
   }
-  const hasNothing = !viewer.left && !viewer.right && ["failed", "cancelled"].includes(item.state);
+  const hasNothing = !viewer.left && !viewer.right && ["failed", "cancelled", "other"].includes(item.state);
   $("stage").hidden = $("tools").hidden = hasNothing;
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);

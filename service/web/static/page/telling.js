@@ -4,7 +4,7 @@ import { $, element, refill } from "./parts.js";
 import { drawTrace } from "./watching.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
 
-const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
+const TITLES = { failed: "That did not work", cancelled: "Cancelled", other: "No Gaussians" };
 
 /** For screen readers, and not more often than something really is new. */
 function say(words) {
@@ -44,7 +44,7 @@ const sentence = (words) => `${words[0].toUpperCase()}${words.slice(1)}${/[.!?]$
 
 /** How far its job is, and how the fit went: in PSNR, which says something only of one that is tuned for it. */
 export function showWork(item) {
-  $("work").hidden = !item.busy && item.state !== "failed" && item.state !== "cancelled";
+  $("work").hidden = !item.busy && !TITLES[item.state];
   $("work").classList.toggle("bad", item.state === "failed");
   $("work").querySelector("h2").textContent = TITLES[item.state] ?? "In progress";
   $("status").textContent = item.state === "failed" ? sentence(item.words) : item.words;
@@ -77,7 +77,8 @@ function figuresOf({ sg, file, size: [width, height], originalBytes, job, measur
 function stateInShort({ state, sg, done }) {
   if (state === "done") return size(sg.length);
   if (state === "running") return `${Math.round(100 * (done ?? 0))} %`;
-  return { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled" }[state] ?? "";
+  const short = { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled", other: "no Gaussians" };
+  return short[state] ?? "";
 }
 
 /** One row for each picture; show and remove are called with the one that is clicked. */
