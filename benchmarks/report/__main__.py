@@ -26,7 +26,7 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     (
         speed.page,
         ("convergence/kodak",),
-        ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed"),
+        ("convergence/2-megapixels", "convergence/12-megapixels", "convergence/codecs", "speed", "growth"),
     ),
     (previews.page, ("previews/kodak",), ()),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmarks.report.plots import style
 from benchmarks.report.section import MISSING, Content, Draw, Page, several, table
-from benchmarks.speed.growth import exponent
+from benchmarks.speed.growth import AXES, exponent, growth_table, means
 
 SIZES = ("convergence/kodak", "convergence/2-megapixels", "convergence/12-megapixels")
 METHODS = {
@@ -34,6 +34,11 @@ FITTED = ("plain Adam", "siren")
 DRAWN = ("rd", "rd visual", "paper", "baseline", *FITTED, "avif", "jpegxl", "webp", "jpeg")
 LABELS = {"rd": "rd, by effort or time limit", "rd visual": "rd, tuned for the eye", "avif": "avif, by speed"}
 DECODERS = {"jpeg": "libjpeg-turbo", "avif": "AVIF"}
+GROWTH = (
+    "Seconds by pixels for a fixed size of the file, and by bytes for a fixed size of the picture, means over "
+    "photographs of a camera. AVIF of a large picture cannot be as small as some of these files and is then at its "
+    "lowest quality; reduced, its sides are first divided by two or more."
+)
 Rows = Sequence[dict[str, Any]]
 
 
@@ -42,24 +47,42 @@ def page(contents: Mapping[str, Content]) -> Page:
     by_size = {size_of(content): content["rows"] for name, content in contents.items() if name in SIZES}
     ends = dict.fromkeys((min(by_size), max(by_size)))
     panels: list[Draw] = [partial(draw, rows=by_size[size], size=size) for size in ends]
-    speed = contents.get("speed")
+    speed, growth = contents.get("speed"), contents.get("growth")
     return Page(
         name="speed",
         title="Speed and memory",
         question="How long do encoding and decoding take at 0.25 bits per pixel on the same cores, and how does that "
         "grow with the picture? Each cell gives the time of one encode and the PSNR it reached.",
         table=sizes_table(by_size),
-        conclusion=f"{hurry(by_size)} {decoding(speed['rows']) if speed else ''}".strip(),
+        conclusion=" ".join(
+            [
+                hurry(by_size),
+                *([by_pixels(growth)] if growth else []),
+                *([decoding(speed["rows"])] if speed else []),
+            ]
+        ),
         limits="- Photographs of 2 and 12 megapixels from a camera: larger pictures are mosaics of Kodak's.\n"
         "- Repeatable seconds: a time may be a third longer in another hour, so trust the ratios more.\n"
         "- The search for the quality that fits a size, which other codecs' times leave out.\n"
         "- Networks at their best: SIREN had 60 seconds of PyTorch on the CPU, and no GPU.",
-        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence",
+        command="python -m benchmarks --full --images KODAK --weights WEIGHTS --only speed,convergence\n"
+        "python -m benchmarks.speed growth --images PHOTOGRAPHS --megapixels 0.75,3,12 --bytes 500,2000,10000,50000",
         contents=contents,
         panels=panels,
         of="PSNR against seconds, means over five pictures",
-        appendix=[grows(speed["rows"])] if speed else [],
+        appendix=[
+            *([grows(speed["rows"])] if speed else []),
+            *([GROWTH, *(growth_table(growth["rows"], growth["settings"], axis) for axis in AXES)] if growth else []),
+        ],
     )
+
+
+def by_pixels(growth: Content) -> str:
+    """How an encode into a fixed number of bytes grows with the picture, in a sentence."""
+    found = dict(means(growth["rows"], growth["settings"], "megapixels"))
+    (small, first, _), *_, (large, last, _) = found["rd visual"]
+    size = f"{growth['settings']['max_bytes']:,} bytes"
+    return f"An encode of {large:g} megapixels into {size} takes {last / first:.1f} times as long as one of {small:g}."
 
 
 def size_of(content: Content) -> float:
