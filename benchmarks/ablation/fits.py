@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.ablation.report import REPRESENTATIONS
 from benchmarks.pictures import Pixels
 from benchmarks.speed.sizes import peak_mib
 from sgmethod.backend.kernels import Kernels
@@ -29,12 +30,13 @@ from sgmethod.start import placement
 
 # No quantisation follows here, so the price on large colours, which only that needs, is left out.
 FLOAT = replace(PAPER, lambda_e=0.0)
-VARIANTS: dict[str, PaperSettings] = {
-    "paper": FLOAT,
-    "unregularised": replace(FLOAT, lambda_g=0.0),
-    "random-start": replace(FLOAT, start=replace(FLOAT.start, structure_guided=False)),
-    "baseline": replace(BASELINE, lambda_e=0.0),
-}
+_SETTINGS = (
+    FLOAT,
+    replace(FLOAT, lambda_g=0.0),
+    replace(FLOAT, start=replace(FLOAT.start, structure_guided=False)),
+    replace(BASELINE, lambda_e=0.0),
+)
+VARIANTS: dict[str, PaperSettings] = dict(zip(REPRESENTATIONS, _SETTINGS, strict=True))
 DRAWS, DRAWING_S = 9, 10.0  # of one picture, after a first one; fewer if they take longer than DRAWING_S
 
 

@@ -31,6 +31,22 @@ COLUMNS = {
     **{"psnr": ("PSNR", ".2f"), "bpp": ("bpp", ".4f")},
     **{"gaussians": ("Gaussians", ",.0f"), "seconds": ("seconds", ".1f")},
 }
+# Of fits with a fixed number of Gaussians.
+REPRESENTATIONS = ("paper", "unregularised", "random-start", "baseline")
+FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "frames_per_s": ",.4g", "mib": ".0f"}
+
+
+def representations(rows: Sequence[Row], asked: int) -> dict[str, Row]:
+    """By method, for one number of Gaussians, over the pictures that every method has; with the number of pictures."""
+    found: dict[str, Row] = {}
+    mine = [row for row in rows if row["asked"] == asked and row["method"] in REPRESENTATIONS]
+    images = [{row["image"] for row in mine if row["method"] == name} for name in {row["method"] for row in mine}]
+    common = set.intersection(*images) if images else set()
+    for method in REPRESENTATIONS:
+        own = [row for row in mine if row["method"] == method and row["image"] in common]
+        if own:
+            found[method] = {"pictures": len(own), **{name: mean([row.get(name) for row in own]) for name in FIGURES}}
+    return found
 
 
 def rows_of(content: Row, name: str) -> list[Row]:

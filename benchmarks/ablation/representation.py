@@ -19,16 +19,15 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.ablation.fits import VARIANTS, measured
+from benchmarks.ablation.report import FIGURES, representations
 from benchmarks.arguments import integers, some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import add_options, named_in
 from benchmarks.speed.sizes import alone
-from benchmarks.tables import mean, number, table
+from benchmarks.tables import number, table
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import ms_ssim, psnr
 from sgmethod.metrics.perceptual import Networks
-
-FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "frames_per_s": ",.4g", "mib": ".0f"}
 
 
 def measure(method: str, path: Path, gaussians: int, steps: int, seen: Networks | None) -> dict[str, Any]:
@@ -39,24 +38,11 @@ def measure(method: str, path: Path, gaussians: int, steps: int, seen: Networks 
     return {**quality, "lpips": seen.lpips(shown, pixels) if seen else None, **row}
 
 
-def means(rows: Sequence[dict[str, Any]], asked: int) -> dict[str, dict[str, Any]]:
-    """By method, for one number of Gaussians, over the pictures that every method has; with the number of pictures."""
-    found: dict[str, dict[str, Any]] = {}
-    mine = [row for row in rows if row["asked"] == asked and row["method"] in VARIANTS]
-    images = [{row["image"] for row in mine if row["method"] == name} for name in {row["method"] for row in mine}]
-    common = set.intersection(*images) if images else set()
-    for method in VARIANTS:
-        own = [row for row in mine if row["method"] == method and row["image"] in common]
-        if own:
-            found[method] = {"pictures": len(own), **{name: mean([row.get(name) for row in own]) for name in FIGURES}}
-    return found
-
-
 def summary(rows: Sequence[dict[str, Any]]) -> str:
     """Means over the pictures."""
     lines = []
     for asked in sorted({row["asked"] for row in rows}):
-        for method, figures in means(rows, asked).items():
+        for method, figures in representations(rows, asked).items():
             cells = [number(figures[name], form) for name, form in FIGURES.items()]
             lines.append([f"{asked:,}", method, figures["pictures"], *cells])
     titles = "PSNR | MS-SSIM | LPIPS | seconds | frames a second | MiB"

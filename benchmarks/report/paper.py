@@ -8,7 +8,6 @@ from typing import Any
 
 from benchmarks import published
 from benchmarks.ablation import report as ablation
-from benchmarks.ablation import representation
 from benchmarks.others import report as others
 from benchmarks.published import quoted_values
 from benchmarks.rd.report import against_quoted, means
@@ -70,7 +69,7 @@ def claims(contents: Mapping[str, Content]) -> Iterator[list[str]]:
             ("both", PARTS, 30_000, "baseline", "GSImage"),
             ("both", WHOLE, 70_000, "baseline", "GSImage"),
         ):
-            theirs, ours = quoted_values(title, "psnr"), representation.means(rows, asked)
+            theirs, ours = quoted_values(title, "psnr"), ablation.representations(rows, asked)
             if "paper" in ours and other in ours:
                 gain = ours["paper"]["psnr"] - ours[other]["psnr"]
                 yield line(f"{what}, {asked:,} Gaussians", theirs["the paper"] - theirs[quoted], (gain, None), "dB")
@@ -131,7 +130,7 @@ def both(lines: list[list[str]]) -> str:
 def draw(axes: Any, rows: list[dict[str, Any]]) -> None:
     """PSNR against the number of Gaussians, and the paper's points."""
     numbers = sorted({row["asked"] for row in rows})
-    every = {asked: representation.means(rows, asked) for asked in numbers}
+    every = {asked: ablation.representations(rows, asked) for asked in numbers}
     for k, (method, name) in enumerate(NAMES.items()):
         points = [(asked, found[method]["psnr"]) for asked, found in every.items() if method in found]
         if points:
