@@ -32,14 +32,13 @@ COMPILED := $(shell find sgmethod/native -name "*.cpp" -o -name "*.h" -o -name C
 # The quick tests of single modules first, those of whole processes after them.
 TESTS := $(sort $(wildcard tests/test_*.py)) $(sort $(dir $(wildcard tests/*/test_*.py))) tests/service
 
-# The second decoders are plain Python, which takes twice as long when it is measured, and are no part of the packages.
-UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/fuzz/test_fuzz_*.py)
+# Plain Python takes twice as long when it is measured, and neither the second decoders nor the benchmarks are part of
+# the packages.
+UNMEASURED := $(wildcard tests/bitstream/test_format_*.py tests/bitstream/fuzz/test_fuzz_*.py) tests/benchmarks/
 # About half of the service's tests, all of which mostly wait: for processes that start, end or are killed.
 WHOLE := tests/service/whole tests/service/process tests/service/worker
 # About half of the other tests, so that neither half has the machine for itself in the end.
 ENCODES := tests/cli/ tests/rd/
-# Beside the service's that wait.
-COMMANDS := tests/benchmarks/
 # The service's encoders stand behind all who answer, so behind tests that compute as well, unless those do so too: without
 # this an encode beside them has a hundredth of a core.
 YIELDING := nice -n 19
@@ -91,14 +90,14 @@ else
 endif
 
 measured: $(STAMP)
-	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service $(ENCODES) $(COMMANDS),$(TESTS)) \
+	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service $(ENCODES) tests/benchmarks/,$(TESTS)) \
 	  $(addprefix --ignore=,$(UNMEASURED))
 
 measured-encodes: $(STAMP)
 	$(SINGLE) $(YIELDING) $(BIN)/python -m coverage run -m pytest --quiet $(ENCODES)
 
 measured-whole: $(STAMP)
-	$(SINGLE) $(BIN)/python -m coverage run -m pytest --quiet $(WHOLE) $(COMMANDS)
+	$(SINGLE) $(BIN)/python -m coverage run -m pytest --quiet $(WHOLE)
 
 measured-service: $(STAMP)
 	$(SINGLE) $(BIN)/python -m coverage run -m pytest --quiet $(filter tests/service,$(TESTS)) $(addprefix --ignore=,$(WHOLE))
@@ -155,13 +154,14 @@ $(OTHERS): $(STAMP)
 	$(BIN)/python -m pip install --editable '.[benchmark]'
 	touch $@
 
-# The stamp is written last: a set-up that was interrupted is taken up again by the next call.
+# The stamp is written last: a set-up that was interrupted is taken up again by the next call. Python compiles a module
+# when it is first imported: to compile all of PyTorch takes half a minute, and most of it is never used.
 define SET_UP
 @$(CHECK)
 @echo "Setting up $(VENV) once, for some minutes: PyTorch first, then the kernels are compiled on $(CORES) cores"
 $(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-$(BIN)/python -m pip install '$(TORCH)'
-$(BIN)/python -m pip install --editable '.[$(1)]'
+$(BIN)/python -m pip install --no-compile '$(TORCH)'
+$(BIN)/python -m pip install --no-compile --editable '.[$(1)]'
 endef
 
 $(STAMP): pyproject.toml $(COMPILED)

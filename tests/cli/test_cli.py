@@ -652,6 +652,7 @@ def small(line: str) -> str:
         ("--psnr 32", "--psnr 12"),
         ("--bytes 20k", "--bytes 0.7k"),
         ("--region 100,50,320,240", "--region 8,5,32,24"),
+        ("--time-limit 20", "--time-limit 1"),
     ):
         line = line.replace(large, fitting)
     return re.sub(r"(  |#).*", "", line)
