@@ -21,7 +21,11 @@ KINDS = {
     "avif tune=ssimulacra2": "AVIF, `tune=ssimulacra2`",
     "jpegxl": "JPEG XL",
 }
-TITLES = TITLES | {"wasserstein": "Wasserstein", "spread_luma_fine": "spread kept", "kurtosis_luma_fine": "kurtosis"}
+TITLES = TITLES | {
+    "wasserstein": "Wasserstein Distortion",
+    "spread_luma_fine": "spread kept",
+    "kurtosis_luma_fine": "kurtosis",
+}
 TITLES |= {name: " ".join(reversed(name.split("_"))) for name in local.FIGURES if name not in TITLES}
 FORMS = {"psnr": ".2f", "ms_ssim": ".4f", "ssimulacra2": ".1f", "wasserstein": ".2f"}
 FORMS |= {"lpips": ".3f", "dists": ".3f"} | dict.fromkeys(local.FIGURES, ".2f")
@@ -64,8 +68,8 @@ def page(contents: Mapping[str, Content]) -> Page:
         name="seen",
         title="What people see",
         question="How good do files look, according to metrics that are designed to agree with people? Each picture is "
-        f"encoded at {bpp:g} bpp tuned for the eye (the default) and for PSNR, and by others at the best quality that "
-        "takes no more bytes; `tune=iq` is AVIF's own default. Higher is better for SSIMULACRA 2, lower for LPIPS, "
+        f"encoded at {bpp:g} bpp tuned for the eye (the default), and by others at the best quality that takes no more "
+        "bytes; `tune=iq` is AVIF's own default. Higher is better for SSIMULACRA 2, lower for LPIPS, "
         "DISTS and Wasserstein Distortion. Spread kept and kurtosis are those of detail of 2 to 4 pixels over the "
         "source's, in squares of 48 pixels that have some: below 1, the first is a wash; above 1, the second is a few "
         "lonely strokes.",
