@@ -80,6 +80,7 @@ def page(contents: Mapping[str, Content]) -> Page:
         "- Artefacts that no metric detects well, such as streaks and dots in smooth areas.\n"
         "- Pictures that AVIF (as built into imagecodecs) cannot compress this far: no mean includes them. A codec "
         "that cannot with another picture has no row.\n"
+        f"{gaps(contents)}"
         f"- Texture on its own: it takes {several(texture)} of the bytes, and PSNR counts it as an error.\n"
         "- Photographs that never influenced the codec: constants were chosen on other photographs from the same "
         "packages (`python -m benchmarks.perceptual.photographs` fetches both sets), and some settings of texture were "
@@ -90,6 +91,18 @@ def page(contents: Mapping[str, Content]) -> Page:
         appendix=appendix,
         of="means over the pictures; solid: Kodak, open marks: other photographs",
     )
+
+
+def gaps(contents: Mapping[str, Content]) -> str:
+    """A line on sets of which not every picture was measured at every rate; empty if there are none."""
+    told = []
+    for name, content in contents.items():
+        images = {
+            bpp: {row["image"] for row in content["rows"] if row["max_bpp"] == bpp} for bpp in rates(content["rows"])
+        }
+        if len({*map(len, images.values())}) > 1:
+            told.append(f"of {SETS[name]} {several([f'{len(found)} at {bpp:g} bpp' for bpp, found in images.items()])}")
+    return f"- The same pictures at every rate: {several(told)}.\n" if told else ""
 
 
 def textures(contents: Mapping[str, Content]) -> dict[float, float]:
