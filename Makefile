@@ -90,7 +90,7 @@ else
 endif
 
 measured: $(STAMP)
-	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service $(ENCODES) tests/benchmarks/,$(TESTS)) \
+	$(YIELDING) $(BIN)/python -m coverage run -m pytest $(filter-out tests/service $(ENCODES) $(UNMEASURED),$(TESTS)) \
 	  $(addprefix --ignore=,$(UNMEASURED))
 
 measured-encodes: $(STAMP)

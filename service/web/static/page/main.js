@@ -10,7 +10,7 @@ import { draw, imageOf, Item } from "./items.js";
 import { $, element, Remote } from "./parts.js";
 import { openSample, SAMPLES, showSamples } from "./samples.js";
 import { fillLines, linkOf, offerWidths, saveFile, savePicture } from "./taking.js";
-import { showLabels, showRows, showWork, trouble } from "./telling.js";
+import { TITLES, showLabels, showRows, showWork, trouble } from "./telling.js";
 import { size, withoutSuffix } from "./words.js";
 
 const items = []; // in the order in which they came
@@ -64,7 +64,7 @@ function refresh(item) {
     if (item.watched && !item.grown) tools.unfold(file);
     item.watched = false;
   }
-  const hasNothing = !viewer.left && !viewer.right && ["failed", "cancelled", "other"].includes(item.state);
+  const hasNothing = !viewer.left && !viewer.right && item.state in TITLES;
   $("stage").hidden = $("tools").hidden = hasNothing;
   showLabels(item, onLeft, Boolean(viewer.left), tools.part, isSmooth);
   showWork(item);
