@@ -170,9 +170,10 @@ $(STAMP): pyproject.toml $(COMPILED)
 
 # Without the tools that only the tests need.
 $(SERVED): pyproject.toml $(COMPILED)
-	$(call SET_UP,service)
+	$(call SET_UP,torch$(COMMA)service)
 	touch $@
 
+COMMA := ,
 # Says in one sentence which Debian or Ubuntu packages are missing, before anything is downloaded or built.
 PACKAGE := $(notdir $(PYTHON))
 define CHECK

@@ -7,10 +7,16 @@ SgError                 base of all errors that this package raises, with one cl
 ├── GaussiansError      the arrays are no valid Gaussians, or no file can hold them
 ├── BudgetError         the budget is invalid, or too small for any file
 ├── ServerError         the service cannot be reached, refuses, or fails to encode
-└── NativeModuleError   the compiled kernels are missing; the message says how to build them
+├── NativeModuleError   the compiled kernels are missing; the message says how to build them
+└── MissingExtraError   packages of an extra are missing; the message says which; also an ImportError
 
 ImageWarning            something was dropped from the image, and the rest is used
 """
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class SgError(Exception):
@@ -45,5 +51,18 @@ class NativeModuleError(SgError):
     """The compiled kernels are not installed."""
 
 
+class MissingExtraError(SgError, ImportError):
+    """The packages of an extra are not installed."""
+
+
 class ImageWarning(UserWarning):
     """Something was dropped from the image: further pictures, transparency, a damaged profile."""
+
+
+@contextmanager
+def packages_of(extra: str, user: str) -> Iterator[None]:
+    """Turn an ImportError into a MissingExtraError that says which extra `user` needs."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(f"{user} needs extra packages ({error}): pip install 'sgmethod[{extra}]'") from error

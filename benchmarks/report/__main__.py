@@ -52,7 +52,7 @@ TAIL = """## Words
 
 ## Repeat a measurement
 
-The command on each page runs in a checkout after `pip install -e '.[encode,benchmark]'`, or `'.[test]'` for the
+The command on each page runs in a checkout after `pip install -e '.[benchmark]'`, or `'.[test]'` for the
 service. It writes to `benchmarks/results` and resumes where it was interrupted. KODAK is a folder with the 24 PNG files
 of [Kodak's set](https://r0k.us/graphics/kodak/), and WEIGHTS the folder that
 `python -m benchmarks.perceptual.weights WEIGHTS` fills. For a quick trial, run `make bench`, which measures a little of

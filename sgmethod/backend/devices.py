@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
-from sgmethod.errors import SgError
+from sgmethod.errors import SgError, packages_of
 
 
 def backend_on(device: object) -> Backend:
@@ -12,9 +12,9 @@ def backend_on(device: object) -> Backend:
     on tensors. Raises SgError for a device that is not there, or where torch is not installed."""
     if device is None or str(device) == "cpu":
         return Kernels()
-    try:
+    with packages_of("torch", "a device"):
         from sgmethod.backend.tensors import Tensors
-
+    try:
         return Tensors(str(device))
-    except (ImportError, RuntimeError, AssertionError) as error:  # of torch, for devices that it is not made for
+    except (RuntimeError, AssertionError) as error:  # of torch, for devices that it is not made for
         raise SgError(f"there is no device {str(device)!r} here: {str(error).splitlines()[0]}") from error

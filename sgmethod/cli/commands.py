@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 TITLES = {"ms_ssim": "MS-SSIM", "ssimulacra2": "SSIMULACRA 2", "lpips": "LPIPS", "dists": "DISTS"}
-NEEDS_ENCODE = "needs extra packages: pip install 'sgmethod[encode]'"
+NEEDS_TORCH = "needs PyTorch: pip install 'sgmethod[torch]'"
 SMALL = "undefined for sides below {} pixels"
 
 
@@ -82,10 +82,7 @@ def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[s
     """MS-SSIM and SSIMULACRA 2."""
     from sgmethod.metrics import MIN_SIDE, looks, ms_ssim
 
-    try:
-        found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
-    except ImportError:
-        return dict.fromkeys(("ms_ssim", "ssimulacra2"), NEEDS_ENCODE)
+    found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
     smallest = {"ms_ssim": MIN_SIDE, "ssimulacra2": looks.SMALLEST_SIDE}
     return {key: SMALL.format(smallest[key]) if one is None else one for key, one in found.items()}
 
@@ -95,7 +92,7 @@ def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | 
     try:
         from sgmethod.metrics import perceptual
     except ImportError:
-        return dict.fromkeys(("lpips", "dists"), NEEDS_ENCODE)
+        return dict.fromkeys(("lpips", "dists"), NEEDS_TORCH)
     if min(source.shape[:2]) < perceptual.MIN_SIDE:
         return dict.fromkeys(("lpips", "dists"), SMALL.format(perceptual.MIN_SIDE))
     found: dict[str, Measured] = dict.fromkeys(("lpips", "dists"), "needs --weights (docs/command_line.md)")

@@ -41,8 +41,8 @@ def run_encode(arguments: argparse.Namespace) -> int:
     if budget.kind == "quality" and not arguments.quiet:
         files.print_lines("note", "--quality", [OLD_QUALITY])
     if arguments.output_dir is not None:
-        if arguments.server is None:
-            _load_encoder(arguments.profile)  # or none would succeed
+        if arguments.server is None and arguments.profile != "rd":
+            import_module("sgmethod.paper")  # without its packages, no picture would succeed
         options = {"budget": budget, **_choices(arguments)}
         options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
         with Manifest(arguments.output_dir, options) as manifest:
@@ -101,7 +101,7 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
-    encode = _load_encoder(arguments.profile)
+    from sgmethod.codec import encode
     from sgmethod.start.advice import advice, better_file
 
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
@@ -145,14 +145,3 @@ def _client(server: str, quiet: bool, patience_s: float) -> Client:
             print(f"sgmethod: {one_line(message)}", file=sys.stderr, flush=True)
 
     return Client(server, os.environ.get("SG_API_KEY"), patience_s=patience_s, on_retry=say)
-
-
-def _load_encoder(profile: str) -> Callable[..., Encoded]:
-    try:
-        from sgmethod.codec import encode
-
-        if profile != "rd":  # which alone needs no torch
-            import_module("sgmethod.paper.encode")
-    except ImportError as error:
-        raise CommandError(f"encoding needs extra packages ({error}): pip install 'sgmethod[encode]'") from error
-    return encode

@@ -67,10 +67,8 @@ def _print_each(finished: Iterable[Outcome], arguments: argparse.Namespace) -> i
 
 def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     """Read, encode, and write where there is a folder for it."""
-    try:
-        from sgmethod.previews.preview import preview
-    except ImportError as error:
-        raise CommandError(f"encoding needs extra packages ({error}): pip install 'sgmethod[encode]'") from error
+    from sgmethod.previews.preview import preview
+
     image = files.read(conversion.source)
     with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
         warnings.simplefilter("always", ImageWarning)

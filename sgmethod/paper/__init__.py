@@ -3,3 +3,9 @@
 A request comes in: a picture and what the file may spend.
 The bytes of a version 1 file leave, after a structure-guided start, a fit and quantisation-aware tuning.
 """
+
+from sgmethod.errors import packages_of
+
+with packages_of("torch", "profiles paper and baseline"):
+    import skimage  # noqa: F401
+    import torch  # noqa: F401

@@ -584,11 +584,10 @@ def encode_without(package: str, tmp_path: Path, *arguments: str) -> Ran:
     return Ran(process.returncode, out, err)
 
 
-@pytest.mark.parametrize(("package", "profile"), [("cv2", "rd"), ("torch", "paper"), ("torch", "baseline")])
-def test_encoding_without_its_packages_says_what_to_install(package: str, profile: str, tmp_path: Path) -> None:
-    status, out, err = encode_without(package, tmp_path, "--profile", profile)
+def test_the_papers_profiles_without_torch_say_what_to_install(tmp_path: Path) -> None:
+    status, out, err = encode_without("torch", tmp_path, "--profile", "baseline")
     assert (status, out) == (2, "")
-    assert re.fullmatch(rf"sgmethod: .*No module named '{package}'.* pip install 'sgmethod\[encode\]'\n", err)
+    assert re.fullmatch(r"sgmethod: .*No module named 'torch'.* pip install 'sgmethod\[torch\]'\n", err)
     assert not Path("out.sg").exists()
 
 
