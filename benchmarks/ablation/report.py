@@ -32,7 +32,7 @@ COLUMNS = {
     **{"gaussians": ("Gaussians", ",.0f"), "seconds": ("seconds", ".1f")},
 }
 # Of fits with a fixed number of Gaussians.
-REPRESENTATIONS = ("paper", "unregularised", "random-start", "baseline")
+REPRESENTATIONS = ("rd", "paper", "unregularised", "random-start", "baseline")
 FIGURES = {"psnr": ".2f", "ms_ssim": ".4f", "lpips": ".4f", "seconds": ".1f", "frames_per_s": ",.4g", "mib": ".0f"}
 
 

@@ -4,7 +4,7 @@
                                                  [--gaussians 5000,10000,30000,70000] [--methods paper,...]
                                                  [--weights FOLDER]
 
-paper: profile paper's fit, from a structure-guided start and with geometry-consistent regularisation;
+rd: profile rd's fit; paper: profile paper's fit, from a structure-guided start and with geometry-consistent regularisation;
 unregularised and random-start: one of these left out; baseline: both, which is GSImage's start and loss with our
 optimiser. --weights: a folder as benchmarks.perceptual takes it, for LPIPS. Seconds are those of the fit with its
 start, frames those of drawing at full size; MiB is the peak of the fit's process, of which Python and torch alone take
@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.ablation.fits import VARIANTS, measured
-from benchmarks.ablation.report import FIGURES, representations
+from benchmarks.ablation.fits import measured
+from benchmarks.ablation.report import FIGURES, REPRESENTATIONS, representations
 from benchmarks.arguments import integers, some_of
 from benchmarks.machine import RUNS, Record
 from benchmarks.pictures import add_options, named_in
@@ -60,12 +60,12 @@ def main() -> None:
     parser.add_argument("--gaussians", type=integers, default="5000,10000,30000,70000", help="numbers, with commas")
     parser.add_argument("--steps", type=int, default=3000, help="of every fit of Gaussians")
     parser.add_argument(
-        "--methods", type=some_of(VARIANTS, "method"), default=",".join(VARIANTS), help="those that are measured"
+        "--methods", type=some_of(REPRESENTATIONS, "method"), default=",".join(REPRESENTATIONS), help="those that are measured"
     )
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--out", type=Path, default=RUNS / "representation.json")
     options = parser.parse_args()
-    methods = [method for method in VARIANTS if method in options.methods]
+    methods = [method for method in REPRESENTATIONS if method in options.methods]
     seen = Networks(options.weights) if options.weights else None
     settings = {"steps": options.steps, "lpips": seen is not None}
     record = Record(options.out, "benchmarks.ablation representation", settings)
