@@ -22,7 +22,8 @@ RESULTS = "../../benchmarks/results"
 @dataclass(frozen=True)
 class Page:
     """One question. conclusion: two sentences; limits: what it does not show; contents: each JSON by its name; panels:
-    of the plot, from the top; of: which pictures the plot is of; appendix: further tables, folded."""
+    of the plot, from the top; of: which pictures the plot is of; more: tables after the first; appendix: further tables,
+    folded."""
 
     name: str
     title: str
@@ -34,6 +35,7 @@ class Page:
     contents: Mapping[str, Content]
     panels: Sequence[Draw] = ()
     of: str = ""
+    more: Sequence[str] = ()
     appendix: Sequence[str] = ()
 
     def text(self) -> str:
@@ -44,7 +46,7 @@ class Page:
         return JOIN(
             [
                 *(f"# {self.title}", self.question, f"**{self.conclusion}**", f"![{name}](../plots/{self.name}.svg)"),
-                *(self.table, f"## What this does not show\n\n{self.limits}"),
+                *(self.table, *self.more, f"## What this does not show\n\n{self.limits}"),
                 f"## Reproduce it\n\n```sh\n{self.command}\n```",
                 *([folded] if self.appendix else []),
                 f"---\n\n{self.footer()}",
