@@ -143,7 +143,7 @@ def test_no_room_is_crowded() -> None:
     listing = subprocess.run(["git", "ls-files", *CODE], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     files: dict[Path, int] = {}
     for name in listing.splitlines():
-        if (ROOT / name).exists():
+        if (ROOT / name).exists() and Path(name).name != "CMakeLists.txt":
             files[Path(name).parent] = files.get(Path(name).parent, 0) + 1
     assert {room: count for room, count in files.items() if count > MOST_FILES} == {}
 

@@ -9,11 +9,12 @@ from pathlib import Path
 
 from benchmarks.published import report as published
 from benchmarks.rd.report import against_cool_chic, means
-from benchmarks.report import rate
+from benchmarks.report import paper, rate
 from benchmarks.report.section import load, mean, number, several, table
 
 WIDTH = 120  # of a line
 BPP = 0.25
+SIZES = (10_000, 50_000)  # bytes of a file
 MARKED = r"( *)<!-- table {} -->\n.*?<!-- end -->"
 
 # Columns: the codec tuned for PSNR, and for the eye; they differ only where a codec can be tuned.
@@ -38,7 +39,7 @@ RIVALS = {"VTM": "VTM (H.266)", "ELIC": "ELIC", "Cool-Chic 5.0": "Cool-Chic 5.0"
 
 def filled(text: str, results: Path) -> str:
     """The README with its figures as the JSON has them. Raises SystemExit where marks are missing."""
-    makers: dict[str, Callable[[Path], str]] = {"figures": figures, "slow": slow, "ahead": ahead}
+    makers: dict[str, Callable[[Path], str]] = {"figures": figures, "fits": fits, "slow": slow, "ahead": ahead}
     for name, make in makers.items():
         made = f"<!-- table {name} -->\n{make(results)}\n"
         found = re.compile(MARKED.format(name), re.DOTALL)
@@ -77,30 +78,27 @@ def figures(results: Path) -> str:
 
 
 def slow(results: Path) -> str:
-    """How long an encode takes, beside AVIF."""
-    contents = [load(results, f"convergence/{name}") or {"rows": []} for name in ("kodak", "12-megapixels")]
-    rows = [row for content in contents for row in content["rows"]]
+    """How long an encode of a large picture takes, beside AVIF."""
+    rows = (load(results, "growth") or {"rows": []})["rows"]
+    largest = max((row["megapixels"] for row in rows), default=0)
 
-    sizes = sorted({row["megapixels"] for row in rows})
-    if len(sizes) < 2:
-        return ""
-
-    def seconds(method: str, setting: str) -> str:
-        """Of the smallest pictures, and of the largest."""
-        found = [
-            mean(
-                [r["seconds"] for r in rows if (r["method"], r["setting"], r["megapixels"]) == (method, setting, size)]
-            )
-            for size in (sizes[0], sizes[-1])
-        ]
-        return " and ".join(number(value, ".2g") for value in found)
+    def seconds(method: str, setting: str, size: int) -> str:
+        key = (method, setting, largest, size)
+        found = [r["seconds"] for r in rows if (r["method"], r["setting"], r["megapixels"], r["max_bytes"]) == key]
+        return number(mean(found), ".2g")
 
     return bullet(
         "Fast encoding:",
-        f"AVIF. Pictures of {sizes[0]:g} and {sizes[-1]:g} megapixels take {seconds('rd visual', '')} seconds, or "
-        f"{seconds('rd visual', 'effort 1')} at lower quality with `--effort 1`. AVIF at speed 6 takes "
-        f"{seconds('avif visual', '6')}.",
+        f"AVIF. From {largest:g} megapixels, a file of {SIZES[0]:,} bytes takes {seconds('rd visual', '', SIZES[0])} "
+        f"seconds and one of {SIZES[1]:,} bytes {seconds('rd visual', '', SIZES[1])}; AVIF at speed 6 takes "
+        f"{seconds('avif', '6', SIZES[0])} and {seconds('avif', '6', SIZES[1])}. `--effort 1` is faster, at lower quality.",
     )
+
+
+def fits(results: Path) -> str:
+    """What N Gaussians reach, beside the paper's."""
+    rows = (load(results, "representation") or {"rows": []})["rows"]
+    return textwrap.fill(paper.beside(rows).strip(), WIDTH, break_long_words=False)
 
 
 def ahead(results: Path) -> str:
