@@ -12,7 +12,7 @@
 #endif
 
 // x86-64 has several instruction sets, of which the best is chosen at run time. Elsewhere there is one: NEON on aarch64,
-// SIMD128 in WebAssembly, or what the compiler makes of vectors.
+// or what the compiler makes of vectors.
 #ifdef __x86_64__
 #define SG_X86 1
 #include <xmmintrin.h>
@@ -20,7 +20,7 @@
 #define SG_X86 0
 #endif
 
-#if !defined(_WIN32) && !defined(__wasm__)
+#ifndef _WIN32
 #define SG_FORKS 1
 #include <pthread.h>
 #else

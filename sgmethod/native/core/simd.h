@@ -11,8 +11,6 @@
 #include <emmintrin.h>
 #elif defined(__ARM_NEON)
 #include <arm_neon.h>
-#elif defined(__wasm_simd128__)
-#include <wasm_simd128.h>
 #endif
 
 #define SG_INLINE inline __attribute__((always_inline))
@@ -215,11 +213,6 @@ SG_INLINE uint32_t count_until(const int16_t* p, int place) {
   const int16x8_t at = vdupq_n_s16(static_cast<int16_t>(place));  // a comparison that holds is -1
   const uint16x8_t within = vaddq_u16(vcleq_s16(vld1q_s16(p), at), vcleq_s16(vld1q_s16(p + 8), at));
   return static_cast<uint32_t>(-vaddvq_s16(vreinterpretq_s16_u16(within)));
-#elif defined(__wasm_simd128__)
-  const v128_t at = wasm_i16x8_splat(static_cast<int16_t>(place));
-  const v128_t low = wasm_i16x8_gt(wasm_v128_load(p), at), high = wasm_i16x8_gt(wasm_v128_load(p + 8), at);
-  const unsigned above = wasm_i8x16_bitmask(wasm_i8x16_narrow_i16x8(low, high));
-  return static_cast<uint32_t>(__builtin_ctz(above | (kSome ? 0u : 1u << 16)));
 #else
   uint32_t count = 0;
   for (int i = 0; i < 16; ++i) count += p[i] <= static_cast<int16_t>(place);

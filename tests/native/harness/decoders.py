@@ -1,5 +1,4 @@
-"""Decoders that are not Python's: sg_decode, which is the core alone, and the WebAssembly module in Node. Both take the
-same questions (tests/native/decoder)."""
+"""sg_decode, the decoder that is the core alone, and the questions that it is asked."""
 
 from __future__ import annotations
 
@@ -15,7 +14,6 @@ from sgmethod.view import View
 from tests.harness.data import damaged
 from tests.native.harness.golden import GOLDEN, is_golden
 
-SCRIPT = Path(__file__).parents[1] / "decoder" / "decode.mjs"
 VIEWS = (
     View(),
     View(0.5),
