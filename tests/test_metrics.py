@@ -94,6 +94,11 @@ def test_psnr() -> None:
     assert psnr((a / 255).astype(np.float32), (b / 255).astype(np.float32)) == pytest.approx(psnr(a, b))
 
 
+def difference_of(score: float) -> float:
+    """The weighted difference from which SSIMULACRA 2 makes a score, before its polynomial."""
+    return float(((100 - score) / 10) ** (1 / 0.6276336467831387))
+
+
 @pytest.mark.parametrize(
     ("height", "width", "strength", "expected"),
     [
@@ -106,9 +111,15 @@ def test_psnr() -> None:
     ],
 )
 def test_ssimulacra2_agrees_with_the_published_package(height: int, width: int, strength: int, expected: float) -> None:
+    """Rounding to float32 adds about as much to every difference, and the score is steepest where that is small.
+
+    Worst seen over AMD and Intel, with and without IPP, AVX-512, AVX2 and SSE4: 0.0005, which is 0.003 of a score of 90.
+    It is 0.1 of a score on photographs with a clear sky, whose variances vanish in float32.
+    """
     pixels = picture(height, width)
-    # 0.0006 here; 0.1 on photographs with a clear sky, whose variances vanish in float32, the worst seen.
-    assert ssimulacra2(disturbed(pixels, strength), pixels) == pytest.approx(expected, abs=0.002)
+    score = ssimulacra2(disturbed(pixels, strength), pixels)
+    assert score is not None
+    assert difference_of(score) == pytest.approx(difference_of(expected), abs=0.002)
     assert ssimulacra2(pixels, pixels) == 100
 
 
