@@ -113,8 +113,8 @@ def difference_of(score: float) -> float:
 def test_ssimulacra2_agrees_with_the_published_package(height: int, width: int, strength: int, expected: float) -> None:
     """Rounding to float32 adds about as much to every difference, and the score is steepest where that is small.
 
-    Worst seen over AMD and Intel, with and without IPP, AVX-512, AVX2 and SSE4: 0.0004, which is 0.003 of a score of 90.
-    It is 0.1 of a score on photographs with a clear sky, whose variances vanish in float32.
+    Worst seen over AMD and Intel, with and without IPP, AVX-512, AVX2 and SSE4: 0.0004, 0.003 of a score of 90. It is
+    0.1 of a score on photographs with a clear sky, whose variances vanish in float32.
     """
     pixels = picture(height, width)
     score = ssimulacra2(disturbed(pixels, strength), pixels)

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from sgmethod.io.image import read_image
 from tests.harness.data import ROOT
 
+pytestmark = pytest.mark.thorough
+
 SIZES = {"row-300x1": (1, 300), "column-1x300": (300, 1), "pixel-1x1": (1, 1), "strip-4096x16": (16, 4096)}
 ANGLES = (0, 10, 30, 45)
 NAMES = {

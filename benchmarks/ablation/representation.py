@@ -4,7 +4,7 @@
                                                  [--gaussians 5000,10000,30000,70000] [--methods paper,...]
                                                  [--weights FOLDER]
 
-rd: profile rd's fit; paper: profile paper's fit, from a structure-guided start and with geometry-consistent regularisation;
+rd: profile rd's fit; paper: profile paper's, from a structure-guided start and with geometry-consistent regularisation;
 unregularised and random-start: one of these left out; baseline: both, which is GSImage's start and loss with our
 optimiser. --weights: a folder as benchmarks.perceptual takes it, for LPIPS. Seconds are those of the fit with its
 start, frames those of drawing at full size; MiB is the peak of the fit's process, of which Python and torch alone take
@@ -59,9 +59,8 @@ def main() -> None:
     add_options(parser, most=6)
     parser.add_argument("--gaussians", type=integers, default="5000,10000,30000,70000", help="numbers, with commas")
     parser.add_argument("--steps", type=int, default=3000, help="of every fit of Gaussians")
-    parser.add_argument(
-        "--methods", type=some_of(REPRESENTATIONS, "method"), default=",".join(REPRESENTATIONS), help="those that are measured"
-    )
+    every = ",".join(REPRESENTATIONS)
+    parser.add_argument("--methods", type=some_of(REPRESENTATIONS, "method"), default=every, help="those measured")
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--out", type=Path, default=RUNS / "representation.json")
     options = parser.parse_args()

@@ -54,8 +54,8 @@ def page(contents: Mapping[str, Content]) -> Page:
         conclusion=(beside(fits["rows"]) if fits else "")
         + f"{len(there)} of the {len(lines)} gains that the paper reports are at least half as large here."
         + both(lines),
-        limits="- A verdict on the paper: fits here have fewer steps, those of its parts only six of Kodak's pictures, and the paper "
-        "leaves some choices open (how kernels are scaled, how shares are counted).\n"
+        limits="- A verdict on the paper: fits here have fewer steps, those of its parts only six of Kodak's pictures, "
+        "and the paper leaves some choices open (how kernels are scaled, how shares are counted).\n"
         "- DIV2K, which the paper also uses, and the times on its GPU.\n"
         "- Combined gains: parts were changed one at a time.\n"
         "- Files, in rows that name a number of Gaussians: those are fits in floating point.",
@@ -94,8 +94,8 @@ def beside(rows: Sequence[dict[str, Any]]) -> str:
         return ""
     theirs, seconds = (quoted_values(WHOLE, key)["the paper"] for key in ("psnr", "seconds"))
     return (
-        f"70,000 Gaussians fit Kodak at {number(ours['psnr'], '.1f')} dB in {number(ours['seconds'], '.0f')} s on {CPU}, "
-        f"where the paper reports {number(theirs, '.1f')} dB after {number(seconds, '.0f')} s on an RTX 4090. "
+        f"70,000 Gaussians fit Kodak at {number(ours['psnr'], '.1f')} dB in {number(ours['seconds'], '.0f')} s on "
+        f"{CPU}, where the paper reports {number(theirs, '.1f')} dB after {number(seconds, '.0f')} s on an RTX 4090. "
     )
 
 

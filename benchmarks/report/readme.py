@@ -91,7 +91,8 @@ def slow(results: Path) -> str:
         "Fast encoding:",
         f"AVIF. From {largest:g} megapixels, a file of {SIZES[0]:,} bytes takes {seconds('rd visual', '', SIZES[0])} "
         f"seconds and one of {SIZES[1]:,} bytes {seconds('rd visual', '', SIZES[1])}; AVIF at speed 6 takes "
-        f"{seconds('avif', '6', SIZES[0])} and {seconds('avif', '6', SIZES[1])}. `--effort 1` is faster, at lower quality.",
+        f"{seconds('avif', '6', SIZES[0])} and {seconds('avif', '6', SIZES[1])}. `--effort 1` is faster, at lower "
+        "quality.",
     )
 
 

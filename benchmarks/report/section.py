@@ -22,8 +22,8 @@ RESULTS = "../../benchmarks/results"
 @dataclass(frozen=True)
 class Page:
     """One question. conclusion: two sentences; limits: what it does not show; contents: each JSON by its name; panels:
-    of the plot, from the top; of: which pictures the plot is of; more: tables after the first; appendix: further tables,
-    folded."""
+    of the plot, from the top; of: which pictures the plot is of; more: what follows the table; appendix: further
+    tables, folded."""
 
     name: str
     title: str

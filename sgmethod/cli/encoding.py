@@ -26,7 +26,6 @@ from sgmethod.trace import TracePoint
 if TYPE_CHECKING:
     from sgmethod.client import Client
     from sgmethod.client.client import Priority
-    from sgmethod.codec import Encoded
 
 OLD_QUALITY = "this scale is kept for old scripts; --looks is one that can be measured"
 PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # with a server that is busy or restarts

@@ -13,6 +13,8 @@ import pytest
 from tests.benchmarks.commands import run
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
+pytestmark = pytest.mark.thorough
+
 
 def test_curves_of_every_method(tmp_path: Path) -> None:
     methods = ["rd", "paper", "plain Adam", "siren"]

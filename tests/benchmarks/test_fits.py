@@ -14,6 +14,8 @@ from PIL import Image
 from tests.benchmarks.commands import copied, report, run
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:

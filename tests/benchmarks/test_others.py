@@ -7,8 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.benchmarks.commands import run
 from tests.harness.data import PHOTOGRAPHS, ROOT
+
+pytestmark = pytest.mark.thorough
 
 # Two Gaussians at one place, the nearer of them red and half opaque, the other blue; a third lies elsewhere, unseen.
 BLENDED = (

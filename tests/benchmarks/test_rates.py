@@ -15,6 +15,8 @@ import pytest
 from tests.benchmarks.commands import RESULTS, report
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
+pytestmark = pytest.mark.thorough
+
 
 def rd(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run benchmarks.rd on the small photographs, of 96 x 128 pixels."""

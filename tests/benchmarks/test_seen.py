@@ -8,9 +8,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from tests.harness.data import ROOT
+
+pytestmark = pytest.mark.thorough
 
 MEANS = (
     "import json; from benchmarks.perceptual.means import means\n"

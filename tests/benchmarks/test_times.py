@@ -12,6 +12,8 @@ import pytest
 from tests.benchmarks.commands import run
 from tests.harness.data import PHOTOGRAPHS, ROOT
 
+pytestmark = pytest.mark.thorough
+
 
 def test_files_of_so_many_gaussians_are_timed(tmp_path: Path) -> None:
     out = tmp_path / "speed.json"

@@ -20,6 +20,8 @@ from sgmethod.rd import encode as pipeline
 from sgmethod.settings.rd import RD
 from tests.rd.short import begun, requested
 
+pytestmark = pytest.mark.thorough
+
 Pixels = NDArray[np.uint8]
 SIZES = (18, 64, 100, 150, 220, 300, 450, 600, 900, 2000, 6000)
 ROUNDED_DB = 58.9  # as good as rounding to 8 bits allows

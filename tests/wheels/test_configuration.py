@@ -5,8 +5,12 @@ from __future__ import annotations
 import re
 import tomllib
 
+import pytest
+
 from tests.harness.data import ROOT
 from tests.wheels.__main__ import RELEASED, STABLE
+
+pytestmark = pytest.mark.thorough
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 WHEELS = PROJECT["tool"]["cibuildwheel"]

@@ -12,6 +12,7 @@ import time
 from collections import Counter
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +25,8 @@ from sgmethod.view import View
 from tests.bitstream import plain_decoder_v5
 from tests.bitstream.fuzz.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove
 from tests.harness.data import NEW, golden, golden_path, with_checksum
+
+pytestmark = pytest.mark.thorough
 
 MUTATIONS = 4000  # in each of two tests
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels

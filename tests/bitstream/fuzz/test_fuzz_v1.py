@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -19,6 +20,8 @@ from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.v1 import Group, StreamV1
 from tests.harness.data import golden, with_checksum
+
+pytestmark = pytest.mark.thorough
 
 MUTATIONS = 5000
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels

@@ -13,6 +13,8 @@ from sgmethod.bitstream.stream import PREFIX_BYTES
 from tests.bitstream.test_format_v1 import TEXT, table
 from tests.harness.data import ROOT
 
+pytestmark = pytest.mark.thorough
+
 HEADERS = {
     "kHeaderV1": v1.HEADER,
     "kGroup": v1.GROUP,

@@ -9,6 +9,8 @@ import pytest
 from tests.native.harness.build import build
 from tests.native.harness.decoders import ask, damaged_questions, differing, golden_questions
 
+pytestmark = pytest.mark.thorough
+
 DAMAGED = 400
 
 

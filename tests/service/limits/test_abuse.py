@@ -24,6 +24,8 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, processes, wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
+pytestmark = pytest.mark.thorough
+
 PICTURE = golden_path("v3-color.sg").read_bytes()
 NEVER_S = 10_000  # a limit that no test reaches
 HELPER_START_CPU_S = 1.0  # more than one takes to start

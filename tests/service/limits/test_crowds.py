@@ -12,12 +12,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
+import pytest
 
 from service.web.guards.crowd import Crowd
 from service.web.guards.turns import Pace
 from tests.harness.data import ROOT
 from tests.harness.service import Service, StartService
 from tests.service.limits.test_turns import Clients, settle
+
+pytestmark = pytest.mark.thorough
 
 PICTURE = (ROOT / "service/web/static/samples/cat.sg").read_bytes()
 LIVE = b"GET /livez HTTP/1.1\r\nHost: test\r\n\r\n"

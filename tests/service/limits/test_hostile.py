@@ -26,6 +26,8 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
+pytestmark = pytest.mark.thorough
+
 PICTURE = golden_path("v3-color.sg").read_bytes()
 HEADER_LIMIT = MAX_HEAD_BYTES
 HEADER_TIMEOUT_S = 0.5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import time
 
+import pytest
 from PIL import Image
 
 from tests.harness.browser import Chromium
@@ -12,6 +13,8 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, complaints, give, hold_back, open_page, says, settled, text64
+
+pytestmark = pytest.mark.thorough
 
 
 def see_through() -> bytes:

@@ -9,6 +9,8 @@ from tests.harness.data import DATA
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 
+pytestmark = pytest.mark.thorough
+
 AXE = (DATA / "axe.min.js").read_text()
 
 

@@ -15,6 +15,8 @@ from tests.harness.processes import wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import COFFEE, complaints, give, open_blank, open_page, says, settled, text64
 
+pytestmark = pytest.mark.thorough
+
 PHOTOGRAPH = (STATIC / "samples" / "coffee.webp").read_bytes()
 JOB = {"state": "running", "progress": 0.5, "trace": [{"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}]}
 

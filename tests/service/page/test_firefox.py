@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import sgmethod
 from tests.harness.browser import Firefox
@@ -10,6 +11,8 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import COFFEE, COFFEE_SAYS, decoded, give, open_page, says, settled
+
+pytestmark = pytest.mark.thorough
 
 
 def test_the_main_road(firefox: Firefox, service: Service) -> None:

@@ -30,6 +30,8 @@ from tests.service.page.steps import (
     text64,
 )
 
+pytestmark = pytest.mark.thorough
+
 FIRST_LOOK_BYTES = 150_000
 TEXTURED = golden(5)["v5-texture"]
 

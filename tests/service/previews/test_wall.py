@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import json
 
+import pytest
+
 from service.web.app import STATIC
 from sgmethod.bitstream.text import from_text
 from tests.harness.browser import Chromium
@@ -12,6 +14,8 @@ from tests.harness.processes import wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import complaints, open_page
 from tests.service.page.test_page import AXE
+
+pytestmark = pytest.mark.thorough
 
 WALL = json.loads((STATIC / "wall" / "wall.json").read_text())
 PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}

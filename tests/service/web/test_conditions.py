@@ -11,6 +11,8 @@ from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.service import Service, StartService, assert_problem
 
+pytestmark = pytest.mark.thorough
+
 PICTURE = golden_path("v3-color.sg").read_bytes()
 
 

@@ -16,6 +16,8 @@ from tests.harness.processes import wait_until
 from tests.harness.service import STAND_IN, Service, StartService, assert_problem
 from tests.service.jobs.test_jobs import grow_older
 
+pytestmark = pytest.mark.thorough
+
 PICTURE = golden_path("v3-color.sg").read_bytes()
 STALL_S = 1000  # which no test waits for
 

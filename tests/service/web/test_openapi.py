@@ -22,6 +22,8 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S
 from tests.harness.service import STAND_IN, StartService
 
+pytestmark = pytest.mark.thorough
+
 PICTURE = golden_path("v3-color.sg").read_bytes()
 # Valid against the document and refused all the same: a region beyond the picture, a form with two budgets.
 NOT_CHECKED = "positive_data_acceptance"

@@ -15,6 +15,8 @@ from sgmethod.client import Client, encode_many
 from tests.harness.pictures import png
 from tests.harness.service import Service
 
+pytestmark = pytest.mark.thorough
+
 
 def test_many_pictures(service: Service, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the client and by the command line: the same files as without a server, and none twice."""

@@ -34,6 +34,8 @@ from tests.harness.s3_server import KeptS3Server
 from tests.harness.service import STAND_IN, Service, StartService
 from tests.service.page.steps import complaints, give
 
+pytestmark = pytest.mark.thorough
+
 NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
 REQUIRED = "SGMETHOD_TEST_NGINX"  # set to "required", a missing nginx fails the tests
 HINT = "nginx is not installed, so nothing was tested behind it: sudo apt install nginx"

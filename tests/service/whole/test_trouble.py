@@ -23,6 +23,8 @@ from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes
 from tests.harness.s3_server import S3Server
 from tests.harness.service import STAND_IN, StartService, assert_problem
 
+pytestmark = pytest.mark.thorough
+
 PICTURE = golden_path("v3-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
 SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
