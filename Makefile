@@ -24,7 +24,7 @@ test: $(VENV)/.test ## set up, then check lint, format and types, and run the te
 	$(PYTEST) -m "not thorough"
 
 thorough: $(VENV)/.test sanitize versions ## what a release needs beside `make test`: the slow tests, sanitizers, Python 3.12 to 3.14
-	$(PYTEST) -m thorough
+	$(PYTEST) -m "thorough or hypothesis" --hypothesis-profile thorough
 
 MUTATIONS ?= 2000
 sanitize: $(VENV)/.test ## run the kernels under sanitizers: their own tests, every golden file, MUTATIONS=n damaged ones

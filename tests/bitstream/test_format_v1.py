@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
@@ -79,7 +79,6 @@ def test_the_plain_decoder_shares_nothing() -> None:
     assert set(imports) == {"__future__", "collections.abc", "math", "struct", "zlib"}
 
 
-@settings(max_examples=1500, deadline=None, derandomize=True, database=None)
 @given(st.sampled_from(sorted(GOLDEN)), st.integers(0, 170), st.binary(min_size=1, max_size=4), st.integers(-2, 2))
 def test_both_refuse_the_same_files(name: str, at: int, value: bytes, growth: int) -> None:
     """Bytes of header and tables changed, the end moved, the checksum made to fit."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
@@ -137,7 +137,6 @@ def test_the_plain_decoder_shares_nothing() -> None:
     assert set(imports) == {*standard, "tests.bitstream.plain_decoder"}
 
 
-@settings(max_examples=700, deadline=None, derandomize=True, database=None)
 @given(
     st.sampled_from(["v3-color", "v3-grey", "v3-upright", "v3-empty", "v3-pixel"]),
     st.floats(0, 1),

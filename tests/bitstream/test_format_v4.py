@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode
@@ -371,7 +371,6 @@ def test_files_of_version_3_under_another_number(name: str) -> None:
     assert_same_outcome(data[:3] + b"\4" + data[4:])
 
 
-@settings(max_examples=500, deadline=None, derandomize=True, database=None)
 @given(
     st.sampled_from(["v4-color", "v4-grey", "v4-upright", "v4-needles", "v4-empty", "v4-pixel", "v4-texture"]),
     st.floats(0, 1),

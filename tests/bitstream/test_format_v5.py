@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode, encode
@@ -99,7 +99,6 @@ def test_the_plain_decoder_shares_nothing() -> None:
     assert set(imports) == {"__future__", "functools", "zlib", *others}
 
 
-@settings(max_examples=400, deadline=None, derandomize=True, database=None)
 @given(st.sampled_from([*GOLDEN]), st.floats(0, 1), st.binary(min_size=1, max_size=4), st.integers(-3, 12))
 def test_both_take_and_refuse_the_same_files(name: str, place: float, value: bytes, growth: int) -> None:
     """Bytes changed, the end moved, the checksum made to fit."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sgmethod.bitstream import v1
@@ -62,7 +62,6 @@ def changed(data: bytes, at: int, value: bytes) -> bytes:
     return with_checksum(data[:at] + value + data[at + len(value) :])
 
 
-@settings(max_examples=300, deadline=None, derandomize=True)
 @given(
     st.integers(1, 16),
     st.lists(st.tuples(st.integers(1, 16), st.integers(1, 40)), max_size=16),

@@ -11,7 +11,7 @@ from itertools import chain
 import numpy as np
 import pillow_heif
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -366,7 +366,6 @@ def test_truncation_is_refused_or_harmless(kind: str) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::sgmethod.ImageWarning")
-@settings(max_examples=600, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(sorted(KINDS)), st.lists(st.tuples(st.floats(0, 1), st.integers(0, 7)), min_size=1))
 @example("heic", [(0.2061100410630266, 2)])  # a crop by one row
 def test_flipped_bits_raise_only_image_errors(kind: str, flips: list[tuple[float, int]]) -> None:

@@ -13,7 +13,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode, info
@@ -26,9 +26,6 @@ from tests.bitstream import plain_decoder_v5
 from tests.bitstream.fuzz.test_fuzz_v1 import Mutator, cut, duplicate, flip, insert, overwrite, put, remove
 from tests.harness.data import NEW, golden, golden_path, with_checksum
 
-pytestmark = pytest.mark.thorough
-
-MUTATIONS = 4000  # in each of two tests
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
 VERSIONS = (b"SGM\3", b"SGM\4", NEW)
 MAX_CPU_S = 2.0  # 0.14 s is the worst seen
@@ -135,13 +132,10 @@ def outcome(data: bytes, view: View) -> str:
 
 
 def explore(seeds: list[bytes], views: st.SearchStrategy[View], fits: st.SearchStrategy[bool]) -> Counter[str]:
-    """Run MUTATIONS of one to three steps; what became of those whose checksum was made to fit."""
+    """Run mutations of one to three steps; what became of those whose checksum was made to fit."""
     seen: Counter[str] = Counter()
     steps = st.lists(st.tuples(st.sampled_from(MUTATORS), places, numbers), min_size=1, max_size=3)
 
-    @settings(
-        max_examples=MUTATIONS, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
-    )
     @given(st.sampled_from(seeds), steps, views, fits)
     def mutate(data: bytes, steps: list[tuple[Mutator, float, int]], view: View, fits: bool) -> None:
         for mutator, place, number in steps:
@@ -153,14 +147,16 @@ def explore(seeds: list[bytes], views: st.SearchStrategy[View], fits: st.SearchS
     return seen
 
 
+@pytest.mark.thorough
 def test_mutations() -> None:
     """Half of the files, or nearly, get the checksum that fits them."""
     seen = explore(SEEDS, st.just(View()), st.sampled_from([True, True, False, True, False]))
-    assert seen["drawn"] > MUTATIONS / 50
-    assert seen["checksum"] > MUTATIONS / 5
+    assert seen["drawn"] > settings().max_examples / 50
+    assert seen["checksum"] > settings().max_examples / 5
     assert min(seen["limit"], seen["than the data"], seen["other"]) > 0
 
 
+@pytest.mark.thorough
 def test_mutations_seen_in_part() -> None:
     """A prefix ends in the midst of anything, and what is hostile is drawn at other sizes."""
     scales = st.sampled_from([1 / 64, 0.3, 1.0, 3.0])
@@ -168,11 +164,10 @@ def test_mutations_seen_in_part() -> None:
         lambda scale, prefix: View(scale, None, prefix), scales, st.sampled_from([1.0, 0.9, 0.5, 0.1, 1e-3])
     )
     seen = explore([*SEEDS, HUGE_V3], views, st.just(True))  # once more: few changes leave it too much to draw
-    assert seen["drawn"] > MUTATIONS / 5
+    assert seen["drawn"] > settings().max_examples / 5
     assert min(seen["limit"], seen["overlap"], seen["other"]) > 0
 
 
-@settings(max_examples=1500, deadline=None, derandomize=True, database=None)
 @given(
     st.sampled_from(VERSIONS[:2]),
     st.binary(max_size=400),
@@ -186,7 +181,6 @@ def test_any_payload(begin: bytes, payload: bytes, number: int, flags: int, quan
     outcome(with_checksum(begin + bytes(4) + body), View(prefix=0.5 if number % 3 == 0 else 1.0))
 
 
-@settings(max_examples=1500, deadline=None, derandomize=True, database=None)
 @given(st.integers(0, 255), st.integers(0, 8), st.integers(0, 8), st.binary(max_size=400), st.sampled_from([1.0, 0.5]))
 def test_any_file_of_version_5(first: int, wide: int, high: int, rest: bytes, prefix: float) -> None:
     """Of any flags, and of sizes that can be drawn."""

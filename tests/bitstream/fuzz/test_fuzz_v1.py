@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sgmethod import BitstreamError, decode, info
@@ -21,9 +21,6 @@ from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.v1 import Group, StreamV1
 from tests.harness.data import golden, with_checksum
 
-pytestmark = pytest.mark.thorough
-
-MUTATIONS = 5000
 MAX_PIXELS = 1 << 18  # a header can claim 4 gigapixels
 MAX_CPU_S = 2.0  # 0.03 s is the worst seen on one of two cores
 
@@ -138,13 +135,10 @@ def outcome(data: bytes) -> str:
 
 
 def explore(seeds: list[bytes], mutators: list[Mutator], fits: st.SearchStrategy[bool]) -> Counter[tuple[bool, str]]:
-    """Run MUTATIONS of one to three steps; what became of them, by whether the checksum was made to fit."""
+    """Run mutations of one to three steps; what became of them, by whether the checksum was made to fit."""
     seen: Counter[tuple[bool, str]] = Counter()
     steps = st.lists(st.tuples(st.sampled_from(mutators), places, numbers), min_size=1, max_size=3)
 
-    @settings(
-        max_examples=MUTATIONS, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck)
-    )
     @given(st.sampled_from(seeds), steps, fits)
     def mutate(data: bytes, steps: list[tuple[Mutator, float, int]], fits: bool) -> None:
         for mutator, place, number in steps:
@@ -152,20 +146,22 @@ def explore(seeds: list[bytes], mutators: list[Mutator], fits: st.SearchStrategy
         seen[fits, outcome(with_checksum(data) if fits else data)] += 1
 
     mutate()
-    assert seen.total() >= MUTATIONS
+    assert seen.total() >= settings().max_examples
     return seen
 
 
+@pytest.mark.thorough
 def test_mutations_of_golden_streams() -> None:
     """Any damage; half of the files get the checksum that fits them."""
     seen = explore(GOLDEN, [*DAMAGE, *CONTENTS], st.booleans())
-    assert seen[True, "drawn"] > MUTATIONS / 50
-    assert seen[True, "refused"] > MUTATIONS / 5
+    assert seen[True, "drawn"] > settings().max_examples / 50
+    assert seen[True, "refused"] > settings().max_examples / 5
     assert seen[True, "limit"] > 0
 
 
+@pytest.mark.thorough
 def test_mutations_of_contents() -> None:
     """Files of the right length whose values are hostile, so that most are drawn."""
     seen = explore([*GOLDEN, crowded()], CONTENTS, st.just(True))
-    assert seen[True, "drawn"] > MUTATIONS / 5
+    assert seen[True, "drawn"] > settings().max_examples / 5
     assert seen[True, "overlap"] > 0

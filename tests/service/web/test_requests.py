@@ -10,8 +10,7 @@ from typing import Any
 
 import httpx
 import pytest
-from hypothesis import HealthCheck, given
-from hypothesis import settings as hypothesis_settings
+from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
@@ -285,7 +284,6 @@ def test_image_larger_than_the_limit(web: Service) -> None:
     assert_problem(web.post(SMALL + b"\0" * (padding + 1)), 413)
 
 
-@hypothesis_settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(
     name=st.sampled_from(
         ["bpp", "bytes", "looks", "psnr", "quality", "gaussians", "profile", "tune", "effort", "time_limit_s", "x"]
