@@ -55,6 +55,7 @@ if TYPE_CHECKING:
         GaussiansError,
         ImageError,
         ImageWarning,
+        MissingPackageError,
         NativeModuleError,
         ServerError,
         SgError,
@@ -82,6 +83,7 @@ __all__ = [
     "ImageError",
     "ImageWarning",
     "Info",
+    "MissingPackageError",
     "NativeModuleError",
     "Preview",
     "Row",
@@ -117,8 +119,8 @@ _HOMES = {
     "codec": ("Encoded", "Stats", "encode"),
     "decoder": ("SgFile", "decode", "info", "open"),
     "errors": (
-        *("BitstreamError", "BudgetError", "GaussiansError", "ImageError", "ImageWarning", "NativeModuleError"),
-        *("ServerError", "SgError", "ViewError"),
+        *("BitstreamError", "BudgetError", "GaussiansError", "ImageError", "ImageWarning", "MissingPackageError"),
+        *("NativeModuleError", "ServerError", "SgError", "ViewError"),
     ),
     "exchange.files": ("read_npz", "read_ply", "write_npz", "write_ply"),
     "exchange.packing": ("pack",),
@@ -157,7 +159,10 @@ def __getattr__(name: str) -> Any:
         return version("sgmethod")
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+    from sgmethod.errors import extra
+
+    with extra("encode"):
+        value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
     globals()[name] = value
     return value
 

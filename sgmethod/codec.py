@@ -23,7 +23,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, looks_of, own_number, unasked, whole
 from sgmethod.decoder import SgFile
-from sgmethod.errors import BudgetError
+from sgmethod.errors import BudgetError, extra
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
@@ -194,8 +194,8 @@ def encode(
     if isinstance(settings, RdSettings):
         data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed, backend)
     else:
-        from sgmethod.paper import encode as paper  # and torch with it
-
+        with extra("encode"):
+            from sgmethod.paper import encode as paper  # and torch with it
         request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
     measures = [ms_ssim, ssimulacra2] if measure else [ssimulacra2] if budget.kind == "looks" else []

@@ -7,10 +7,16 @@ SgError                 base of all errors that this package raises, with one cl
 ├── GaussiansError      the arrays are no valid Gaussians, or no file can hold them
 ├── BudgetError         the budget is invalid, or too small for any file
 ├── ServerError         the service cannot be reached, refuses, or fails to encode
-└── NativeModuleError   the compiled kernels are missing; the message says how to build them
+├── NativeModuleError   the compiled kernels are missing; the message says how to build them
+└── MissingPackageError a package is missing, and is an ImportError too; the message says how to install it
 
 ImageWarning            something was dropped from the image, and the rest is used
 """
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class SgError(Exception):
@@ -43,6 +49,19 @@ class ServerError(SgError):
 
 class NativeModuleError(SgError):
     """The compiled kernels are not installed."""
+
+
+class MissingPackageError(SgError, ImportError):
+    """A package of an extra is not installed."""
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Raise MissingPackageError for imports that fail for want of this extra."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingPackageError(f"an extra package is needed ({error}): pip install 'sgmethod[{name}]'") from error
 
 
 class ImageWarning(UserWarning):

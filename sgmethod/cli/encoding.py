@@ -20,6 +20,7 @@ from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import Conversion
 from sgmethod.cli.several import Figures, Outcome, convert_all, say_done, say_notes, without_those_there
 from sgmethod.cli.terminal import progress_line, redraw
+from sgmethod.errors import extra
 from sgmethod.many.manifest import Manifest
 from sgmethod.trace import TracePoint
 
@@ -40,9 +41,13 @@ def run_encode(arguments: argparse.Namespace) -> int:
     budget = _only_budget(arguments)
     if budget.kind == "quality" and not arguments.quiet:
         files.print_lines("note", "--quality", [OLD_QUALITY])
+    if arguments.server is not None:
+        if arguments.seed != 0:
+            raise CommandError("--seed cannot be combined with --server")
+        _client_for(arguments)  # or every picture would be refused
+    elif arguments.output_dir is not None:
+        _load_encoder(arguments.profile)  # or none would succeed
     if arguments.output_dir is not None:
-        if arguments.server is None:
-            _load_encoder(arguments.profile)  # or none would succeed
         options = {"budget": budget, **_choices(arguments)}
         options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
         with Manifest(arguments.output_dir, options) as manifest:
@@ -120,23 +125,22 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
 
 
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
-    if arguments.seed != 0:
-        raise CommandError("--seed cannot be combined with --server")
-    several = arguments.output_dir is not None
-    client = _client(arguments.server, arguments.quiet, MANY_PATIENCE_S if several else PATIENCE_S)
-    priority: Priority = "bulk" if several else "interactive"
-    choices = _choices(arguments)
-    encoded = client.encode(image, budget, arguments.profile, **choices, priority=priority, on_progress=show)
+    priority: Priority = "interactive" if arguments.output_dir is None else "bulk"
+    encode, choices = _client_for(arguments).encode, _choices(arguments)
+    encoded = encode(image, budget, arguments.profile, **choices, priority=priority, on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
+
+
+def _client_for(arguments: argparse.Namespace) -> Client:
+    """Raises SgError."""
+    patience_s = PATIENCE_S if arguments.output_dir is None else MANY_PATIENCE_S
+    return _client(arguments.server, arguments.quiet, patience_s)
 
 
 @cache
 def _client(server: str, quiet: bool, patience_s: float) -> Client:
     """One client for all pictures: once answered, it can tell a restarting server from a wrong address."""
-    try:
-        from sgmethod.client import Client
-    except ImportError as error:
-        raise CommandError(f"--server needs an extra package ({error}): pip install 'sgmethod[client]'") from error
+    from sgmethod.client import Client
 
     def say(message: str) -> None:
         if not quiet:
@@ -148,11 +152,9 @@ def _client(server: str, quiet: bool, patience_s: float) -> Client:
 
 
 def _load_encoder(profile: str) -> Callable[..., Encoded]:
-    try:
+    with extra("encode"):
         from sgmethod.codec import encode
 
         if profile != "rd":  # which alone needs no torch
             import_module("sgmethod.paper.encode")
-    except ImportError as error:
-        raise CommandError(f"encoding needs extra packages ({error}): pip install 'sgmethod[encode]'") from error
     return encode

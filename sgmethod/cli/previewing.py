@@ -17,7 +17,7 @@ from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import PICTURES, Conversion
 from sgmethod.cli.several import SOME_FAILED, Outcome, convert_all, outcomes, say_notes
 from sgmethod.cli.terminal import silent_stderr
-from sgmethod.errors import ImageWarning
+from sgmethod.errors import ImageWarning, extra
 from sgmethod.many.manifest import Manifest
 
 if TYPE_CHECKING:
@@ -67,10 +67,8 @@ def _print_each(finished: Iterable[Outcome], arguments: argparse.Namespace) -> i
 
 def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     """Read, encode, and write where there is a folder for it."""
-    try:
+    with extra("encode"):
         from sgmethod.previews.preview import preview
-    except ImportError as error:
-        raise CommandError(f"encoding needs extra packages ({error}): pip install 'sgmethod[encode]'") from error
     image = files.read(conversion.source)
     with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
         warnings.simplefilter("always", ImageWarning)

@@ -9,8 +9,11 @@ tensors or as Gaussians. drawing.py has the renderer, files.py .sg files as tens
 
 from __future__ import annotations
 
-from sgmethod.torch.checkpoints import read_gaussianimage, read_image_gs
-from sgmethod.torch.drawing import render
-from sgmethod.torch.files import SgDataset, decode, gaussians
+from sgmethod.errors import extra
+
+with extra("encode"):
+    from sgmethod.torch.checkpoints import read_gaussianimage, read_image_gs
+    from sgmethod.torch.drawing import render
+    from sgmethod.torch.files import SgDataset, decode, gaussians
 
 __all__ = ["SgDataset", "decode", "gaussians", "read_gaussianimage", "read_image_gs", "render"]
