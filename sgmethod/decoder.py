@@ -119,12 +119,17 @@ class SgFile:
         region: tuple[int, int, int, int] | None = None,
         prefix: float = 1.0,
         texture: bool = True,
+        *,
+        width: int | None = None,
+        height: int | None = None,
     ) -> NDArray[np.uint8]:
-        """The picture or a view of it, 8-bit sRGB [height, width, 3 or 4]. sgmethod.View documents the arguments.
+        """The picture or a view of it, 8-bit sRGB [height, width, 3 or 4].
 
+        scale, region, prefix, texture: as sgmethod.View documents them; width, height: in place of a scale, pixels
+        within which the picture is as large as possible.
         Raises ViewError for an invalid view, BitstreamError for one with too many pixels, and MemoryError.
         """
-        return self._draw(View(scale, region, prefix, texture))
+        return self._draw(View(scale, region, prefix, texture).within(self.size, width, height))
 
     def _draw(self, view: View) -> NDArray[np.uint8]:
         if view.is_whole:

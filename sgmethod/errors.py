@@ -8,7 +8,7 @@ SgError                 base of all errors that this package raises, with one cl
 ├── BudgetError         the budget is invalid, or too small for any file
 ├── ServerError         the service cannot be reached, refuses, or fails to encode
 ├── NativeModuleError   the compiled kernels are missing; the message says how to build them
-└── MissingExtraError   packages of an extra are missing; the message says which; also an ImportError
+└── MissingPackageError a package is missing, and is an ImportError too; the message says how to install it
 
 ImageWarning            something was dropped from the image, and the rest is used
 """
@@ -51,18 +51,18 @@ class NativeModuleError(SgError):
     """The compiled kernels are not installed."""
 
 
-class MissingExtraError(SgError, ImportError):
-    """The packages of an extra are not installed."""
+class MissingPackageError(SgError, ImportError):
+    """A package of an extra is not installed."""
+
+
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Raise MissingPackageError for imports that fail for want of this extra."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingPackageError(f"an extra package is needed ({error}): pip install 'sgmethod[{name}]'") from error
 
 
 class ImageWarning(UserWarning):
     """Something was dropped from the image: further pictures, transparency, a damaged profile."""
-
-
-@contextmanager
-def packages_of(extra: str, user: str) -> Iterator[None]:
-    """Turn an ImportError into a MissingExtraError that says which extra `user` needs."""
-    try:
-        yield
-    except ImportError as error:
-        raise MissingExtraError(f"{user} needs extra packages ({error}): pip install 'sgmethod[{extra}]'") from error

@@ -16,10 +16,15 @@ Result = TypeVar("Result")
 
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """The result for each item, in their order. The first error is raised; a function must not call this itself."""
-    threads = native.thread_count()
-    if threads == 1:
-        return [function(item) for item in items]
-    return list(_pool(threads).map(function, items))
+    threads, items = native.thread_count(), list(items)
+    if threads > 1:
+        pool = _pool(threads)
+        try:
+            return list(pool.map(function, items))
+        except RuntimeError:  # the system allows no more threads, or the error is the function's, which raises it again
+            _pool.cache_clear()
+            pool.shutdown()
+    return [function(item) for item in items]
 
 
 @cache

@@ -14,7 +14,7 @@ from numbers import Integral
 
 import numpy as np
 
-from sgmethod.budget import own_number
+from sgmethod.budget import own_number, whole
 from sgmethod.errors import ViewError
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene, Texture
@@ -66,6 +66,20 @@ class View:
         """Width and height of the output in pixels, each at least 1."""
         _, _, w, h = self.area(width, height)
         return max(round(w * self.scale), 1), max(round(h * self.scale), 1)
+
+    def within(self, size: tuple[int, int], width: int | None, height: int | None) -> View:
+        """The same part, as large as it may be within this width and height; None is no limit.
+
+        size: of the picture. Raises ViewError, as for a view that has a scale already.
+        """
+        _, _, *part = self.area(*size)
+        limits = [(limit, side) for limit, side in zip((width, height), part, strict=True) if limit is not None]
+        if not limits:
+            return self
+        if self.scale != 1:
+            raise ViewError("scale cannot be combined with width or height")
+        scales = [whole(limit, "a width or height", 1, FAR, ViewError) / side for limit, side in limits]
+        return replace(self, scale=min(scales))
 
     def apply(self, scene: Scene) -> Scene:
         """The scene in output pixels, low-passed where that is a reduction. Raises ViewError as area() does."""

@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from PIL import Image, UnidentifiedImageError
 import sgmethod
 from service.web.routes.pictures import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
+from sgmethod.io import encode_png
 from sgmethod.native import native
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
@@ -152,6 +154,32 @@ def test_importing_takes_neither_numpy_nor_torch() -> None:
     assert ran.stdout == "\n"
 
 
+WITHOUT_EXTRAS = """
+import sys
+for name in ("httpx", "torch"):
+    sys.modules[name] = None  # to import it is an ImportError
+import numpy, sgmethod
+picture = numpy.zeros((8, 8), numpy.uint8)
+for use in (
+    "from sgmethod.client import Client",
+    "import sgmethod.torch",
+    "sgmethod.encode(picture, profile='paper')",
+    "sgmethod.encode(picture, device='cuda')",
+):
+    try:
+        exec(use)
+    except sgmethod.MissingPackageError as error:
+        assert isinstance(error, ImportError)
+        print(str(error).partition(": ")[2])
+"""
+
+
+def test_a_missing_extra_is_named() -> None:
+    ran = subprocess.run([sys.executable, "-c", WITHOUT_EXTRAS], capture_output=True, text=True, check=True)
+    extras = ("client", "torch", "torch", "torch")
+    assert ran.stdout.split("pip install ")[1:] == [f"'sgmethod[{name}]'\n" for name in extras]
+
+
 # --- Pillow
 
 
@@ -244,3 +272,16 @@ def test_the_first_error_is_raised(threads: int) -> None:
     sgmethod.set_threads(threads)
     with pytest.raises(ZeroDivisionError):
         in_parallel(lambda n: 1 // n, [1, 0, 2])
+
+
+@pytest.mark.usefixtures("threads_as_before")
+def test_threads_that_the_system_refuses_are_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    refused = Mock(side_effect=RuntimeError("can't start new thread"))
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refused)
+        for threads in (1, 5):
+            sgmethod.set_threads(threads)
+            assert in_parallel(lambda n: n * n, range(9)) == [n * n for n in range(9)]
+            assert np.array_equal(np.asarray(Image.open(io.BytesIO(encode_png(PIXELS)))), PIXELS)
+            assert refused.called == (threads > 1)
+    assert in_parallel(lambda _: threading.current_thread(), range(1)) != [threading.current_thread()]

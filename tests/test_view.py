@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+import sgmethod
 from sgmethod import BitstreamError, ViewError, decode, view
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v5 import StreamV5
@@ -209,6 +212,19 @@ def test_background_is_everywhere() -> None:
     empty = golden_path("v3-empty.sg").read_bytes()
     for asked in (View(), View(0.1), View(5), View(1, (1, 1, 2, 2)), View(prefix=0.4)):
         assert np.unique(decode(empty, view=asked).reshape(-1, 3), axis=0).tolist() == [[120, 90, 60]]
+
+
+@pytest.mark.parametrize(
+    ("sides", "shape"),
+    [((50, None), (30, 50, 3)), ((None, np.int32(240)), (240, 400, 3)), ((50, 15), (15, 25, 3)), ((9, 9), (5, 9, 3))],
+)
+def test_a_view_within_a_width_and_height(data: bytes, sides: tuple[Any, Any], shape: tuple[int, ...]) -> None:
+    file = sgmethod.open(data)  # 200 x 120
+    assert file.pixels(width=sides[0], height=sides[1]).shape == shape
+    with pytest.raises(ViewError, match="scale cannot be combined"):
+        file.pixels(0.5, width=sides[0], height=sides[1])
+    with pytest.raises(ViewError, match="a width or height must be a whole number"):
+        file.pixels(width=0)
 
 
 @pytest.mark.parametrize("scale", [0, -1, 1 / 65, 64.1, float("nan"), float("inf")])

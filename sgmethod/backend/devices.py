@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import Backend
-from sgmethod.errors import SgError, packages_of
+from sgmethod.errors import SgError, extra
 
 
 def backend_on(device: object) -> Backend:
@@ -12,7 +12,7 @@ def backend_on(device: object) -> Backend:
     on tensors. Raises SgError for a device that is not there, or where torch is not installed."""
     if device is None or str(device) == "cpu":
         return Kernels()
-    with packages_of("torch", "a device"):
+    with extra("torch"):
         from sgmethod.backend.tensors import Tensors
     try:
         return Tensors(str(device))

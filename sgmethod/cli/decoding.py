@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 
 from sgmethod.cli import files, naming
@@ -39,8 +39,8 @@ def run_decode(arguments: argparse.Namespace) -> int:
 def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     """Read, decode, write."""
     file = SgFile(files.read(conversion.source))
-    view = _sized(_view(arguments), arguments, file)
-    pixels = file.pixels(view.scale, view.region, view.prefix, view.texture)
+    sides = {"width": arguments.width, "height": arguments.height}
+    pixels = file.pixels(**asdict(_view(arguments)), **sides)
     kind = _kind(conversion.target)
     notes = []
     if pixels.shape[2] == 4 and kind in OPAQUE:
@@ -64,11 +64,3 @@ def _view(arguments: argparse.Namespace) -> View:
     """The view without --width and --height. Raises ViewError."""
     scale = 1.0 if arguments.scale is None else arguments.scale
     return View(scale, arguments.region, arguments.prefix, not arguments.no_texture)
-
-
-def _sized(view: View, arguments: argparse.Namespace, file: SgFile) -> View:
-    """The largest view that fits --width and --height. Raises ViewError."""
-    _, _, *part = view.area(*file.size)
-    wanted = (arguments.width, arguments.height)
-    scales = [side / whole for side, whole in zip(wanted, part, strict=True) if side is not None]
-    return replace(view, scale=min(scales)) if scales else view

@@ -39,9 +39,13 @@ def run_encode(arguments: argparse.Namespace) -> int:
     budget = _only_budget(arguments)
     if budget.kind == "quality" and not arguments.quiet:
         files.print_lines("note", "--quality", [OLD_QUALITY])
+    if arguments.server is not None:
+        if arguments.seed != 0:
+            raise CommandError("--seed cannot be combined with --server")
+        _client_for(arguments)  # or every picture would be refused
+    elif arguments.profile != "rd":
+        import_module("sgmethod.paper")  # or every picture would be refused for want of its packages
     if arguments.output_dir is not None:
-        if arguments.server is None and arguments.profile != "rd":
-            import_module("sgmethod.paper")  # without its packages, no picture would succeed
         options = {"budget": budget, **_choices(arguments)}
         options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
         with Manifest(arguments.output_dir, options) as manifest:
@@ -119,23 +123,22 @@ def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, sh
 
 
 def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
-    if arguments.seed != 0:
-        raise CommandError("--seed cannot be combined with --server")
-    several = arguments.output_dir is not None
-    client = _client(arguments.server, arguments.quiet, MANY_PATIENCE_S if several else PATIENCE_S)
-    priority: Priority = "bulk" if several else "interactive"
-    choices = _choices(arguments)
-    encoded = client.encode(image, budget, arguments.profile, **choices, priority=priority, on_progress=show)
+    priority: Priority = "interactive" if arguments.output_dir is None else "bulk"
+    encode, choices = _client_for(arguments).encode, _choices(arguments)
+    encoded = encode(image, budget, arguments.profile, **choices, priority=priority, on_progress=show)
     return encoded.data, encoded.figures, encoded.trace, encoded.notes
+
+
+def _client_for(arguments: argparse.Namespace) -> Client:
+    """Raises SgError."""
+    patience_s = PATIENCE_S if arguments.output_dir is None else MANY_PATIENCE_S
+    return _client(arguments.server, arguments.quiet, patience_s)
 
 
 @cache
 def _client(server: str, quiet: bool, patience_s: float) -> Client:
     """One client for all pictures: once answered, it can tell a restarting server from a wrong address."""
-    try:
-        from sgmethod.client import Client
-    except ImportError as error:
-        raise CommandError(f"--server needs an extra package ({error}): pip install 'sgmethod[client]'") from error
+    from sgmethod.client import Client
 
     def say(message: str) -> None:
         if not quiet:

@@ -87,9 +87,12 @@ def output(path: str) -> str:
 
 
 def listed(folder: str) -> list[Path]:
-    """The contents of a folder, by name. Raises CommandError."""
+    """The files of a folder, by name, and links that lead nowhere. Raises CommandError.
+
+    To open a pipe would wait for its writer for ever.
+    """
     with _saying("read", folder):
-        return sorted(Path(folder).iterdir())
+        return sorted(path for path in Path(folder).iterdir() if path.is_file() or not path.exists())
 
 
 def name_of(path: str, stream: str = "standard input") -> str:

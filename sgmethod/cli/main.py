@@ -25,9 +25,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     began = time.perf_counter()  # all that takes long is imported later
     ends_here = argv is None  # and not in somebody's process
     argv = sys.argv[1:] if argv is None else argv
-    if argv[:1] not in (["encode"], ["preview"]):
-        # Threads for numpy's linear algebra, of which only encodes have much, take a third of a short command's time.
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Threads for numpy's linear algebra, of which only encodes have much, take a third of a short command's time.
+    threads = os.environ.get("SG_THREADS") if {"encode", "preview"}.intersection(argv[:1]) else "1"
+    if threads:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", threads)
     from sgmethod.cli.arguments import parse
     from sgmethod.cli.files import CommandError
 

@@ -97,7 +97,7 @@ def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callabl
 
 
 def files_of(name: str, known: set[str]) -> Iterator[str]:
-    """The file itself; for a folder, its files with a known extension, without hidden ones, by name."""
+    """The name itself; for a folder, its files with a known extension, without hidden ones, by name."""
     if not Path(name).is_dir():
         yield name
         return

@@ -13,7 +13,7 @@ from typing import Any
 from sgmethod.cli import files
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
-from sgmethod.errors import packages_of
+from sgmethod.errors import extra
 
 KINDS = {".svg": "svg", ".png": "png", ".pdf": "pdf"}
 SIZE_IN, DPI = (7.2, 5.0), 120
@@ -56,9 +56,12 @@ def _points(data: bytes, name: str) -> list[Point]:
 
 def _drawn(points: list[Point], kind: str) -> bytes:
     """PSNR above, size and Gaussians below, against time; dashes tell phases apart without colour."""
-    with packages_of("plot", "plot"):
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
+    try:
+        with extra("plot"):
+            import matplotlib as mpl
+            from matplotlib.figure import Figure
+    except ValueError as error:
+        raise CommandError(f"MPLBACKEND is not a backend of Matplotlib: {error}") from error
     style = {"svg.hashsalt": "sgmethod", "axes.grid": True, "grid.color": "0.9", "font.size": 9}
     with mpl.rc_context(style):
         figure = Figure(figsize=SIZE_IN, dpi=DPI, layout="constrained")

@@ -176,7 +176,7 @@ class Client:
                         raise ServerError(data["error"]["detail"])
                     if name == "removed":
                         raise ServerError("the job was removed before it was done")
-            except httpx.TransportError as error:
+            except httpx.RequestError as error:
                 why = self._connection.out_of_reach(error)
             except RefusedError as refusal:
                 if refusal.again_s is None:

@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 from httpx_sse import EventSource
 
+from sgmethod.client.environment import check_host, http_client
 from sgmethod.errors import ServerError
 
 Json = dict[str, Any]
@@ -18,6 +19,7 @@ Say = Callable[[str], None]
 AGAIN = frozenset({429, 502, 503, 504})  # the server is busy, or restarting behind its proxy
 PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 SILENCE_S = 60.0  # the server sends a sign of life every 15 s
+WHERE_THE_KEY_IS = "set SG_API_KEY for the command line, or api_key of a Client"
 PASSING = (httpx.TimeoutException, httpx.NetworkError, httpx.RemoteProtocolError)
 
 log = logging.getLogger("sgmethod.client")
@@ -59,7 +61,7 @@ class Connection:
 
     def __init__(self, server: str, api_key: str | None, patience_s: float, on_retry: Say) -> None:
         if api_key and not (api_key.isascii() and api_key.isprintable()):
-            raise ServerError("the API key contains a line break or another invalid character")
+            raise ServerError(f"the API key contains a line break or another invalid character: {WHERE_THE_KEY_IS}")
         headers = {"Authorization": f"Bearer {api_key}"} if api_key else {}
         self._server, self._patience_s, self._on_retry = server, patience_s, on_retry
         self._has_answered = False
@@ -67,9 +69,10 @@ class Connection:
             url = httpx.URL(server)
             if url.scheme not in ("http", "https") or not url.host:
                 raise ServerError(f"the server's address must begin with http:// or https://, got {server!r}")
-            self._http = httpx.Client(base_url=url, headers=headers, timeout=SILENCE_S)
-        except (httpx.InvalidURL, UnicodeError) as error:
+            check_host(url)
+        except (httpx.InvalidURL, ValueError) as error:
             raise ServerError(f"{server!r} is not a valid address: {error}") from error
+        self._http = http_client(url, headers, SILENCE_S)
 
     def close(self) -> None:
         """Close the connections."""
@@ -85,7 +88,7 @@ class Connection:
         while True:
             try:
                 answer = self._http.request(method, path, **request)
-            except httpx.TransportError as error:
+            except httpx.RequestError as error:
                 patience.pause(self.out_of_reach(error))
                 continue
             self._has_answered = True
@@ -105,7 +108,7 @@ class Connection:
         return found
 
     def events(self, job_id: str) -> Iterator[tuple[str, Json]]:
-        """Names and data of the job's events until the stream ends. Raises RefusedError, httpx.TransportError."""
+        """Names and data of the job's events until the stream ends. Raises RefusedError, httpx.RequestError."""
         with self._http.stream("GET", f"/jobs/{job_id}/events") as answer:
             self._has_answered = True
             if not answer.is_success:
@@ -114,7 +117,7 @@ class Connection:
             for event in EventSource(answer).iter_sse():
                 yield event.event, event.json()
 
-    def out_of_reach(self, error: httpx.TransportError) -> ServerError:
+    def out_of_reach(self, error: httpx.RequestError) -> ServerError:
         """The error to report if it may pass; raised at once if it will not."""
         said = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
         if "CERTIFICATE_VERIFY_FAILED" in str(error):
@@ -128,10 +131,11 @@ class Connection:
 
 def _refusal(answer: httpx.Response) -> RefusedError:
     again_s = _retry_after_s(answer.headers) if answer.status_code in AGAIN else None
+    hint = f"; {WHERE_THE_KEY_IS}" if answer.status_code == httpx.codes.UNAUTHORIZED else ""
     with suppress(ValueError, KeyError, TypeError):
         problem = answer.json()
-        return RefusedError(f"the server refused: {problem['detail']}", problem, again_s)
-    return RefusedError(f"the server answered with status {answer.status_code}", {}, again_s)
+        return RefusedError(f"the server refused: {problem['detail']}{hint}", problem, again_s)
+    return RefusedError(f"the server answered with status {answer.status_code}{hint}", {}, again_s)
 
 
 def _retry_after_s(headers: Mapping[str, str]) -> float:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sgmethod.errors import GaussiansError
-from sgmethod.scene import FloatArray, Gaussians
+from sgmethod.scene import Gaussians
+
+Number = TypeVar("Number", np.float32, np.float64)
 
 
 def own_gaussians(gaussians: Gaussians) -> Gaussians:
@@ -18,7 +21,7 @@ def own_gaussians(gaussians: Gaussians) -> Gaussians:
     """
     if not isinstance(gaussians, Gaussians):
         raise GaussiansError(f"Gaussians must be a sgmethod.Gaussians, not {type(gaussians).__name__}")
-    own = Gaussians(*(_array(values) for values in gaussians.arrays))
+    own = Gaussians(*(own_array(values, np.float32) for values in gaussians.arrays))
     shapes, n = [values.shape for values in own.arrays], len(own.means) if own.means.ndim else 0
     if shapes != [(n, 2), (n, 3), (n, 3)]:
         raise GaussiansError(f"means [N, 2], factors [N, 3] and colours [N, 3] are needed, not {shapes}")
@@ -31,10 +34,11 @@ def own_gaussians(gaussians: Gaussians) -> Gaussians:
     return own
 
 
-def _array(values: Any) -> FloatArray:
+def own_array(values: Any, kind: type[Number]) -> NDArray[Number]:
+    """C-contiguous, of numpy's arrays, a tensor of any device, or nested lists. Raises GaussiansError."""
     if hasattr(values, "detach"):  # a tensor
         values = values.detach().cpu()
     try:
-        return np.ascontiguousarray(values, np.float32)
+        return np.ascontiguousarray(values, kind)
     except (TypeError, ValueError) as error:
         raise GaussiansError(f"{type(values).__name__} is no array of numbers") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM, is_upright
 from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.budget import Budget, own_number, whole
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
-from sgmethod.exchange.arrays import own_gaussians
+from sgmethod.exchange.arrays import own_array, own_gaussians
 from sgmethod.fitting.level import target_of
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.native import native
@@ -32,7 +33,7 @@ def pack(
     *,
     bpp: float | None = None,
     quantum: float | None = None,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    background: Any = (0.0, 0.0, 0.0),
     image: Input | None = None,
 ) -> bytes:
     """The .sg file of Gaussians over a picture of width x height pixels.
@@ -46,7 +47,7 @@ def pack(
     sgmethod.torch.render() draws them. Those that round to nothing, and those that no pixel sees, are left out.
     bpp: bits per pixel of the file, at most; quantum: how coarsely everything is rounded, 2^-10 to 16, where encode()
     takes about 0.15 at 0.25 bpp; one of the two.
-    background: red, green and blue, 1 being full white; rounded to 8 bits.
+    background: red, green and blue, 1 being full white, as a sequence, an array or a tensor; rounded to 8 bits.
     image: the picture, as encode() takes it. Rounded values are then refined one Gaussian at a time to be closer to it.
 
     Raises GaussiansError for what no file can hold, BudgetError, and ImageError for a picture of another size.
@@ -146,13 +147,12 @@ def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
     return gaussians.rows(np.flatnonzero(inside.all(1)))
 
 
-def _levels(background: tuple[float, float, float]) -> tuple[int, int, int]:
+def _levels(background: Any) -> tuple[int, int, int]:
     """8-bit levels of a background of parts of white."""
-    numbers = [own_number(value) for value in background] if isinstance(background, tuple | list) else []
-    parts = [value for value in numbers if value is not None and 0 <= value <= 1]
-    if len(numbers) != 3 or len(parts) != 3:
+    parts = own_array(background, np.float64)
+    if parts.shape != (3,) or not ((parts >= 0) & (parts <= 1)).all():
         raise GaussiansError(f"a background is three numbers from 0 to 1, not {background!r}")
-    red, green, blue = (round(255 * part) for part in parts)
+    red, green, blue = (round(255 * part) for part in parts.tolist())
     return red, green, blue
 
 

@@ -49,6 +49,9 @@ class MovingTarget:
     def hide(self, grain: Target) -> None:
         """Take this much off the target from now on, [3, H, W]."""
 
+    def show_all(self) -> None:
+        """Put back what was hidden, for good."""
+
 
 class AheadForTheEye(MovingTarget):
     """Runs ahead of recent coarse errors, and exaggerates detail that the picture follows badly, less the grain that is
@@ -80,6 +83,12 @@ class AheadForTheEye(MovingTarget):
         finest = self._original[1] - _enlarged(halved(self._original[1]), grain.shape[1:])
         hidden, whole = (_spread_nearby(plane) for plane in (grain[1], finest))
         self._kept = 1 - np.minimum(hidden / (whole + 1), 1)
+
+    def show_all(self) -> None:
+        """As MovingTarget.show_all."""
+        if self._grain is not None:
+            self.now += self._grain
+        self._grain, self._kept, self.hides = None, None, True
 
     def follow(self, error: Rows) -> None:
         """As MovingTarget.follow."""

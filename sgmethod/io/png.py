@@ -17,11 +17,13 @@ import struct
 import threading
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.io.chunks import PNG_MAGIC
+from sgmethod.native import native
 
 FILTER_UP = 2  # PNG specification, 9.2: each byte less the one above it
 SRGB = b"\0"  # 11.3.2.5: the intent, perceptual
@@ -36,7 +38,7 @@ Compress = Callable[[memoryview], bytes]
 
 
 def zlib_compress(data: memoryview) -> bytes:
-    """Deflate that every Python has, on two threads: the halves make one stream (RFC 1950, 1951)."""
+    """Deflate that every Python has, on two threads if it may: the halves make one stream (RFC 1950, 1951)."""
     rows = data.cast("B")
     middle = len(rows) // 2
     first: list[bytes] = []
@@ -46,12 +48,17 @@ def zlib_compress(data: memoryview) -> bytes:
         first.append(compressor.compress(rows[:middle]) + compressor.flush(zlib.Z_SYNC_FLUSH))
 
     thread = threading.Thread(target=compress_first)
-    thread.start()
+    with suppress(RuntimeError):  # where the system allows no more threads
+        if native.thread_count() > 1:
+            thread.start()
     before = rows[max(0, middle - WINDOW_BYTES) : middle]  # which the second half may refer to
     compressor = zlib.compressobj(ZLIB_LEVEL, wbits=WITHOUT_HEADER, zdict=before)
     second = compressor.compress(rows[middle:]) + compressor.flush()
     checksum = zlib.adler32(rows)
-    thread.join()
+    if thread.ident is None:
+        compress_first()
+    else:
+        thread.join()
     return ZLIB_HEADER + first[0] + second + struct.pack(">I", checksum)
 
 

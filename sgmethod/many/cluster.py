@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Iterable
 from itertools import islice
 from typing import Any, TypeVar
 
-from sgmethod.errors import packages_of
+from sgmethod.errors import extra
 
 TRIES = 3
 Item = TypeVar("Item")
@@ -21,8 +21,8 @@ def in_ray(
     function: Callable[[Item], Result], items: Iterable[Item], ahead: int
 ) -> Generator[tuple[Item, Result | None], None, None]:
     """Each item with its result, as they finish, with at most `ahead` under way, each on one core; None where its
-    process was killed three times, by Ray itself too where memory is short. Raises MissingExtraError without Ray."""
-    with packages_of("ray", 'engine="ray"'):
+    process was killed three times, by Ray itself too where memory is short. Raises MissingPackageError."""
+    with extra("ray"):
         import ray
     killed = ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError, ray.exceptions.OutOfMemoryError
     remote = ray.remote(num_cpus=1, max_retries=0)(_on_one_core)  # Ray itself would retry for ever without memory

@@ -66,7 +66,8 @@ class Manifest:
         end = 0
         with self._saying(), self._path.open("rb") as lines:
             for number, line in enumerate(lines, 1):
-                if not line.startswith(BEGINNING[: len(line)]):
+                written = line.rstrip(b"\0")  # a power cut leaves NULs where the disk has not got the line
+                if not written.startswith(BEGINNING[: len(written)]):
                     raise SgError(f"{self._path} is not a manifest of sgmethod (line {number}): move it away")
                 if not line.endswith(b"\n"):
                     self._file.truncate(end)  # its writer was killed

@@ -15,10 +15,19 @@ from multiprocessing import active_children, get_context, parent_process
 from threading import Thread, current_thread, main_thread
 from typing import TYPE_CHECKING, TypeVar
 
+from sgmethod.errors import SgError
+
 if TYPE_CHECKING:
     from multiprocessing.process import BaseProcess
+    from multiprocessing.synchronize import Event
 
 KILLED = "its process was killed, perhaps for want of memory"
+NONE_BEGINS = (
+    "no process for a job can begin: a script that asks for several must be a file, and do so under "
+    """`if __name__ == "__main__":`; what the processes said is on stderr"""
+)
+
+CONTEXT = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -31,27 +40,29 @@ def in_processes(
     """Each item with its result, as they finish; None for an item whose process was killed twice, the second time
     alone.
 
-    Function, items and results are pickled. Few items are taken ahead, so there may be any number.
+    Function, items and results are pickled. Few items are taken ahead, so there may be any number. Raises SgError if
+    no process can begin, or the system allows no more.
     """
-    waiting = iter(items)
-    while lost := (yield from _until_killed(function, waiting, processes, 2 * processes)):
+    waiting, begun = iter(items), CONTEXT.Event()
+    while lost := (yield from _until_killed(function, waiting, processes, 2 * processes, begun)):
+        if not begun.is_set():
+            raise SgError(NONE_BEGINS)
         # One of them ended its process, and with it the pool. Each is tried again alone.
         suspects = iter(lost)
-        while killed := (yield from _until_killed(function, suspects, 1, 1)):
+        while killed := (yield from _until_killed(function, suspects, 1, 1, begun)):
             yield killed[0], None
 
 
 def _until_killed(
-    function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int
+    function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int, begun: Event
 ) -> Finished[Item, Result]:
     """Yield items with their results. Returns those under way when a process was killed, or none at the end."""
     from sgmethod.native import native
 
     threads = max(native.thread_count() // processes, 1)
-    context = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads
     running: dict[Future[Result], Item] = {}
     lost: list[Item] = []
-    with ProcessPoolExecutor(processes, context, _begin, (threads,)) as pool:
+    with ProcessPoolExecutor(processes, CONTEXT, _begin, (threads, begun)) as pool:
         try:
             while True:
                 while not lost and len(running) < ahead:
@@ -64,6 +75,8 @@ def _until_killed(
                             running[pool.submit(function, item)] = item
                     except BrokenProcessPool:
                         lost.append(item)
+                    except (OSError, RuntimeError) as error:  # of the system's limits
+                        raise SgError(f"no further process can begin: {error}") from error
                 if not running:
                     return lost
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -94,7 +107,7 @@ def _uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _begin(threads: int) -> None:
+def _begin(threads: int, begun: Event) -> None:
     """Set up a process: it ends with its parent, ignores Ctrl-C, and has this number of threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows lets nothing be inherited
     parent = parent_process()
@@ -104,6 +117,7 @@ def _begin(threads: int) -> None:
     from sgmethod.native import native
 
     native.set_thread_count(threads)
+    begun.set()
 
 
 def _end_with(parent: BaseProcess) -> None:

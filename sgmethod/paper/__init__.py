@@ -4,8 +4,8 @@ A request comes in: a picture and what the file may spend.
 The bytes of a version 1 file leave, after a structure-guided start, a fit and quantisation-aware tuning.
 """
 
-from sgmethod.errors import packages_of
+from sgmethod.errors import extra
 
-with packages_of("torch", "profiles paper and baseline"):
+with extra("torch"):
     import skimage  # noqa: F401
     import torch  # noqa: F401

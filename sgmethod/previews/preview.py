@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from html import escape
+from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
@@ -99,5 +101,5 @@ def average_of(pixels: Pixels) -> tuple[int, int, int]:
 
 
 def quoted(path: str) -> str:
-    """A path as the URL of a file beside the page."""
-    return quote(path.replace("\\", "/"), safe="/:~")
+    """A path as the URL of a file beside the page; the name need not be valid text."""
+    return quote(os.fsencode(Path(path).as_posix()))  # and ":", or "12:30.png" would be a URL of scheme "12"

@@ -8,9 +8,9 @@ fit        move all of them together, under the price of their bits             
 settle     drop Gaussians beyond the number that the budget allows               densify.py
 search     quantise and refine with several quanta, keep the best file           search.py, quantise.py
 
-The schedule is a first run and rounds: as many as the effort has and time allows, and two more while a PSNR is missed.
-In a round more Gaussians than can stay are added and fitted, and those that gain least go. Alpha is two requests,
-composed in alpha.py.
+The schedule is a first run and rounds: as many as the effort has and time allows, and while looks or a PSNR are missed
+one more, or two. In a round more Gaussians than can stay are added and fitted, and those that gain least go. Alpha is
+two requests, composed in alpha.py.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from sgmethod.rd.plan import planned
 from sgmethod.rd.rate_control import Coded, Selection
 from sgmethod.rd.request import Request, stages
 from sgmethod.rd.search import search
-from sgmethod.rd.steer import steer
+from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
 
 
@@ -47,8 +47,10 @@ def encode(request: Request) -> tuple[StreamV5, int]:
         state = settle(plan, state, plan.times(number))
         if number in rounds or number > rounds[-1]:
             files[number] = search(plan, state, number)
-        if number >= rounds[-1] and not selection.is_missed(files.values()):
-            break
+        if number >= rounds[-1]:
+            if not selection.is_missed(files.values()):
+                break
+            state = once_more(plan, state, files.values())
     if number not in files:
         files[number] = search(plan, state, number)
     return selection.best(files.values()).stream, state.steps

@@ -199,6 +199,11 @@ class RateControl:
                 return quantum
         return quantum if ratio == 1.0 else quantum * min(max(ratio, 1 / limit), limit)
 
+    def finer(self, quantum: float, reached: float) -> float:
+        """The quantum that a further round begins with, where files have reached this much of aim_db and no more."""
+        s = self.settings.rate
+        return quantum * max(2 ** ((reached - (self.aim_db or reached)) / s.db_per_doubling), 1 / s.looks_limit)
+
     @property
     def further_rounds(self) -> int:
         """Beyond those of the effort, while what is asked for is missed."""
@@ -302,7 +307,8 @@ class Selection:
         return -coded.error - 8 * error_per_bit(self.rate.quantum) * coded.size, -coded.size
 
     def reachable(self, tried: Sequence[Coded]) -> float | None:
-        """What to aim at, in dB: a little less than the best so far where a finer quantum hardly helps any more."""
+        """What to aim at, in dB: the best so far, or a PSNR a little below it, where a finer quantum hardly helps any
+        more."""
         s, reached = self.rate.settings.rate, self.rate.reached
         if self.rate.aim_db is None or len(tried) < 2:
             return self.rate.aim_db
@@ -313,7 +319,7 @@ class Selection:
         octaves = math.log2(finer.stream.quantum / finest.stream.quantum)
         if reached(finest) - reached(finer) >= s.least_gain * s.db_per_doubling * octaves:
             return self.rate.aim_db
-        return best - s.missed_db
+        return best if self.rate.by_looks else best - s.missed_db
 
     def _nearer(self, tried: Sequence[Coded]) -> float | None:
         """Where the line through the two tries nearest to what is asked for meets it, or a little above."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 
@@ -9,7 +10,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.decoder import draw_whole
 from sgmethod.rd.quantise import exact_psnr, rounded_psnr
-from sgmethod.rd.rate_control import looks_db
+from sgmethod.rd.rate_control import Coded, looks_db
 from sgmethod.rd.request import Plan, Stage, State
 from sgmethod.trace import shown_to_nobody
 
@@ -34,3 +35,16 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
 
     quantum = request.rate.steered(state.quantum, stage.times, stage.at, size, reached, lost)
     return replace(state, size=size, quantum=StreamV5.coded_quantum(quantum, request.rate.is_short))
+
+
+def once_more(plan: Plan, state: State, files: Iterable[Coded]) -> State:
+    """The state for a further round, where files miss what was asked for.
+
+    Looks count grain, and a file that aims at them has no texture in its place: growth is shown what was hidden, at a
+    quantum that is finer by as much as is missing.
+    """
+    rate = plan.request.rate
+    if not rate.by_looks:
+        return state
+    state.target.show_all()
+    return replace(state, quantum=rate.finer(state.quantum, max(map(rate.reached, files))))

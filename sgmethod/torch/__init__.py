@@ -9,13 +9,11 @@ tensors or as Gaussians. drawing.py has the renderer, files.py .sg files as tens
 
 from __future__ import annotations
 
-from sgmethod.errors import packages_of
+from sgmethod.errors import extra
 
-with packages_of("torch", "sgmethod.torch"):
-    import torch  # noqa: F401
-
-from sgmethod.torch.checkpoints import read_gaussianimage, read_image_gs
-from sgmethod.torch.drawing import render
-from sgmethod.torch.files import SgDataset, decode, gaussians
+with extra("torch"):
+    from sgmethod.torch.checkpoints import read_gaussianimage, read_image_gs
+    from sgmethod.torch.drawing import render
+    from sgmethod.torch.files import SgDataset, decode, gaussians
 
 __all__ = ["SgDataset", "decode", "gaussians", "read_gaussianimage", "read_image_gs", "render"]

@@ -24,7 +24,7 @@ from PIL import Image
 import sgmethod
 from sgmethod import codec, decode, info
 from sgmethod.budget import BUDGET_KINDS, Budget
-from sgmethod.cli import arguments, decoding, encoding, files, terminal
+from sgmethod.cli import arguments, decoding, files, terminal
 from sgmethod.cli import main as cli
 from sgmethod.io.image import read_image
 from sgmethod.metrics import psnr
@@ -394,7 +394,7 @@ def test_what_cannot_be_written_is_known_before_the_work(
 
     Path("folder").mkdir()
     Path("folder.sg").mkdir()
-    monkeypatch.setattr(encoding, "_load_encoder", work)
+    monkeypatch.setattr(codec, "encode", work)
     monkeypatch.setattr(decoding, "SgFile", work)
     assert_refused(run(*shlex.split(line)), why)
     assert Path("photo.png").read_bytes().startswith(b"\x89PNG")

@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from sgmethod import Budget, codec, decode
+from sgmethod.cli import naming
 from sgmethod.cli.terminal import remaining
 from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, rest_of, run, start, terminal_pair
 
@@ -53,11 +54,14 @@ def test_many_files_are_decoded(run: Run) -> None:
 
 
 def test_folders(run: Run) -> None:
-    """Their pictures, by suffix; nothing hidden, nothing deeper, nothing else."""
+    """Their pictures, by suffix; nothing hidden, nothing deeper, nothing else. A pipe would be waited for."""
     Path("photos/deeper").mkdir(parents=True)
+    Path("photos/folder.png").mkdir()
+    os.mkfifo("photos/pipe.png")
     for name in ("photos/b.JPG", "photos/a.png", "photos/deeper/c.png", "photos/.d.png"):
         PHOTO.save(name)
     Path("photos/notes.txt").write_text("hello")
+    assert list(naming.files_of("photos", naming.PICTURES)) == ["photos/a.png", "photos/b.JPG"]
     ran = run("encode", "photos", "photo.png", "--output-dir", "out", "--gaussians", "9")
     assert (ran.status, ran.err) == (0, "")
     assert [line.partition(":")[0] for line in ran.out.splitlines()] == [
@@ -263,8 +267,13 @@ def test_a_number_of_threads_that_there_is_not(run: Run, monkeypatch: pytest.Mon
 
 @pytest.mark.parametrize("text", ["", "1", "256"])
 def test_a_number_of_threads(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    """For numpy's linear algebra too, of which info has none."""
     monkeypatch.setenv("SG_THREADS", text)
-    assert run("info", GOLDEN).status == 0
+    for command, linear in ((["encode", "--help"], text or None), (["info", GOLDEN], "1")):
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", "")
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+        assert run(*command).status == 0
+        assert os.environ.get("OPENBLAS_NUM_THREADS") == linear
 
 
 def test_seconds_are_those_that_somebody_waits(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -79,3 +82,12 @@ def test_without_matplotlib(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert cli.main(["plot", "fit.json", "fit.svg"]) == 2
     assert "pip install 'sgmethod[plot]'" in capsys.readouterr().err
+
+
+def test_a_backend_that_is_none() -> None:
+    """The window system of the user is not asked for, but Matplotlib checks its name."""
+    command = [sys.executable, "-m", "sgmethod", "plot", "fit.json", "fit.svg"]
+    environment = {**os.environ, "MPLBACKEND": "none"}
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert ran.returncode == 2
+    assert re.fullmatch(r"sgmethod: MPLBACKEND is not a backend of Matplotlib: .*\n", ran.stderr)

@@ -35,6 +35,7 @@ from tests.cli.test_cli import (
     start_interruptible,
     terminal_pair,
 )
+from tests.many.killing import begun_and_killed
 
 __all__ = ["in_folder", "run"]  # fixtures
 
@@ -188,7 +189,7 @@ def test_several_pictures(run: Run, jobs: str) -> None:
 
 
 def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "_begin", os.abort)
+    monkeypatch.setattr(processes, "_begin", begun_and_killed)
     for name in ("one.png", "two.png"):
         PHOTO.save(name)
     ran = run("encode", "one.png", "two.png", "--output-dir", "out", "--jobs", "2")

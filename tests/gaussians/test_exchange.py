@@ -47,6 +47,8 @@ def test_out_of_a_file_and_back(name: str) -> None:
     found = file.gaussians()
     data = sgmethod.pack(found, *file.size, quantum=file.info.quantum, background=file.background)
     assert sgmethod.info(data).background == file.info.background
+    for background in (np.array(file.background), torch.tensor(file.background, requires_grad=True)):
+        assert sgmethod.pack(found, *file.size, quantum=file.info.quantum, background=background) == data
     again = sgmethod.open(data).gaussians()
     assert len(found) == file.info.gaussians
     found = seen(found, file.size)
@@ -139,6 +141,8 @@ def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1,
             "more than a file of 4 x 4 pixels can hold",
         ),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background=(0, 2, 0)), GaussiansError, "three numbers from 0 to 1"),
+        (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background=0.5), GaussiansError, "three numbers from 0 to 1"),
+        (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background="red"), GaussiansError, "no array of numbers"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, image=PIXELS), ImageError, "has 128 x 96 pixels"),
         (lambda: sgmethod.pack(one(), *SIZE), BudgetError, "one of bpp and quantum"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, quantum=1), BudgetError, "one of bpp and quantum"),

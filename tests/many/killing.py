@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,12 @@ def doubled(item: int) -> int:
     if item < 0:
         os.kill(os.getpid(), signal.SIGKILL)
     return 2 * item
+
+
+def begun_and_killed(_threads: int, begun: Event) -> None:
+    """Begin a process, and end it."""
+    begun.set()
+    os.abort()
 
 
 def killed_once(folder: Path, item: int) -> int:

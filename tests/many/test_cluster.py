@@ -109,5 +109,5 @@ def test_engines_that_are_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(SgError, match='the engine must be "local" or "ray", got \'dask\''):
         encode_many([], tmp_path, engine="dask")
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(SgError, match="needs an extra package"):
+    with pytest.raises(SgError, match="an extra package is needed"):
         encode_many([], tmp_path, engine="ray")

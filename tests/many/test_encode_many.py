@@ -150,13 +150,13 @@ def test_an_unknown_option_ends_the_run() -> None:
 # --- the manifest
 
 
-@pytest.mark.parametrize("cut", [1, 9, 100, -1])
-def test_a_line_that_was_cut_off(cut: int) -> None:
-    """By a kill in the middle of a write: its picture is encoded again, the others are not."""
+@pytest.mark.parametrize(("cut", "nuls"), [(1, 0), (9, 0), (100, 0), (-1, 0), (0, 4096), (100, 9)])
+def test_a_line_that_was_cut_off(cut: int, nuls: int) -> None:
+    """By a kill in the middle of a write, or by a power cut: its picture is encoded again, the others are not."""
     many()
     path = Path("out/manifest.jsonl")
     before, lines = rows(), path.read_bytes().splitlines(keepends=True)
-    path.write_bytes(b"".join(lines[:2]) + lines[2][:cut])
+    path.write_bytes(b"".join(lines[:2]) + lines[2][:cut] + bytes(nuls))
     assert counts(many(resume=True)) == (1, 2, 0)
     for row in (before[2], after := rows()[2]):
         row["figures"].pop("seconds")

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import closing
 from functools import partial
 from multiprocessing import active_children
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+from sgmethod import SgError
+from sgmethod.many import processes
 from sgmethod.many.processes import in_processes
 from tests.many.killing import doubled, killed_once
 
@@ -43,6 +47,20 @@ def test_items_are_taken_as_they_are_needed() -> None:
     for child in active_children():
         child.join(10)
     assert active_children() == []
+
+
+def test_processes_that_end_before_they_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As those of a script that is no file, or without a guard."""
+    monkeypatch.setattr(processes, "_begin", os.abort)
+    with pytest.raises(SgError, match="must be a file"):
+        list(in_processes(doubled, [1, 2], 2))
+
+
+@pytest.mark.parametrize("error", [RuntimeError("can't start new thread"), BlockingIOError(11, "unavailable")])
+def test_a_system_that_allows_no_more_processes(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    monkeypatch.setattr(processes.ProcessPoolExecutor, "submit", Mock(side_effect=error))
+    with pytest.raises(SgError, match="no further process can begin: "):
+        list(in_processes(doubled, [1], 1))
 
 
 def test_errors_are_raised() -> None:

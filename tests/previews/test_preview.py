@@ -6,6 +6,7 @@ import base64
 import doctest
 import io
 import json
+import os
 import warnings
 from html.parser import HTMLParser
 from pathlib import Path
@@ -175,6 +176,7 @@ def test_dictionary_and_names(made: Preview) -> None:
     facts = json.loads(json.dumps(made.to_dict()))
     assert list(facts) == ["text", "width", "height", "color", "dark"]
     assert quoted("a b/ü#1?.jpg") == "a%20b/%C3%BC%231%3F.jpg"
+    assert quoted(os.fsdecode(b"\xe9-12:30\\.png")) == "%E9-12%3A30%5C.png"  # no text, and no scheme
 
 
 def test_average_of_what_cannot_be_seen() -> None:

@@ -7,6 +7,7 @@ import io
 import ipaddress
 import json
 import os
+import re
 import socket
 import ssl
 import subprocess
@@ -176,6 +177,8 @@ def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> No
             Client(wrong)
     with pytest.raises(ServerError), Client("http://[") as client:
         client.job("0" * 32)
+    with pytest.raises(ServerError, match="is not a valid address"):
+        Client("http://two..dots")
     with socket.socket() as nobody:  # holds the port and does not listen
         nobody.bind(("127.0.0.1", 0))
         address = f"http://127.0.0.1:{nobody.getsockname()[1]}"
@@ -187,6 +190,34 @@ def test_what_cannot_pass_is_said_at_once(monkeypatch: pytest.MonkeyPatch) -> No
     for key in ("key\n", "schlüssel"):
         with pytest.raises(ServerError, match="the API key contains a line break"):
             Client("http://127.0.0.1:8000", key)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("HTTP_PROXY", "ftp://user:secret@host"),
+        ("https_proxy", "http://user:secret"),
+        ("ALL_PROXY", "socks5://user:secret@host:1080"),
+        ("HTTPS_PROXY", "http://secret..host"),
+        ("NO_PROXY", "localhost,[::1"),
+        ("SSL_CERT_FILE", "missing.pem"),
+        ("SSL_CERT_FILE", __file__),
+        ("SSL_CERT_DIR", "missing"),
+        ("SSLKEYLOGFILE", "missing/keys"),
+        ("SG_API_KEY", "secret\n"),
+    ],
+)
+def test_an_environment_that_cannot_be_used(
+    name: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One sentence that names the variable, however many pictures there are, and repeats no secret."""
+    monkeypatch.setenv(name, value)
+    monkeypatch.setitem(sys.modules, "socksio", None)
+    names = [str(tmp_path / f"{name}.png") for name in "ab"]
+    assert cli.main(["encode", *names, "--output-dir", str(tmp_path / "out"), "--server", "http://127.0.0.1:9"]) == 2
+    said = capfd.readouterr().err
+    assert re.fullmatch(rf"sgmethod: .*{name}.*\n", said)
+    assert "secret" not in said
 
 
 class Other(BaseHTTPRequestHandler):
@@ -394,7 +425,7 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
     assert trace["trace"]
 
     (tmp_path / "out.sg").unlink()
-    for refused, words in ((encode(key="wrong"), "unknown API key"), (encode("--seed", "1"), "--seed")):
+    for refused, words in ((encode(key="wrong"), "unknown API key; set SG_API_KEY"), (encode("--seed", "1"), "--seed")):
         assert refused.returncode == 2
         assert words in refused.stderr
         assert refused.stderr.count("\n") == 1
