@@ -69,6 +69,8 @@ examples:
   sgmethod preview photo.jpg
   sgmethod preview photo.jpg --bytes 400 --json    with width, height, average colour, and whether that is dark
   sgmethod preview photo.jpg --html                an <img> with the preview as its background
+  sgmethod preview photo.jpg --element --alt "A red door"
+                                                   an <sg-img>, and what the picture shows
   sgmethod preview photos --jobs 4 --json >previews.jsonl
   sgmethod preview photos --output-dir out --resume
                                                    out/NAME.sg, and all texts in out/manifest.jsonl""",
@@ -230,6 +232,7 @@ def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:
     form.add_argument("--json", action="store_true", help="print one JSON object per picture")
     form.add_argument("--html", action="store_true", help="print an <img> that needs no JavaScript")
     form.add_argument("--element", action="store_true", help="print an <sg-img>, which draws the preview itself")
+    parser.add_argument("--alt", metavar="TEXT", help="with --html or --element: what the picture shows")
     _add_run_arguments(parser)
     _add_common_arguments(parser)
     parser.set_defaults(output=None)

@@ -29,6 +29,8 @@ def run_preview(arguments: argparse.Namespace) -> int:
     Budget("bytes", arguments.bytes)  # or every picture would be refused
     if (arguments.html or arguments.element) and (STREAM in arguments.names or arguments.output_dir is not None):
         raise CommandError("--html and --element name each picture, and print: they take no - and no --output-dir")
+    if arguments.alt is not None and not (arguments.html or arguments.element):
+        raise CommandError("--alt needs --html or --element")
     if arguments.output_dir is not None:
         conversions = naming.into_folder(arguments, PICTURES, naming.sg_beside)
         files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
@@ -39,6 +41,8 @@ def run_preview(arguments: argparse.Namespace) -> int:
     listed = ([name] if name == STREAM else naming.files_of(name, PICTURES) for name in arguments.names)
     wanted = [Conversion(source, STREAM) for names in listed for source in names]
     if len(wanted) > 1:
+        if arguments.alt is not None:
+            raise CommandError(f"--alt describes one picture, and {len(wanted)} were given")
         with closing(outcomes(wanted, _preview, arguments)) as finished:
             return _print_each(finished, arguments)
     outcome = _preview(wanted[0], arguments)
@@ -83,9 +87,9 @@ def _said(made: Preview, conversion: Conversion, arguments: argparse.Namespace) 
     from sgmethod.previews.preview import quoted
 
     if arguments.html:
-        return made.html(quoted(conversion.source))
+        return made.html(quoted(conversion.source), arguments.alt or "")
     if arguments.element:
-        return made.element(quoted(conversion.source))
+        return made.element(quoted(conversion.source), arguments.alt or "")
     if conversion.target == STREAM:
         return made.text
     return f"{made.width} x {made.height} pixels, {len(made.data):,} bytes"

@@ -53,23 +53,27 @@ class Preview:
         return asdict(self)
 
     def html(self, src: str, alt: str = "") -> str:
-        """An <img> that shows the preview until the picture has loaded, without JavaScript: as a small WebP in its
-        style. A transparent picture, through which that would be seen, has none.
+        """An <img>, as wide as its container, that shows the preview until the picture has loaded, without JavaScript:
+        as a small WebP in its style. A transparent picture, through which that would be seen, has none.
 
         src: the picture's URL, already quoted; alt: its alternative text.
         """
-        style = f"background:{self.color} url({data_uri(self.data)}) center/cover"
-        shown = "" if SgFile(self.data).has_alpha else f' style="{style}"'
-        return f'<img {self._attributes(src, alt)} loading="lazy" decoding="async"{shown}>'
+        background = f";background:{self.color} url({data_uri(self.data)}) center/cover"
+        return self._img(src, alt, "width:100%;height:auto" + ("" if SgFile(self.data).has_alpha else background))
 
     def element(self, src: str, alt: str = "") -> str:
-        """An <sg-img>, which draws the preview itself and fits a strict content security policy. Without JavaScript,
-        the <img> within is shown alone. Arguments as in html()."""
-        image = f'<img {self._attributes(src, alt)} loading="lazy" decoding="async">'
-        return f'<sg-img preview="{self.text}">{image}</sg-img>'
+        """An <sg-img>, as wide as its container, which draws the preview over the <img> within. Without JavaScript,
+        that is shown alone. Arguments as in html().
 
-    def _attributes(self, src: str, alt: str) -> str:
-        return f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'
+        The styles reserve the space before the script has run. Where a content security policy forbids them, the two
+        rules in docs/previews.md do the same.
+        """
+        image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover")
+        return f'<sg-img preview="{self.text}" style="display:block">{image}</sg-img>'
+
+    def _img(self, src: str, alt: str, style: str) -> str:
+        known = f'src="{escape(src)}" alt="{escape(alt)}" width="{self.width}" height="{self.height}"'
+        return f'<img {known} loading="lazy" decoding="async" style="{style}">'
 
 
 def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | None = None) -> Preview:

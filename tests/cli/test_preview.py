@@ -50,6 +50,7 @@ def test_html(run: Run, option: str, tag: str) -> None:
     assert first.startswith(tag)
     assert '<img src="photos/1%20a.png" alt="" width="128" height="96"' in first
     assert '<img src="photo.png"' in second
+    assert 'alt="A &lt;door&gt;"' in run("preview", "photo.png", option, "--bytes", "60", "--alt", "A <door>").out
 
 
 @pytest.mark.usefixtures("pictures")
@@ -85,6 +86,9 @@ def test_a_folder_and_its_manifest(run: Run) -> None:
         ("photo.png --html --json", "not allowed with"),
         ("- --html", "take no -"),
         ("photo.png --element --output-dir out", "no --output-dir"),
+        ("photo.png --alt door", "--alt needs --html or --element"),
+        ("photo.png --alt door --output-dir out", "--alt needs --html or --element"),
+        ("photo.png photo.png --html --alt door", "--alt describes one picture, and 2 were given"),
         ("picture.sg", "an .sg file already"),
     ],
 )

@@ -7,6 +7,7 @@ import doctest
 import io
 import json
 import os
+import re
 import warnings
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,7 +24,7 @@ from sgmethod.previews import reducing
 from sgmethod.previews.preview import Preview, average_of, quoted
 from sgmethod.previews.reducing import reduced, reduced_size
 from sgmethod.profiles import PROFILES
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.data import PHOTOGRAPHS, ROOT
 from tests.rd.short import short
 
 PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
@@ -96,7 +97,7 @@ def test_transparency_is_kept() -> None:
     assert decoded[:, :third, 3].mean() > 200
     assert decoded[:, -third:, 3].mean() < 55
     assert made.color == "#c82828"
-    assert "style" not in made.html("a.png")
+    assert "background" not in made.html("a.png")
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP"])
@@ -156,7 +157,7 @@ def test_html(made: Preview) -> None:
     assert (attributes["src"], attributes["alt"]) == ('a"b.jpg', "<a> & b")
     assert (attributes["width"], attributes["height"], attributes["loading"]) == ("1200", "900", "lazy")
     style = attributes["style"] or ""
-    assert style.startswith(f"background:{made.color} url(data:image/webp;base64,")
+    assert style.startswith(f"width:100%;height:auto;background:{made.color} url(data:image/webp;base64,")
     picture = Image.open(io.BytesIO(base64.b64decode(style.split("base64,")[1].split(")")[0])))
     assert picture.size == (32, 24)
     assert len(style) < 600
@@ -165,10 +166,13 @@ def test_html(made: Preview) -> None:
 
 
 def test_element(made: Preview) -> None:
-    """As service/web/static/preview/sg-img.js takes it: with an <img> within, which readers without scripts get."""
+    """As service/web/static/preview/sg-img.js takes it: with an <img> within, which readers without scripts get, and
+    with the rules of docs/previews.md as styles."""
+    rules = re.findall(r"^(sg-img.*) { (.*); }$", (ROOT / "docs" / "previews.md").read_text(), re.M)
+    styles = {selector: rule.replace(": ", ":").replace("; ", ";") for selector, rule in rules}
     (outer, attributes), (inner, image) = Tags(made.element("a.jpg", "b")).tags
-    assert (outer, attributes) == ("sg-img", {"preview": made.text})
-    same = {"src": "a.jpg", "alt": "b", "width": "1200", "height": "900"}
+    assert (outer, attributes) == ("sg-img", {"preview": made.text, "style": styles["sg-img"]})
+    same = {"src": "a.jpg", "alt": "b", "width": "1200", "height": "900", "style": styles["sg-img img"]}
     assert (inner, image) == ("img", {**same, "loading": "lazy", "decoding": "async"})
 
 

@@ -1,7 +1,26 @@
 export * from "./preview.js";
 
-/** <sg-img>: attributes as of <img>, and `preview`, a text. Importing the module defines it. */
-export class SgImage extends HTMLElement {}
+type OfImg =
+  | "loading"
+  | "decoding"
+  | "fetchPriority"
+  | "crossOrigin"
+  | "referrerPolicy"
+  | "alt"
+  | "width"
+  | "height"
+  | "sizes"
+  | "srcset"
+  | "src";
+
+/** <sg-img>: draws a preview over the <img> within, or over one of its own, until that has loaded. Importing the module
+ * defines it. */
+export class SgImage extends HTMLElement {
+  /** What `sgmethod preview` prints. */
+  preview: string;
+}
+/** As on an <img>. Setting them sets attributes of the element, which hold without an <img> within. */
+export interface SgImage extends Pick<HTMLImageElement, OfImg> {}
 
 declare global {
   interface HTMLElementTagNameMap {

@@ -8,6 +8,7 @@ import time
 import pytest
 from PIL import Image
 
+from service.jobs.job import SourceImage
 from tests.harness.browser import Chromium
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
@@ -174,10 +175,49 @@ def test_an_opened_file_is_there_after_a_reload(page: Chromium, web: Service) ->
     page.open(address)
     says(page, COFFEE_SAYS, "#figures")
     assert page.run("return location.href") == address
-    page.open("about:blank")
-    page.open(f"{web.url}/#file-unknown")
-    says(page, "no longer has this file", "#work")
+    for unknown, words in (("file-unknown", "no longer has this file"), ("5f1c0e9a", "No picture has this address")):
+        page.open("about:blank")
+        page.open(f"{web.url}/#{unknown}")
+        says(page, words, "#work")
+        assert not page.is_seen("#stage")
     assert complaints(page) == []
+
+
+def test_what_the_browser_cannot_read_is_sent_only_if_it_ought_to_know(page: Chromium, web: Service) -> None:
+    open_page(page, web)
+    sent = "return performance.getEntriesByName(location.origin + '/encode').length"
+    give(page, "drop", SMALL[:-300], "cut.png")
+    says(page, "This PNG is damaged, or too large for this browser.")
+    assert page.run(sent) == 0
+    assert page.text("#again") == "Send it anyway"
+    page.click("#again")
+    says(page, "in the queue")
+    page.click("#cancel")
+    file = io.BytesIO()
+    Image.new("RGB", (64, 48), "green").save(file, "TIFF")
+    give(page, "drop", file.getvalue(), "green.tif")
+    says(page, "in the queue")
+    assert "cannot show the original" in page.text("#note")
+    page.click("#cancel")
+
+
+def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
+    open_page(page, empty)
+    running, done = (empty.submitted(SourceImage("PNG", 64, 48, 10)) for _ in range(2))
+    empty.publish(done, COFFEE)
+    assert empty.job(running)["state"] == "running"
+    give(page, "drop", SMALL, "one.png")
+    says(page, "Waiting: next in the queue, starts in about 1 s")
+    took = [{"started_at": "2026-01-31T12:00:00Z", "finished_at": f"2026-01-31T12:00:{end}Z"} for end in (10, 30)]
+    state = {"state": "queued", "position": 3}
+    words = page.run(f"""
+        const known = [[{took}, [1, 2]], [[], [1]], [{took}, []]];
+        return import("/static/page/watching.js").then(({{ paceOf, stateOf }}) =>
+            known.map(([done, running]) => stateOf({state}, false, paceOf(done, running)).words));
+    """)
+    waiting = "Waiting: in the queue, 2 before it"
+    assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
+    page.click("#cancel")
 
 
 def test_nothing_is_offered_for_what_is_no_picture(page: Chromium, web: Service) -> None:

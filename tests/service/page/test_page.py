@@ -191,7 +191,7 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.click("#cancel")
         says(page, "Cancelled", "#work")
         page.switch_to(first)
-        says(page, "has deleted this picture")
+        says(page, "has deleted it")
         assert len(web.client.get("/jobs").json()["jobs"]) == 1
     finally:
         page.switch_to(second)

@@ -100,7 +100,7 @@ STATE = """
     const img = one.querySelector("img") ?? one.shadowRoot.querySelector("img");
     const canvas = one.shadowRoot.querySelector("canvas");
     const { width, height } = one.getBoundingClientRect();
-    return { ratio: width / height, drawn: canvas?.width ?? 0, opacity: getComputedStyle(img).opacity, alt: img.alt,
+    return { ratio: width / height, drawn: canvas?.width ?? 0, alt: img.alt,
       loading: img.loading, sizes: img.sizes, source: img.currentSrc.split("/").pop(), loaded: img.naturalWidth > 0 };
 """
 
@@ -116,22 +116,28 @@ def test_the_preview_stands_until_the_picture_is_there(request: pytest.FixtureRe
     browser.run("document.getElementById('one').scrollIntoView()")
     wait_until(lambda: browser.run(STATE)["loaded"] and not browser.run(STATE)["drawn"])
     state = browser.run(STATE)
-    assert (state["opacity"], state["alt"], state["loading"]) == ("1", "A cat", "lazy")
+    assert (state["alt"], state["loading"]) == ("A cat", "lazy")
     assert state["ratio"] == pytest.approx(1.5, rel=0.01)
     assert state["source"] == "cat.webp"
     assert browser.complaints() == []
 
 
 def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service) -> None:
-    """It is taken into the element; and one that fails to load leaves the preview."""
+    """It stays as it is; and one that fails to load leaves the preview, but not on paper."""
     open_blank(page, web)
     image = '<img srcset="static/samples/none.webp 400w" sizes="50vw" alt="Cups" width="48" height="40">'
     show(page, f'<sg-img id="one" preview="{GOOD}"> {image} </sg-img>')
     wait_until(lambda: page.run(STATE)["drawn"] == 256)
     state = page.run(STATE)
-    assert (state["alt"], state["sizes"], state["opacity"]) == ("Cups", "50vw", "0")
+    assert (state["alt"], state["sizes"]) == ("Cups", "50vw")
     assert state["ratio"] == pytest.approx(48 / 40, rel=0.01)
     wait_until(lambda: any("404" in said for said in complaints(page)))
+    assert page.run("return document.querySelector('#one img').outerHTML") == image
+    seen = "return getComputedStyle(one.shadowRoot.querySelector('canvas')).display"
+    page.tell("Emulation.setEmulatedMedia", media="print")
+    assert page.run(f"const one = document.getElementById('one'); {seen}") == "none"
+    page.tell("Emulation.setEmulatedMedia", media="")
+    assert page.run(f"const one = document.getElementById('one'); {seen}") == "block"
 
 
 def test_a_bad_text_is_a_warning(page: Chromium, web: Service) -> None:
@@ -140,6 +146,135 @@ def test_a_bad_text_is_a_warning(page: Chromium, web: Service) -> None:
     show(page, '<sg-img id="one" src="static/samples/coffee.webp" alt="A cup" preview="nothing"></sg-img>')
     wait_until(lambda: page.run(STATE)["loaded"])
     state = page.run(STATE)
-    assert (state["drawn"], state["opacity"]) == (0, "1")
+    assert state["drawn"] == 0
     (warning,) = complaints(page)
     assert "sg-img has no preview" in warning
+
+
+# Each answers with what it sees of a new <sg-img>. Tag and property names are those of an <img>, which is the model.
+HELP = f"""
+    const turns = async () => {{ for (let i = 0; i < 3; i++) await new Promise((done) => setTimeout(done)); }};
+    const [text, other, photo] = ["{GOOD}", "{to_text(SHORT[1])}", "/static/samples/cat.webp"];
+    const put = (html, place = document.body) => {{
+        place.insertAdjacentHTML("beforeend", `<section>${{html}}</section>`);
+        return place.lastElementChild.firstElementChild;
+    }};
+    const loaded = (img) => img.complete || new Promise((done) => img.addEventListener("load", done));
+    const inner = (one) => one.shadowRoot.querySelector("img");
+    const frame = () => put("<iframe></iframe>").contentDocument;
+    const seen = (one) => one.ownerDocument.defaultView.getComputedStyle(one).display;
+    const box = (one, width) => {{
+        one.parentElement.style.width = `${{width}}px`;
+        const {{ width: w, height: h }} = one.querySelector("img").getBoundingClientRect();
+        return [w, h];
+    }};
+"""
+OWNED = {
+    "a preview after the photograph": (
+        """
+        const one = put(`<sg-img src="${photo}" loading="eager"></sg-img>`);
+        await loaded(inner(one));
+        const covers = [];
+        for (const preview of [text, other, other]) {
+            one.setAttribute("preview", preview);
+            await turns();
+            covers.push(Boolean(one.shadowRoot.querySelector("canvas")));
+        }
+        return covers;""",
+        [False, False, False],
+    ),
+    "another photograph with its preview, in either order": (
+        """
+        const drawn = [];
+        for (const names of [["preview", "src"], ["src", "preview"]]) {
+            const one = put(`<sg-img src="${photo}" loading="eager" preview="${text}"></sg-img>`);
+            await loaded(inner(one));
+            for (const name of names) one[name] = { preview: other, src: `/static/samples/none${drawn.length}` }[name];
+            await turns();
+            drawn.push(one.shadowRoot.querySelectorAll("canvas").length > 0);
+        }
+        return drawn;""",
+        [True, True],
+    ),
+    "a second <img> before the first": (
+        """
+        const one = put(`<sg-img preview="${text}"><img src="${photo}" alt=""></sg-img>`);
+        await turns();
+        one.prepend(new Image());
+        await turns();
+        return one.children.length;""",
+        2,
+    ),
+    "<picture>": (
+        """
+        const img = `<img src="${photo}" width="1200" height="800" alt="">`;
+        return box(put(`<sg-img preview="${text}"><picture>${img}</picture></sg-img>`), 300);""",
+        [300, 200],
+    ),
+    "no size": (
+        """
+        const one = put(`<sg-img preview="${other}"><img alt=""></sg-img>`);
+        await turns();
+        const { width, height } = one.shadowRoot.querySelector("canvas");
+        return Math.abs(box(one, 300)[1] - (300 * height) / width) < 1;""",
+        True,
+    ),
+    "cropped": (
+        """
+        const one = put(`<sg-img><img src="${photo}" width="120" height="80" alt=""></sg-img>`);
+        Object.assign(one.style, { width: "80px", height: "80px", objectPosition: "left" });
+        const { objectFit, objectPosition } = getComputedStyle(one.querySelector("img"));
+        return [...box(one, 300), objectFit, objectPosition];""",
+        [80, 80, "cover", "0% 50%"],
+    ),
+    "moved into another document": (
+        """
+        const one = put(`<sg-img preview="${text}"></sg-img>`);
+        frame().body.append(one);
+        return [seen(one), seen(one.shadowRoot.firstElementChild)];""",
+        ["block", "grid"],
+    ),
+    "made here for another document": (
+        """
+        const one = Object.assign(document.createElement("sg-img"), { src: photo });
+        frame().body.append(one);
+        return [seen(one), inner(one).src];""",
+        ["block", "PHOTO"],
+    ),
+    "properties": (
+        """
+        const one = Object.assign(put("<sg-img></sg-img>"), { src: photo, alt: "A cat", preview: text, width: 30 });
+        const found = [inner(one).src, inner(one).alt, inner(one).getAttribute("width"), one.getAttribute("preview")];
+        found.push(one.src, one.alt);
+        one.alt = null;
+        return [...found, inner(one).hasAttribute("alt")];""",
+        ["PHOTO", "A cat", "30", GOOD, "PHOTO", "A cat", False],
+    ),
+    "properties set before there was a module": (
+        """
+        const one = window.EARLY;
+        return [one.preview, inner(one).src];""",
+        [GOOD, "PHOTO"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ["browser", "firefox"])
+def test_it_is_as_an_img_and_leaves_what_is_not_its_own(
+    request: pytest.FixtureRequest, name: str, web: Service
+) -> None:
+    browser: Browser = request.getfixturevalue(name)
+    open_blank(browser, web)
+    early = f'Object.assign(document.createElement("sg-img"), {{ preview: "{GOOD}", src: "/static/samples/cat.webp" }})'
+    browser.run(f"window.EARLY = {early}; document.body.append(window.EARLY);")
+    show(browser, "")
+    tasks = ", ".join(f"async () => {{ {script} }}" for script, _ in OWNED.values())
+    found = browser.run(f"""return (async () => {{
+        {HELP}
+        const answers = [];
+        for (const task of [{tasks}]) answers.push(await task().catch(String));
+        return answers;
+    }})()""")
+    photo = f"{web.url}/static/samples/cat.webp"
+    expected = json.loads(json.dumps([value for _, value in OWNED.values()]).replace("PHOTO", photo))
+    assert dict(zip(OWNED, found, strict=True)) == dict(zip(OWNED, expected, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import re
 import shutil
@@ -29,6 +30,10 @@ PICTURE = """
     const img = one.querySelector("img") ?? one.shadowRoot.querySelector("img");
     return [img.alt, img.naturalWidth > 0, !one.shadowRoot.querySelector("canvas")];
 """
+BOX = """
+    const { width, height } = document.querySelector("sg-img img").getBoundingClientRect();
+    return [width, height, document.querySelector("sg-img").getBoundingClientRect().height];
+"""
 
 
 def blocks(heading: str) -> list[str]:
@@ -41,16 +46,27 @@ def blocks(heading: str) -> list[str]:
 def test_plain_html(page: Chromium, web: Service) -> None:
     text = to_text(golden(5)["v5-color"])
     open_blank(page, web)
-    for block in blocks("Plain HTML"):
-        html = block.replace("xYOAaA...", text).replace("photo.avif", "static/samples/cat.webp")
-        show(page, f"<div>{html.replace('photo-2x.avif', 'static/samples/cat.webp')}</div>")
-        wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
+    within, rules, alone = blocks("Plain HTML")
+    within, alone = (re.sub(r"photo(-2x)?\.avif", "static/samples/cat.webp", html) for html in (within, alone))
+    page.run(f"""
+        const sheet = new CSSStyleSheet();
+        sheet.replaceSync({json.dumps(rules)});
+        document.adoptedStyleSheets.push(sheet);
+        document.body.insertAdjacentHTML("afterbegin", {json.dumps(f"<div>{within.replace('xYOAaA...', text)}</div>")});
+        document.body.firstChild.style.width = "300px";
+    """)
+    assert page.run(BOX) == [300, 200, 200]  # before the script has run
+    show(page, "")
+    assert page.run(BOX) == [300, 200, 200]
+    wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
+    show(page, alone.replace("xYOAaA...", text))
+    wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
 
 
 def test_eleventy(tmp_path: Path) -> None:
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")
-    for name, block in zip(("preview.mjs", "eleventy.config.mjs"), blocks("Eleventy"), strict=True):
+    for name, block in zip(("preview.mjs", "eleventy.config.mjs", "layout.html"), blocks("Eleventy"), strict=True):
         (tmp_path / name).write_text(block)
     shutil.copy(PHOTOGRAPH, tmp_path / "door.png")
     script = """
@@ -64,7 +80,8 @@ def test_eleventy(tmp_path: Path) -> None:
     done = subprocess.run(
         command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True, timeout=120
     )
-    tag = r'<sg-img src="/door.png" alt="A red door" width="128" height="96" preview="(\S+)"></sg-img>\n'
+    image = r'<img src="/door.png" alt="A red door" width="128" height="96" loading="lazy" decoding="async">'
+    tag = rf'<sg-img preview="(\S+)">{image}</sg-img>\n'
     found = re.fullmatch(tag, done.stdout)
     assert found
     assert len(from_text(found[1])) <= 200

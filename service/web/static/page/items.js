@@ -3,7 +3,7 @@
 import { ask, bytesOf, drawn, jobPath, json, submit } from "./api.js";
 import { keep, kept } from "./keeping.js";
 import { Remote, sleep } from "./parts.js";
-import { stateOf } from "./watching.js";
+import { paceOf, stateOf } from "./watching.js";
 import { size } from "./words.js";
 
 const POLL_MS = 400;
@@ -148,7 +148,7 @@ export class Item {
         tries = 0;
       } catch (error) {
         if (this.state === "cancelled") return;
-        if (error.status === 404) throw new Error("The service has deleted this picture.");
+        if (error.status === 404) throw new Error("The service has no such picture, or has deleted it.");
         if (!(error.status >= 500) || ++tries > RETRIES) throw error;
         this.tell({ words: "The service does not answer, trying again" });
         await sleep(RETRY_MS);
@@ -171,10 +171,19 @@ export class Item {
       }
       this.watched = true;
       await this.#look(job);
-      if (job.state === "queued") this.stopping = false; // what it had was lost
-      this.tell({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping) });
+      if (job.state === "queued") {
+        this.stopping = false; // what it had was lost
+        if (job.position !== this.job?.position) this.paceS = await this.#pace();
+      }
+      this.tell({ state: job.state, trace: job.trace, job, ...stateOf(job, this.stopping, this.paceS) });
       await sleep(POLL_MS);
     }
+  }
+
+  /** Seconds between two jobs of the queue. Without it, nothing is missing. */
+  async #pace() {
+    const jobsIn = async (state) => (await json(`jobs?limit=20&state=${state}`, { signal: this.#asking.signal })).jobs;
+    return Promise.all(["done", "running"].map(jobsIn)).then(([done, running]) => paceOf(done, running), () => null);
   }
 
   /** Show what a running job has so far. Without it, nothing is missing. */

@@ -25,6 +25,9 @@ const IMAGES = [
   ["PPM", (b) => /^P[1-6]\s/.test(text(b, 0, 3))],
 ];
 
+/** Formats that every browser reads: a file that one cannot read is damaged, or too large for it. */
+export const COMMON = ["PNG", "JPEG", "GIF", "WebP"];
+
 /** { kind: "sg" }, or { kind: "image", format } with its name where that is known; { refused } with a sentence for what no
  * service takes. */
 export async function kindOf(file) {

@@ -79,7 +79,7 @@ function refresh(item) {
   $("snippet").hidden = !file;
   $("link").hidden = !item.id && !item.sample;
   $("again").hidden = !item.source || item.busy || item.refused || Boolean(item.sample && !decoded);
-  $("again").textContent = item.sample ? "Encode this one" : "Encode again";
+  $("again").textContent = item.sample ? "Encode this one" : item.isUnread ? "Send it anyway" : "Encode again";
   sayRate(item);
 }
 
@@ -141,7 +141,7 @@ async function give(files) {
   const refusals = [];
   let shown = false;
   trouble("");
-  const { kindOf } = await import("./kinds.js");
+  const { COMMON, kindOf } = await import("./kinds.js");
   for (const file of files) {
     const { kind, format, refused } = await kindOf(file).catch(() => ({ refused: `${file.name} cannot be read.` }));
     if (refused) {
@@ -160,7 +160,10 @@ async function give(files) {
       if (kind === "sg") await item.open(file);
       else {
         await item.setOriginal(file);
-        if (items.includes(item)) item.encode(budget());
+        if (!item.original && COMMON.includes(format)) {
+          const words = `This ${format} is damaged, or too large for this browser.`;
+          item.tell({ state: "failed", words, isUnread: true });
+        } else if (items.includes(item)) item.encode(budget());
       }
     } catch (error) {
       item.tell({ state: "failed", words: `The file cannot be opened: ${error.message}.` });
@@ -197,7 +200,12 @@ async function begin() {
     const item = added("file.sg");
     show(item);
     item.reopen(wanted);
-  } else await sample(SAMPLES.includes(wanted) ? wanted : SAMPLES[0]);
+  } else if (!wanted || SAMPLES.includes(wanted)) await sample(wanted || SAMPLES[0]);
+  else {
+    const item = added("photograph");
+    show(item);
+    item.tell({ state: "failed", words: "No picture has this address: it may have been cut off." });
+  }
 }
 
 /** To the clipboard, also where the page came by plain HTTP. */

@@ -66,12 +66,21 @@ function wordsOf(points) {
   );
 }
 
+/** Seconds between two jobs of the queue: what the last ones took, by as many at a time as are running; null if nothing is
+ * known of that. */
+export function paceOf(done, running) {
+  if (!done.length || !running.length) return null;
+  const took = done.map((job) => (Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000);
+  return took.reduce((sum, one) => sum + one) / took.length / running.length;
+}
+
 /** What a job is doing, in words, and how much of it is done, from 0 to 1; null where that is not known. */
-export function stateOf(job, stopping) {
+export function stateOf(job, stopping, paceS = null) {
   if (job.state === "queued") {
     const ahead = job.position - 1;
     const words = ahead === 0 ? "next in the queue" : `in the queue, ${ahead} before it`;
-    return { words: `Waiting: ${words}`, done: null };
+    const wait = paceS === null ? "" : `, starts in about ${seconds(paceS * job.position)}`;
+    return { words: `Waiting: ${words}${wait}`, done: null };
   }
   const last = job.trace.at(-1);
   if (!last) return { words: "Starting the encoder", done: null };

@@ -1,115 +1,149 @@
-// <sg-img src="photo.avif" preview="xY0a..." alt="...">: draws the preview at once, loads the picture lazily, and fades
-// it in. srcset, sizes and the other attributes of an <img> are handed on to one; an <img> within is used instead.
+// <sg-img preview="xY0a..."><img src="photo.avif" width height></sg-img>: draws the preview over the photograph, and
+// fades it out once that has loaded. Without an <img> within, src, alt and so on on the element itself work as on one.
+// All that is drawn is in the element's shadow tree: nothing is written to the page's own elements.
 
 import { decodePreview } from "../decoder/preview.js";
 
 const SLICE_MS = 8; // of drawing at a time, so that a page of many stays responsive
 const FADE_MS = 300;
-// Of an <img>; in the order in which they are handed on: src last, when all is known that it depends on.
-const ATTRIBUTES = ["loading", "decoding", "fetchpriority", "crossorigin", "referrerpolicy", "alt", "width", "height"];
-ATTRIBUTES.push("sizes", "srcset", "src");
-const STYLE = `
-:host { display: block; position: relative; overflow: hidden; object-fit: cover }
-:host([hidden]) { display: none }
-img, ::slotted(img) { display: block; width: 100%; height: 100%; object-fit: inherit; position: relative }
-canvas { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: inherit }`;
+// Properties of an <img>; in lower case, its attributes.
+const OF_IMG = ["loading", "decoding", "fetchPriority", "crossOrigin", "referrerPolicy", "alt", "width", "height"];
+OF_IMG.push("sizes", "srcset", "src");
+const WITHIN = `
+:host { display: block; overflow: hidden; object-fit: cover }
+:host([hidden]), [hidden] { display: none }
+div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); position: relative; height: 100% }
+img, canvas, ::slotted(*) { grid-area: 1 / 1; width: 100%; height: 100% }
+div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inherit }
+::slotted(picture) { display: contents }
+canvas { position: absolute; pointer-events: none }
+@media print { canvas { display: none } }`;
+// ::slotted() does not reach it. The rules of the page come first: the layer is below them.
+const AROUND = `@layer { sg-img > picture > img {
+  grid-area: 1 / 1; width: 100%; height: 100%; object-fit: inherit; object-position: inherit } }`;
 
-const waiting = []; // elements whose preview is to be drawn
-let sheet;
-let until = 0; // when the present slice ends
-let isTimed = false;
+const waiting = new Set(); // turns of elements, in order
+const sheets = new WeakMap(); // for each document: a style sheet belongs to one
 
-/** Draw what waits, a slice at a time. */
-function drawSome() {
-  isTimed = false;
-  until = performance.now() + SLICE_MS;
-  drawUntil();
+function later(turn) {
+  waiting.add(turn);
+  if (waiting.size === 1) setTimeout(takeTurns);
 }
 
-function drawUntil() {
-  while (waiting.length && performance.now() < until) waiting.shift().draw();
-  if (isTimed || !waiting.length) return;
-  isTimed = true;
-  setTimeout(drawSome);
+function takeTurns() {
+  const until = performance.now() + SLICE_MS;
+  for (const turn of waiting) {
+    turn();
+    waiting.delete(turn);
+    if (performance.now() > until) break;
+  }
+  if (waiting.size) setTimeout(takeTurns);
+}
+
+function sheetsOf(page) {
+  if (!sheets.has(page)) {
+    const { CSSStyleSheet } = page.defaultView;
+    const made = [WITHIN, AROUND].map((text) => {
+      const sheet = new CSSStyleSheet();
+      sheet.replaceSync(text);
+      return sheet;
+    });
+    sheets.set(page, made);
+  }
+  return sheets.get(page);
 }
 
 export class SgImage extends (globalThis.HTMLElement ?? Object) {
-  static observedAttributes = ["preview", ...ATTRIBUTES];
-  #canvas = null;
-  #img = null;
+  static observedAttributes = ["preview", ...OF_IMG.map((name) => name.toLowerCase())];
+  #own = document.createElement("img");
+  #frame = document.createElement("div");
+  #canvas = null; // with the preview, while the photograph is not there
+  #drawn = null; // the text of that preview
 
-  connectedCallback() {
-    if (this.shadowRoot) return;
-    const root = this.attachShadow({ mode: "open" });
-    if (!sheet) (sheet = new CSSStyleSheet()).replaceSync(STYLE);
-    root.adoptedStyleSheets = [sheet];
-    const slot = document.createElement("slot");
-    root.append(slot);
-    const own = document.createElement("img");
-    own.part = "img";
-    own.loading = "lazy";
-    own.decoding = "async";
-    const find = () => this.#watch(this.querySelector("img") ?? own);
-    find();
-    slot.addEventListener("slotchange", find); // the parser brings an <img> later
-    for (const name of ATTRIBUTES) if (this.hasAttribute(name)) own.setAttribute(name, this.getAttribute(name));
-    if (this.#img === own) root.append(own);
-  }
-
-  attributeChangedCallback(name, _, value) {
-    const img = this.#img;
-    if (!img) return;
-    if (name === "preview") this.#cover();
-    else if (this.contains(img)) return;
-    else if (value === null) img.removeAttribute(name);
-    else img.setAttribute(name, value);
-  }
-
-  #watch(img) {
-    if (img === this.#img) return;
-    this.#img?.remove();
-    this.#img = img;
-    if (img.complete && img.naturalWidth) return; // nothing to wait for
-    img.addEventListener("load", () => img.decode().then(this.#uncover, this.#uncover));
-    this.#cover();
-  }
-
-  /** Show the preview, as soon as there is time to draw it. */
-  #cover() {
-    if (!this.hasAttribute("preview")) return;
-    this.#canvas?.remove();
-    this.#canvas = document.createElement("canvas");
-    waiting.push(this);
-    drawUntil();
-  }
-
-  /** Called in its turn. */
-  draw() {
-    const canvas = this.#canvas;
-    if (!canvas) return; // the picture came first
-    try {
-      const preview = decodePreview(this.getAttribute("preview"));
-      [canvas.width, canvas.height] = [preview.width, preview.height];
-      canvas.getContext("2d").putImageData(preview, 0, 0);
-      const img = this.#img;
-      if (!img.hasAttribute("width") && !img.hasAttribute("height")) {
-        [img.width, img.height] = [preview.width, preview.height];
-      }
-      img.style.opacity = 0;
-      this.shadowRoot.prepend(canvas);
-    } catch (error) {
-      console.warn("sg-img has no preview:", error.message, this);
+  static {
+    for (const name of ["preview", ...OF_IMG]) {
+      Object.defineProperty(this.prototype, name, {
+        configurable: true,
+        enumerable: true,
+        get() {
+          return name === "preview" ? (this.getAttribute(name) ?? "") : this.#img[name];
+        },
+        set(value) {
+          if (value == null) this.removeAttribute(name);
+          else this.setAttribute(name, value);
+        },
+      });
     }
   }
 
-  #uncover = () => {
-    const canvas = this.#canvas;
-    this.#canvas = null;
-    this.#img.style.opacity = "";
-    if (!canvas?.isConnected) return;
-    const duration = matchMedia("(prefers-reduced-motion: reduce)").matches ? 0 : FADE_MS;
-    this.#img.animate([{ opacity: 0 }, { opacity: 1 }], duration).onfinish = () => canvas.remove();
+  constructor() {
+    super();
+    Object.assign(this.#own, { part: "img", loading: "lazy", decoding: "async" });
+    const slot = document.createElement("slot");
+    this.#frame.append(slot, this.#own);
+    const root = this.attachShadow({ mode: "open" });
+    root.append(this.#frame);
+    const decoded = () => this.#img.decode().then(this.#update, this.#update);
+    root.addEventListener("load", decoded, true); // of an <img> of the page too
+    slot.addEventListener("slotchange", () => later(this.#update)); // the parser brings an <img> later
+  }
+
+  connectedCallback() {
+    for (const name of ["preview", ...OF_IMG]) {
+      if (!Object.hasOwn(this, name)) continue;
+      const value = this[name]; // set before this module had loaded
+      delete this[name];
+      this[name] = value;
+    }
+    const [within, around] = sheetsOf(this.ownerDocument);
+    this.shadowRoot.adoptedStyleSheets = [within];
+    const page = this.getRootNode();
+    if (!page.adoptedStyleSheets.includes(around)) page.adoptedStyleSheets.push(around);
+    later(this.#update);
+  }
+
+  attributeChangedCallback(name, _, value) {
+    if (name === "preview") later(this.#update);
+    else if (this.#img !== this.#own) return;
+    else if (value === null) this.#own.removeAttribute(name);
+    else this.#own.setAttribute(name, value);
+  }
+
+  get #img() {
+    return this.querySelector("img") ?? this.#own;
+  }
+
+  /** Bring the preview in line with the photograph, whatever has happened to either. */
+  #update = () => {
+    if (!this.isConnected) return;
+    const [img, text] = [this.#img, this.preview];
+    this.#own.hidden = img !== this.#own;
+    if (!text || (img.complete && img.naturalWidth)) return this.#uncover();
+    if (text === this.#drawn) return;
+    try {
+      const preview = decodePreview(text);
+      const canvas = document.createElement("canvas");
+      [canvas.width, canvas.height] = [preview.width, preview.height];
+      canvas.getContext("2d").putImageData(preview, 0, 0);
+      // It has to reserve the space if the photograph does not.
+      if (!img.hasAttribute("width") || !img.hasAttribute("height")) canvas.style.position = "static";
+      this.#canvas?.remove();
+      this.#frame.append(canvas);
+      [this.#canvas, this.#drawn] = [canvas, text];
+    } catch (error) {
+      this.#uncover();
+      console.warn("sg-img has no preview:", error.message, this);
+    }
   };
+
+  #uncover() {
+    const canvas = this.#canvas;
+    this.#canvas = this.#drawn = null;
+    if (!canvas) return;
+    canvas.style.opacity = 0; // also if the animation is cancelled
+    const duration = matchMedia("(prefers-reduced-motion: reduce)").matches ? 0 : FADE_MS;
+    canvas.animate([{ opacity: 1 }, { opacity: 0 }], duration).onfinish = () => canvas.remove();
+  }
 }
 
 if (globalThis.customElements && !customElements.get("sg-img")) customElements.define("sg-img", SgImage);
