@@ -29,6 +29,8 @@ from tests.rd.short import SlowClock, shortened
 
 FloatArray = NDArray[np.float32]
 PROFILES_TESTED = ("rd", "paper", "baseline")
+# Where a slow test of one profile tells as much as one of each.
+SLOWLY = [name if name == "rd" else pytest.param(name, marks=pytest.mark.thorough) for name in PROFILES_TESTED]
 
 
 SETTINGS = shortened(400, (120, 80))
@@ -78,7 +80,7 @@ def assert_true_figures(encoded: Encoded, pixels: FloatArray) -> None:
 # --- budgets
 
 
-@pytest.mark.parametrize("profile", PROFILES_TESTED)
+@pytest.mark.parametrize("profile", SLOWLY)
 @pytest.mark.parametrize("picture", ["kodim23-crop", "kodim05-crop", "kodim04-crop"])
 def test_a_rate_is_kept_and_used(picture: str, profile: str) -> None:
     encoded = encode(photo(picture), Budget("bpp", 1.0), profile)
@@ -117,7 +119,7 @@ def test_as_many_gaussians_as_pixels() -> None:
     assert encoded.stats.gaussians <= 35
 
 
-@pytest.mark.parametrize("profile", PROFILES_TESTED)
+@pytest.mark.parametrize("profile", SLOWLY)
 def test_a_quality_is_reached_with_a_file_to_match(profile: str) -> None:
     encoded = [encode(photo(), Budget("psnr", db), profile) for db in (20, 26)]
     for db, each in zip((20, 26), encoded, strict=True):

@@ -49,6 +49,7 @@ def run(*arguments: str, library: Path | None = None) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("whose", ["kernels", "workers"])
 def test_any_allocation_may_fail(preload: Preload, whose: str) -> None:
     """Then there is MemoryError or the right result, and the next call is right (tests/native/failing.py)."""
