@@ -7,6 +7,7 @@ which are plain operations on tensors. Both draw what docs/format.md defines.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
@@ -55,7 +56,7 @@ def render(
     for an invalid scale or size.
     """
     means, factors, colors, lead = _checked(means, factors, colors)
-    width, height = (whole(side, "a side", 1, native.MAX_SIDE, ViewError) for side in size)
+    width, height = own_size(size)
     number = own_number(scale)
     if number is None or not MIN_SCALE <= number <= MAX_SCALE:
         raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {scale!r}")
@@ -70,6 +71,15 @@ def render(
         return image + below
     weights = _drawn(means, factors, gain.expand_as(colors), resized, pyramid).reshape(image.shape)
     return (image + FAINT * below) / (weights + FAINT)
+
+
+def own_size(size: object) -> tuple[int, int]:
+    """A width and a height as Python's own numbers. Raises ViewError for anything else."""
+    sides = list(size) if isinstance(size, Iterable) else []
+    if len(sides) != 2:
+        raise ViewError(f"a size is width and height in pixels, not {size!r}")
+    width, height = (whole(side, "a side", 1, native.MAX_SIDE, ViewError) for side in sides)
+    return width, height
 
 
 def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor, tuple[int, ...]]:

@@ -184,6 +184,7 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
         ((ONE[0], ONE[1].expand(2, 3), ONE[2]), {}, GaussiansError, "of as many Gaussians"),
         ((ONE[0].expand(2, 1, 2), ONE[1].expand(3, 1, 3), ONE[2]), {}, GaussiansError, "leading dimensions"),
         (ONE, {"size": (0, 4)}, ViewError, "a side must be a whole number from 1"),
+        (ONE, {"size": (4, 4, 4)}, ViewError, "a size is width and height"),
         (ONE, {"scale": 100}, ViewError, "the scale must lie in"),
         (ONE, {"blend": "alpha"}, GaussiansError, "accumulated or normalised, not 'alpha'"),
     ],
