@@ -42,7 +42,7 @@ def own_number(value: object) -> int | float | None:
         number = float(value)
     except OverflowError:  # of a fraction
         return None
-    return number if math.isfinite(number) else None
+    return number if -math.inf < number < math.inf else None  # torch.compile does not take math.isfinite
 
 
 def whole(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:

@@ -33,23 +33,23 @@ class _Samples:
 
 
 class Pairs:
-    """Gaussians [N] laid over a picture of size (width, height). Those that are not finite or have l1 or l3 <= 0 are
-    not drawn, and have no gradient."""
+    """Gaussians [N] laid over a picture of size (width, height). Those that are not drawn have no gradient."""
 
     def __init__(self, means: Tensor, factors: Tensor, size: tuple[int, int], cutoff: float, pyramid: bool) -> None:
-        drawn = means.isfinite().all(1) & factors.isfinite().all(1) & (factors[:, ::2] > 0).all(1)
+        drawn = is_drawn(means, factors)
         means = torch.where(drawn[:, None], means, 0)
         factors = torch.where(drawn[:, None], factors, factors.new_tensor([1, 0, 1]))
         self._cutoff, self._floor = cutoff, math.exp(-cutoff)
         level = _levels(factors) if pyramid else torch.zeros_like(drawn, dtype=torch.int64)
         self._shrink = torch.exp2(-level.to(means.dtype))
-        self._blur = (1 - self._shrink**2) / 4
         self._p = p1, p2, p3 = (factors * self._shrink[:, None]).unbind(1)
-        variance = p1 * p1 - self._blur
-        q1 = variance.sqrt()
-        q3 = (p3 * p3 - self._blur * (1 + p2 * p2 / variance)).sqrt()
-        self._q = tuple(torch.where(level > 0, q, p) for q, p in zip((q1, p1 * p2 / q1, q3), self._p, strict=True))
-        self._gain = p1 * p3 / (self._q[0] * self._q[2])
+        self._blur = blur = (1 - self._shrink**2).sqrt() / 2
+        # In ratios throughout: squares of sizes, and products of two, may overflow or vanish.
+        ratio1 = (1 - (blur / p1) ** 2).sqrt()
+        q1 = p1 * ratio1
+        ratio3 = (1 - (blur / p3) ** 2 - (blur / p3 * (p2 / q1)) ** 2).sqrt()
+        self._q = q1, p2 / ratio1, p3 * ratio3
+        self._gain = 1 / (ratio1 * ratio3)
         self._mean = (means * self._shrink[:, None]).unbind(1)
         top = int(level.max()) if len(level) else 0
         self._sizes = [tuple(-(-side // 2**i) for side in size) for i in range(top + 1)]  # without borders
@@ -68,13 +68,14 @@ class Pairs:
         """The pairs of Gaussian and row, each with the samples in it."""
         (q1, q2, q3), (x, y), border = self._q, self._mean, level.clamp_max(1)
         width, height = torch.tensor(self._sizes, device=level.device).T[:, level]
-        variance = q2 * q2 + q3 * q3
-        first, count = _within(y, (2 * self._cutoff * variance).sqrt(), height, border)
+        spread = torch.hypot(q2, q3)
+        first, count = _within(y, math.sqrt(2 * self._cutoff) * spread, height, border)
         self._gaussian, row = _spread(first, count * drawn)
         g = self._gaussian
-        self._dy, variance = row + 0.5 - y[g], variance[g]
-        half = q1[g] * q3[g] * ((2 * self._cutoff - self._dy**2 / variance).clamp_min(0) / variance).sqrt()
-        self._column, self._count = _within(x[g] + q1[g] * q2[g] * self._dy / variance, half, width[g], border[g])
+        self._dy = row + 0.5 - y[g]
+        z = self._dy / spread[g]
+        half = q1[g] * (q3 / spread)[g] * (2 * self._cutoff - z * z).clamp_min(0).sqrt()
+        self._column, self._count = _within(x[g] + q1[g] * (q2 / spread)[g] * z, half, width[g], border[g])
         starts = torch.tensor(self._starts, device=level.device)[level[g]]
         self._line = starts + (row + border[g]) * (width[g] + 2 * border[g]) + border[g]  # sample of column 0
 
@@ -98,8 +99,8 @@ class Pairs:
         """The picture [3, height, width] of Gaussians of these colours [N, 3]."""
         planes, strong = colors.new_zeros(3, self._starts[-1]), (colors * self._gain[:, None]).T.contiguous()
         for some in self._samples():
-            for plane, color in zip(planes, strong, strict=True):
-                plane.index_add_(0, some.sample, color.index_select(0, some.gaussian) * some.weight)
+            for i, color in enumerate(strong):  # planes[i], as torch differentiates no view of several at once
+                planes[i].index_add_(0, some.sample, color.index_select(0, some.gaussian) * some.weight)
         image: Tensor | None = None
         for level in reversed(range(len(self._sizes))):
             here = self._level(planes, level)
@@ -129,16 +130,16 @@ class Pairs:
 
     def _by_parameters(self, colors: Tensor, sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """From sums over samples to gradients: by z = L^-1 (p - mean), then by the narrowing on a level, where
-        q1^2 = p1^2 - v, q2 = p1 p2 / q1, q3^2 = p3^2 - v (1 + p2^2 / q1^2) and the gain is p1 p3 / (q1 q3)."""
-        (p1, p2, p3), (q1, q2, q3), v = self._p, self._q, self._blur
+        q1^2 = p1^2 - blur^2, q2 = p1 p2 / q1, q3^2 = p3^2 - blur^2 (1 + p2^2 / q1^2); the gain is p1 p3 / (q1 q3)."""
+        (p1, p2, p3), (q1, q2, q3), blur = self._p, self._q, self._blur
         a1, a2, b11, b12, b22 = sums[3:]
-        by_means = torch.stack([a1 / q1 - q2 * a2 / (q1 * q3), a2 / q3], 1) * self._shrink[:, None]
+        by_means = torch.stack([a1 / q1 - q2 / q1 * (a2 / q3), a2 / q3], 1) * self._shrink[:, None]
         by_log_gain = (colors.T * sums[:3]).sum(0) * self._gain
-        by_q1 = b11 / q1 - q2 * b12 / (q1 * q3) - by_log_gain / q1
-        by_q2, by_q3 = b12 / q3, b22 / q3 - by_log_gain / q3
-        slant = by_q3 * v * p2 / (q1 * q1 * q3)
-        by_p1 = by_q1 * p1 / q1 - by_q2 * v * p2 / q1**3 + slant * p2 * p1 / (q1 * q1) + by_log_gain / p1
-        by_p2, by_p3 = by_q2 * p1 / q1 - slant, by_q3 * p3 / q3 + by_log_gain / p3
+        by_q1, by_q2, by_q3 = b11 / q1 - q2 / q1 * (b12 / q3), b12 / q3, b22 / q3 - by_log_gain / q3
+        slope, v = p2 / q1, (blur / q1) ** 2
+        slant = by_q3 * (blur / q1) * (blur / q3) * slope
+        by_p1 = (by_q1 + slant * slope) * (p1 / q1) - (by_q2 * slope + by_log_gain / p1) * v
+        by_p2, by_p3 = by_q2 * (p1 / q1) - slant, by_q3 * (p3 / q3) + by_log_gain / p3
         by_factors = torch.stack([by_p1, by_p2, by_p3], 1) * self._shrink[:, None]
         return by_means, by_factors, (sums[:3] * self._gain).T.contiguous()
 
@@ -162,6 +163,16 @@ class Pairs:
             near, far, total = near.to(image.device), far.to(image.device), image.new_zeros(shape)
             image = total.index_add_(axis, near, image, alpha=0.75).index_add_(axis, far, image, alpha=0.25)
         return image
+
+
+def is_drawn(means: Tensor, factors: Tensor) -> Tensor:
+    """Which Gaussians [..., N] are drawn: those with l1 and l3 above 0 whose means, covariance and its inverse the
+    precision of the tensors can hold."""
+    l1, l2, l3 = factors.unbind(-1)
+    squares = torch.stack([l1 * l1, l3 * l3, l2 * l2 + l3 * l3], -1)
+    normal = (squares >= torch.finfo(factors.dtype).tiny) & (squares < math.inf)
+    finite = torch.cat([means, (l2 / (l1 * l3)).square()[..., None]], -1).isfinite()
+    return (l1 > 0) & (l3 > 0) & normal.all(-1) & finite.all(-1)
 
 
 def _levels(factors: Tensor) -> Tensor:

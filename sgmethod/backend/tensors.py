@@ -17,9 +17,8 @@ from sgmethod.scene import FloatArray, Gaussians
 class Tensors(Kernels):
     """A Backend on a device, in single precision. Where the device adds in any order, files vary from run to run."""
 
-    def __init__(self, device: str) -> None:
-        self._device = torch.device(device)
-        torch.zeros(1, device=self._device)  # raises where there is none
+    def __init__(self, device: torch.device) -> None:
+        self._device = device
 
     def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
         """As Backend.residual."""

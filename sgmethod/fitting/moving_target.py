@@ -13,6 +13,7 @@ So the target is moved every few steps, and kernels see nothing of it.
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import cv2
@@ -29,9 +30,9 @@ LUMA = (0.299, 0.587, 0.114)
 
 
 class MovingTarget:
-    """A target, [3, H, W], which never moves unless a subclass says how.
+    """A target, [3, H, W], which never moves unless a subclass says how. Moving gives another one.
 
-    now: as it was last moved; hides: grain was hidden already, or never will be.
+    now: where it is; hides: grain was hidden already, or never will be.
     """
 
     hides = True
@@ -40,17 +41,20 @@ class MovingTarget:
         self.now = self._original = target
 
     def is_due(self, _step: int, _has_grown: bool) -> bool:
-        """Whether to follow() before this step; has_grown: the growth of this run is over."""
+        """Whether it moves before this step; has_grown: the growth of this run is over."""
         return False
 
-    def follow(self, error: Rows) -> None:
-        """Move. error: the original target less the picture, by rows."""
+    def moved(self, _error: Rows) -> MovingTarget:
+        """The target for a picture this far off: the original target less the picture, by rows."""
+        return self
 
-    def hide(self, grain: Target) -> None:
-        """Take this much off the target from now on, [3, H, W]."""
+    def without(self, _grain: Target) -> MovingTarget:
+        """The target with this much, [3, H, W], taken off each time that it is moved."""
+        return self
 
-    def show_all(self) -> None:
-        """Put back what was hidden, for good."""
+    def whole(self) -> MovingTarget:
+        """The target with what was taken off put back, for good."""
+        return self
 
 
 class AheadForTheEye(MovingTarget):
@@ -77,35 +81,40 @@ class AheadForTheEye(MovingTarget):
         """As MovingTarget.is_due."""
         return has_grown and step % self._settings.every == 0
 
-    def hide(self, grain: Target) -> None:
-        """As MovingTarget.hide."""
-        self._grain, self.hides = grain, True
+    def without(self, grain: Target) -> AheadForTheEye:
+        """As MovingTarget.without."""
+        new = copy(self)
+        new._grain, new.hides = grain, True
         finest = self._original[1] - _enlarged(halved(self._original[1]), grain.shape[1:])
         hidden, whole = (_spread_nearby(plane) for plane in (grain[1], finest))
-        self._kept = 1 - np.minimum(hidden / (whole + 1), 1)
+        new._kept = 1 - np.minimum(hidden / (whole + 1), 1)
+        return new
 
-    def show_all(self) -> None:
-        """As MovingTarget.show_all."""
+    def whole(self) -> AheadForTheEye:
+        """As MovingTarget.whole."""
+        new = copy(self)
         if self._grain is not None:
-            self.now += self._grain
-        self._grain, self._kept, self.hides = None, None, True
+            new.now = self.now + self._grain
+        new._grain, new._kept, new.hides = None, None, True
+        return new
 
-    def follow(self, error: Rows) -> None:
-        """As MovingTarget.follow."""
-        s, (_, height, width) = self._settings, self._original.shape
+    def moved(self, error: Rows) -> AheadForTheEye:
+        """As MovingTarget.moved."""
+        new, s, (_, height, width) = copy(self), self._settings, self._original.shape
         coarse, luma = self._reduced(error)
         np.clip(coarse, -s.furthest, s.furthest, out=coarse)
-        self._by = coarse if self._by is None else self._by + np.float32(s.rate) * (coarse - self._by)
-        if self.now is self._original:
-            self.now = np.empty_like(self._original)
-            self._detail = _octaves(self._reduced(self._source)[1], s)
-        moved = np.rint(self._by * TARGET_WHITE).astype(np.int16)
-        detail = _enlarged(np.rint(self._exaggerated(luma) * TARGET_WHITE).astype(np.int16), (height, width))
-        for plane, by, to in zip(self._original, moved, self.now, strict=True):
+        new._by = coarse if self._by is None else self._by + np.float32(s.rate) * (coarse - self._by)
+        new._detail = self._detail or _octaves(self._reduced(self._source)[1], s)
+        new._more = new._more_detail(luma)
+        by_coarse = np.rint(new._by * TARGET_WHITE).astype(np.int16)
+        by_detail = _enlarged(np.rint(new._exaggerated(luma.shape) * TARGET_WHITE).astype(np.int16), (height, width))
+        new.now = np.empty_like(self._original)
+        for plane, by, to in zip(self._original, by_coarse, new.now, strict=True):
             np.add(plane, _enlarged(by, (height, width)), out=to)
-            to += detail
+            to += by_detail
         if self._grain is not None:
-            self.now -= self._grain
+            new.now -= self._grain
+        return new
 
     def _source(self, first: int, end: int) -> FloatArray:
         return self._original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE)
@@ -123,17 +132,20 @@ class AheadForTheEye(MovingTarget):
                 to[...] = cv2.resize(half, to.shape[::-1], interpolation=cv2.INTER_AREA)
         return coarse, luma
 
-    def _exaggerated(self, missing: FloatArray) -> FloatArray:
-        """What is added to the target's detail, at half the size. missing: luma of the error there."""
+    def _more_detail(self, missing: FloatArray) -> list[FloatArray]:
+        """How much stronger each octave of the detail is asked for now. missing: luma of the error at half the size."""
         s = self._settings
         more = [
             np.minimum(_unlikeness(source, source - less, s), most) - 1
             for source, less, most in zip(self._detail, _octaves(missing, s), s.most_detail, strict=True)
         ]
         before = self._more or more
-        self._more = [old + np.float32(s.detail_rate) * (new - old) for old, new in zip(before, more, strict=True)]
+        return [old + np.float32(s.detail_rate) * (new - old) for old, new in zip(before, more, strict=True)]
+
+    def _exaggerated(self, size: tuple[int, ...]) -> FloatArray:
+        """What is added to the target's detail, at half the size."""
         by = [share * detail for share, detail in zip(self._more, self._detail, strict=True)]
-        total = np.asarray(sum(_enlarged(octave, missing.shape) for octave in by), np.float32)
+        total = np.asarray(sum(_enlarged(octave, size) for octave in by), np.float32)
         return total if self._kept is None else total * self._kept  # or hidden grain would return as dots
 
 
@@ -162,16 +174,16 @@ class BeyondBlackAndWhite(MovingTarget):
         """As MovingTarget.is_due."""
         return step % self._settings.overshoot_every == 0
 
-    def follow(self, error: Rows) -> None:
-        """As MovingTarget.follow."""
-        _, height, width = self._original.shape
-        moved_target = np.empty_like(self._original)
+    def moved(self, error: Rows) -> BeyondBlackAndWhite:
+        """As MovingTarget.moved."""
+        new, (_, height, width) = copy(self), self._original.shape
+        new.now = np.empty_like(self._original)
         for first, end in bands(height, width):
             here = slice(first, end)
             beyond = np.clip(-error(first, end)[0], self._low[here], self._high[here])
             moved = np.rint(beyond * TARGET_WHITE).astype(np.int16)
-            np.add(self._original[:, here], moved, out=moved_target[:, here])
-        self.now = moved_target
+            np.add(self._original[:, here], moved, out=new.now[:, here])
+        return new
 
 
 def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> list[FloatArray]:

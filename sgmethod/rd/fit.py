@@ -14,7 +14,7 @@ from sgmethod.scene import Gaussians
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
     """The state after the steps of a stage."""
-    _hide_grain(plan, state, stage)
+    state = _without_grain(plan, state, stage)
     request, s, size = plan.request, plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
     price = s.rate_weight * error_per_bit(state.quantum)
@@ -26,7 +26,7 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     for progress in stage.pace.until(stage.until):
         level = level_for(plan, state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
-            state.target.follow(plan.finest.missing(gaussians))
+            state = replace(state, target=state.target.moved(plan.finest.missing(gaussians)))
             level = replace(level, target=state.target.now)
         rate = cosine(s.optimiser.final_rate, progress)
         take_step(plan, level, gaussians, moments, rate, state.quantum, price)
@@ -52,13 +52,13 @@ def level_for(plan: Plan, state: State, stage: Stage, gaussians: int) -> Level:
     return replace(level, target=state.target.now) if level.frame == plan.finest.frame else level
 
 
-def _hide_grain(plan: Plan, state: State, stage: Stage) -> None:
-    """Take grain off the target, once the fit misses about as much of it as it will in the end."""
+def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
+    """With grain taken off the target, once the fit misses about as much of it as it will in the end."""
     is_whole = plan.finest.frame.spacing == 1
-    if is_whole and stage.at >= stage.times.excess_until and not state.target.hides:
-        missing = plan.finest.missing(state.gaussians)
-        state.target.hide(plan.request.objective.grain(missing))
-        state.target.follow(missing)
+    if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
+        return state
+    missing = plan.finest.missing(state.gaussians)
+    return replace(state, target=state.target.without(plan.request.objective.grain(missing)).moved(missing))
 
 
 def take_step(

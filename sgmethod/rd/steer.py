@@ -46,5 +46,5 @@ def once_more(plan: Plan, state: State, files: Iterable[Coded]) -> State:
     rate = plan.request.rate
     if not rate.by_looks:
         return state
-    state.target.show_all()
-    return replace(state, quantum=rate.finer(state.quantum, max(map(rate.reached, files))))
+    quantum = rate.finer(state.quantum, max(map(rate.reached, files)))
+    return replace(state, target=state.target.whole(), quantum=quantum)

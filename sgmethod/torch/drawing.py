@@ -7,13 +7,15 @@ which are plain operations on tensors. Both draw what docs/format.md defines.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
-from sgmethod.backend.pairs import Pairs
+from sgmethod.backend.pairs import Pairs, is_drawn
 from sgmethod.budget import own_number, whole
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
@@ -49,28 +51,35 @@ def render(
     The two differ by 0.002 on average in a fitted photograph (root mean square).
     blend: "accumulated" adds Gaussians up, as files do; "normalised" divides by the sum of their weights.
 
-    Gaussians with a value that is not finite, or l1 or l3 <= 0, are not drawn, and get gradients of 0. Raises
-    GaussiansError for other shapes, and ViewError for an invalid scale or size.
+    Gaussians with a value that is not finite, with l1 or l3 <= 0, or with a covariance or an inverse of it that the
+    precision cannot hold, are not drawn, and get gradients of 0. Raises GaussiansError for other shapes, and ViewError
+    for an invalid scale or size.
     """
     means, factors, colors, lead = _checked(means, factors, colors)
-    width, height = (whole(side, "a side", 1, native.MAX_SIDE, ViewError) for side in size)
+    width, height = own_size(size)
     number = own_number(scale)
     if number is None or not MIN_SCALE <= number <= MAX_SCALE:
         raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {scale!r}")
     if blend not in ("accumulated", "normalised"):
         raise GaussiansError(f"Gaussians are accumulated or normalised, not {blend!r}")
-    gain = torch.ones_like(colors)
-    if number != 1:
-        drawn = max(round(width * number), 1), max(round(height * number), 1)
-        means, factors, gain = _resized(means, factors, (drawn[0] / width, drawn[1] / height))
-        width, height = drawn
-    image: Tensor = _draw(means, factors, colors * gain, width, height, pyramid).reshape(*lead, 3, height, width)
+    resized = max(round(width * number), 1), max(round(height * number), 1)
+    means, factors, colors, gain = _resized(means, factors, colors, (resized[0] / width, resized[1] / height))
+    image = _drawn(means, factors, colors * gain, resized, pyramid).reshape(*lead, 3, *resized[::-1])
     below = torch.as_tensor(background, dtype=means.dtype, device=means.device)
     below = below[..., None, None] if below.ndim else below
     if blend == "accumulated":
         return image + below
-    weights: Tensor = _draw(means, factors, gain.expand_as(colors), width, height, pyramid).reshape(image.shape)
+    weights = _drawn(means, factors, gain.expand_as(colors), resized, pyramid).reshape(image.shape)
     return (image + FAINT * below) / (weights + FAINT)
+
+
+def own_size(size: object) -> tuple[int, int]:
+    """A width and a height as Python's own numbers. Raises ViewError for anything else."""
+    sides = list(size) if isinstance(size, Iterable) else []
+    if len(sides) != 2:
+        raise ViewError(f"a size is width and height in pixels, not {size!r}")
+    width, height = (whole(side, "a side", 1, native.MAX_SIDE, ViewError) for side in sides)
+    return width, height
 
 
 def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor, tuple[int, ...]]:
@@ -95,16 +104,38 @@ def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Te
     return *own, tuple(lead)  # type: ignore[return-value]
 
 
-def _resized(means: Tensor, factors: Tensor, scale: tuple[float, float]) -> tuple[Tensor, Tensor, Tensor]:
-    """In output pixels, low-passed as sgmethod/view.py does it; and the gain [B, N, 1] of the colours."""
-    (sx, sy), widening = scale, PIXEL_VARIANCE / variance(native.CUTOFF_V3)
+def _resized(
+    means: Tensor, factors: Tensor, colors: Tensor, scale: tuple[float, float]
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """In output pixels, low-passed as sgmethod/view.py does it, and the gain [B, N, 1] of the colours. Gaussians that
+    are not drawn are replaced by valid ones of gain 0, since their own values would turn gradients into NaN."""
+    sx, sy = scale
+    if scale != (1, 1):
+        (x, y), (l1, l2, l3) = means.unbind(-1), factors.unbind(-1)
+        means, factors = torch.stack([x * sx, y * sy], -1), torch.stack([l1 * sx, l2 * sy, l3 * sy], -1)
+    drawn = (is_drawn(means, factors) & colors.isfinite().all(-1))[..., None]
+    means = torch.where(drawn, means, -9)  # beyond the edge
+    factors, colors = torch.where(drawn, factors, 1), torch.where(drawn, colors, 0)
+    if min(scale) >= 1:
+        return means, factors, colors, drawn.to(colors.dtype)
+    widening = PIXEL_VARIANCE / variance(native.CUTOFF_V3)
     wide_x, wide_y = (max(1 - s * s, 0.0) * widening for s in scale)
-    l1, l2, l3 = (factors * factors.new_tensor([sx, sy, sy])).unbind(-1)
+    l1, l2, l3 = factors.unbind(-1)
     n1 = (l1 * l1 + wide_x).sqrt()
     slant = l2 / n1
     n2, n3 = l1 * slant, (l3 * l3 + wide_y + slant * slant * wide_x).sqrt()
-    gain = torch.where((l1 > 0) & (l3 > 0), (l1 * l3) / (n1 * n3), 0)
-    return means * means.new_tensor(scale), torch.stack([n1, n2, n3], -1), gain[..., None]
+    return means, torch.stack([n1, n2, n3], -1), colors, drawn * (l1 / n1 * (l3 / n3))[..., None]
+
+
+def _drawn(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], pyramid: bool) -> Tensor:
+    """[B, 3, height, width] of Gaussians [B, N, ...]. In forward mode, torch silently drops the tangents of custom
+    operators, so there it differentiates the list of pairs itself."""
+    if forward_ad._current_level < 0:  # not in forward mode; torch has no public name for this
+        image: Tensor = _draw(means, factors, colors, *size, pyramid)
+        return image
+    rows = zip(means, factors, colors, strict=True)
+    images = [Pairs(mean, factor, size, native.CUTOFF_V3, pyramid).draw(color) for mean, factor, color in rows]
+    return torch.stack(images) if images else colors.new_empty(0, 3, *size[::-1])
 
 
 @torch.library.custom_op("sgmethod::draw", mutates_args=())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from typing import Literal
 
@@ -11,9 +12,13 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from sgmethod import decoder
+from sgmethod.backend.devices import own_device
+from sgmethod.budget import whole
 from sgmethod.decoder import MAX_PIXELS, WHOLE, File, SgFile
 from sgmethod.errors import SgError, ViewError
+from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.scene import Gaussians
+from sgmethod.torch.drawing import own_size
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View
 
 Device = str | torch.device | None
@@ -36,15 +41,17 @@ def decode(
 
     dtype: uint8 for levels, a floating-point type for values in [0, 1]; layout: "HWC" for [H, W, 3 or 4]. The others,
     and the errors raised, as in sgmethod.decode(), which draws the pixels: the same on every device.
+    Raises SgError for a device that is not there.
     """
-    return _tensor(decoder.decode(file, max_pixels, view), device, dtype, layout)
+    found = own_device(device)
+    return _tensor(decoder.decode(file, max_pixels, view), dtype, layout).to(found)
 
 
 def gaussians(
     file: File | SgFile | Gaussians, device: Device = None, dtype: torch.dtype = torch.float32
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Means [N, 2], factors [N, 3], colours [N, 3] and background [3] as render() takes them. Raises BitstreamError and
-    OSError.
+    """Means [N, 2], factors [N, 3], colours [N, 3] and background [3] as render() takes them. Raises BitstreamError,
+    OSError, and SgError for a device that is not there.
 
     >>> means, factors, colors, background = gaussians("photo.sg")
     """
@@ -53,8 +60,9 @@ def gaussians(
     else:
         opened = file if isinstance(file, SgFile) else SgFile(file)
         found, background = opened.gaussians(), opened.background
-    means, factors, colors = (torch.as_tensor(values, dtype=dtype, device=device) for values in found.arrays)
-    return means, factors, colors, torch.tensor(background, dtype=dtype, device=device)
+    where = own_device(device)
+    means, factors, colors = (torch.as_tensor(values, dtype=dtype, device=where) for values in found.arrays)
+    return means, factors, colors, torch.tensor(background, dtype=dtype, device=where)
 
 
 class SgDataset(Dataset[dict[str, Tensor]]):
@@ -70,6 +78,7 @@ class SgDataset(Dataset[dict[str, Tensor]]):
     most_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True where there is one; "size"
     (width, height) and "background" [3]. The first Gaussians of a file, its largest, are taken, and zeros, which draw
     nothing, fill the rest.
+    Raises SgError for other values of the two, and for a single file in place of a list.
     """
 
     def __init__(
@@ -77,7 +86,11 @@ class SgDataset(Dataset[dict[str, Tensor]]):
     ) -> None:
         if (size is None) == (most_gaussians is None):
             raise SgError("SgDataset needs either size or most_gaussians")
-        self._files, self._size, self._most = files, size, most_gaussians
+        if isinstance(files, str | bytes | os.PathLike):
+            raise SgError("SgDataset needs a list of files, not one file")
+        self._files = files
+        self._size = None if size is None else own_size(size)
+        self._most = 0 if most_gaussians is None else whole(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
 
     def __len__(self) -> int:
         return len(self._files)
@@ -86,7 +99,6 @@ class SgDataset(Dataset[dict[str, Tensor]]):
         file = SgFile(self._files[index])
         if self._size is not None:
             return {"pixels": _covering(file, self._size)}
-        assert self._most is not None
         return _padded(file, self._most)
 
 
@@ -107,14 +119,14 @@ def _covering(file: SgFile, size: tuple[int, int]) -> Tensor:
         raise ViewError(f"{width} x {height} pixels are no size for a picture of {file.size[0]} x {file.size[1]}")
     pixels = file.pixels(scale)
     y, x = (pixels.shape[0] - height) // 2, (pixels.shape[1] - width) // 2
-    return _tensor(pixels[y : y + height, x : x + width, :3], None, torch.uint8, "CHW")
+    return _tensor(pixels[y : y + height, x : x + width, :3], torch.uint8, "CHW")
 
 
-def _tensor(pixels: np.ndarray, device: Device, dtype: torch.dtype, layout: Layout) -> Tensor:
-    if dtype != torch.uint8 and not dtype.is_floating_point:
+def _tensor(pixels: np.ndarray, dtype: torch.dtype, layout: Layout) -> Tensor:
+    if not isinstance(dtype, torch.dtype) or not (dtype == torch.uint8 or dtype.is_floating_point):
         raise SgError(f"pixels are uint8 or of a floating-point type, not {dtype}")
     if layout not in ("CHW", "HWC"):
         raise SgError(f"the layout of pixels is CHW or HWC, not {layout!r}")
-    tensor = torch.from_numpy(pixels).to(device)
+    tensor = torch.from_numpy(pixels)
     tensor = tensor.permute(2, 0, 1).contiguous() if layout == "CHW" else tensor
     return tensor if dtype == torch.uint8 else tensor.to(dtype) / 255

@@ -18,7 +18,7 @@ from tests.backend.cases import FRAMES, VISIBILITIES, image, over, target, visib
 from tests.backend.test_encode import BYTES, SIZE, encoded
 from tests.harness.data import PHOTOGRAPHS
 
-TENSORS, REFERENCE = Tensors("cpu"), Reference()
+TENSORS, REFERENCE = Tensors(torch.device("cpu")), Reference()
 
 every_frame = pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
 every_visibility = pytest.mark.parametrize("kind", VISIBILITIES)
@@ -71,6 +71,6 @@ def test_files_are_as_good_as_those_of_the_kernels() -> None:
 def test_devices() -> None:
     assert type(backend_on(None)) is type(backend_on("cpu")) is Kernels
     assert type(backend_on("cpu:0")) is Tensors
-    for name in ("gpu", "cuda:99", 7):
-        with pytest.raises(sgmethod.SgError, match="there is no device"):
+    for name in ("gpu", "cuda:99", "mps" if torch.cuda.is_available() else "cuda", "meta", "", 7):
+        with pytest.raises(sgmethod.SgError, match=r"^there is no device '.*' here: [^\n]+$"):
             sgmethod.encode(np.zeros((8, 8), np.uint8), device=name)

@@ -14,7 +14,7 @@ import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
 from sgmethod.native import native, reference
 from sgmethod.scene import Gaussians, Scene
-from sgmethod.torch import render
+from sgmethod.torch import drawing, render
 from sgmethod.torch.drawing import _draw, _draw_backward
 from sgmethod.view import View
 from tests.backend.cases import scattered
@@ -58,6 +58,7 @@ def test_values_and_gradients(dtype: torch.dtype, pyramid: bool, seed: int) -> N
         assert (one.grad - other.grad).abs().max() < 1e-3 * other.grad.abs().max()  # worst seen 2.5e-6
 
 
+@pytest.mark.filterwarnings("ignore:.*torch.jit.script.*:DeprecationWarning")  # of torch's own forward mode
 @pytest.mark.parametrize(("pyramid", "blend", "scale"), [*product((True, False), BLENDS, (1, 0.5))])
 def test_gradcheck(pyramid: bool, blend: Any, scale: float) -> None:
     means, factors, colors = tensors(scattered(5, 1, (10, 8)))
@@ -66,7 +67,8 @@ def test_gradcheck(pyramid: bool, blend: Any, scale: float) -> None:
     def drawn(*values: Tensor) -> Tensor:
         return render(*values[:3], (10, 8), values[3], scale, pyramid, blend=blend)
 
-    assert torch.autograd.gradcheck(drawn, (means, factors, colors, background), fast_mode=True)
+    values = means, factors, colors, background
+    assert torch.autograd.gradcheck(drawn, values, fast_mode=True, check_forward_ad=True)
 
 
 def test_it_is_an_operator_of_torch() -> None:
@@ -77,14 +79,17 @@ def test_it_is_an_operator_of_torch() -> None:
 
 
 def test_it_compiles_whole() -> None:
-    def loss(*values: Tensor) -> Tensor:
-        return render(*values, SIZE, background=0.5).square().mean()
+    """Also for a second scale, for which torch compiles it again with any scale."""
+
+    def loss(scale: float, *values: Tensor) -> Tensor:
+        return render(*values, SIZE, 0.5, scale).square().mean()
 
     values = stacked(6, 2)
     compiled = torch.compile(loss, fullgraph=True, backend="aot_eager")
-    by_compiled, by_eager = (torch.autograd.grad(function(*values), values) for function in (compiled, loss))
-    for one, other in zip(by_compiled, by_eager, strict=True):
-        assert torch.equal(one, other)
+    for scale in (1.0, 1.5):
+        gradients = [torch.autograd.grad(function(scale, *values), values) for function in (compiled, loss)]
+        for one, other in zip(*gradients, strict=True):
+            assert torch.equal(one, other)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -134,18 +139,36 @@ def test_normalised_blending() -> None:
     assert image[:, 0, 0].tolist() == pytest.approx([0.1] * 3)
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_what_is_no_gaussian_is_not_drawn(dtype: torch.dtype) -> None:
-    good = tensors(scattered(8, 1), dtype)
-    bad = [values.detach().clone() for values in good]
-    bad[0][1, 0], bad[0][2, 1], bad[1][3, 0], bad[1][4, 2], bad[1][5, 1] = np.nan, np.inf, 0, -1, np.nan
-    bad = [values.requires_grad_() for values in bad]
-    left = [0, 6, 7]
-    image = render(*bad, SIZE)
-    assert torch.equal(image, render(*(values[left] for values in good), SIZE))
-    for gradient in torch.autograd.grad(image.sum(), bad):
-        assert not gradient[1:6].any()
-        assert gradient[left].isfinite().all()
+NOT_DRAWN = {
+    "padding": (0, [0, 0, 0], 0),
+    "place": (np.nan, [1, 0, 1], 1),
+    "infinite place": (np.inf, [1, 0, 1], 1),
+    "l1": (5, [-1, 1, 2], 1),
+    "l2": (5, [1, np.nan, 1], 1),
+    "l3": (5, [2, 1, 0], 1),
+    "colour": (5, [2, 1, 2], np.nan),
+    "infinite colour": (5, [2, 1, 2], np.inf),
+    "wide": (5, [1e200, 0, 1e200], 1),
+    "narrow": (3.5, [1e-200, 0, 2], 1),
+    "slanted": (3.5, [1e-90, 1e90, 1], 1),
+}
+
+
+@pytest.mark.parametrize("scale", [1, 0.5, 2])
+@pytest.mark.parametrize("path", ["kernels", "tensors", "tensors in double precision"])
+def test_what_is_no_gaussian_is_not_drawn(path: str, scale: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    dtype = torch.float64 if "double" in path else torch.float32
+    if path == "tensors":
+        monkeypatch.setattr(drawing, "_has_kernels", lambda _values: False)
+    good, rows = tensors(scattered(3, 1), dtype), zip(*NOT_DRAWN.values(), strict=True)
+    bad = [torch.tensor(row, dtype=torch.float64).to(dtype) for row in rows]
+    bad[0], bad[2] = bad[0][:, None].expand(-1, 2), bad[2][:, None].expand(-1, 3)
+    all_values = [torch.cat(both).detach().requires_grad_() for both in zip(good, bad, strict=True)]
+    image = render(*all_values, SIZE, 0.0, scale)
+    assert torch.equal(image, render(*good, SIZE, 0.0, scale))
+    for gradient in torch.autograd.grad(image.square().sum(), all_values):
+        assert gradient[:3].isfinite().all()
+        assert not gradient[3:].any()
 
 
 ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
@@ -161,6 +184,7 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
         ((ONE[0], ONE[1].expand(2, 3), ONE[2]), {}, GaussiansError, "of as many Gaussians"),
         ((ONE[0].expand(2, 1, 2), ONE[1].expand(3, 1, 3), ONE[2]), {}, GaussiansError, "leading dimensions"),
         (ONE, {"size": (0, 4)}, ViewError, "a side must be a whole number from 1"),
+        (ONE, {"size": (4, 4, 4)}, ViewError, "a size is width and height"),
         (ONE, {"scale": 100}, ViewError, "the scale must lie in"),
         (ONE, {"blend": "alpha"}, GaussiansError, "accumulated or normalised, not 'alpha'"),
     ],

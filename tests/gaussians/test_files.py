@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader
 
 import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
-from sgmethod.torch import SgDataset, decode, read_gaussianimage, read_image_gs, render
+from sgmethod.torch import SgDataset, decode, gaussians, read_gaussianimage, read_image_gs, render
 from sgmethod.view import WHOLE, View, recut
 from tests.backend.cases import single
 
@@ -25,7 +25,6 @@ def test_decoding_into_a_tensor() -> None:
     pixels, view = sgmethod.decode("picture.sg"), View(0.5)
     assert torch.equal(decode("picture.sg", layout="HWC"), torch.from_numpy(pixels))
     assert torch.equal(decode("picture.sg", "cpu"), torch.from_numpy(pixels).permute(2, 0, 1))
-    assert decode("picture.sg", torch.device("meta")).device.type == "meta"
     levels = decode("picture.sg", dtype=torch.float32)
     assert np.array_equal((255 * levels).round().permute(1, 2, 0).numpy(), pixels)
     assert levels.is_contiguous()
@@ -61,8 +60,15 @@ def test_a_data_set_of_gaussians() -> None:
     ("call", "error", "words"),
     [
         (lambda: decode("picture.sg", dtype=torch.int32), SgError, "uint8 or of a floating-point type"),
+        (lambda: decode("picture.sg", dtype="float32"), SgError, "uint8 or of a floating-point type"),
+        (lambda: decode("picture.sg", "cuda:99"), SgError, "there is no device 'cuda:99' here"),
+        (lambda: gaussians("picture.sg", torch.device("meta")), SgError, "there is no device 'meta' here"),
         (lambda: decode("picture.sg", layout="NCHW"), SgError, "CHW or HWC, not 'NCHW'"),
         (lambda: SgDataset(["picture.sg"]), SgError, "needs either size or most_gaussians"),
+        (lambda: SgDataset("picture.sg", size=(8, 8)), SgError, "a list of files, not one file"),
+        (lambda: SgDataset(["picture.sg"], size=(8, -8)), ViewError, "a side must be a whole number from 1"),
+        (lambda: SgDataset(["picture.sg"], size=8), ViewError, "a size is width and height in pixels, not 8"),
+        (lambda: SgDataset(["picture.sg"], most_gaussians=-1), SgError, "most_gaussians must be a whole number from 1"),
         (lambda: SgDataset(["picture.sg"], size=(1, 9000))[0], ViewError, "no size for a picture of 48 x 40"),
     ],
 )

@@ -226,7 +226,7 @@ def test_only_what_is_clamped_may_overshoot() -> None:
     original = target_of(grey)
     moving = BeyondBlackAndWhite(original, 0, RD.objective.moving)
     for drawn in (-1.0, -0.2, 0.5, 1.2, 2.0):
-        moving.follow(lambda first, end, drawn=drawn: original[:, first:end] / TARGET_WHITE - np.float32(drawn))
+        moving = moving.moved(lambda first, end, drawn=drawn: original[:, first:end] / TARGET_WHITE - np.float32(drawn))
         target = moving.now[0] / TARGET_WHITE
         assert np.allclose(target[:, :10], np.clip(drawn, -0.4, -0.02), atol=0.21)
         assert target[:, :10].max() < 0

@@ -39,8 +39,12 @@ def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> 
     assert isinstance(state.target, AheadForTheEye)
     plan = replace(plan, pyramid=plan.pyramid.from_level(plan.pyramid.levels[halvings]))
     state = replace(plan.begin(state.gaussians), quantum=state.quantum)
-    fit(plan, state, stage_of(plan, 100, at=0.99))
-    assert state.target.hides == (halvings == 0)
+    after = fit(plan, state, stage_of(plan, 100, at=0.99))
+    assert after.target.hides == (halvings == 0)
+    assert not state.target.hides
+    moved = after.target.now.copy()
+    fit(plan, after, stage_of(plan, 10, at=0.99))
+    assert np.array_equal(after.target.now, moved)
 
 
 def test_the_trace_shows_what_would_be_decoded() -> None:
