@@ -94,7 +94,7 @@ def run_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
     root.setLevel(logging.WARNING)
 
 
-@pytest.fixture(params=["sqlite", "postgresql"])
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.thorough)])
 def database_url(request: pytest.FixtureRequest) -> str:
     """SG_DATABASE_URL of an empty job table: each test that takes it runs once on either database."""
     if request.param == "sqlite":

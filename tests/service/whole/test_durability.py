@@ -31,7 +31,7 @@ def start_service(start_service: StartService, database_url: str) -> StartServic
     return partial(start_service, database_url=database_url)
 
 
-@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+@pytest.fixture(scope="module", params=["sqlite", pytest.param("postgresql", marks=pytest.mark.thorough)])
 def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
     """Gives SG_DATABASE_URL of empty job tables, all in one kind of database."""
     if request.param == "sqlite":
