@@ -19,6 +19,7 @@ from procrastinate import App, PsycopgConnector, SyncPsycopgConnector
 from procrastinate.exceptions import ProcrastinateException
 from procrastinate.schema import SchemaManager
 
+from service.process.background import survived
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
@@ -92,13 +93,14 @@ class Engine:
     async def _tidy(self, app: App, top_up: Callable[[], None]) -> None:
         """Tokens of workers that are gone go back, and rows without a token get one."""
         while True:
-            try:
-                for token in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=self._lease_s):
-                    with contextlib.suppress(ProcrastinateException):  # another worker was quicker
-                        await app.job_manager.retry_job(token)
-                await asyncio.to_thread(top_up)
-            except ProcrastinateException as error:
-                log.warning("cannot clean up the queue engine: %s", in_words(error))
+            with survived("cleaning up the queue engine"):
+                try:
+                    for token in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=self._lease_s):
+                        with contextlib.suppress(ProcrastinateException):  # another worker was quicker
+                            await app.job_manager.retry_job(token)
+                    await asyncio.to_thread(top_up)
+                except ProcrastinateException as error:
+                    log.warning("cannot clean up the queue engine: %s", in_words(error))
             await asyncio.sleep(TIDY_S)
 
 

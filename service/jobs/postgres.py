@@ -23,7 +23,7 @@ from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
 # The database's clock: those of several machines differ.
 EPOCH = """

@@ -14,7 +14,7 @@ import obstore
 from obstore.exceptions import BaseError
 from obstore.store import from_url
 
-from service.storage.files import check_key
+from service.storage.files import check_key, is_key
 
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
@@ -91,4 +91,4 @@ class BucketStorage:
         oldest = datetime.now(UTC) - timedelta(seconds=age_s)
         with _as_os_errors():
             for chunk in obstore.list(self._store):
-                yield from (entry["path"] for entry in chunk if entry["last_modified"] < oldest)
+                yield from (e["path"] for e in chunk if is_key(e["path"]) and e["last_modified"] < oldest)

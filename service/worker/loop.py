@@ -14,6 +14,7 @@ from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
 from service.process import confinement
 from service.process.lifeline import Lifeline
+from service.process.background import survived
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.files import Storage, bitstream_key, source_key
@@ -67,13 +68,14 @@ class Worker:
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""
-        try:
-            # The codec is imported before a job is claimed, not within its lease.
-            return self._encoders.get_ready(self._stop) and self.run_one()
-        except (JobTableError, OSError) as error:
-            log.error("worker %s: %s", self._name, error)
-            self._stop.wait(PAUSE_AFTER_TROUBLE_S)
-            return False
+        with survived("running a job"):  # the engine of PostgreSQL would swallow the exception
+            try:
+                # The codec is imported before a job is claimed, not within its lease.
+                return self._encoders.get_ready(self._stop) and self.run_one()
+            except (JobTableError, OSError) as error:
+                log.error("worker %s: %s", self._name, error)
+        self._stop.wait(PAUSE_AFTER_TROUBLE_S)
+        return False
 
     def run_one(self) -> bool:
         """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""

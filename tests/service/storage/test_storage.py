@@ -12,6 +12,7 @@ import pytest
 
 from service.storage.bucket import BucketStorage
 from service.storage.disk import DiskStorage
+import obstore
 from service.storage.files import Storage, bitstream_key, source_key
 from tests.harness.s3_server import S3Server
 
@@ -76,6 +77,18 @@ def test_young_files_are_not_old(storage: Storage) -> None:
     "key", ["", "a", "../a", "sources/../a", f"sources/{JOB}/a", f"sources/{JOB}\n", "/etc/passwd"]
 )
 def test_other_keys_are_refused(storage: Storage, key: str) -> None:
+def test_files_of_others_are_left_alone(storage: Storage, tmp_path: Path) -> None:
+    """A file manager's, or the marker of a folder in a bucket: one of them ended the sweeper for good."""
+    storage.put(source_key(JOB), b"data")
+    if isinstance(storage, BucketStorage):
+        for key in ("sources", "backup/2026.tar"):
+            obstore.put(storage._store, key, b"theirs")
+    else:
+        (tmp_path / "data" / "bitstreams" / ".DS_Store").write_bytes(b"theirs")
+        (tmp_path / "data" / "sources" / "lost+found").mkdir()
+    assert list(storage.old(A_MOMENT_S)) == [source_key(JOB)]
+
+
     for action in (storage.get, storage.open, storage.delete):
         with pytest.raises(ValueError, match="not a storage key"):
             action(key)
