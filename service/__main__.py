@@ -36,8 +36,12 @@ def main() -> int:
         set_up_logging(settings.log_format)
     except ValidationError as error:
         for fault in error.errors():
-            name = f"SG_{fault['loc'][0]}: ".upper() if fault["loc"] else ""
-            print(f"{name}{fault['msg'].removeprefix('Value error, ')}", file=sys.stderr)
+            field = str(fault["loc"][0]) if fault["loc"] else ""
+            name = f"SG_{field}: ".upper() if field else ""
+            what = fault["msg"].removeprefix("Value error, ")
+            if fault["type"] == "string_pattern_mismatch":  # nobody should have to read a regular expression
+                what = f"not a value of this setting ({Settings.model_fields[field].description})"
+            print(f"{name}{what}", file=sys.stderr)
         return BAD_SETTING
     except SgError as error:  # the kernels are missing, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import shutil
 import subprocess
@@ -97,7 +98,8 @@ def _kernels(_settings: Settings) -> str:
 def _confinement(_settings: Settings) -> str:
     """It is no failure where the system offers less, as older ones and some containers do."""
     ask = f"from {confinement.MODULE} import confine; print(', '.join(confine()))"
-    said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False)
+    known = confinement.environment(os.environ)
+    said = subprocess.run([sys.executable, "-c", ask], env=known, capture_output=True, text=True, check=False)
     if said.returncode != 0:
         raise CheckError("the processes that read uploads cannot be sandboxed")
     missing = said.stdout.strip()

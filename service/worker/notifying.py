@@ -62,7 +62,7 @@ class Notifier(threading.Thread):
         where = urlsplit(self._address).hostname  # the rest of an address may be a secret
         try:
             _post(self._address, headers(self._secret, notice, int(time.time())), notice.body.encode())
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, ValueError) as error:  # the last for a proxy whose address is none
             log.warning("job %s: webhook to %s, try %d: %s", notice.job_id, where, notice.tries + 1, error)
             return False
         log.info("job %s: webhook to %s delivered", notice.job_id, where)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import os
+import ssl
 import stat
+import subprocess
+import threading
 import time
 from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import obstore
 import pytest
 
 from service.storage.bucket import BucketStorage
 from service.storage.disk import DiskStorage
-import obstore
 from service.storage.files import Storage, bitstream_key, source_key
 from tests.harness.s3_server import S3Server
 
@@ -73,10 +77,6 @@ def test_young_files_are_not_old(storage: Storage) -> None:
     assert list(storage.old(60)) == []
 
 
-@pytest.mark.parametrize(
-    "key", ["", "a", "../a", "sources/../a", f"sources/{JOB}/a", f"sources/{JOB}\n", "/etc/passwd"]
-)
-def test_other_keys_are_refused(storage: Storage, key: str) -> None:
 def test_files_of_others_are_left_alone(storage: Storage, tmp_path: Path) -> None:
     """A file manager's, or the marker of a folder in a bucket: one of them ended the sweeper for good."""
     storage.put(source_key(JOB), b"data")
@@ -89,6 +89,10 @@ def test_files_of_others_are_left_alone(storage: Storage, tmp_path: Path) -> Non
     assert list(storage.old(A_MOMENT_S)) == [source_key(JOB)]
 
 
+@pytest.mark.parametrize(
+    "key", ["", "a", "../a", "sources/../a", f"sources/{JOB}/a", f"sources/{JOB}\n", "/etc/passwd"]
+)
+def test_other_keys_are_refused(storage: Storage, key: str) -> None:
     for action in (storage.get, storage.open, storage.delete):
         with pytest.raises(ValueError, match="not a storage key"):
             action(key)
@@ -151,6 +155,25 @@ def test_a_bucket_that_is_not_there(s3: S3Server, monkeypatch: pytest.MonkeyPatc
         BucketStorage("s3://another/sgmethod").check()
     with pytest.raises(OSError, match="the object store failed"):
         BucketStorage("s3://another/sgmethod").put(source_key(JOB), b"data")
+
+
+def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It said no more than that a request could not be sent."""
+    certificate, key = tmp_path / "certificate", tmp_path / "key"
+    kind = ["-x509", "-nodes", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-subj", "/CN=localhost"]
+    command = ["openssl", "req", *kind, "-out", str(certificate), "-keyout", str(key)]
+    subprocess.run(command, check=True, capture_output=True)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    with ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as server:
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+        threading.Thread(target=server.serve_forever).start()
+        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+            monkeypatch.setenv(name, "test")
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"https://localhost:{server.server_address[1]}")
+        with pytest.raises(OSError, match=r"certificate is not trusted; .* SSL_CERT_FILE"):
+            BucketStorage("s3://pictures/sgmethod").check()
+        server.shutdown()
 
 
 def test_pictures_are_the_owners_alone(disk: DiskStorage, tmp_path: Path) -> None:
