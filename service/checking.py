@@ -90,9 +90,9 @@ def _free_disk(settings: Settings) -> str:
 def _kernels(_settings: Settings) -> str:
     from sgmethod.native import native
 
-    if find_spec("torch") is None:
-        raise CheckError("encoding needs extra packages: pip install '.[encode]'")
-    return ISA_NAMES[native.best_isa()]
+    missing = find_spec("torch") is None
+    others = "need PyTorch: pip install 'sgmethod[torch]'" if missing else "are available"
+    return f"{ISA_NAMES[native.best_isa()]}; profiles paper and baseline {others}"
 
 
 def _confinement(_settings: Settings) -> str:
