@@ -36,13 +36,18 @@ def main() -> int:
         set_up_logging(settings.log_format)
     except ValidationError as error:
         for fault in error.errors():
-            name = f"SG_{fault['loc'][0]}: ".upper() if fault["loc"] else ""
-            print(f"{name}{fault['msg'].removeprefix('Value error, ')}", file=sys.stderr)
+            field = str(fault["loc"][0]) if fault["loc"] else ""
+            name = f"SG_{field}: ".upper() if field else ""
+            what = fault["msg"].removeprefix("Value error, ")
+            if fault["type"] == "string_pattern_mismatch":  # nobody should have to read a regular expression
+                what = f"not a value of this setting ({Settings.model_fields[field].description})"
+            print(f"{name}{what}", file=sys.stderr)
         return BAD_SETTING
     except SgError as error:  # the kernels are missing, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
-    for name in unknown_settings(os.environ):
+    child = getattr(arguments, "lifeline", None) is not None  # of "serve", which has said it
+    for name in () if child else unknown_settings(os.environ):
         print(f"{name} is not a setting of this service and has no effect", file=sys.stderr)
     try:
         return _COMMANDS[arguments.command](settings, arguments) or 0
@@ -138,11 +143,16 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
 def _announce(settings: Settings) -> socket.socket:
     """Listen, and say where."""
     listener = listen(settings)
-    print(f"sgmethod service on {url(listener)}, {_where(settings)}", flush=True)
+    print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings)}", flush=True)
     if not is_loopback(listener) and not settings.key_names:
         warning = "anyone who reaches this address can post, list and delete jobs: set SG_API_KEYS"
         print(warning, file=sys.stderr, flush=True)
     return listener
+
+
+def _for_whom(settings: Settings) -> str:
+    keys = len(settings.key_names)
+    return f"for {keys} API key{'s' * (keys > 1)}" if keys else "open to everyone who can reach it"
 
 
 def _where(settings: Settings) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import secrets
 import shutil
 import subprocess
@@ -89,15 +90,16 @@ def _free_disk(settings: Settings) -> str:
 def _kernels(_settings: Settings) -> str:
     from sgmethod.native import native
 
-    if find_spec("torch") is None:
-        raise CheckError("encoding needs extra packages: pip install '.[encode]'")
-    return ISA_NAMES[native.best_isa()]
+    missing = find_spec("torch") is None
+    others = "need PyTorch: pip install 'sgmethod[torch]'" if missing else "are available"
+    return f"{ISA_NAMES[native.best_isa()]}; profiles paper and baseline {others}"
 
 
 def _confinement(_settings: Settings) -> str:
     """It is no failure where the system offers less, as older ones and some containers do."""
     ask = f"from {confinement.MODULE} import confine; print(', '.join(confine()))"
-    said = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=False)
+    known = confinement.environment(os.environ)
+    said = subprocess.run([sys.executable, "-c", ask], env=known, capture_output=True, text=True, check=False)
     if said.returncode != 0:
         raise CheckError("the processes that read uploads cannot be sandboxed")
     missing = said.stdout.strip()

@@ -11,18 +11,21 @@ from collections.abc import Iterable
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
 from service.logs import LogFormat
+from sgmethod import MAX_THREADS
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
 
 MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # what the system and both databases can surely count
+LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the end is a date
 MOST = 10**9
 OTHER_NAMES = frozenset({"SG_API_KEY"})  # the client's
 
@@ -68,7 +71,7 @@ class Settings(BaseSettings):
         description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted; exempt from limits",
     )
     retention_s: float = Field(
-        default=30 * 86_400, ge=0, description="seconds until finished jobs are removed; 0 for never"
+        default=30 * 86_400, ge=0, le=LONGEST_KEPT_S, description="seconds until finished jobs are removed; 0 for never"
     )
     quota_bytes: int = Field(
         default=0, ge=0, description="bytes of all images and bitstreams before new jobs get 429; 0 for no limit"
@@ -81,12 +84,14 @@ class Settings(BaseSettings):
     )
     storage_url: str = Field(
         default="",
-        pattern=r"^(|s3://.+)$",
+        pattern=r"^(|s3://[A-Za-z0-9._-]+(/[^?#\s]*)?)$",
         description="sources and bitstreams: empty for the data folder, or s3://bucket/prefix",
     )
 
     # Jobs and encodes.
-    threads: int = Field(default=0, ge=0, description="threads per encode; 0 divides the cores among the workers")
+    threads: int = Field(
+        default=0, ge=0, le=MAX_THREADS, description="threads per encode; 0 divides the cores among the workers"
+    )
     queue_length: int = Field(default=1000, ge=1, description="queued jobs before new ones get 429")
     max_time_limit_s: float = Field(
         default=300.0,
@@ -114,6 +119,7 @@ class Settings(BaseSettings):
     source_retention_s: float = Field(
         default=3600.0,
         ge=0,
+        le=LONGEST_KEPT_S,
         description="seconds to keep the image of a finished job for re-encoding; 0 to delete it at once",
     )
     min_free_bytes: int = Field(
@@ -178,9 +184,11 @@ class Settings(BaseSettings):
         default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for the request line and headers"
     )
     body_chunk_timeout_s: float = Field(
-        default=5.0, gt=0, description="seconds without data during an upload before 408"
+        default=5.0, gt=0, le=LONGEST_S, description="seconds without data during an upload before 408"
     )
-    body_timeout_s: float = Field(default=120.0, gt=0, description="seconds for a whole upload before 408")
+    body_timeout_s: float = Field(
+        default=120.0, gt=0, le=LONGEST_S, description="seconds for a whole upload before 408"
+    )
     send_timeout_s: float = Field(
         default=60.0,
         ge=1,
@@ -204,6 +212,15 @@ class Settings(BaseSettings):
         default=64 * 2**20, ge=0, description="bytes of decoded picture files cached in memory"
     )
     max_decode_gaussians: int = Field(default=1_000_000, ge=1, description="maximum Gaussians of an uploaded bitstream")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _without_line_end(cls, value: object) -> object:
+        """A secret that was made from a file often ends in a line end."""
+        if not isinstance(value, str):
+            return value
+        value.encode()  # raises ValueError for what is not UTF-8
+        return value.strip()
 
     @model_validator(mode="after")
     def _keys_can_be_read(self) -> Settings:
@@ -231,6 +248,17 @@ class Settings(BaseSettings):
     def _proxies_are_addresses(cls, text: str) -> str:
         for word in filter(None, map(str.strip, text.split(","))):
             ip_network(word)
+        return text
+
+    @field_validator("webhook_urls")
+    @classmethod
+    def _webhooks_can_be_sent(cls, text: str) -> str:
+        try:
+            for parts in map(urlsplit, text.split(",")):
+                _ = parts.port
+                (parts.hostname or "").encode("idna")
+        except ValueError:  # whose words may hold a password
+            raise ValueError("an address has a host or a port that cannot be one") from None
         return text
 
     @cached_property
@@ -275,7 +303,7 @@ class Settings(BaseSettings):
     @property
     def encode_threads(self) -> int:
         """Threads of one encode, such that all workers together stay within the cores."""
-        return self.threads or max(1, available_cores() // self.workers)
+        return self.threads or min(max(1, available_cores() // self.workers), MAX_THREADS)
 
     @property
     def uses_postgres(self) -> bool:

@@ -19,6 +19,7 @@ from procrastinate import App, PsycopgConnector, SyncPsycopgConnector
 from procrastinate.exceptions import ProcrastinateException
 from procrastinate.schema import SchemaManager
 
+from service.process.background import survived
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
@@ -39,13 +40,14 @@ SCHEMA: str = SchemaManager.get_schema()
 class Engine:
     """The engine's two sides: tokens are deferred, and workers are woken by them.
 
-    conninfo: how to reach the database, with the engine's tables on its search path; lease_s: seconds
-    until a silent worker counts as gone.
+    conninfo: how to reach the database; lease_s: seconds until a silent worker counts as gone; session: statements
+    for every new connection, which put the engine's tables on its search path.
     """
 
-    def __init__(self, conninfo: str, lease_s: float) -> None:
+    def __init__(self, conninfo: str, lease_s: float, session: bytes) -> None:
         self._conninfo = conninfo
         self._lease_s = lease_s
+        self._session = session
         logging.getLogger("procrastinate").setLevel(logging.CRITICAL)  # it logs tracebacks of what is one line here
         self._deferrer = App(connector=SyncPsycopgConnector())  # works only on connections that it is lent
 
@@ -68,7 +70,12 @@ class Engine:
         """Work until stopping is requested, which cancels this, or until the database is lost."""
         # Without these limits it would wait for minutes after an outage, and before it stops during one.
         connector = PsycopgConnector(
-            conninfo=self._conninfo, min_size=1, max_size=2, timeout=PATIENCE_S, reconnect_timeout=PATIENCE_S
+            conninfo=self._conninfo,
+            configure=self._configure,
+            min_size=1,
+            max_size=2,
+            timeout=PATIENCE_S,
+            reconnect_timeout=PATIENCE_S,
         )
         app = App(connector=connector)
         app.task(name=TASK, queue=QUEUE)(run_next)
@@ -89,16 +96,21 @@ class Engine:
             finally:
                 tidying.cancel()
 
+    async def _configure(self, connection: psycopg.AsyncConnection) -> None:
+        await connection.execute(self._session)
+        await connection.commit()
+
     async def _tidy(self, app: App, top_up: Callable[[], None]) -> None:
         """Tokens of workers that are gone go back, and rows without a token get one."""
         while True:
-            try:
-                for token in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=self._lease_s):
-                    with contextlib.suppress(ProcrastinateException):  # another worker was quicker
-                        await app.job_manager.retry_job(token)
-                await asyncio.to_thread(top_up)
-            except ProcrastinateException as error:
-                log.warning("cannot clean up the queue engine: %s", in_words(error))
+            with survived("cleaning up the queue engine"):
+                try:
+                    for token in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=self._lease_s):
+                        with contextlib.suppress(ProcrastinateException):  # another worker was quicker
+                            await app.job_manager.retry_job(token)
+                    await asyncio.to_thread(top_up)
+                except ProcrastinateException as error:
+                    log.warning("cannot clean up the queue engine: %s", in_words(error))
             await asyncio.sleep(TIDY_S)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import procrastinate
 import psycopg
 from procrastinate.exceptions import ProcrastinateException
-from psycopg.conninfo import conninfo_to_dict, make_conninfo
+from psycopg.conninfo import make_conninfo
 from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
@@ -23,7 +24,7 @@ from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
 # The database's clock: those of several machines differ.
 EPOCH = """
@@ -40,17 +41,18 @@ ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;
 """
 SCRIPTS = {0: f"{EPOCH} {POSTGRES_SCHEMA}", 1: UPGRADE_FROM_1}
 # Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
-# stopped within a transaction must not hold its locks for ever.
-SESSION = {
-    "search_path": "sgmethod,sgmethod_engine",
-    "synchronous_commit": "on",
-    "idle_in_transaction_session_timeout": "10s",
-}
+# stopped within a transaction must not hold its locks for ever. PgBouncer refuses these as startup parameters.
+SESSION = b"""
+SET search_path = sgmethod, sgmethod_engine;
+SET synchronous_commit = on;
+SET idle_in_transaction_session_timeout = '10s';
+"""
 CONNECT: dict[str, str | int] = {
     "connect_timeout": 5,
     "keepalives_idle": 10,
     "tcp_user_timeout": 15_000,
     "application_name": "sgmethod",
+    "client_encoding": "utf8",  # from a database in SQL_ASCII, text would come as bytes
 }
 CONNECTIONS = 8
 SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
@@ -72,6 +74,10 @@ class _Session:
         return self.connection.execute(statement.replace("?", "%s").encode(), values or None)
 
 
+def _begin_session(connection: psycopg.Connection[DictRow]) -> None:
+    connection.execute(SESSION)
+
+
 @contextmanager
 def _translated_errors() -> Iterator[None]:
     try:
@@ -88,17 +94,23 @@ class PostgresJobTable(JobTable):
 
     def __init__(self, url: str, rules: JobRules) -> None:
         super().__init__(rules)
-        with _translated_errors():
-            given = conninfo_to_dict(url).get("options") or ""
-            session = " ".join(f"-c {name}={value}" for name, value in SESSION.items())
-            conninfo = make_conninfo(url, options=f"{given} {session}", **CONNECT)
-            self._set_up(conninfo)
-        self._engine = Engine(conninfo, rules.lease_s)
+        try:
+            conninfo = make_conninfo(url, **CONNECT)
+        except psycopg.Error:  # whose words may hold the password
+            raise JobTableError("SG_DATABASE_URL cannot be read; its password must be percent-encoded") from None
+        try:
+            with _translated_errors():
+                self._set_up(conninfo)
+        except JobTableError as error:
+            variables = ["SG_DATABASE_URL", *sorted(name for name in os.environ if name.startswith("PG"))]
+            raise JobTableError(f"{', '.join(variables)}: {error}") from error
+        self._engine = Engine(conninfo, rules.lease_s, SESSION)
         logging.getLogger("psycopg.pool").setLevel(logging.ERROR)  # each try to reconnect is a warning
         # Each connection is checked when it is taken, so one that a restart has broken is not used.
         self._pool = ConnectionPool(
             conninfo,
             kwargs={"autocommit": True, "row_factory": dict_row},
+            configure=_begin_session,
             min_size=1,
             max_size=CONNECTIONS,
             timeout=PATIENCE_S,
@@ -111,7 +123,12 @@ class PostgresJobTable(JobTable):
     @staticmethod
     def _set_up(conninfo: str) -> None:
         """Make the tables if there are none. Without the pool, so that a wrong address is known at once."""
-        with psycopg.connect(conninfo, row_factory=dict_row) as db:
+        whose = "SELECT pg_backend_pid()"
+        with psycopg.connect(conninfo, autocommit=True) as other, psycopg.connect(conninfo, row_factory=dict_row) as db:
+            session = other.execute(whose).fetchone()
+            db.execute(SESSION)  # begins a transaction, which such a pooler gives the session that the other has left
+            if other.execute(whose).fetchone() != session:
+                raise JobTableError("the pooler is in transaction mode; let it pool sessions, or connect directly")
             db.execute("SELECT pg_advisory_xact_lock(%s)", (SET_UP_LOCK,))
             db.execute("CREATE SCHEMA IF NOT EXISTS sgmethod")
             db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")

@@ -151,7 +151,7 @@ class JobTable(ABC):
                 " epoch() - (SELECT max(lease_until) FROM jobs) AS lease_over"
             ).fetchone()
             kept_bytes = stored_bytes(db)
-            seen = db.execute("SELECT name, epoch() - seen_at AS seconds FROM workers").fetchall()
+            seen = db.execute("SELECT name, epoch() - seen_at AS seconds, failures FROM workers").fetchall()
             query = "SELECT count(*) AS notices, coalesce(epoch() - min(ended_at), 0) AS waits FROM notices"
             untold = db.execute(query).fetchone()
         counts = {row["state"]: row["jobs"] for row in rows}
@@ -161,7 +161,10 @@ class JobTable(ABC):
         alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
         silent_s = min((age for age in alive if age is not None), default=None)
         workers = {row["name"]: row["seconds"] for row in seen}
-        return Census(jobs, ages["waiting"], silent_s, kept_bytes, workers, untold["notices"], untold["waits"])
+        failures = {row["name"]: row["failures"] for row in seen}
+        return Census(
+            jobs, ages["waiting"], silent_s, kept_bytes, workers, failures, untold["notices"], untold["waits"]
+        )
 
     def page(
         self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
@@ -245,10 +248,10 @@ class JobTable(ABC):
                 self._crash(db, row["id"], row["attempt"], NOT_UNDERSTOOD)
                 return None
 
-    def sign(self, worker: str) -> None:
-        """The worker lives, whether or not it has a job."""
+    def sign(self, worker: str, failures: int = 0) -> None:
+        """The worker lives, whether or not it has a job. failures: of its background work so far."""
         with self._transaction() as db:
-            db.execute(SIGN, (worker,))
+            db.execute(SIGN, (worker, failures))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
 
     def sign_off(self, worker: str) -> None:

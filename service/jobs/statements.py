@@ -7,8 +7,9 @@ from typing import Any, Protocol
 
 WORKERS = """
 CREATE TABLE workers (
-    name    TEXT PRIMARY KEY,
-    seen_at DOUBLE PRECISION NOT NULL
+    name     TEXT PRIMARY KEY,
+    seen_at  DOUBLE PRECISION NOT NULL,
+    failures INTEGER NOT NULL
 );
 """
 NOTICES = """
@@ -88,7 +89,8 @@ WHERE state = 'queued' AND number = (
 ) RETURNING number, id, attempt, request
 """
 SIGN = """
-INSERT INTO workers VALUES (?, epoch()) ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at
+INSERT INTO workers VALUES (?, epoch(), ?)
+ON CONFLICT (name) DO UPDATE SET seen_at = excluded.seen_at, failures = excluded.failures
 """
 SERVED = """
 INSERT INTO served SELECT owner, started_at FROM jobs WHERE number = ?

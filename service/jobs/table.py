@@ -85,8 +85,8 @@ class Census:
 
     jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
     any worker was last heard from, None if none ever was. Seconds, by the table's own clock. stored_bytes: of images
-    and bitstreams; workers: seconds since the last sign of life of each, by name; notices: webhooks to be delivered;
-    notice_waits_s: age of the oldest of them.
+    and bitstreams; workers: seconds since the last sign of life of each, by name; failures: of the background work of
+    each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them.
     """
 
     jobs: Mapping[JobState, int]
@@ -94,5 +94,6 @@ class Census:
     silent_s: float | None
     stored_bytes: int
     workers: Mapping[str, float] = field(default_factory=dict)
+    failures: Mapping[str, int] = field(default_factory=dict)
     notices: int = 0
     notice_waits_s: float = 0.0

@@ -27,7 +27,9 @@ def watch(read_end: int, on_parent_gone: Callable[[], None]) -> None:
     """The child's side: call on_parent_gone, in a thread of its own, once the parent is gone."""
 
     def wait() -> None:
-        os.read(read_end, 1)
-        on_parent_gone()
+        try:
+            os.read(read_end, 1)
+        finally:  # also if the pipe cannot be read: a process that nobody watches must not stay
+            on_parent_gone()
 
     threading.Thread(target=wait, name="lifeline", daemon=True).start()

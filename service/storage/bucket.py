@@ -4,22 +4,32 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING, BinaryIO
+from urllib.parse import urlsplit
 
 import obstore
 from obstore.exceptions import BaseError
 from obstore.store import from_url
 
-from service.storage.files import check_key
+from service.storage.files import check_key, is_key
 
 if TYPE_CHECKING:
     from obstore.store import ClientConfig, RetryConfig
 
-ENDPOINT = "AWS_ENDPOINT_URL"
+PROXIES = ("http_proxy", "https_proxy", "all_proxy")
+# Words of the library's errors, and what they are about.
+HINTS = {
+    "InvalidCertificate(": "its certificate is not trusted; name its authority's certificate in SSL_CERT_FILE "
+    "(AWS_CA_BUNDLE is not read)",
+    "builder error": "no certificates of authorities were found; correct SSL_CERT_FILE and SSL_CERT_DIR, or install "
+    "ca-certificates",
+    "http://169.254.169.254/": "it has no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
+}
 # A store that accepts a connection and never answers counts as unreachable after this long, since clients wait.
 SILENCE = timedelta(seconds=5)
 SMALL_BYTES = 1 << 20  # are written within that time
@@ -34,8 +44,41 @@ def _as_os_errors() -> Iterator[None]:
     except (BaseError, FileNotFoundError) as error:
         if isinstance(error, FileNotFoundError) and "NoSuchBucket" not in str(error):
             raise FileNotFoundError(errno.ENOENT, "no such object") from error
-        first_line = str(error).strip().partition("\n")[0]
-        raise OSError(errno.EIO, f"the object store failed: {first_line}") from error
+        raise OSError(errno.EIO, f"the object store failed: {_in_words(str(error))}") from error
+    except BaseException as error:
+        if type(error).__name__ == "PanicException":  # of the library; no exception of Python's would be caught
+            raise OSError(errno.EIO, f"the object store's library panicked: {error}") from error
+        raise
+
+
+def _in_words(text: str) -> str:
+    """One line of the library's error, which has its cause, if at all, some twenty lines further down."""
+    for word, hint in HINTS.items():
+        if word in text:
+            return hint
+    causes = re.findall(r'^ +(?:message|error): "(.+)"', text, re.MULTILINE)
+    proxies = [name for name in os.environ if name.lower() in PROXIES] if "error sending request" in text else []
+    asked = [f"perhaps by the proxy of {' or '.join(proxies)}"] if proxies else []
+    return ", ".join([text.strip().partition("\n")[0], *causes, *asked])
+
+
+def check_environment(environment: Mapping[str, str]) -> None:
+    """Raises OSError for an AWS_ variable on which the library would panic, or which it would misunderstand."""
+    for name, value in environment.items():
+        if not name.startswith("AWS_"):
+            continue
+        if value != value.strip() or not value.isprintable():
+            raise OSError(errno.EINVAL, f"{name} contains a line end, or a space at an end")
+        if value and name.startswith("AWS_ENDPOINT") and not _is_address(value):
+            raise OSError(errno.EINVAL, f"{name} must begin with http:// or https:// and name a host, got {value!r}")
+
+
+def _is_address(text: str) -> bool:
+    try:
+        parts = urlsplit(text)
+        return parts.port != 0 and bool(parts.hostname and re.fullmatch(r"https?://[!-~]+", text))
+    except ValueError:  # a port or an IPv6 address that is none
+        return False
 
 
 class BucketStorage:
@@ -45,9 +88,7 @@ class BucketStorage:
     """
 
     def __init__(self, url: str) -> None:
-        endpoint = os.environ.get(ENDPOINT, "")
-        if endpoint and not endpoint.startswith(("http://", "https://")):  # obstore would panic later
-            raise OSError(errno.EINVAL, f"{ENDPOINT} must begin with http:// or https://, got {endpoint!r}")
+        check_environment(os.environ)
         # Plain HTTP only where the endpoint says so: a store within the same network.
         options: ClientConfig = {"allow_http": True, "timeout": TIMEOUT, "connect_timeout": SILENCE}
         retries: RetryConfig = {"max_retries": 5, "retry_timeout": RETRIES_END_AFTER}
@@ -91,4 +132,4 @@ class BucketStorage:
         oldest = datetime.now(UTC) - timedelta(seconds=age_s)
         with _as_os_errors():
             for chunk in obstore.list(self._store):
-                yield from (entry["path"] for entry in chunk if entry["last_modified"] < oldest)
+                yield from (e["path"] for e in chunk if is_key(e["path"]) and e["last_modified"] < oldest)

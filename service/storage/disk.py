@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from service.storage.files import FOLDERS, UNFINISHED, check_key
+from service.storage.files import FOLDERS, UNFINISHED, check_key, is_key
 from sgmethod.io.files import sync_folder, write_atomically
 
 
@@ -51,6 +51,7 @@ class DiskStorage:
         oldest = time.time() - age_s
         for folder in (*FOLDERS, UNFINISHED):
             for path in (self._root / folder).iterdir():
+                key = f"{folder}/{path.name}"
                 with contextlib.suppress(FileNotFoundError):  # another process finished with it meanwhile
-                    if path.stat().st_mtime < oldest:
-                        yield f"{folder}/{path.name}"
+                    if is_key(key) and path.stat().st_mtime < oldest:
+                        yield key

@@ -31,9 +31,14 @@ def bitstream_key(job_id: str, attempt: int) -> str:
     return f"bitstreams/{job_id}.{attempt}.sg"
 
 
+def is_key(text: str) -> bool:
+    """Whether a file of that name is ours. Folders and buckets may contain others, which are left alone."""
+    return _KEY.fullmatch(text) is not None
+
+
 def check_key(key: str) -> str:
     """The key itself. Raises ValueError if it is none of ours."""
-    if _KEY.fullmatch(key) is None:
+    if not is_key(key):
         raise ValueError(f"not a storage key: {key!r}")
     return key
 
@@ -66,5 +71,7 @@ class Storage(Protocol):
         ...
 
     def old(self, age_s: float) -> Iterator[str]:
-        """The keys of what was stored longer ago than that (seconds), and of what was never stored whole."""
+        """The keys of what was stored longer ago than that (seconds), and of what was never stored whole. A file that
+        is not ours has none.
+        """
         ...

@@ -19,6 +19,7 @@ from starlette.types import ASGIApp
 
 from service.keys import KeyRing
 from service.opening import open_job_table, open_storage
+from service.process.background import survived
 from service.settings import Settings
 from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
@@ -88,15 +89,18 @@ async def _reload_keys(parts: Parts) -> None:
     seen = await to_thread.run_sync(_version_of, path)
     while True:
         await asyncio.sleep(KEYS_POLL_S)
-        version = await to_thread.run_sync(_version_of, path)
-        if version == seen:
-            continue
-        seen = version
-        try:
-            parts.keys.replace(await to_thread.run_sync(parts.settings.read_keys))
-            log.info("reloaded the API keys")
-        except ValueError as error:
-            log.error("kept the previous API keys: %s", error)
+        with survived("reloading the API keys"):
+            version = await to_thread.run_sync(_version_of, path)
+            if version == seen:
+                continue
+            try:
+                parts.keys.replace(await to_thread.run_sync(parts.settings.read_keys))
+                log.info("reloaded the API keys")
+            except ValueError as error:
+                log.error("kept the previous API keys: %s", error)
+                if isinstance(error.__cause__, OSError):  # which may pass: read it again
+                    continue
+            seen = version
 
 
 def _version_of(path: Path) -> tuple[int, int, int] | None:
@@ -104,7 +108,7 @@ def _version_of(path: Path) -> tuple[int, int, int] | None:
         found = path.stat()
     except OSError:
         return None
-    return found.st_mtime_ns, found.st_ino, found.st_size
+    return found.st_ctime_ns, found.st_ino, found.st_size
 
 
 def _body_limits(settings: Settings) -> BodyLimits:

@@ -10,6 +10,7 @@ import time
 from service.jobs.job import JsonObject
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
+from service.process.background import failures, survived
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
@@ -32,11 +33,12 @@ class SignsOfLife(threading.Thread):
         self._until = until
 
     def run(self) -> None:
-        with contextlib.suppress(JobTableError):  # what is out of reach hears of it later, or notices the silence
-            self._table.sign(self._worker)
-        while not self._until.wait(SIGN_S):
-            with contextlib.suppress(JobTableError):
-                self._table.sign(self._worker)
+        while True:
+            # A table out of reach hears of it later, or notices the silence.
+            with survived("signing"), contextlib.suppress(JobTableError):
+                self._table.sign(self._worker, failures.total())
+            if self._until.wait(SIGN_S):
+                break
         with contextlib.suppress(JobTableError):
             self._table.sign_off(self._worker)
 

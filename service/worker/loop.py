@@ -9,10 +9,12 @@ import os
 import socket
 import tempfile
 import time
+from typing import BinaryIO
 
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
 from service.process import confinement
+from service.process.background import survived
 from service.process.lifeline import Lifeline
 from service.process.stopping import StopSignal
 from service.settings import Settings
@@ -28,6 +30,8 @@ from service.worker.sweeping import Sweeper
 log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
+# A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
+MISSING_S = 15.0
 SWEEP_ENDS_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -67,13 +71,14 @@ class Worker:
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""
-        try:
-            # The codec is imported before a job is claimed, not within its lease.
-            return self._encoders.get_ready(self._stop) and self.run_one()
-        except (JobTableError, OSError) as error:
-            log.error("worker %s: %s", self._name, error)
-            self._stop.wait(PAUSE_AFTER_TROUBLE_S)
-            return False
+        with survived("running a job"):  # the engine of PostgreSQL would swallow the exception
+            try:
+                # The codec is imported before a job is claimed, not within its lease.
+                return self._encoders.get_ready(self._stop) and self.run_one()
+            except (JobTableError, OSError) as error:
+                log.error("worker %s: %s", self._name, error)
+        self._stop.wait(PAUSE_AFTER_TROUBLE_S)
+        return False
 
     def run_one(self) -> bool:
         """Run the next job if there is one; False if none waits. Raises JobTableError, OSError."""
@@ -105,7 +110,7 @@ class Worker:
         Raises ClaimLostError, StoppedError, OSError.
         """
         try:
-            source = self._storage.open(source_key(claim.job_id))
+            source = self._source(claim, heartbeat)
         except FileNotFoundError:
             return Crashed("the source image is gone")
         with (
@@ -117,6 +122,22 @@ class Worker:
                 return self._follow(process, heartbeat, bitstream_key(claim.job_id, claim.attempt))
             except ValueError as error:
                 return Crashed(f"the encoder spoke nonsense: {error}")
+
+    def _source(self, claim: Claim, heartbeat: Heartbeat) -> BinaryIO:
+        """The image, once the storage has it. Raises FileNotFoundError if it still lacks it after MISSING_S, and
+        ClaimLostError, StoppedError, OSError.
+        """
+        deadline = time.monotonic() + MISSING_S
+        while True:
+            try:
+                return self._storage.open(source_key(claim.job_id))
+            except FileNotFoundError:
+                if time.monotonic() >= deadline:
+                    raise
+            log.warning("job %s: the storage does not have its image yet", claim.job_id)
+            if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+                raise StoppedError
+            heartbeat.beat()
 
     def _spec(self, claim: Claim, folder: str) -> Spec:
         threads = self._settings.encode_threads

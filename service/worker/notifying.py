@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from service.jobs.notices import Notice
 from service.jobs.sql import JobTable
 from service.jobs.table import JobTableError
+from service.process.background import survived
 from service.process.stopping import StopSignal
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S
 
@@ -39,22 +40,29 @@ class Notifier(threading.Thread):
         self._until = until
 
     def run(self) -> None:
-        while not self._until.requested:
-            try:
-                notice = self._table.due_notice(self._address)
-                if notice is None:
-                    self._until.wait(POLL_S)
-                elif self._is_taken(notice):
-                    self._table.notice_delivered(notice)
-            except JobTableError as error:  # a notice that was taken is sent once more, under the same id
-                log.warning("a webhook has to wait: %s", error)
-                self._until.wait(PAUSE_AFTER_TROUBLE_S)
+        pause_s = 0.0
+        while not self._until.wait(pause_s):
+            pause_s = PAUSE_AFTER_TROUBLE_S
+            with survived("notifying"):
+                try:
+                    pause_s = self._send_next()
+                except JobTableError as error:  # a notice that was taken is sent once more, under the same id
+                    log.warning("a webhook has to wait: %s", error)
+
+    def _send_next(self) -> float:
+        """Send the next notice; returns the seconds to wait before the one after it."""
+        notice = self._table.due_notice(self._address)
+        if notice is None:
+            return POLL_S
+        if self._is_taken(notice):
+            self._table.notice_delivered(notice)
+        return 0.0
 
     def _is_taken(self, notice: Notice) -> bool:
         where = urlsplit(self._address).hostname  # the rest of an address may be a secret
         try:
             _post(self._address, headers(self._secret, notice, int(time.time())), notice.body.encode())
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, ValueError) as error:  # the last for a proxy whose address is none
             log.warning("job %s: webhook to %s, try %d: %s", notice.job_id, where, notice.tries + 1, error)
             return False
         log.info("job %s: webhook to %s delivered", notice.job_id, where)

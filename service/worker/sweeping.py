@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from service.jobs.job import Job
 from service.jobs.sql import JobTable
 from service.jobs.table import JobTableError
+from service.process.background import survived
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.files import Storage, job_of_source, source_key
@@ -78,12 +79,13 @@ class Sweeper(threading.Thread):
     def run(self) -> None:
         jobs_s, images_s = self._kept_s
         while not self._until.requested:
-            try:
-                swept = sweep(self._table, self._storage, retention_s=jobs_s, source_retention_s=images_s)
-                if swept != Swept(0, 0):
-                    log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
-            except (JobTableError, OSError) as error:
-                log.error("cannot sweep: %s", error)
+            with survived("sweeping"):
+                try:
+                    swept = sweep(self._table, self._storage, retention_s=jobs_s, source_retention_s=images_s)
+                    if swept != Swept(0, 0):
+                        log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
+                except (JobTableError, OSError) as error:
+                    log.error("cannot sweep: %s", error)
             self._until.wait(pause_s(*self._kept_s))
 
 

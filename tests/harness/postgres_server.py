@@ -7,10 +7,14 @@ import pwd
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import psycopg
+
+from tests.harness.processes import wait_until
 
 HINT = "PostgreSQL is not installed, so nothing was tested on it: sudo apt install postgresql"
 REQUIRED = "SGMETHOD_TEST_POSTGRES"  # set to "required", a missing PostgreSQL fails the tests
@@ -73,13 +77,31 @@ class PostgresServer:
         """How to reach a database."""
         return f"postgresql://postgres@/{database}?host={self.folder}"
 
-    def new_database(self) -> str:
-        """The address of a new, empty database."""
+    def new_database(self, options: str = "") -> str:
+        """The address of a new, empty database. options: of CREATE DATABASE."""
         self._databases += 1
         name = f"test{self._databases}"
         with psycopg.connect(self.url("postgres"), autocommit=True) as db:
-            db.execute(f"CREATE DATABASE {name}".encode())
+            db.execute(f"CREATE DATABASE {name} {options}".encode())
         return self.url(name)
+
+    @contextmanager
+    def pooled(self, pgbouncer: str, mode: str) -> Iterator[str]:
+        """The address of a new database behind PgBouncer, which pools a "session" or a "transaction"."""
+        database = self.new_database().partition("?")[0]
+        port = 6543
+        socket = self.folder / f".s.PGSQL.{port}"
+        lines = ["[databases]", f"* = host={self.folder} user=postgres", "[pgbouncer]", "auth_type = any"]
+        lines += [f"unix_socket_dir = {self.folder}", f"listen_port = {port}", f"pool_mode = {mode}"]
+        settings = self.folder / "pgbouncer.ini"
+        settings.write_text("\n".join(lines))
+        with subprocess.Popen([pgbouncer, "--quiet", settings], stderr=subprocess.DEVNULL, **self._as) as pooler:
+            try:
+                wait_until(socket.exists)
+                yield f"{database}?host={self.folder}&port={port}"
+            finally:
+                pooler.terminate()
+        socket.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Stop it and remove everything."""

@@ -8,6 +8,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Proc
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.jobs.table import Census
+from service.process.background import failures
 from service.web.guards.problems import REFUSAL
 from service.web.guards.shares import Shares
 
@@ -52,6 +53,8 @@ class Metrics:
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
         seen = "Since the last sign of life of a worker, which gives one every 5 s."
         self._workers = Gauge("sgmethod_worker_seen_seconds", seen, ("worker",), registry=registry)
+        failed = "Failures of background work that nobody foresaw, since the process started."
+        self._failures = Gauge("sgmethod_background_failures", failed, ("process",), registry=registry)
         self._notices = Gauge("sgmethod_webhooks_waiting", "Webhooks to be delivered.", registry=registry)
         waits = "Since the job ended whose webhook has been waiting for longest."
         self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
@@ -70,6 +73,9 @@ class Metrics:
     def observe(self, census: Census | None) -> None:
         """Take over the job table's figures; None if it does not answer."""
         self._table.set(census is not None)
+        self._failures.clear()
+        for process, count in {"web": failures.total(), **(census.failures if census else {})}.items():
+            self._failures.labels(process).set(count)
         if census is None:
             return
         self._workers.clear()

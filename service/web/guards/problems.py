@@ -124,7 +124,8 @@ async def _on_invalid_parameters(request: Request, error: Exception) -> Response
     assert isinstance(error, RequestValidationError)
     if any(e["loc"][0] == "path" for e in error.errors()):
         return refused(request, ProblemError(404, "there is nothing at this address"))
-    errors = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
+    found = [(".".join(map(str, e["loc"])), e["msg"].removeprefix("Value error, ")) for e in error.errors()]
+    errors = [{"where": where, "detail": detail} for where, detail in found]
     detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
     return refused(request, ProblemError(422, detail, errors=errors))
 

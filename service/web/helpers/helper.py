@@ -46,17 +46,16 @@ class Errand:
     """What to do with a file, and what it may take.
 
     memory_bytes, cpu_s: more than the process has already, and seconds of one core; max_pixels, max_gaussians: of what
-    is read or drawn; max_side: of an image, 0 for a bitstream; wish: the picture file to make of either, rival: the one
-    to make of an image; preview_bytes: of the preview to make of an image. Without any of them, an image's header is
-    read.
+    is read or drawn; wish: the picture file to make of a bitstream, or with is_image of an image; rival: the one to
+    make of an image; preview_bytes: of the preview to make of an image. Without any of them, an image's header is read.
     """
 
     memory_bytes: int
     cpu_s: float
     max_pixels: int
-    max_side: int = 0
     max_gaussians: int | None = None
     wish: Wish | None = None
+    is_image: bool = False
     rival: Rival | None = None
     preview_bytes: int | None = None
 
@@ -78,12 +77,12 @@ class Errand:
 
 def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
     """The answer: figures, and the bytes of a picture file. Raises SgError, MemoryError."""
-    limits = ImageLimits(errand.max_pixels, errand.max_side)
+    limits = ImageLimits(errand.max_pixels)
     if errand.preview_bytes is not None:
         return _preview(file, errand.preview_bytes, limits), b""
     if errand.rival is not None:
         return {}, _rival(errand.rival, file, limits)
-    if errand.wish is not None and errand.max_side:
+    if errand.wish is not None and errand.is_image:
         pixels = read_image_8_bit(file, limits, keep_alpha=True)
         return {}, encode_picture(pixels, errand.wish.kind, errand.wish.quality)
     if errand.wish is None:

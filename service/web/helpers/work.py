@@ -14,7 +14,6 @@ from service.web.helpers.pool import Helpers
 
 # The header of a photograph takes milliseconds and little memory. What takes more was made to.
 HEADERS_AT_ONCE = 3
-MAX_SIDE = 16_384  # pixels of an image's longer side
 HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
 
@@ -33,7 +32,7 @@ class Work:
         limits = self._settings
         memory_bytes = HEADER_MEMORY_BYTES + size_bytes
         async with self._headers.turn(client):
-            errand = Errand(memory_bytes, HEADER_CPU_S, limits.max_pixels, MAX_SIDE)
+            errand = Errand(memory_bytes, HEADER_CPU_S, limits.max_pixels)
             header, _ = await self._helpers.ask(errand, file)
         return SourceImage(header["format"], header["width"], header["height"], size_bytes)
 
@@ -48,28 +47,22 @@ class Work:
             limits.decode_memory_bytes,
             limits.decode_time_s,
             limits.max_pixels,
-            MAX_SIDE if is_image else 0,
             max_gaussians=max_gaussians,
             wish=wish,
+            is_image=is_image,
         )
         return await self._picture(client, file, errand)
 
     async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
         """The rival that is made of an image. Raises HelperError, ProblemError 429 or 503, OSError."""
         limits = self._settings
-        errand = Errand(limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, MAX_SIDE, rival=rival)
+        errand = Errand(limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, rival=rival)
         return await self._picture(client, file, errand)
 
     async def preview(self, client: str, file: BinaryIO, most_bytes: int) -> dict[str, Any]:
         """The preview of an image, as Preview.to_dict(). Raises HelperError, ProblemError 429 or 503, OSError."""
         limits = self._settings
-        errand = Errand(
-            limits.decode_memory_bytes,
-            limits.decode_time_s,
-            limits.max_pixels,
-            MAX_SIDE,
-            preview_bytes=most_bytes,
-        )
+        errand = Errand(limits.decode_memory_bytes, limits.decode_time_s, limits.max_pixels, preview_bytes=most_bytes)
         made, _ = await self._ask(client, file, errand)
         return made
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from typing import Annotated
+from urllib.parse import quote
 
-from pydantic import BaseModel, Field
+from pydantic import AfterValidator, BaseModel, Field
 
 from service.web.guards.problems import ProblemError
 from service.web.helpers.drawing import Fit, Wish
@@ -13,7 +15,21 @@ from service.web.helpers.picture_files import PictureFormat
 from sgmethod.errors import ViewError
 from sgmethod.view import MAX_SCALE, MIN_SCALE
 
+REGION = r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$"
+# No slashes, control characters or ends of lines, and no dot first: systems hide such files.
+FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"
 Side = Annotated[int | None, Field(ge=1, le=65_535)]
+
+
+def _refusing(pattern: str, detail: str) -> AfterValidator:
+    """Refuses a text that does not match, as Field(pattern=...) does, but with a sentence instead of the pattern."""
+
+    def checked(text: str | None) -> str | None:
+        if text is not None and re.fullmatch(pattern, text) is None:
+            raise ValueError(detail)
+        return text
+
+    return AfterValidator(checked)
 
 
 class ViewQuery(BaseModel):
@@ -28,8 +44,9 @@ class ViewQuery(BaseModel):
     ] = "contain"
     region: Annotated[
         str | None,
+        _refusing(REGION, "give four whole numbers of pixels: x,y,width,height"),
         Field(
-            pattern=r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$",
+            json_schema_extra={"pattern": REGION},
             description="x,y,width,height: decode only this part, in pixels of the picture",
             examples=["0,0,8,8"],
         ),
@@ -39,7 +56,8 @@ class ViewQuery(BaseModel):
     quality: Annotated[int | None, Field(ge=1, le=100, description="quality of a jpg, webp or avif file")] = None
     download: Annotated[
         str | None,
-        Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_. -]{0,99}$", description="file name to save the picture under"),
+        _refusing(FILE_NAME, "a file name has 1 to 200 characters, no slash or control character, and no dot first"),
+        Field(json_schema_extra={"pattern": FILE_NAME}, description="file name to save the picture under"),
     ] = None
 
     def wish(self, kind: PictureFormat) -> Wish:
@@ -57,7 +75,12 @@ class ViewQuery(BaseModel):
 
     def disposition(self) -> dict[str, str]:
         """The header that makes a browser save the file; none without a name."""
-        return {} if self.download is None else {"Content-Disposition": f'attachment; filename="{self.download}"'}
+        if self.download is None:
+            return {}
+        plain = re.sub(r'[^ -~]|["\\%]', "_", self.download)
+        # Browsers take the name in full; the other is for clients that do not know it (RFC 6266, appendix D).
+        full = "" if plain == self.download else f"; filename*=UTF-8''{quote(self.download, safe='')}"
+        return {"Content-Disposition": f'attachment; filename="{plain}"{full}'}
 
 
 class PictureCache:

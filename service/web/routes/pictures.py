@@ -16,7 +16,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from service.jobs.job import EncodeResult, Job
 from service.storage.files import bitstream_key, source_key
-from service.web.guards.problems import ProblemError, problems
+from service.web.guards.problems import RETRY_SOON_S, ProblemError, problems
 from service.web.helpers.drawing import Drawing, Wish
 from service.web.helpers.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
 from service.web.helpers.pool import HelperError, RefusedError
@@ -42,6 +42,7 @@ router = APIRouter()
 
 BITSTREAM_TYPE = "application/octet-stream"
 FILE_TYPES = {"sg": BITSTREAM_TYPE, "avif": MEDIA_TYPES["avif"], "webp": MEDIA_TYPES["webp"]}
+LATE_S = 60.0
 NOTHING_KEPT = {"Cache-Control": "no-store"}
 BITSTREAM_BODY: dict[str, Any] = {
     "required": True,
@@ -76,7 +77,17 @@ def _open_bitstream(parts: Parts, job: Job, result: EncodeResult) -> BinaryIO:
     except FileNotFoundError as error:
         if parts.table.get(job.id) is None:  # removed while we looked
             raise no_such_job() from None
-        raise _damaged(job, error) from error
+        raise _late(job.finished_at) or _damaged(job, error) from error
+
+
+def _late(stored_at: float | None) -> ProblemError | None:
+    """The refusal of a file that the storage lacks, if it was stored just now: a store that copies between places may
+    have it in a moment.
+    """
+    if stored_at is None or time.time() > stored_at + LATE_S:
+        return None
+    detail = "the storage does not have this file yet"
+    return ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S})
 
 
 def _bitstream(parts: Parts, job: Job, result: EncodeResult) -> bytes:
@@ -294,7 +305,8 @@ def open_image(parts: Parts, job: Job) -> BinaryIO:
         try:
             return parts.storage.open(source_key(job.id))
         except FileNotFoundError:
-            pass
+            if (refusal := _late(job.created_at)) is not None:
+                raise refusal from None
     raise ProblemError(410, "the image of this job has been deleted; send it again")
 
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
@@ -26,6 +27,7 @@ from sgmethod.profiles import (
     settings_of,
     tuning,
 )
+from sgmethod.settings.rd import RdSettings
 
 IMAGE_FIELD = "image"  # of the form, and none of the model
 CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES, "fallback": FALLBACKS}
@@ -136,9 +138,11 @@ class EncodeFields(BaseModel):
             raise ProblemError(422, f"time_limit_s must be more than 0 and at most {longest_s:g}")
         try:
             tune = tuning(self.tune, self.profile, self.budget)
-            settings_of(self.profile, self.effort)
+            settings = settings_of(self.profile, self.effort)
         except BudgetError as error:
             raise ProblemError(422, str(error)) from error
+        if not isinstance(settings, RdSettings) and find_spec("torch") is None:
+            raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
         budget = self.budget
         request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort, self.fallback)
         return Asked(request, self.priority, budget is not DEFAULT_BUDGET)

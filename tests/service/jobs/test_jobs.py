@@ -67,9 +67,10 @@ def test_one_owner_cannot_fill_the_queue(table: JobTable) -> None:
 
 
 def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
-    for worker in ("one", "two", "one"):
-        table.sign(worker)
+    for failures, worker in enumerate(("one", "two", "one")):
+        table.sign(worker, failures)
     workers = table.census().workers
+    assert table.census().failures == {"one": 2, "two": 1}
     assert sorted(workers) == ["one", "two"]
     assert all(-1 < seconds < 60 for seconds in workers.values())
     table.sign_off("two")

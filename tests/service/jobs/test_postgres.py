@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 from collections.abc import Iterator
 
@@ -15,6 +16,8 @@ from tests.harness.job_table import RULES, claimed, submitted
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S
 
+PGBOUNCER = shutil.which("pgbouncer") or shutil.which("pgbouncer", path="/usr/sbin")
+
 
 @pytest.fixture
 def url(postgres: PostgresServer) -> str:
@@ -26,6 +29,36 @@ def jobs(url: str) -> Iterator[PostgresJobTable]:
     jobs = PostgresJobTable(url, RULES)
     yield jobs
     jobs.close()
+
+
+@pytest.mark.skipif(PGBOUNCER is None, reason="PgBouncer is not installed: sudo apt install pgbouncer")
+def test_behind_a_pooler(postgres: PostgresServer) -> None:
+    """One that pools sessions will do. With one that pools transactions, settings of ours would reach others."""
+    assert PGBOUNCER is not None
+    with postgres.pooled(PGBOUNCER, "session") as url:
+        jobs = PostgresJobTable(url, RULES)
+        stop, woken = StopSignal(), threading.Event()
+        thread = threading.Thread(target=jobs.deliver, args=(lambda: woken.set() or False, stop))
+        thread.start()
+        submitted(jobs)
+        assert woken.wait(PATIENCE_S)
+        stop.request()
+        thread.join(PATIENCE_S)
+        jobs.close()
+    with (
+        postgres.pooled(PGBOUNCER, "transaction") as url,
+        pytest.raises(JobTableError, match="SG_DATABASE_URL: the pooler is in transaction mode"),
+    ):
+        PostgresJobTable(url, RULES)
+
+
+def test_a_database_without_an_encoding(postgres: PostgresServer) -> None:
+    """As a cluster made in the C locale has it: it worked once, and never again."""
+    url = postgres.new_database("ENCODING 'SQL_ASCII' LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0")
+    for _ in range(2):
+        jobs = PostgresJobTable(url, RULES)
+        submitted(jobs)
+        jobs.close()
 
 
 def tokens(url: str) -> int:
@@ -54,7 +87,7 @@ def test_rule_6_durability_settings(jobs: PostgresJobTable) -> None:
     with jobs._connection() as db:
         names = ("synchronous_commit", "idle_in_transaction_session_timeout", "search_path")
         values = [next(iter(db.execute(f"SHOW {name}").fetchone().values())) for name in names]
-    assert values == ["on", "10s", "sgmethod,sgmethod_engine"]
+    assert values == ["on", "10s", "sgmethod, sgmethod_engine"]
 
 
 def test_another_version_of_the_engine_starts_afresh(url: str, jobs: PostgresJobTable) -> None:

@@ -119,12 +119,26 @@ def test_missing_kernels_are_one_clear_line(command: str) -> None:
         ("SG_CORS_ORIGINS", "*,https://a.example"),
         ("SG_LOG_FORMAT", "xml"),
         ("SG_DECODE_TIME_S", "0"),
+        ("SG_THREADS", "257"),
+        ("SG_RETENTION_S", "1e300"),
+        ("SG_BODY_TIMEOUT_S", "1e300"),
+        ("SG_STORAGE_URL", "s3://b u"),
+        ("SG_WEBHOOK_URLS", "http://a.example:99999/"),
+        ("SG_WEBHOOK_URLS", f"http://{'a' * 70}.example/"),
+        ("SG_DATA_DIR", "\udcff"),
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(run_command: RunCommand, name: str, value: str) -> None:
     result = run_command("serve", **{name: value})
     assert result.status == 2
     assert re.fullmatch(rf"{name}[: ].+\n", result.stderr)
+    assert "pattern" not in result.stderr  # which is a regular expression
+
+
+def test_the_line_end_of_a_secret_is_no_part_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("SG_METRICS_KEY", "SG_DATA_DIR"):
+        monkeypatch.setenv(name, "ann\n")
+    assert (Settings().metrics_key, Settings().data_dir) == ("ann", Path("ann"))
 
 
 def test_keys_that_are_none_do_not_leave_all_open(run_command: RunCommand) -> None:
@@ -168,11 +182,25 @@ def test_a_data_folder_that_cannot_be_is_one_clear_line(
     assert re.fullmatch(rf"cannot {verb}: .+", line)
 
 
-def test_an_object_store_that_has_no_address_is_one_clear_line(run_command: RunCommand, tmp_path: Path) -> None:
-    elsewhere = {"SG_STORAGE_URL": "s3://bucket", "AWS_ENDPOINT_URL": "store.example"}
-    result = run_command("serve", SG_DATA_DIR=str(tmp_path / "data"), **elsewhere)
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        *(("AWS_ENDPOINT_URL", v, "must begin with http") for v in ("store.example", "http://a:99999", "http://a b")),
+        ("AWS_ACCESS_KEY_ID", "key\n", "contains a line end"),
+        ("AWS_SESSION_TOKEN", "to\nken", "contains a line end"),
+        ("SSL_CERT_FILE", "/nowhere", "no certificates"),
+    ],
+)
+def test_an_object_store_that_cannot_be_asked_is_one_clear_line(
+    run_command: RunCommand, tmp_path: Path, name: str, value: str, words: str
+) -> None:
+    """The library panicked, which is a traceback, or named no cause."""
+    keys = {"AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b", "AWS_ENDPOINT_URL": "http://127.0.0.1:1"}
+    settings = {"SG_STORAGE_URL": "s3://bucket", "SG_DATA_DIR": tmp_path, "SSL_CERT_DIR": "/nowhere", **keys}
+    result = run_command("serve", **{**settings, name: value})
     assert result.status == 1
-    assert re.fullmatch(r"cannot start: .*AWS_ENDPOINT_URL must begin with http.*\n", result.stderr)
+    assert re.fullmatch(rf"cannot start: .*{name}.*\n", result.stderr)
+    assert words in result.stderr
 
 
 @pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import ssl
 import stat
+import subprocess
+import threading
 import time
 from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
+import obstore
 import pytest
 
 from service.storage.bucket import BucketStorage
@@ -70,6 +75,18 @@ def test_what_is_put_again_is_replaced(storage: Storage) -> None:
 def test_young_files_are_not_old(storage: Storage) -> None:
     storage.put(source_key(JOB), b"data")
     assert list(storage.old(60)) == []
+
+
+def test_files_of_others_are_left_alone(storage: Storage, tmp_path: Path) -> None:
+    """A file manager's, or the marker of a folder in a bucket: one of them ended the sweeper for good."""
+    storage.put(source_key(JOB), b"data")
+    if isinstance(storage, BucketStorage):
+        for key in ("sources", "backup/2026.tar"):
+            obstore.put(storage._store, key, b"theirs")
+    else:
+        (tmp_path / "data" / "bitstreams" / ".DS_Store").write_bytes(b"theirs")
+        (tmp_path / "data" / "sources" / "lost+found").mkdir()
+    assert list(storage.old(A_MOMENT_S)) == [source_key(JOB)]
 
 
 @pytest.mark.parametrize(
@@ -138,6 +155,25 @@ def test_a_bucket_that_is_not_there(s3: S3Server, monkeypatch: pytest.MonkeyPatc
         BucketStorage("s3://another/sgmethod").check()
     with pytest.raises(OSError, match="the object store failed"):
         BucketStorage("s3://another/sgmethod").put(source_key(JOB), b"data")
+
+
+def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It said no more than that a request could not be sent."""
+    certificate, key = tmp_path / "certificate", tmp_path / "key"
+    kind = ["-x509", "-nodes", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-subj", "/CN=localhost"]
+    command = ["openssl", "req", *kind, "-out", str(certificate), "-keyout", str(key)]
+    subprocess.run(command, check=True, capture_output=True)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, key)
+    with ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as server:
+        server.socket = context.wrap_socket(server.socket, server_side=True)
+        threading.Thread(target=server.serve_forever).start()
+        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+            monkeypatch.setenv(name, "test")
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"https://localhost:{server.server_address[1]}")
+        with pytest.raises(OSError, match=r"certificate is not trusted; .* SSL_CERT_FILE"):
+            BucketStorage("s3://pictures/sgmethod").check()
+        server.shutdown()
 
 
 def test_pictures_are_the_owners_alone(disk: DiskStorage, tmp_path: Path) -> None:

@@ -66,10 +66,17 @@ def test_both_ways_of_decoding_agree(web: Service, done: str, kind: str, query: 
 
 
 def test_names_to_save_under(web: Service, done: str) -> None:
-    answer = web.client.get(f"/decode/{done}.jpg?download=my photo.jpg")
-    assert answer.headers["content-disposition"] == 'attachment; filename="my photo.jpg"'
-    for name in ('a"b', "../x", ".x", "a\r\nb", "é", ""):
-        assert_problem(web.client.get(f"/decode/{done}.jpg", params={"download": name}), 422)
+    for name, words in {
+        "my photo (1).jpg": 'filename="my photo (1).jpg"',
+        "größe 50%.jpg": "filename=\"gr__e 50_.jpg\"; filename*=UTF-8''gr%C3%B6%C3%9Fe%2050%25.jpg",
+        "a\"b'c.jpg": "filename=\"a_b'c.jpg\"; filename*=UTF-8''a%22b%27c.jpg",
+    }.items():
+        answer = web.client.get(f"/decode/{done}.jpg", params={"download": name})
+        assert (answer.status_code, answer.headers["content-disposition"]) == (200, f"attachment; {words}")
+    for name in ("../x", "a\\b", ".x", "a\r\nb", "a\u2028b", "", "x" * 201):
+        answer = web.client.get(f"/decode/{done}.jpg", params={"download": name})
+        assert_problem(answer, 422, "query.download: a file name has")
+    assert_problem(web.client.get(f"/decode/{done}.jpg?region=1,2"), 422, "query.region: give four whole numbers")
 
 
 @pytest.mark.parametrize(

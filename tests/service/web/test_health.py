@@ -118,6 +118,7 @@ def test_figures(start_service: StartService) -> None:
     assert (seen['sgmethod_decode_cache_total{found="yes"}'], seen["sgmethod_decode_seconds_count"]) == (2, 1)
     assert seen["sgmethod_decode_cache_bytes"] > 0
     assert seen["sgmethod_job_table_up"] == 1
+    assert seen['sgmethod_background_failures{process="web"}'] == 0
     refused = {reason: seen[f'sgmethod_refusals_total{{reason="{reason}"}}'] for reason in ("unknown", "malformed")}
     assert refused == {"unknown": 2, "malformed": 1}
     assert not [name for name in seen if re.search(r"such|BREW", name)]

@@ -77,9 +77,11 @@ def test_a_key_ring() -> None:
 def test_a_new_key_works(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "service.keys"]
     made = subprocess.run([*command, "carol"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    key, line = (text.split()[1] for text in made.splitlines())
+    key, line = (text.removeprefix("key: ") for text in made.splitlines())
+    name, _, value = line.partition("=")  # as it is pasted into a shell or an environment file
+    assert (name, KeyRing(Settings(api_keys=value).key_names).owner_of(key)) == ("SG_API_KEYS", "carol")
     file = tmp_path / "keys"
-    file.write_text(f"# customers\n{line}\n")
+    file.write_text(f"# customers\n{value}\n")
     ring = KeyRing(Settings(api_keys=KEYS, api_keys_file=file).key_names)
     assert (ring.owner_of(key), ring.owner_of(ANN)) == ("carol", "ann")
     assert key not in line

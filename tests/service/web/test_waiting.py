@@ -236,8 +236,10 @@ def test_images_that_are_no_longer_kept(start_service: StartService) -> None:
         web.publish(job_id, PICTURE)
         assert web.client.post(f"/jobs/{job_id}/encode").status_code == 202
     (web.data_dir / "sources" / swept).unlink()
+    assert_problem(web.client.post(f"/jobs/{swept}/encode"), 503, "not have this file yet")  # it was stored just now
     with contextlib.closing(sqlite3.connect(web.data_dir / "jobs.sqlite3")) as connection, connection as db:
         db.execute("UPDATE jobs SET finished_at = finished_at - 1000 WHERE id = ?", (late,))
+        db.execute("UPDATE jobs SET created_at = created_at - 1000")
     before = web.files()
     assert f"sources/{late}" in before  # which the next sweep removes
     for job_id in (swept, late):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -134,12 +136,17 @@ def test_the_end_does_not_wait_for_a_database(start_service: StartService, postg
 
 
 def test_a_storage_that_breaks(start_service: StartService) -> None:
-    """Unreachable files are a 503, lost ones a 500, and the job can still be removed."""
+    """Unreachable files are a 503, lost ones a 500 once they should be there, and the job can still be removed."""
     web = start_service("web")
     lost, damaged, unreachable = (web.published(PICTURE) for _ in range(3))
     folder = web.data_dir / "bitstreams"
     (folder / f"{lost}.1.sg").unlink()
     (folder / f"{damaged}.1.sg").write_bytes(PICTURE[:-1])
+    answer = web.client.get(f"/bitstreams/{lost}.sg")
+    assert_problem(answer, 503, "not have this file yet")
+    assert answer.headers["retry-after"]
+    with contextlib.closing(sqlite3.connect(web.data_dir / "jobs.sqlite3")) as connection, connection as db:
+        db.execute("UPDATE jobs SET finished_at = finished_at - 1000")
     assert_problem(web.client.get(f"/bitstreams/{lost}.sg"), 500, "missing")
     assert_problem(web.client.get(f"/decode/{lost}.png"), 500, "missing")
     assert_problem(web.client.get(f"/decode/{damaged}.png"), 500, "damaged")

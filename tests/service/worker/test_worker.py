@@ -6,18 +6,20 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 
 from service.jobs.job import EncodeRequest, EncodeResult, JsonObject, NewJob, SourceImage, new_job_id
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import Claim, JobRules, JobTableError, Room
+from service.process.background import failures
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.disk import DiskStorage
 from service.storage.files import bitstream_key, source_key
 from service.worker import heartbeat as heartbeat_module
-from service.worker import publishing
+from service.worker import loop, publishing
 from service.worker.encoder_process import Encoded, Refused
 from service.worker.heartbeat import ClaimLostError, Heartbeat
 from service.worker.loop import Worker
@@ -229,7 +231,38 @@ def test_a_heartbeat_notices_a_removed_job(table: Unsteady, claim: Claim) -> Non
         Heartbeat(table, claim).beat(now=True)
 
 
-def test_a_source_that_is_gone(table: Unsteady, storage: DiskStorage, worker: Worker, claim: Claim) -> None:
+def test_a_source_that_the_storage_has_later(
+    table: Unsteady, storage: Full, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a store that copies between places. It made the job fail, after four attempts within two seconds."""
+    monkeypatch.setattr(loop, "PAUSE_AFTER_TROUBLE_S", 0.0)
+    misses, has = iter([FileNotFoundError()] * 2), storage.open
+
+    def open_late(key: str) -> BinaryIO:
+        for error in misses:
+            raise error
+        return has(key)
+
+    monkeypatch.setattr(storage, "open", open_late)
+    with worker._source(claim, Heartbeat(table, claim)) as file:
+        assert file.read() == b"image"
+
+
+def test_what_nobody_foresaw_does_not_end_a_worker(
+    worker: Worker, stop: StopSignal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On PostgreSQL the engine swallowed it without a word."""
+    failed = failures.total()
+    monkeypatch.setattr(worker._encoders, "get_ready", lambda _stop: 1 / 0)
+    stop.request()
+    assert not worker._run_next()
+    assert failures.total() == failed + 1
+
+
+def test_a_source_that_is_gone(
+    table: Unsteady, storage: DiskStorage, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(loop, "MISSING_S", 0.0)
     assert table.release(claim)
     storage.delete(source_key(claim.job_id))
     for _ in range(4):

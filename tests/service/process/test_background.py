@@ -1,0 +1,112 @@
+"""Threads and tasks outlive what nobody foresaw: they go on, and the failure is counted."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from itertools import chain, repeat
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from service.jobs import engine
+from service.jobs.sql import JobTable
+from service.keys import KeyRing, digest
+from service.process.background import failures
+from service.process.stopping import StopSignal
+from service.settings import Settings
+from service.storage.disk import DiskStorage
+from service.web import app
+from service.worker import heartbeat, notifying, sweeping
+from service.worker.heartbeat import SignsOfLife
+from service.worker.notifying import Notifier
+from service.worker.sweeping import Sweeper
+from tests.harness.job_table import LONG_S, open_table
+from tests.harness.postgres_server import PostgresServer
+from tests.harness.processes import PATIENCE_S, wait_until
+
+Made = Callable[[JobTable, Path, StopSignal], threading.Thread]
+
+
+def sweeper(table: JobTable, folder: Path, until: StopSignal) -> threading.Thread:
+    return Sweeper(Settings(retention_s=0.1), table, DiskStorage(folder), until)
+
+
+def signs(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
+    return SignsOfLife(table, "worker", until)
+
+
+def notifier(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
+    return Notifier(table, "http://127.0.0.1:1/", b"key", until)
+
+
+def tidying(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
+    return threading.Thread(target=table.deliver, args=(lambda: False, until))
+
+
+@pytest.mark.parametrize(
+    ("made", "method"),
+    [(sweeper, "needed_keys"), (signs, "sign"), (notifier, "due_notice"), (tidying, "_top_up")],
+)
+def test_threads_go_on(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Made, method: str
+) -> None:
+    pauses = ((sweeping, "SHORTEST_PAUSE_S"), (heartbeat, "SIGN_S"), (notifying, "PAUSE_AFTER_TROUBLE_S"))
+    for module, name in (*pauses, (engine, "TIDY_S")):
+        monkeypatch.setattr(module, name, 0.01)
+    database = "sqlite"
+    if made is tidying:
+        server: PostgresServer = request.getfixturevalue("postgres")
+        database = server.new_database()
+    table, until, calls = open_table(database, tmp_path, LONG_S), StopSignal(), []
+    works = getattr(table, method)
+
+    def fails_once(*arguments: Any) -> Any:
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise RuntimeError("nobody foresaw this")
+        return works(*arguments)
+
+    monkeypatch.setattr(table, method, fails_once)
+    before, thread = failures.total(), made(table, tmp_path, until)
+    thread.start()
+    try:
+        wait_until(lambda: len(calls) > 1 or not thread.is_alive())
+    finally:
+        until.request()
+        thread.join(PATIENCE_S)
+        table.close()
+    assert len(calls) > 1
+    assert failures.total() == before + 1
+
+
+def test_keys_are_read_until_they_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that could not be read for a moment was not read again until it changed once more."""
+    unreadable = ValueError("cannot be read")
+    unreadable.__cause__ = OSError(24, "Too many open files")
+    answers = iter([RuntimeError("nobody foresaw this"), unreadable, {digest("a key"): "ann"}])
+
+    def read_keys() -> dict[str, str]:
+        answer = next(answers)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    versions = chain([None], repeat((1, 1, 1)))
+    monkeypatch.setattr(app, "KEYS_POLL_S", 0.0)
+    monkeypatch.setattr(app, "_version_of", lambda _path: next(versions))
+    ring = KeyRing({})
+    parts: Any = SimpleNamespace(settings=SimpleNamespace(api_keys_file=tmp_path, read_keys=read_keys), keys=ring)
+
+    async def follow() -> None:
+        reloading = asyncio.create_task(app._reload_keys(parts))
+        async with asyncio.timeout(PATIENCE_S):
+            while not ring and not reloading.done():
+                await asyncio.sleep(0.01)
+        reloading.cancel()
+
+    asyncio.run(follow())
+    assert ring.owner_of("a key") == "ann"
