@@ -197,6 +197,7 @@ def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None
     assert ran.err.count(f"{processes.KILLED}\n") == 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("after", [0, 2])
 def test_interrupted_jobs_end(after: float) -> None:
     """Ctrl-C, while two processes start or encode, this long after both are there; and none is left."""

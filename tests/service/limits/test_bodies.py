@@ -196,6 +196,7 @@ def test_a_client_that_hangs_up(web: Service) -> None:
     assert web.files() == before
 
 
+@pytest.mark.thorough
 def test_slow_bodies_keep_nobody_waiting(web: Service) -> None:
     """Their own client has its part of the uploads; somebody else comes from another address."""
     crowd = [connect(web, "Content-Length: 5000") for _ in range(60)]
@@ -215,6 +216,7 @@ def test_a_body_where_none_belongs(web: Service) -> None:
     assert web.client.get("/livez").status_code == 200
 
 
+@pytest.mark.thorough
 def test_the_end_waits_for_an_upload_that_comes(start_service: StartService) -> None:
     """SIGTERM: what has begun is accepted, what is new is not, and the exit status is 0."""
     service = start_service(stop_grace_s=2 * PATIENCE_S, body_chunk_timeout_s=PATIENCE_S)
@@ -233,6 +235,7 @@ def test_the_end_waits_for_an_upload_that_comes(start_service: StartService) -> 
     assert len(service.client.get("/jobs").json()["jobs"]) == 1
 
 
+@pytest.mark.thorough
 def test_the_end_does_not_wait_for_ever(start_service: StartService) -> None:
     service = start_service(stop_grace_s=2, body_chunk_timeout_s=60)
     service.client.get("/livez")

@@ -46,6 +46,7 @@ def test_a_photograph_that_is_dropped(page: Chromium, service: Service) -> None:
     assert complaints(page) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", ["paste", "sample"])
 def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: str) -> None:
     open_page(page, service)
@@ -62,6 +63,7 @@ def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: 
     assert complaints(page) == []
 
 
+@pytest.mark.thorough
 def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Service) -> None:
     """Loaded again in the middle: the address has the job, the browser its original."""
     open_page(page, service)
@@ -88,6 +90,7 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
     assert complaints(page) == []
 
 
+@pytest.mark.thorough
 def test_going_back(page: Chromium, web: Service) -> None:
     open_page(page, web)
     page.click("#sample-cat")
@@ -102,6 +105,7 @@ def test_going_back(page: Chromium, web: Service) -> None:
     says(page, "48 × 40 pixels", "#figures")
 
 
+@pytest.mark.thorough
 def test_going_back_while_what_is_shown_still_changes(page: Chromium, web: Service) -> None:
     """The address is another one before the page is told of it. What then becomes new must not take it back."""
     open_page(page, web)
@@ -113,6 +117,7 @@ def test_going_back_while_what_is_shown_still_changes(page: Chromium, web: Servi
     assert page.run("return location.hash") == first
 
 
+@pytest.mark.thorough
 def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Service) -> None:
     """What comes last is shown, not what ends last."""
     open_page(page, web)
@@ -128,6 +133,7 @@ def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Servi
     assert "48 × 40 pixels" in page.text("#figures")
 
 
+@pytest.mark.thorough
 def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> None:
     open_page(page, web)
     beginnings = {
@@ -152,6 +158,7 @@ def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> N
     assert found == [["image", name] for name in beginnings]
 
 
+@pytest.mark.thorough
 def test_one_that_is_pasted_and_cancelled(page: Chromium, web: Service) -> None:
     open_page(page, web)
     give(page, "paste", SMALL, "pasted.png")
@@ -165,6 +172,7 @@ def test_one_that_is_pasted_and_cancelled(page: Chromium, web: Service) -> None:
     wait_until(lambda: web.client.get(place).status_code == 404)  # it is said before the service knows
 
 
+@pytest.mark.thorough
 def test_two_tabs(page: Chromium, web: Service) -> None:
     """Each has its own picture and its own job; what one removes the other learns of."""
     open_page(page, web)
@@ -178,7 +186,7 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.run("document.getElementById('tune').value = 'psnr'")
         page.run("document.getElementById('tune').dispatchEvent(new Event('change', { bubbles: true }))")
         give(page, "drop", SMALL, "two.png")
-        says(page, "in the queue, 1 before it")
+        says(page, " before it")
         assert page.run("return location.href") != address
         page.switch_to(first)
         assert page.run("return [location.href, document.getElementById('tune').value]") == [address, "visual"]
@@ -215,6 +223,7 @@ def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:
     assert complaints(page) == []
 
 
+@pytest.mark.thorough
 def test_what_is_refused(page: Chromium, web: Service) -> None:
     open_page(page, web)
     give(page, "drop", b"%PDF-1.7", "text.pdf")
@@ -229,6 +238,7 @@ def test_what_is_refused(page: Chromium, web: Service) -> None:
     says(page, "in the queue")
 
 
+@pytest.mark.thorough
 def test_with_a_key(page: Chromium, start_service: StartService) -> None:
     web = start_service("web", api_keys=f"ann:{digest('secret')}")
     open_page(page, web)
@@ -247,6 +257,7 @@ def test_with_a_key(page: Chromium, start_service: StartService) -> None:
     says(page, COFFEE_SAYS, "#figures")
 
 
+@pytest.mark.thorough
 def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartService) -> None:
     service = start_service("web")
     open_page(page, service)
@@ -276,6 +287,7 @@ def test_nobody_is_left_out(page: Chromium, web: Service) -> None:
         assert findings == []
 
 
+@pytest.mark.thorough
 def test_requests_for_people(page: Chromium, web: Service) -> None:
     """Under the strict policy, and from nowhere else."""
     document = web.client.get("/openapi.json").json()
@@ -293,6 +305,7 @@ def test_requests_for_people(page: Chromium, web: Service) -> None:
     assert page.complaints() == []
 
 
+@pytest.mark.thorough
 def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:
     open_page(page, web)
     html = page.run("""

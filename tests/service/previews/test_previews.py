@@ -72,6 +72,7 @@ def test_in_node(files: list[bytes]) -> None:
     assert_decoded(json.loads(done.stdout), files)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["browser", "firefox"])
 def test_in_a_browser(request: pytest.FixtureRequest, name: str, web: Service, files: list[bytes]) -> None:
     browser: Browser = request.getfixturevalue(name)
@@ -105,6 +106,7 @@ STATE = """
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["browser", "firefox"])
 def test_the_preview_stands_until_the_picture_is_there(request: pytest.FixtureRequest, name: str, web: Service) -> None:
     browser: Browser = request.getfixturevalue(name)
@@ -122,6 +124,7 @@ def test_the_preview_stands_until_the_picture_is_there(request: pytest.FixtureRe
     assert browser.complaints() == []
 
 
+@pytest.mark.thorough
 def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service) -> None:
     """It stays as it is; and one that fails to load leaves the preview, but not on paper."""
     open_blank(page, web)
@@ -140,6 +143,7 @@ def test_an_image_that_is_there_without_javascript(page: Chromium, web: Service)
     assert page.run(f"const one = document.getElementById('one'); {seen}") == "block"
 
 
+@pytest.mark.thorough
 def test_a_bad_text_is_a_warning(page: Chromium, web: Service) -> None:
     open_blank(page, web)
     complaints(page)

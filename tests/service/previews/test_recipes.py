@@ -43,6 +43,7 @@ def blocks(heading: str) -> list[str]:
     return found
 
 
+@pytest.mark.thorough
 def test_plain_html(page: Chromium, web: Service) -> None:
     text = to_text(golden(5)["v5-color"])
     open_blank(page, web)
@@ -63,6 +64,7 @@ def test_plain_html(page: Chromium, web: Service) -> None:
     wait_until(lambda: page.run(PICTURE) == ["A red door", True, True])
 
 
+@pytest.mark.thorough
 def test_eleventy(tmp_path: Path) -> None:
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")

@@ -148,6 +148,7 @@ def test_what_is_no_address_is_named(run_command: RunCommand, name: str, value: 
     assert result.stderr.startswith(f"SG_{name.upper()}: ")
 
 
+@pytest.mark.thorough
 def test_chaos_draws_up_a_ledger(tmp_path: Path) -> None:
     """A few jobs and no encodes, to see that the command works; benchmarks/results has the large runs."""
     out = tmp_path / "chaos.json"

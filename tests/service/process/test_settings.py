@@ -147,8 +147,9 @@ def test_keys_that_are_none_do_not_leave_all_open(run_command: RunCommand) -> No
     assert "leave the service open" in result.stderr
 
 
-def test_a_misspelt_setting_is_named() -> None:
-    result = run("serve", SG_WORKER="3", SG_API_KEY="the-clients", SG_HOST="no.such.host.invalid")
+def test_a_misspelt_setting_is_named(tmp_path: Path) -> None:
+    settings = {"SG_WORKER": "3", "SG_API_KEY": "the-clients", "SG_HOST": "no.such.host.invalid"}
+    result = run("serve", SG_DATA_DIR=str(tmp_path), **settings)
     assert result.status == 1
     misspelt, trouble = result.stderr.splitlines()
     assert misspelt.startswith("SG_WORKER is not a setting")

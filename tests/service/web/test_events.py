@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import httpx
+import pytest
 
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
@@ -76,6 +77,7 @@ def test_a_job_that_is_removed(web: Service) -> None:
     assert_problem(web.client.get(f"/jobs/{job_id}/events"), 404)
 
 
+@pytest.mark.thorough
 def test_a_job_table_that_goes_away(start_service: StartService) -> None:
     """The stream ends, and can be opened again once the table is back."""
     web = start_service("web")
@@ -92,6 +94,7 @@ def test_a_job_table_that_goes_away(start_service: StartService) -> None:
     assert "Traceback" not in web.log.read_text()
 
 
+@pytest.mark.thorough
 def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: StartService) -> None:
     """One client has half of them."""
     web = start_service("web", max_streams=3)
@@ -115,6 +118,7 @@ def test_streams_are_limited_and_clients_that_go_away_make_room(start_service: S
         assert wait_until(opened)
 
 
+@pytest.mark.thorough
 def test_open_streams_do_not_hold_up_the_end(start_service: StartService) -> None:
     web = start_service("web", stop_grace_s=2 * PATIENCE_S)
     job_id = web.accepted()

@@ -76,6 +76,7 @@ def test_one_request_brings_the_file(service: Service) -> None:
     assert (watches(service), asked(service, "/bitstreams/{job_id}.sg")) == before
 
 
+@pytest.mark.thorough
 def test_what_is_left_out_is_told(service: Service) -> None:
     file = io.BytesIO()
     Image.new("RGBA", (64, 48), (200, 80, 60, 100)).save(file, "PNG")
@@ -86,6 +87,7 @@ def test_what_is_left_out_is_told(service: Service) -> None:
     assert "notes" not in laid.figures
 
 
+@pytest.mark.thorough
 def test_what_is_not_done_in_one_request_is_waited_for(web: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client_module, "WAIT_S", 1)
     before = watches(web)
@@ -115,6 +117,7 @@ def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
             client.submit_again(first, Budget("bpp", 1))
 
 
+@pytest.mark.thorough
 def test_step_by_step(service: Service) -> None:
     with Client(service.url) as client:
         job_id = client.submit(SMALL, Budget("bpp", 2), "paper", time_limit_s=0.5, priority="bulk")
@@ -367,6 +370,7 @@ def test_paths_are_taken_as_encode_takes_them(web: Service, tmp_path: Path) -> N
             client.submit(7)  # type: ignore[arg-type]
 
 
+@pytest.mark.thorough
 def test_a_full_queue_is_waited_for(empty: Service) -> None:
     web = empty
     first, *_ = [web.accepted() for _ in range(SMALL_QUEUE)]
@@ -379,6 +383,7 @@ def test_a_full_queue_is_waited_for(empty: Service) -> None:
     assert "full" in told[0]
 
 
+@pytest.mark.thorough
 def test_a_service_that_restarts_meanwhile(start_service: StartService) -> None:
     web = start_service("web")
     told: list[str] = []
@@ -432,6 +437,7 @@ def test_the_command_line(start_service: StartService, tmp_path: Path) -> None:
         assert not (tmp_path / "out.sg").exists()
 
 
+@pytest.mark.thorough
 def test_all_that_a_client_may_ask(start_service: StartService) -> None:
     web = start_service("web", link_secret="s" * 32)
     with Client(web.url) as client:

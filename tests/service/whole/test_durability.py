@@ -123,6 +123,7 @@ def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     assert_settled(service, job_id)
 
 
+@pytest.mark.thorough
 def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) -> None:
     """All processes are killed, one job being encoded and one just accepted: both are done after the next start."""
     service = start_service(extra=STAND_IN)
@@ -136,6 +137,7 @@ def test_rule_1_accepted_jobs_survive_everything(start_service: StartService) ->
     assert_settled(service, first, second)
 
 
+@pytest.mark.thorough
 def test_rule_1_one_key_one_job(start_service: StartService) -> None:
     """The same Idempotency-Key several times at once: one job, one source."""
     service = start_service("web")
@@ -220,6 +222,7 @@ def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
     assert_settled(service, last)
 
 
+@pytest.mark.thorough
 def test_rule_4_timed_out(start_service: StartService) -> None:
     """An encode beyond the time-out is ended and not tried again."""
     service = start_service(max_time_limit_s=2, extra=STAND_IN)
@@ -243,6 +246,7 @@ def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
     assert_settled(service, job_id)
 
 
+@pytest.mark.thorough
 def test_rule_5_poison(solo: Service) -> None:
     """A job whose encoder always dies fails after four attempts, with its last error."""
     service = solo
@@ -260,6 +264,7 @@ def test_rule_5_poison(solo: Service) -> None:
     assert_settled(service, healthy)
 
 
+@pytest.mark.thorough
 def test_stopping_hands_the_job_back(start_service: StartService) -> None:
     """SIGTERM: exit status 0, no process left, and the job waits unharmed at its place."""
     service = start_service(stop_grace_s=PATIENCE_S, extra=STAND_IN)

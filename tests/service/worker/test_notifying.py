@@ -163,6 +163,7 @@ def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch
     assert table.census().notices == 0
 
 
+@pytest.mark.thorough
 def test_a_service_tells_of_its_jobs(start_service: StartService, receiver: Receiver) -> None:
     service = start_service(webhook_urls=receiver.url, webhook_secret=SECRET, extra=STAND_IN)
     job_id = service.accepted()
