@@ -102,7 +102,7 @@ def test_more_bytes_give_a_better_picture(profile: str) -> None:
     assert quality[0] < quality[1] < quality[2]
 
 
-@pytest.mark.parametrize("profile", PROFILES_TESTED)
+@pytest.mark.parametrize("profile", SLOWLY)
 def test_a_number_of_gaussians_is_met(profile: str) -> None:
     for n in (1, 2, 50):
         encoded = encode(small(), Budget("gaussians", n), profile)
@@ -392,7 +392,7 @@ def test_a_limit_too_short_for_anything_still_gives_a_file() -> None:
         assert encoded.stats.steps <= 8
 
 
-@pytest.mark.parametrize("profile", PROFILES_TESTED)
+@pytest.mark.parametrize("profile", SLOWLY)
 def test_the_seed_decides(profile: str) -> None:
     budget = Budget("bytes", 400)
     one, same, other = (encode(small(), budget, profile, seed=seed).data for seed in (3, 3, 4))
@@ -400,7 +400,7 @@ def test_the_seed_decides(profile: str) -> None:
     assert one != other
 
 
-@pytest.mark.parametrize("profile", PROFILES_TESTED)
+@pytest.mark.parametrize("profile", SLOWLY)
 def test_the_file_does_not_depend_on_threads(profile: str) -> None:
     before = sgmethod.native.native.thread_count()
     files = []

@@ -39,7 +39,7 @@ def encoded(pixels: np.ndarray, tune: Tune, backend: Backend) -> bytes:
     return container.serialise(stream)
 
 
-@pytest.mark.parametrize("tune", ["psnr", "visual"])
+@pytest.mark.parametrize("tune", ["psnr", pytest.param("visual", marks=pytest.mark.thorough)])
 def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
     pixels = np.asarray(Image.open(io.BytesIO(png(*SIZE))))
     files = [encoded(pixels, tune, backend) for backend in (Kernels(), Reference())]

@@ -71,6 +71,7 @@ def test_gradcheck(pyramid: bool, blend: Any, scale: float) -> None:
     assert torch.autograd.gradcheck(drawn, values, fast_mode=True, check_forward_ad=True)
 
 
+@pytest.mark.thorough
 def test_it_is_an_operator_of_torch() -> None:
     values = stacked(6, 2)
     torch.library.opcheck(_draw, (*values, *SIZE, True))

@@ -112,6 +112,7 @@ print("right")
 """
 
 
+@pytest.mark.thorough
 def test_a_child_forked_while_a_kernel_runs_decodes_at_once() -> None:
     assert run("-W", "ignore::DeprecationWarning", "-c", FORK) == "right\n"
 

@@ -119,6 +119,7 @@ def test_relaxing_makes_a_better_file(budget: Budget) -> None:
     assert budget.kind != "bytes" or len(container.serialise(again.stream)) <= 600
 
 
+@pytest.mark.thorough
 def test_relaxing_makes_smaller_files_of_a_psnr() -> None:
     """Where the lot has it: it may have nothing that reaches the PSNR with less."""
     before, after = 0, 0

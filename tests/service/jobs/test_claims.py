@@ -291,6 +291,7 @@ def _claim_and_finish(database_url: str, folder: Path, ids: multiprocessing.Simp
     table.close()
 
 
+@pytest.mark.thorough
 def test_processes_share_a_table(database_url: str, tmp_path: Path) -> None:
     """No job goes to two of them."""
     first = open_table(database_url, tmp_path, LONG_S)

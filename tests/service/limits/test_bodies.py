@@ -108,6 +108,7 @@ def test_a_part_with_endless_headers(web: Service) -> None:
         assert_problem(answer, 400)
 
 
+@pytest.mark.thorough
 def test_a_body_that_stops_coming(hasty: Service) -> None:
     with connect(hasty, "Content-Length: 5000") as connection:
         connection.sendall(HEAD + SMALL[:1000])
@@ -136,6 +137,7 @@ def test_a_body_that_trickles(hasty: Service) -> None:
         problem_from(connection, 408)
 
 
+@pytest.mark.thorough
 def test_a_body_that_comes_too_slowly_for_its_size(start_service: StartService) -> None:
     """Neither a long silence nor long in all, but too few bytes a second."""
     web = start_service("web", body_chunk_timeout_s=1, body_timeout_s=100)
@@ -145,6 +147,7 @@ def test_a_body_that_comes_too_slowly_for_its_size(start_service: StartService) 
         problem_from(connection, 408)
 
 
+@pytest.mark.thorough
 def test_uploads_at_once_are_limited(start_service: StartService) -> None:
     """One client has half of them: a hundred slow ones of one address kept everybody's out."""
     keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann", "bob"))

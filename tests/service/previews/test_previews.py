@@ -263,7 +263,7 @@ OWNED = {
 }
 
 
-@pytest.mark.parametrize("name", ["browser", "firefox"])
+@pytest.mark.parametrize("name", ["browser", pytest.param("firefox", marks=pytest.mark.thorough)])
 def test_it_is_as_an_img_and_leaves_what_is_not_its_own(
     request: pytest.FixtureRequest, name: str, web: Service
 ) -> None:

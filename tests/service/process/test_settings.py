@@ -168,6 +168,7 @@ def test_a_taken_port_is_one_clear_line(tmp_path: Path) -> None:
     assert re.fullmatch(r"cannot start: .*[Aa]ddress already in use.*\n", result.stderr)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("command", ["serve", "web", "worker", "sweep"])
 @pytest.mark.parametrize("file", ["data", "data/jobs.sqlite3", "data/sources"])
 def test_a_data_folder_that_cannot_be_is_one_clear_line(
@@ -204,6 +205,7 @@ def test_an_object_store_that_cannot_be_asked_is_one_clear_line(
     assert words in result.stderr
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("command", "first_words"), [("serve", "sgmethod"), ("web", "sgmethod"), ("worker", "ready")])
 def test_stopped_while_starting(tmp_path: Path, command: str, first_words: str) -> None:
     """SIGTERM as soon as there is a sign of life: exit status 0 all the same."""
@@ -232,6 +234,7 @@ def test_web_process_and_worker_never_import_torch() -> None:
     assert subprocess.run([sys.executable, "-c", script], cwd=ROOT, timeout=PATIENCE_S, check=False).returncode == 0
 
 
+@pytest.mark.thorough
 def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """As when the system is out of memory or processes for a moment: the supervisor outlives it."""
     monkeypatch.setattr(supervisor, "FIRST_PAUSE_S", 0.0)

@@ -139,6 +139,7 @@ def test_requests_have_ids_and_lines(start_service: StartService) -> None:
     assert "Bearer" not in web.log.read_text()
 
 
+@pytest.mark.thorough
 def test_finished_jobs_say_when_they_go(start_service: StartService) -> None:
     web = start_service("web", retention_s=1000)
     done = web.published(PICTURE)
@@ -153,6 +154,7 @@ def test_finished_jobs_say_when_they_go(start_service: StartService) -> None:
     assert "expires" not in forever.client.get(f"/decode/{done}.png").headers
 
 
+@pytest.mark.thorough
 def test_keys_are_read_anew(start_service: StartService, tmp_path: Path) -> None:
     file = tmp_path / "keys"
     file.write_text(f"ann:{digest('old')}\n")

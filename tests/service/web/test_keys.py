@@ -232,6 +232,7 @@ def test_no_links_without_a_secret(web: Service) -> None:
     assert_problem(web.client.post(f"/jobs/{web.published(PICTURE)}/links"), 404, "not enabled")
 
 
+@pytest.mark.thorough
 def test_binding_elsewhere_without_keys_is_said(start_service: StartService) -> None:
     open_to_all = start_service("web", host="0.0.0.0")
     assert "SG_API_KEYS" in open_to_all.log.read_text()

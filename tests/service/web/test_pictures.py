@@ -84,6 +84,7 @@ def test_texture_can_be_left_out(web: Service) -> None:
     assert_problem(web.client.get(f"/decode/{job}.png?texture=some"), 422)
 
 
+@pytest.mark.thorough
 def test_rivals_are_as_large(start_service: StartService) -> None:
     web = start_service("web", source_retention_s=1000)
     coffee, image = ((STATIC / "samples" / f"coffee.{kind}").read_bytes() for kind in ("sg", "webp"))
@@ -105,6 +106,7 @@ def test_rivals_are_as_large(start_service: StartService) -> None:
     assert_problem(web.client.post(f"/jobs/{waiting}/stop"), 409, "no result to keep")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fallback", ["webp", "avif"])
 def test_a_fallback_takes_the_place_of_gaussians(service: Service, fallback: str) -> None:
     """Of a page of text, and of no photograph."""
@@ -129,6 +131,7 @@ def test_a_fallback_takes_the_place_of_gaussians(service: Service, fallback: str
     assert sgmethod.info(service.client.get(other["bitstream_url"]).content).gaussians
 
 
+@pytest.mark.thorough
 def test_rivals_of_a_page_of_text_keep_it_sharp(start_service: StartService) -> None:
     """Lossless WebP where it is no larger, with its transparency; AVIF whose colours are as sharp as the rest."""
     web = start_service("web", source_retention_s=1000)
@@ -238,6 +241,7 @@ def test_what_gets_no_preview(web: Service, query: str, body: bytes, status: int
     assert_problem(web.client.post(f"/preview{query}", content=body), status, words)
 
 
+@pytest.mark.thorough
 def test_limits_of_previews(web: Service, start_service: StartService) -> None:
     assert_problem(web.client.post("/preview", files={"image": PHOTOGRAPH}), 415, "not a form")
     file = io.BytesIO()

@@ -101,6 +101,7 @@ def test_a_job_that_fails_or_is_removed_meanwhile(empty: Service) -> None:
         assert_problem(asking.result(), 409, "removed")
 
 
+@pytest.mark.thorough
 def test_who_waits_is_told_when_the_service_stops(start_service: StartService) -> None:
     web = start_service("web", stop_grace_s=2 * PATIENCE_S)
     with ThreadPoolExecutor(1) as pool:
@@ -124,6 +125,7 @@ def taken(web: Service) -> float:
     return web.figures()['sgmethod_taken{what="streams"}']
 
 
+@pytest.mark.thorough
 def test_too_many_that_wait_get_a_job_at_once(one_place: Service) -> None:
     with one_place.connect() as stream:
         stream.sendall(f"GET /jobs/{one_place.accepted()}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
@@ -156,6 +158,7 @@ def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
     assert sgmethod.info(again.content).width == 64
 
 
+@pytest.mark.thorough
 def test_whose_image_is_encoded_again_and_how(start_service: StartService) -> None:
     keys = ",".join(f"{name}:{digest(name)}" for name in ("ann", "bob"))
     web = start_service("web", source_retention_s=1000, api_keys=keys, queue_length=4)
@@ -184,6 +187,7 @@ def test_whose_image_is_encoded_again_and_how(start_service: StartService) -> No
     assert_problem(again(waiting), 429, "full")
 
 
+@pytest.mark.thorough
 def test_fields_in_a_body_count(start_service: StartService) -> None:
     """They were ignored, and the image encoded at 0.3 bpp."""
     web = start_service("web", source_retention_s=1000)
@@ -229,6 +233,7 @@ def test_an_image_comes_once(web: Service) -> None:
     assert_problem(web.client.post("/encode?image=x", files=[("image", image)]), 422, "image is not accepted here")
 
 
+@pytest.mark.thorough
 def test_images_that_are_no_longer_kept(start_service: StartService) -> None:
     web = start_service("web", source_retention_s=1000)
     swept, late = web.accepted(), web.accepted()

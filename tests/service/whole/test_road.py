@@ -57,6 +57,7 @@ def test_a_finished_job_tells_its_figures_and_its_trace(done: dict[str, Any]) ->
     assert done["trace"][-1]["psnr"] == pytest.approx(result["psnr"], abs=0.5)
 
 
+@pytest.mark.thorough
 def test_an_encode_that_is_stopped(service: Service) -> None:
     """It keeps to its budget, and takes nothing like its 100 seconds."""
     job_id = service.accepted_slow()

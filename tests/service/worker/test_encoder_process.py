@@ -117,6 +117,7 @@ def test_what_starts_encoders_has_no_thread() -> None:
     assert len([*Path("/proc", str(starter()), "task").iterdir()]) == 1
 
 
+@pytest.mark.thorough
 def test_what_starts_encoders_is_started_again(encoders: Encoders, lifeline: Lifeline, tmp_path: Path) -> None:
     """Its end does no harm to an encoder that runs, and the next one has to wait only until it is back."""
     image = tmp_path / "image"
