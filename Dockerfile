@@ -20,7 +20,7 @@ COPY pyproject.toml README.md LICENSE ./
 COPY sgmethod sgmethod
 COPY service service
 RUN /opt/sgmethod/bin/pip wheel --no-cache-dir --no-deps --wheel-dir /wheels . \
-    && /opt/sgmethod/bin/pip install --no-cache-dir "$(ls /wheels/*.whl)[service,postgres,s3]"
+    && /opt/sgmethod/bin/pip install --no-cache-dir "$(ls /wheels/*.whl)[torch,service,postgres,s3]"
 
 FROM ${PYTHON_IMAGE}
 RUN groupadd --gid 10001 sgmethod \
