@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 KILLED = "its process was killed, perhaps for want of memory"
 NONE_BEGINS = (
-    "no process for a job can begin: a script that asks for several must be a file, and do so under "
-    """`if __name__ == "__main__":`; what the processes said is on stderr"""
+    "no process for a job can begin, and what they said is on stderr: the system may allow no more of them or of their "
+    """threads, and a script that asks for several must be a file, and do so under `if __name__ == "__main__":`"""
 )
 
 CONTEXT = get_context("spawn")  # a copy of this process would have its threads' locks and not its threads

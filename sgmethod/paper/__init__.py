@@ -7,5 +7,5 @@ The bytes of a version 1 file leave, after a structure-guided start, a fit and q
 from sgmethod.errors import extra
 
 with extra("torch"):
-    import skimage  # noqa: F401
     import torch  # noqa: F401
+    from skimage import segmentation  # noqa: F401
