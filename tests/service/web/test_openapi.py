@@ -93,7 +93,7 @@ def curl(command: str, folder: Path) -> httpx.Response:
 
 def test_every_operation_has_a_summary_and_a_command_that_works(start_service: StartService, tmp_path: Path) -> None:
     """As they stand at /docs to be copied, but for the address and the job's id."""
-    settings = {"link_secret": "x" * 32, "source_retention_s": 1000, "max_time_limit_s": 1.0}
+    settings = {"link_secret": "x" * 32, "source_retention_s": 1000, "max_time_limit_s": 2.0}
     service = start_service(extra=STAND_IN, **settings)
     (tmp_path / "photo.jpg").write_bytes(SMALL)
     (tmp_path / "photo.sg").write_bytes(PICTURE)
