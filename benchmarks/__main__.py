@@ -59,7 +59,7 @@ FULL = {
     "version4/stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes",
     "speed": f"speed {KODAK}",
-    "representation": f"ablation representation {SEEN}",
+    "representation": f"ablation representation {SEEN} --most 24 --gaussians 30000,70000",  # as the paper's tables
     "ablation": f"ablation {KODAK}",
     "others": f"others {KODAK}",
     "service/load": "service load",
