@@ -29,7 +29,7 @@ NAMES = {
     "unregularised": "paper, no regularisation",
     "baseline": "baseline",
 }
-FIGURES = ablation.FIGURES
+QUOTED = "the paper", "GSImage"
 RATE_KEYS = ("bpp", "psnr", "ms_ssim", "encode_s", "decode_ms")
 RATE_FORMS = (".3f", ".2f", ".4f", ".1f", ",.0f")
 MOST = 0.5  # the part of a gain from which on it is there
@@ -74,16 +74,16 @@ def page(contents: Mapping[str, Content]) -> Page:
 def representation(rows: Sequence[dict[str, Any]]) -> str:
     """N Gaussians in floating point on Kodak: the paper's rows, and ours of as many Gaussians."""
     lines = []
-    for title, asked, quoted in ((WHOLE, 70_000, ("the paper", "GSImage")), (PARTS, 30_000, ("the paper", "GSImage"))):
+    for title, asked in ((WHOLE, 70_000), (PARTS, 30_000)):
         theirs = {row["method"]: row for row in published.paper()["rows_of"][title]}
         renamed = {"frames_per_s": "fps", "mib": "gpu_mib"}
-        for name in quoted:
-            cells = [number(theirs[name].get(renamed.get(key, key)), form) for key, form in FIGURES.items()]
+        for name in QUOTED:
+            cells = [number(theirs[name].get(renamed.get(key, key)), form) for key, form in ablation.FIGURES.items()]
             lines.append([f"{asked:,}", f"{name} ({GPU})", str(KODAK), *cells])
         for method in ("rd", "paper", "baseline"):
             own = ablation.representations([row for row in rows if row["method"] == method], asked)
             if method in own:
-                cells = [number(own[method][key], form) for key, form in FIGURES.items()]
+                cells = [number(own[method][key], form) for key, form in ablation.FIGURES.items()]
                 lines.append([f"{asked:,}", f"`{method}` ({CPU})", str(own[method]["pictures"]), *cells])
     return table("Gaussians | method | pictures | PSNR | MS-SSIM | LPIPS | seconds | frames a second | MiB", lines)
 
@@ -107,7 +107,7 @@ def compression(contents: Mapping[str, Content]) -> str:
     """Files at a low and a high rate. The paper's are of DIV2K, which is not at hand: its rows cannot be subtracted."""
     lines = []
     for row in published.paper()["rows_of"][CODECS]:
-        for rate in ("low", "high") if row["method"] in ("the paper", "GSImage") else ():
+        for rate in ("low", "high") if row["method"] in QUOTED else ():
             encode_s, frames = 1 / row[f"{rate}_encode_fps"], row[f"{rate}_decode_fps"]
             figures = (row[f"{rate}_bpp"], row[f"{rate}_psnr"], row[f"{rate}_ms_ssim"], encode_s, frames)
             lines.append([f"{row['method']} ({GPU})", "DIV2K x2", *map(number, figures, RATE_FORMS)])
@@ -199,7 +199,7 @@ def draw(axes: Any, rows: list[dict[str, Any]]) -> None:
         if points:
             axes.plot(*zip(*points, strict=True), **style(k) | {"label": name})
     quoted = [(30_000, quoted_values(PARTS, "psnr")), (70_000, quoted_values(WHOLE, "psnr"))]
-    for k, name in enumerate(("the paper", "GSImage"), len(NAMES)):
+    for k, name in enumerate(QUOTED, len(NAMES)):
         points = [(asked, of[name]) for asked, of in quoted]
         axes.plot(*zip(*points, strict=True), **style(k) | {"label": f"{name}, quoted"})
     axes.set(xlabel="Gaussians", ylabel="PSNR, dB")
