@@ -28,9 +28,9 @@ from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
+from sgmethod.io.compositing import on_backgrounds
 from sgmethod.io.files import own_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
-from sgmethod.io.laying import on_backgrounds
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
 from sgmethod.rd import alpha

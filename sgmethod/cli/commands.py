@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sgmethod.cli import files
 from sgmethod.cli.files import CommandError
 from sgmethod.decoder import decode, info
-from sgmethod.io.laying import WHITE, laid_over
+from sgmethod.io.compositing import WHITE, composited
 
 if TYPE_CHECKING:
     import numpy as np
@@ -115,7 +115,7 @@ def _picture(path: str) -> NDArray[np.uint8]:
         if pixels.shape[2] == 3:
             return pixels
         files.print_lines("note", path, ["transparency is composited over white"])
-        return laid_over(pixels, WHITE)
+        return composited(pixels, WHITE)
     try:
         pixels, notes = files.read_pixels(data)
     except ImageError as error:

@@ -20,7 +20,7 @@ from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.io.laying import on_backgrounds
+from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.rd import encode as pipeline
 from sgmethod.rd.rate_control import RateControl, allows_alpha, beside_alpha, looks_db, missed_db, of_alpha, raised

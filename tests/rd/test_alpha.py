@@ -19,7 +19,7 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV5
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.moving_target import BeyondBlackAndWhite
-from sgmethod.io.laying import on_backgrounds
+from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.rd import alpha
 from sgmethod.rd.alpha import continued
