@@ -78,11 +78,9 @@ class AheadForTheEye(MovingTarget):
         self._kept: FloatArray | None = None  # of the detail, where grain is hidden; at half the size
 
     def is_due(self, step: int, has_grown: bool) -> bool:
-        """As MovingTarget.is_due."""
         return has_grown and step % self._settings.every == 0
 
     def without(self, grain: Target) -> AheadForTheEye:
-        """As MovingTarget.without."""
         new = copy(self)
         new._grain, new.hides = grain, True
         finest = self._original[1] - _enlarged(halved(self._original[1]), grain.shape[1:])
@@ -91,7 +89,6 @@ class AheadForTheEye(MovingTarget):
         return new
 
     def whole(self) -> AheadForTheEye:
-        """As MovingTarget.whole."""
         new = copy(self)
         if self._grain is not None:
             new.now = self.now + self._grain
@@ -99,7 +96,6 @@ class AheadForTheEye(MovingTarget):
         return new
 
     def moved(self, error: Rows) -> AheadForTheEye:
-        """As MovingTarget.moved."""
         new, s, (_, height, width) = copy(self), self._settings, self._original.shape
         coarse, luma = self._reduced(error)
         np.clip(coarse, -s.furthest, s.furthest, out=coarse)
@@ -171,11 +167,9 @@ class BeyondBlackAndWhite(MovingTarget):
         self._high = ends[1] * s.overshoot - ends[0] * margin
 
     def is_due(self, step: int, _has_grown: bool) -> bool:
-        """As MovingTarget.is_due."""
         return step % self._settings.overshoot_every == 0
 
     def moved(self, error: Rows) -> BeyondBlackAndWhite:
-        """As MovingTarget.moved."""
         new, (_, height, width) = copy(self), self._original.shape
         new.now = np.empty_like(self._original)
         for first, end in bands(height, width):
