@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sgmethod.errors import SgError
-from sgmethod.io.files import own_path, write_atomically
+from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import Input
 from sgmethod.many.manifest import Manifest, Row
 
@@ -72,8 +72,8 @@ class _Rest:
     def of(self, items: Iterable[Item]) -> Iterator[Picture]:
         """Raises SgError for a name that is invalid or used twice."""
         for item in items:
-            name, picture = item if isinstance(item, tuple) else (own_path(item).stem, item)
-            if not isinstance(name, str) or not name or own_path(name).name != name:
+            name, picture = item if isinstance(item, tuple) else (checked_path(item).stem, item)
+            if not isinstance(name, str) or not name or checked_path(name).name != name:
                 raise SgError(f"the name of a picture must be a file name without folders, got {name!r}")
             if name in self._names:
                 raise SgError(f"two pictures are named {name!r}: give other names, as pairs (name, picture)")
@@ -96,7 +96,7 @@ def run(
 ) -> Tally:
     """Skip, finish and note pictures. options: what decides the files, besides the pictures; finish: writes the files
     of pictures into a folder and yields their lines. Raises SgError, OSError, as encode_many()."""
-    folder = own_path(output_dir)
+    folder = checked_path(output_dir)
     folder.mkdir(parents=True, exist_ok=True)
     began = time.perf_counter()
     tally = Tally(pictures=len(items) if isinstance(items, Sized) else None)

@@ -25,7 +25,7 @@ from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.rd import encode as pipeline
 from sgmethod.rd.rate_control import RateControl, allows_alpha, beside_alpha, looks_db, missed_db, of_alpha, raised
 from sgmethod.rd.request import Request
-from sgmethod.trace import Preview, shown_to_nobody
+from sgmethod.trace import Preview
 
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
@@ -90,10 +90,10 @@ def _error(decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
     return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha]))) / 10))
 
 
-def _with_alpha(preview: Preview, alpha: StreamV5) -> Preview:
+def _with_alpha(preview: Preview | None, alpha: StreamV5) -> Preview | None:
     """A preview that is given files with alpha."""
-    if preview is shown_to_nobody:
-        return preview
+    if preview is None:
+        return None
 
     def shown(file: bytes) -> None:
         stream = container.parse(file)

@@ -12,7 +12,6 @@ from sgmethod.decoder import draw_whole
 from sgmethod.rd.quantise import exact_psnr, rounded_psnr
 from sgmethod.rd.rate_control import Coded, looks_db
 from sgmethod.rd.request import Plan, Stage, State
-from sgmethod.trace import shown_to_nobody
 
 
 def steer(plan: Plan, state: State, stage: Stage) -> State:
@@ -20,7 +19,7 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
     request = plan.request
     stream = request.stream(state.gaussians, state.quantum)
     size = stream.file_bytes
-    if request.recorder.preview is not shown_to_nobody:
+    if request.recorder.preview is not None:
         request.recorder.preview(container.serialise(stream))
 
     @cache  # a whole picture is drawn for it

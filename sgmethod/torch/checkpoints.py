@@ -26,9 +26,9 @@ from torch import Tensor
 
 from sgmethod.errors import GaussiansError
 from sgmethod.exchange.arrays import own_gaussians
-from sgmethod.io.files import own_path
+from sgmethod.io.files import checked_path
 from sgmethod.scene import FloatArray, Gaussians
-from sgmethod.view import WHOLE, recut
+from sgmethod.view import NO_CUTOFF, recut
 
 PathLike = str | os.PathLike[str]
 
@@ -49,7 +49,7 @@ def read_gaussianimage(path: PathLike, width: int, height: int) -> Gaussians:
             raise GaussiansError(f"{path} has neither _cholesky nor {min(missing)}")
         factors = _turned((state["_scaling"] + 0.5).abs(), torch.sigmoid(state["_rotation"]) * 2 * math.pi)
     colors = state["_features_dc"] * state.get("_opacity", torch.ones(()))
-    return recut(own_gaussians(Gaussians(*map(_array, (means, factors, colors)))), WHOLE)
+    return recut(own_gaussians(Gaussians(*map(_array, (means, factors, colors)))), NO_CUTOFF)
 
 
 def read_image_gs(path: PathLike, width: int, height: int) -> Gaussians:
@@ -61,7 +61,7 @@ def read_image_gs(path: PathLike, width: int, height: int) -> Gaussians:
     if colors.shape[1:] == (1,):
         colors = colors.expand(-1, 3)
     means = state["xy"] * torch.tensor([width, height])
-    return recut(own_gaussians(Gaussians(*map(_array, (means, factors, colors)))), WHOLE)
+    return recut(own_gaussians(Gaussians(*map(_array, (means, factors, colors)))), NO_CUTOFF)
 
 
 def _turned(scales: Tensor, angles: Tensor) -> Tensor:
@@ -75,7 +75,7 @@ def _turned(scales: Tensor, angles: Tensor) -> Tensor:
 def _loaded(path: PathLike, *needed: str) -> dict[str, Tensor]:
     """The tensors of a checkpoint, in double precision. Nothing of it is run."""
     try:
-        found = torch.load(own_path(path), map_location="cpu", weights_only=True)
+        found = torch.load(checked_path(path), map_location="cpu", weights_only=True)
     except (RuntimeError, ValueError, KeyError, EOFError, pickle.UnpicklingError) as error:
         raise GaussiansError(f"{path} is no checkpoint that torch loads without running code of it") from error
     state = found.get("state_dict", found) if isinstance(found, dict) else {}

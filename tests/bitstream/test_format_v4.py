@@ -20,7 +20,7 @@ from sgmethod.bitstream.texture import Codes, cells, pack
 from sgmethod.bitstream.v4 import StreamV4
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
-from sgmethod.view import FAR, View
+from sgmethod.view import MAX_COORDINATE, View
 from tests.bitstream import plain_decoder_v3, plain_decoder_v4
 from tests.bitstream.plain_decoder import RefusedError
 from tests.bitstream.plain_decoder_v3 import Gaussian, Header, Numbers
@@ -74,8 +74,8 @@ def test_the_numbers_are_the_codes() -> None:
 
 def test_the_version_and_the_views_in_the_text() -> None:
     assert f"# Version {StreamV4.VERSION}\n" in TEXT
-    assert f"OX = floor(X * sx) mod {FAR} " in TEXT
-    assert FAR % 2**plain_decoder_v4.TOP_LEVEL == 0
+    assert f"OX = floor(X * sx) mod {MAX_COORDINATE} " in TEXT
+    assert MAX_COORDINATE % 2**plain_decoder_v4.TOP_LEVEL == 0
 
 
 @pytest.mark.parametrize("name", GOLDEN)
@@ -157,11 +157,11 @@ def test_the_plain_decoder_draws_the_same_views(name: str, scale: float) -> None
 
 
 def test_the_plain_decoder_draws_the_same_views_far_out() -> None:
-    """Where places are counted modulo FAR, and just before and across that."""
+    """Where places are counted modulo MAX_COORDINATE, and just before and across that."""
     rng = np.random.default_rng(5)
     n, size = 60, (60_000, 50)
     factors = np.exp(rng.uniform(0, 4, (n, 1)) + rng.normal(0, 0.4, (n, 3))) * (1, rng.choice([-1, 1]), 1)
-    for x in (FAR // 2 - 10, 50_001):
+    for x in (MAX_COORDINATE // 2 - 10, 50_001):
         means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
         gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
         data = container.serialise(StreamV4.of(gaussians, size, 0.01, (120, 110, 100), grey=False))

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader
 import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
 from sgmethod.torch import SgDataset, decode, gaussians, read_gaussianimage, read_image_gs, render
-from sgmethod.view import WHOLE, View, recut
+from sgmethod.view import NO_CUTOFF, View, recut
 from tests.backend.cases import single
 
 pytestmark = pytest.mark.usefixtures("files")
@@ -94,7 +94,7 @@ def test_gaussianimage() -> None:
     torch.save(cholesky(), "model.pth.tar")
     wanted = single([[16.5, 30.5]], [[2, -1, 3]], [[0.5, -0.25, 1]])
     found = read_gaussianimage("model.pth.tar", *SIZE)
-    for one, other in zip(found.arrays, recut(wanted, WHOLE).arrays, strict=True):
+    for one, other in zip(found.arrays, recut(wanted, NO_CUTOFF).arrays, strict=True):
         assert np.allclose(one, other, rtol=1e-6)
 
 
@@ -107,7 +107,7 @@ def test_gaussianimage_by_scale_and_rotation() -> None:
     torch.save(state, "model.pth.tar")
     found = read_gaussianimage("model.pth.tar", *SIZE)
     axis = np.array([math.cos(angle), -math.sin(angle)])
-    variances = recut(found, 3.0, WHOLE).covariances[0]
+    variances = recut(found, 3.0, NO_CUTOFF).covariances[0]
     assert axis @ variances @ axis == pytest.approx(16, rel=1e-5)
     assert np.linalg.det(variances) == pytest.approx(16, rel=1e-5)
 
@@ -118,7 +118,7 @@ def test_image_gs(channels: int) -> None:
     state |= {"feat": torch.tensor([[0.5, 0.25, 1]])[:, :channels], "vis_feat": torch.zeros(1, 3)}
     torch.save({"step": 3, "psnr": 30.0, "state_dict": state, "optim_state_dict": {"state": {}}}, "ckpt_step-3.pt")
     wanted = single([[16, 24]], [[2, 0, 4]], [[0.5, 0.25, 1]] if channels == 3 else [[0.5] * 3])
-    for one, other in zip(read_image_gs("ckpt_step-3.pt", *SIZE).arrays, recut(wanted, WHOLE).arrays, strict=True):
+    for one, other in zip(read_image_gs("ckpt_step-3.pt", *SIZE).arrays, recut(wanted, NO_CUTOFF).arrays, strict=True):
         assert np.allclose(one, other, rtol=1e-6, atol=1e-6)
 
 
