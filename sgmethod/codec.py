@@ -244,7 +244,7 @@ def _rd(
     height, width, channels = pixels.shape
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
     rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
-    if rate.is_short and Histogram(objective.pixels).is_most:
+    if rate.is_short and Histogram(objective.pixels).has_majority:
         rate = rate.for_exact_background()
     request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:

@@ -11,7 +11,7 @@ from sgmethod.scene import FloatArray
 
 MAX_SIDE: int  # pixels along a side of a picture
 CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
-CUTOFF_V3: float  # and of versions 3 and 4
+CUTOFF_V3: float  # the same for later versions
 MAX_CUTOFF: float  # the largest that the kernels support
 MIN_SCALE: float  # pixels; l1 and l3 are at least this
 COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]

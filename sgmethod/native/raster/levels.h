@@ -64,7 +64,7 @@ struct Narrowed {
     q1 = std::sqrt(a), q2 = b / q1, q3 = std::sqrt(a * c - b * b) / q1;
   }
   double p1, p2, p3;  // factor before narrowing
-  double q1, q2, q3;  // and after
+  double q1, q2, q3;  // factor after narrowing
 };
 
 SG_INLINE Levelled::Levelled(const float* m, const float* l, int level) {
