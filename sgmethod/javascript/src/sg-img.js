@@ -2,7 +2,7 @@
 // fades it out once that has loaded. Without an <img> within, src, alt and so on on the element itself work as on one.
 // All that is drawn is in the element's shadow tree: nothing is written to the page's own elements.
 
-import { decodePreview } from "../decoder/preview.js";
+import { decodePreview } from "./preview.js";
 
 const SLICE_MS = 8; // of drawing at a time, so that a page of many stays responsive
 const FADE_MS = 300;

@@ -117,12 +117,3 @@ export function draw(file, { scale = 1, region = null, count = file.count, textu
   if (file.alpha) setAlpha(data, draw(file.alpha, { scale, region }).data);
   return { width: view.width, height: view.height, data };
 }
-
-/** What a picture that can be seen through is on white, in place. */
-export function layOverWhite({ data }) {
-  for (let at = 0; at < data.length; at += 4) {
-    const share = data[at + 3] / 255;
-    for (let c = 0; c < 3; c++) data[at + c] = data[at + c] * share + 255 * (1 - share);
-    data[at + 3] = 255;
-  }
-}
