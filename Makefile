@@ -50,8 +50,8 @@ wheel: $(VENV)/.test ## build the source archive and wheels in dist, and decode 
 
 npm: ## build the package for browsers in dist; needs npm
 	mkdir -p build/npm dist
-	cp -r service/npm/. LICENSE build/npm/
-	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && node build.mjs ../../service/web/static \
+	cp -r sgmethod/javascript/. LICENSE build/npm/
+	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent build \
 	  && npm pack --silent --pack-destination ../../dist
 
 bench: $(VENV)/.benchmark ## a small set of all measurements in ten minutes, or FULL=yes [IMAGES=folder WEIGHTS=folder]

@@ -32,6 +32,8 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     client/     encoding by a service
     cli/        the command line
 
+javascript/ holds the decoder for browsers, `<sg-img>`, and the npm package of both.
+
 Decoding needs only NumPy, Pillow and the compiled kernels; profiles paper and baseline, sgmethod.torch and encodes on
 another device import PyTorch. Importing this package lets Pillow open and save .sg files.
 """
