@@ -104,8 +104,8 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
+    from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
-    from sgmethod.start.advice import advice, better_file
 
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(
