@@ -19,15 +19,15 @@ from sgmethod.scene import Gaussians
 
 
 @dataclass(frozen=True)
-class Room:
-    """What a file may hold: bytes of payload, beside a texture if there is one."""
+class PayloadLimit:
+    """Bytes that the payload may take, beside a texture if there is one."""
 
     max_bytes: int
     texture: Codes | None
 
 
-def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, room: Room) -> Coded:
-    """The coded picture with this quantum in the room there is, its integers refined one Gaussian at a time on the
+def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, limit: PayloadLimit) -> Coded:
+    """The coded picture with this quantum within a limit, its integers refined one Gaussian at a time on the
     target that the others leave (native/refine/refine.cpp)."""
     request, s = plan.request, plan.settings
     is_short = request.rate.is_short
@@ -35,11 +35,11 @@ def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, 
     upright = is_upright(gaussians.factors, request.with_shear)
     finest, spacing = plan.finest, plan.finest.frame.spacing
     price = s.refine.weight * error_per_bit(quantum) / spacing**2
-    limits = RefineLimits(price, s.effort.refine_sweeps, request.deadline.left_s(), room.max_bytes, spacing)
+    limits = RefineLimits(price, s.effort.refine_sweeps, request.deadline.left_s(), limit.max_bytes, spacing)
     coding = replace(request.coding(quantum), upright=upright)
     payload = request.backend.refine(gaussians, coding, target, limits, finest.visibility)
     colours = *request.size, quantum, request.background, request.grey, upright, payload
-    stream = StreamV5(*colours, room.texture, is_short=is_short)
+    stream = StreamV5(*colours, limit.texture, is_short=is_short)
     return Coded(stream, request.objective)
 
 
