@@ -91,7 +91,8 @@ def _encode(conversion: Conversion, arguments: argparse.Namespace, began: float,
         points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
         files.write(files.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
     files.write(conversion.target, data)
-    return Outcome(conversion, len(data), "" if arguments.json else _summary(figures), figures, notes)
+    said = "" if arguments.json else _summary(figures)
+    return Outcome.of(conversion, bytes=len(data), said=said, figures=figures, notes=notes)
 
 
 Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # the file, its figures, the trace, what was left out
