@@ -31,7 +31,8 @@ from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.densify import densify, prune
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.request import Plan, Request, stages
+from sgmethod.rd.plan import Plan, stages
+from sgmethod.rd.request import Request
 from sgmethod.rd.steer import steer
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings

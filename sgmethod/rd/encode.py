@@ -19,9 +19,9 @@ from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import planned
+from sgmethod.rd.plan import Plan, stages
 from sgmethod.rd.rate_control import Coded
-from sgmethod.rd.request import Request, stages
+from sgmethod.rd.request import Request
 from sgmethod.rd.search import search
 from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
@@ -33,7 +33,7 @@ def encode(request: Request) -> tuple[StreamV5, int]:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
-    plan = planned(request, pyramid, gaussians)
+    plan = Plan.of(request, pyramid, gaussians)
     state = plan.begin(gaussians)
     rate, rounds = request.rate, plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,9 +11,9 @@ from sgmethod.backend.protocol import Moments, RefineLimits, Target
 from sgmethod.bitstream.payload import is_upright
 from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v5 import StreamV5
-from sgmethod.rd.fit import error_of, take_step
+from sgmethod.rd.fit import take_step
+from sgmethod.rd.plan import Plan
 from sgmethod.rd.rate_control import Coded, error_per_bit
-from sgmethod.rd.request import Plan, State
 from sgmethod.scene import Gaussians
 
 
@@ -54,14 +53,3 @@ def relaxed(plan: Plan, stream: StreamV5, target: Target, held: NDArray[np.bool_
         for values, held_at in zip(moving.arrays, before.arrays, strict=True):
             values[held] = held_at[held]
     return moving
-
-
-def rounded_psnr(plan: Plan, state: State) -> float:
-    """Of the picture as it would decode now, in dB."""
-    request = plan.request
-    return exact_psnr(plan, request.backend.rounded(state.gaussians, request.coding(state.quantum)))
-
-
-def exact_psnr(plan: Plan, gaussians: Gaussians) -> float:
-    """Of Gaussians as they are, in dB."""
-    return -10 * math.log10(max(error_of(plan, gaussians), 1e-12))

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sgmethod.rd.plan import Plan, State
 from sgmethod.rd.quantise import PayloadLimit, quantised, relaxed
 from sgmethod.rd.rate_control import Coded
-from sgmethod.rd.request import Plan, State
 from sgmethod.scene import Gaussians
 
 

@@ -9,9 +9,8 @@ from functools import cached_property
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v5 import StreamV5
 from sgmethod.rd.aim import LooksAim
-from sgmethod.rd.quantise import exact_psnr, rounded_psnr
+from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.rate_control import Coded
-from sgmethod.rd.request import Plan, Stage, State
 from sgmethod.trace import shown_to_nobody
 
 
@@ -32,7 +31,7 @@ class FitNow:
     @cached_property
     def psnr(self) -> float:
         """PSNR in dB."""
-        return rounded_psnr(self.plan, self.state)
+        return self.plan.psnr(self.plan.rounded(self.state.gaussians, self.state.quantum))
 
     @cached_property
     def looks_db(self) -> float:
@@ -42,7 +41,7 @@ class FitNow:
     @property
     def lost_db(self) -> float:
         """PSNR that rounding takes, in dB."""
-        return exact_psnr(self.plan, self.state.gaussians) - self.psnr
+        return self.plan.psnr(self.state.gaussians) - self.psnr
 
 
 def steer(plan: Plan, state: State, stage: Stage) -> State:
