@@ -18,7 +18,8 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        any size, any part
     decoder     bytes -> Gaussians -> pixels
-    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; LPIPS, DISTS; local statistics
+    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; LPIPS, DISTS
+    advice      pictures that Gaussians do not suit, and the file that suits them better
     start/      structure of the picture -> Gaussians to start from
     fitting/    the picture at every size, the objective, the deadline
     paper/      profiles paper and baseline

@@ -35,7 +35,8 @@ from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
-from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.budgets import rate_of
+from sgmethod.rd.byte_limit import ByteBudget
 from sgmethod.rd.request import Request
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
@@ -235,8 +236,8 @@ def _rd(
     """The file of profile rd for pixels [H, W, 3 or 4], and the steps it took."""
     height, width, channels = pixels.shape
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
-    rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
-    if rate.is_short and Histogram(objective.pixels).is_most:
+    rate = rate_of(budget, (width, height), settings, has_alpha=channels == 4)
+    if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).is_most:
         rate = rate.for_exact_background()
     request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:

@@ -14,7 +14,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,8 @@ class Manifest:
 
     def add(self, row: Row) -> None:
         """Append a line. Raises SgError."""
-        line = json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
+        values = {field.name: getattr(row, field.name) for field in fields(Row)}
+        line = json.dumps(values, allow_nan=False).encode() + b"\n"
         with self._saying():
             if self._file.write(line) != len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

@@ -9,10 +9,7 @@ import numpy as np
 from sgmethod.backend.protocol import TILE_HEIGHT, release_memory
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.matching_pursuit import candidates
-from sgmethod.rd.fit import level_for
-from sgmethod.rd.quantise import rounded_psnr
-from sgmethod.rd.rate_control import error_per_bit
-from sgmethod.rd.request import Plan, Stage, State
+from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
 
@@ -38,24 +35,28 @@ def strongest(plan: Plan, state: State, bits: float, most: int) -> State:
     energies = plan.request.objective.energies(state.gaussians)
     if len(energies) > most:
         energies[np.argsort(energies, kind="stable")[: len(energies) - most]] = 0
-    keep = np.flatnonzero(energies > bits * error_per_bit(state.quantum))
+    keep = np.flatnonzero(energies > bits * state.bit_price)
     if len(keep) == len(energies):
         return state
     kept = state.rows(keep)
-    return kept if plan.request.rate.allows(lambda: rounded_psnr(plan, kept)) else state
+
+    def psnr() -> float:
+        return plan.psnr(plan.rounded(kept.gaussians, kept.quantum))
+
+    return kept if plan.request.rate.allows(psnr) else state
 
 
 def densify(plan: Plan, state: State, stage: Stage) -> State:
     """With more Gaussians, where each gains more than its bits are worth. They are looked for on a level of the pyramid
     that is fine enough for all of them."""
-    s, price = plan.settings.densify, plan.settings.fit.rate_weight * error_per_bit(state.quantum)
+    s, price = plan.settings.densify, plan.settings.fit.rate_weight * state.bit_price
     is_first = stage.at == stage.times.growth_at[0]
     if not stage.grows or (price >= state.saturated_price and not is_first):
         return state  # nothing paid at this price, and the error has not grown since
     n, rate = len(state.gaussians), plan.request.rate
     at_once = max(int(s.growth * n), rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
     room = min(at_once, rate.most_gaussians(plan.settings, stage.times, stage.at) - n)
-    level = level_for(plan, state, stage, n + room)
+    level = plan.level_for(state, stage, n + room)
     least_gain = price * s.bits_of_new / level.frame.spacing**2
     new = _found(plan, state, level, room, least_gain)
     saturated = price if len(new) < min(room, s.saturated * n) else state.saturated_price

@@ -7,8 +7,7 @@ from dataclasses import replace
 from sgmethod.backend.protocol import Moments
 from sgmethod.fitting.deadline import cosine
 from sgmethod.fitting.level import Level
-from sgmethod.rd.rate_control import error_per_bit
-from sgmethod.rd.request import Plan, Stage, State
+from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.scene import Gaussians
 
 
@@ -17,14 +16,13 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     state = _without_grain(plan, state, stage)
     request, s, size = plan.request, plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
-    price = s.rate_weight * error_per_bit(state.quantum)
+    price = s.rate_weight * state.bit_price
 
     def decoded_error() -> float:
-        rounded = request.backend.rounded(gaussians, request.coding(state.quantum))
-        return error_of(plan, rounded)
+        return plan.error(plan.rounded(gaussians, state.quantum))
 
     for progress in stage.pace.until(stage.until):
-        level = level_for(plan, state, stage, size)
+        level = plan.level_for(state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
             state = replace(state, target=state.target.moved(plan.finest.missing(gaussians)))
             level = replace(level, target=state.target.now)
@@ -33,23 +31,6 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
         steps += 1
         request.recorder.report("joint", steps, plan.all_steps(steps), decoded_error, size, state.size)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
-
-
-def error_of(plan: Plan, gaussians: Gaussians) -> float:
-    """The mean squared error on the finest level."""
-    return plan.request.backend.error(gaussians, plan.finest.frame, plan.finest.target, plan.shown)
-
-
-def level_for(plan: Plan, state: State, stage: Stage, gaussians: int) -> Level:
-    """The picture that this many Gaussians are fitted to now: the coarsest that will do, the finest in the end."""
-    progress, times, s = stage.pace.progress, stage.times, plan.settings.pyramid
-    if progress >= times.many_from:
-        level = plan.finest
-    elif progress >= times.few_until:
-        level = plan.pyramid.coarsest(s.pixels_per_gaussian * max(gaussians, plan.request.rate.expected_gaussians()))
-    else:
-        level = plan.pyramid.coarsest(s.pixels_while_few * gaussians)
-    return replace(level, target=state.target.now) if level.frame == plan.finest.frame else level
 
 
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:

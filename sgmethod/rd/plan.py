@@ -1,45 +1,133 @@
-"""Plan: the settings and the size of the picture that fit into the time there is, before the fit begins."""
+"""Plan: the settings and the size of the picture that fit into the time there is; and where its fit stands."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.backend.protocol import Moments, Visibility
+from sgmethod.fitting.deadline import Pace
 from sgmethod.fitting.level import Level, Pyramid
-from sgmethod.rd.request import Plan, Request
+from sgmethod.fitting.moving_target import MovingTarget
+from sgmethod.rd.rate_control import error_per_bit
+from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import RdSettings, hurried, sized
+from sgmethod.settings.rd import RdSettings, Times, hurried, sized
 
 
-def planned(request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
-    """The plan for a request whose first Gaussians are placed.
+@dataclass(frozen=True)
+class Plan:
+    """A request with the settings and the sizes of its picture that fit into its time."""
 
-    Where time is too short for all steps, it takes the settings of a lower effort; where it is too short for that as
-    well, a smaller picture is fitted. The time of a gradient is measured here, on this machine.
-    """
-    rate, deadline = request.rate, request.deadline
-    most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * rate.expected_gaussians())
-    settings = sized(request.settings, most.pixels)
-    if not deadline.has_limit():
-        return Plan(request, _within_pixels(settings, pyramid), pyramid)
+    request: Request
+    settings: RdSettings
+    pyramid: Pyramid
 
-    def gradient_s(level: Level) -> float:
-        return deadline.seconds_of(lambda: level.gradients(gaussians))
+    @classmethod
+    def of(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
+        """The plan for a request whose first Gaussians are placed.
 
-    most_s = gradient_s(most)
-    in_time = deadline.steps_in_time(most_s)
-    part = in_time / rate.steps(settings)
-    settings = hurried(settings, most.pixels, part * settings.effort.steps)
-    step_s = most_s * in_time * deadline.settings.gradients_per_step / rate.steps(settings)
+        Where time is too short for all steps, it takes the settings of a lower effort; where it is too short for that
+        as well, a smaller picture is fitted. The time of a gradient is measured here, on this machine.
+        """
+        rate, deadline = request.rate, request.deadline
+        most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * rate.expected_gaussians())
+        settings = sized(request.settings, most.pixels)
+        if deadline.has_limit():
+
+            def gradient_s(level: Level) -> float:
+                return deadline.seconds_of(lambda: level.gradients(gaussians))
+
+            most_s = gradient_s(most)
+            in_time = deadline.steps_in_time(most_s)
+            part = in_time / rate.steps(settings)
+            settings = hurried(settings, most.pixels, part * settings.effort.steps)
+            step_s = most_s * in_time * deadline.settings.gradients_per_step / rate.steps(settings)
+            pyramid = pyramid.from_level(_in_time(pyramid, most, most_s, step_s, gradient_s))
+        return cls(request, _within_pixels(settings, pyramid), pyramid)
+
+    @property
+    def finest(self) -> Level:
+        """The picture that the file can show."""
+        return self.pyramid.finest
+
+    @cached_property
+    def shown(self) -> Visibility | None:
+        """What alpha shows of the finest level."""
+        shown = self.request.objective.shown
+        for _ in range(self.finest.frame.spacing.bit_length() - 1):
+            shown = shown and shown.halved()
+        return shown
+
+    @property
+    def lengths(self) -> list[int]:
+        """Steps of the first run and of each round, those for a PSNR that is missed included."""
+        first = self.request.rate.steps(self.settings)
+        a_round = max(round(self.settings.schedule.round_steps * first), 1)
+        further = self.request.rate.further_rounds
+        return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
+
+    def all_steps(self, done: int) -> int:
+        """Steps of the encode, as known after those done: rounds for a missed PSNR count once they have begun."""
+        expected = sum(self.lengths[: self.settings.effort.rounds[-1] + 1])
+        return expected if done <= expected else sum(self.lengths)
+
+    def begin(self, gaussians: Gaussians) -> State:
+        """The state of the fit before its first step."""
+        request, finest = self.request, self.finest
+        target = request.objective.moving_target(finest.target, finest.frame.spacing, request.background[0])
+        return State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+
+    def level_for(self, state: State, stage: Stage, gaussians: int) -> Level:
+        """The picture that this many Gaussians are fitted to now: the coarsest that will do, the finest in the end."""
+        progress, times, s = stage.pace.progress, stage.times, self.settings.pyramid
+        if progress >= times.many_from:
+            level = self.finest
+        elif progress >= times.few_until:
+            most = max(gaussians, self.request.rate.expected_gaussians())
+            level = self.pyramid.coarsest(s.pixels_per_gaussian * most)
+        else:
+            level = self.pyramid.coarsest(s.pixels_while_few * gaussians)
+        return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
+
+    def rounded(self, gaussians: Gaussians, quantum: float) -> Gaussians:
+        """Gaussians as they would decode."""
+        return self.request.backend.rounded(gaussians, self.request.coding(quantum))
+
+    def error(self, gaussians: Gaussians) -> float:
+        """The mean squared error on the finest level."""
+        return self.request.backend.error(gaussians, self.finest.frame, self.finest.target, self.shown)
+
+    def psnr(self, gaussians: Gaussians) -> float:
+        """The same in dB."""
+        return -10 * math.log10(max(self.error(gaussians), 1e-12))
+
+    def times(self, run: int) -> Times:
+        """What is due when in a run: the first, 0, or a round."""
+        times = self.settings.effort.times if run == 0 else self.settings.schedule.round_times
+        return times if run >= self.settings.effort.rounds[-1] else replace(times, many_from=1.0)
+
+
+def _in_time(
+    pyramid: Pyramid, most: Level, most_s: float, step_s: float, gradient_s: Callable[[Level], float]
+) -> Level:
+    """The finest level whose gradient takes no more than `step_s`, `most` taking `most_s`; or a coarser one that halves
+    the time, which is worth the detail that it lacks."""
     finest, took_s = pyramid.finest if most_s <= step_s else most, most_s
     for level in pyramid.from_level(most).levels[1:]:
         if took_s <= step_s:
             break
         took_s, before_s = gradient_s(level), took_s
-        if took_s > before_s / 2:  # a level is worth the detail it lacks if it halves the time
+        if took_s > before_s / 2:
             break
         finest = level
-    pyramid = pyramid.from_level(finest)
-    return Plan(request, _within_pixels(settings, pyramid), pyramid)
+    return finest
 
 
 def _within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
@@ -47,3 +135,58 @@ def _within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
     optimiser, spacing = settings.fit.optimiser, pyramid.finest.frame.spacing
     narrowest = optimiser.min_scale_px if spacing == 1 else settings.pyramid.narrowest * spacing
     return replace(settings, fit=replace(settings.fit, optimiser=replace(optimiser, min_scale_px=narrowest)))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of a run: whatever is due at `at` is done once, then steps are taken until `until`."""
+
+    pace: Pace
+    times: Times
+    at: float
+    until: float
+    is_due: bool = True
+
+    @property
+    def grows(self) -> bool:
+        """Whether Gaussians are added."""
+        return self.at in self.times.growth_at
+
+    @property
+    def has_grown(self) -> bool:
+        """Whether the last growth is over, now that progress has been made."""
+        return self.pace.progress > self.times.growth_at[-1]
+
+
+def stages(pace: Pace, times: Times) -> Iterator[Stage]:
+    """The stages of a run in their order, but for those that are over before they begin."""
+    due = {*times.growth_at, *times.trim_at}
+    for at, until in pairwise(sorted({0.0, *due, 1.0})):
+        if pace.progress < until:
+            yield Stage(pace, times, at, until, at in due)
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a fit stands.
+
+    moments: the optimiser's; target: of the finest level, as it moves; steps: taken so far; size: of the file in bytes,
+    about; saturated_price: the price of a bit at which growth last found next to nothing.
+    """
+
+    gaussians: Gaussians
+    moments: Moments
+    quantum: float
+    target: MovingTarget
+    steps: int = 0
+    size: int = 0
+    saturated_price: float = np.inf
+
+    @property
+    def bit_price(self) -> float:
+        """The squared error that one bit is worth."""
+        return error_per_bit(self.quantum)
+
+    def rows(self, index: NDArray[np.intp]) -> State:
+        """The same with these Gaussians alone, in their order."""
+        return replace(self, gaussians=self.gaussians.rows(index), moments=self.moments.rows(index))

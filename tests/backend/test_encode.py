@@ -19,8 +19,8 @@ from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.metrics import psnr
+from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.encode import encode
-from sgmethod.rd.rate_control import RateControl
 from sgmethod.rd.request import Request
 from sgmethod.settings.rd import RD, Effort
 from sgmethod.settings.shared import Tune
@@ -33,7 +33,7 @@ SETTINGS = replace(RD, effort=Effort(steps=30, rounds=(0,), refine_sweeps=1, siz
 def encoded(pixels: np.ndarray, tune: Tune, backend: Backend) -> bytes:
     """The file of profile rd."""
     objective, clock = Objective.of(pixels, tune, SETTINGS.objective), Clock()
-    rate = RateControl.of(Budget("bytes", BYTES), SIZE, SETTINGS)
+    rate = rate_of(Budget("bytes", BYTES), SIZE, SETTINGS)
     stream, steps = encode(Request(objective, rate, Deadline(clock), backend, SETTINGS, Recorder(clock)))
     assert steps >= 30
     return container.serialise(stream)

@@ -14,11 +14,11 @@ from PIL import Image
 from skimage import data
 
 import sgmethod
+from sgmethod import advice as module
+from sgmethod.advice import Better, advice, better_file, is_drawn
 from sgmethod.cli.main import main
 from sgmethod.errors import ImageError
 from sgmethod.io.pictures import encode_picture
-from sgmethod.start import advice as module
-from sgmethod.start.advice import Better, advice, better_file, is_drawn
 from tests.harness.pictures import page_of_text
 
 
