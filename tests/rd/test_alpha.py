@@ -18,8 +18,8 @@ from sgmethod.backend.protocol import TARGET_WHITE
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV5
 from sgmethod.fitting.level import target_of
-from sgmethod.fitting.moving_target import BeyondBlackAndWhite
-from sgmethod.io.laying import on_backgrounds
+from sgmethod.fitting.moving_target import OvershootingTarget
+from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.rd import alpha
 from sgmethod.rd.alpha import continued
@@ -224,7 +224,7 @@ def test_only_what_is_clamped_may_overshoot() -> None:
     level[:, 10:20], level[:, 20:] = 128, 255
     grey = np.repeat(level[..., None], 3, 2)
     original = target_of(grey)
-    moving = BeyondBlackAndWhite(original, 0, RD.objective.moving)
+    moving = OvershootingTarget(original, 0, RD.objective.moving)
     for drawn in (-1.0, -0.2, 0.5, 1.2, 2.0):
         moving = moving.moved(lambda first, end, drawn=drawn: original[:, first:end] / TARGET_WHITE - np.float32(drawn))
         target = moving.now[0] / TARGET_WHITE
