@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Target
 from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
-from sgmethod.native import native, reference
+from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from tests.native.test_codec import encoded, gaussians, rows, scattered
 
@@ -63,6 +63,8 @@ def scene(seed: int = 0, n: int = 150) -> tuple[Gaussians, Target]:
 
 def wide_scene(seed: int) -> tuple[Gaussians, Target]:
     """The same with Gaussians of several levels, most of them wide."""
+    from sgmethod.native import reference  # torch, which takes seconds; tests/fitting does without
+
     rng, n = np.random.default_rng(seed), 80
     factors = np.exp(rng.uniform(0.5, 4.5, (n, 1)) + rng.normal(0, 0.5, (n, 3)))
     factors[:, 1] *= rng.choice([-1, 0, 1], n)
