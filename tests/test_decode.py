@@ -167,17 +167,6 @@ def test_info() -> None:
         assert fields["groups"] == [{"bitwidth": g.bitwidth, "gaussians": len(g.positions)} for g in stream.groups]
 
 
-def test_decoding_loads_no_encoder() -> None:
-    script = (
-        "import sys, sgmethod\n"
-        f"data = open({str(golden_path('v1-paper.sg'))!r}, 'rb').read()\n"
-        "sgmethod.decode(data), sgmethod.info(data)\n"
-        "print(*{'torch', 'cv2', 'skimage', 'scipy'} & sys.modules.keys())\n"
-    )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == ""
-
-
 def test_the_limit_of_pixels() -> None:
     data = wide(1, 100, 50, scale_px=9.0)
     assert decode(data, max_pixels=5000).shape == (50, 100, 3)

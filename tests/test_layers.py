@@ -181,16 +181,21 @@ def test_the_exported_names() -> None:
 DECODE = """
 import sys
 import sgmethod, sgmethod.cli.main, sgmethod.io.image, sgmethod.profiles
-pixels = sgmethod.decode(sys.stdin.buffer.read())
+path = sys.argv[1]
+assert sgmethod.cli.main.main(["decode", path, path + ".png", "--quiet"]) == 0
+assert sgmethod.info(path).version == 1
+pixels = sgmethod.decode(path)
 sgmethod.set_threads(1)
 print(pixels.shape, pixels.sum())
 print(*sorted({name.split(".")[0] for name in sys.modules}))
 """
 
 
-def test_decoding_imports_neither_torch_nor_the_encoders_libraries() -> None:
+def test_decoding_imports_neither_torch_nor_the_encoders_libraries(tmp_path: Path) -> None:
     data = golden_path("v1-paper.sg").read_bytes()
-    done = subprocess.run([sys.executable, "-c", DECODE], input=data, capture_output=True, check=True, timeout=60)
+    (tmp_path / "picture.sg").write_bytes(data)
+    command = [sys.executable, "-c", DECODE, tmp_path / "picture.sg"]
+    done = subprocess.run(command, capture_output=True, check=True, timeout=60)
     result, imported = done.stdout.decode().splitlines()
     pixels = sgmethod.decode(data)
     assert pixels.any()
