@@ -53,11 +53,7 @@ def test_ms_ssim_agrees_with_the_published_package(height: int, width: int, stre
 
 
 def test_ms_ssim_of_equal_pictures_is_one() -> None:
-    for pixels in (
-        picture(200, 180),
-        np.zeros((161, 170, 3), np.uint8),
-        np.full((161, 170, 3), 255, np.uint8),
-    ):
+    for pixels in (picture(200, 180), np.zeros((161, 170, 3), np.uint8), np.full((161, 170, 3), 255, np.uint8)):
         assert ms_ssim(pixels, pixels) == pytest.approx(1, abs=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""The backend on tensors, on the CPU, against the reference: as the kernels are compared in test_drawing.py."""
+"""The backend on tensors, on the CPU: whole files, and names of devices. Its values: test_drawing.py."""
 
 from __future__ import annotations
 
@@ -10,50 +10,10 @@ from PIL import Image
 import sgmethod
 from sgmethod.backend.devices import backend_on
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Frame
-from sgmethod.backend.reference import Reference
 from sgmethod.backend.tensors import Tensors
 from sgmethod.metrics import psnr
-from tests.backend.cases import FRAMES, VISIBILITIES, image, over, target, visibility, worst
 from tests.backend.test_encode import BYTES, SIZE, encoded
 from tests.harness.data import PHOTOGRAPHS
-
-TENSORS, REFERENCE = Tensors(torch.device("cpu")), Reference()
-
-every_frame = pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
-every_visibility = pytest.mark.parametrize("kind", VISIBILITIES)
-
-
-@every_frame
-def test_residual(frame: Frame) -> None:
-    gaussians, wanted = over(frame, 0), target(0)
-    for first, end in ((0, frame.height), (13, 30)):
-        found = [backend.residual(gaussians, frame, wanted[:, first:end], first) for backend in (TENSORS, REFERENCE)]
-        assert worst(*found) < 1e-5  # worst seen 1.6e-7
-
-
-@every_visibility
-@every_frame
-def test_error_and_gradients(frame: Frame, kind: str) -> None:
-    asked = over(frame, 1), frame, target(1), visibility(kind, 1)
-    error, gradient = TENSORS.gradients(*asked)
-    wanted_error, wanted = REFERENCE.gradients(*asked)
-    assert error == pytest.approx(wanted_error, rel=3e-6)
-    assert TENSORS.error(*asked) == pytest.approx(wanted_error, rel=3e-6)
-    for by, wanted_by in zip(gradient.arrays, wanted.arrays, strict=True):
-        assert worst(by, wanted_by) < 1e-5
-    assert worst(TENSORS.gram(*asked[:2], asked[3]), REFERENCE.gram(*asked[:2], asked[3])) < 1e-5
-
-
-@every_frame
-def test_regularised(frame: Frame) -> None:
-    losses = [backend.regularised(frame, image(0), 0.06) for backend in (TENSORS, REFERENCE)]
-    with torch.no_grad():  # as profile paper calls it
-        mse, gradient = losses[0](over(frame, 0))
-    wanted_mse, wanted = losses[1](over(frame, 0))
-    assert mse == pytest.approx(wanted_mse, rel=3e-6)
-    for by, wanted_by in zip(gradient.arrays, wanted.arrays, strict=True):
-        assert worst(by, wanted_by) < 1e-5
 
 
 def test_files_are_as_good_as_those_of_the_kernels() -> None:
@@ -61,7 +21,7 @@ def test_files_are_as_good_as_those_of_the_kernels() -> None:
     photo, gains = np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")), []
     for x, y in ((0, 0), (40, 0), (80, 0), (0, 32)):
         pixels = np.ascontiguousarray(photo[y : y + SIZE[1], x : x + SIZE[0]])
-        files = [encoded(pixels, "psnr", backend) for backend in (Kernels(), TENSORS)]
+        files = [encoded(pixels, "psnr", backend) for backend in (Kernels(), Tensors(torch.device("cpu")))]
         assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
         of_kernels, of_tensors = (psnr(sgmethod.decode(file), pixels) for file in files)
         gains.append(of_tensors - of_kernels)

@@ -22,8 +22,7 @@ def test_documents_are_what_the_json_says() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "documents"),
-    [("rd/kodak", {"rate.md", "README.md", "kodak.csv"}), ("ablation", {"paper.md"})],
+    ("name", "documents"), [("rd/kodak", {"rate.md", "README.md", "kodak.csv"}), ("ablation", {"paper.md"})]
 )
 def test_a_document_that_differs_is_named(tmp_path: Path, name: str, documents: set[str]) -> None:
     path = copied(tmp_path) / f"{name}.json"

@@ -55,10 +55,7 @@ CASES: dict[str, tuple[list[dict[str, Any]], list[tuple[str, float]]]] = {
         [row("bpp", 0.001, None, None, refused="BudgetError: 8 bytes"), row("quality", 10, 8, 30.0)],
         [("failed", 1)],
     ),
-    "falls": (
-        [row("bpp", 1, 8192, 30.0), row("bpp", 2, 16384, 29.5), row("bpp", 4, 32768, 29.4)],
-        [("falls", 0.6)],
-    ),
+    "falls": ([row("bpp", 1, 8192, 30.0), row("bpp", 2, 16384, 29.5), row("bpp", 4, 32768, 29.4)], [("falls", 0.6)]),
     "falls, but not where bytes grow": ([row("bpp", 1, 8000, 30.0), row("bpp", 1.001, 8000, 29.0)], []),
     "falls, but both are exact": ([row("bpp", 1, 8192, None), row("bpp", 2, 16384, 59.0)], []),
     "falls from exact": ([row("bpp", 1, 8192, None), row("bpp", 2, 16384, 40.0)], [("falls", 18.9)]),

@@ -139,10 +139,7 @@ def test_width_and_height(run: Run, line: str, size: tuple[int, int]) -> None:
     assert size_of("out.png") == size
 
 
-@pytest.mark.parametrize(
-    ("text", "size"),
-    [("0.7k", 700), ("1.001kB", 1001), ("0.0015 MB", 1500), ("1KiB", 1024)],
-)
+@pytest.mark.parametrize(("text", "size"), [("0.7k", 700), ("1.001kB", 1001), ("0.0015 MB", 1500), ("1KiB", 1024)])
 def test_sizes_as_people_type_them(run: Run, monkeypatch: pytest.MonkeyPatch, text: str, size: int) -> None:
     real, budgets = codec.encode, []
 

@@ -55,17 +55,7 @@ def png_of(samples: np.ndarray, colour: int, *extra: tuple[bytes, bytes]) -> byt
 def tiff(width: int, height: int, bits: int, body: bytes, order: str = "<", **tags: int) -> bytes:
     """An uncompressed TIFF file with one strip; tags are named t<number> and override the usual ones."""
     channels = {0: 1, 1: 1, 2: 3}[tags.get("t262", 1)]
-    ifd = {
-        256: width,
-        257: height,
-        258: bits,
-        259: 1,
-        262: 1,
-        273: 8,
-        277: channels,
-        278: height,
-        279: len(body),
-    }
+    ifd = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: channels, 278: height, 279: len(body)}
     ifd |= {int(name[1:]): value for name, value in tags.items()}
     entries = b""
     for tag, value in sorted(ifd.items()):

@@ -28,11 +28,7 @@ OTHER = Image.new("RGB", SIZE, (10, 20, 200))
 IN_P3 = (216, 69, 50)  # what RED in Display P3 is in sRGB, by Little CMS in double precision
 
 P3 = profiles.rgb(profiles.DISPLAY_P3)
-FIRST, ALPHA, PROFILE = (
-    "first of several pictures",
-    "transparency is composited",
-    "colour profile is ignored",
-)
+FIRST, ALPHA, PROFILE = ("first of several pictures", "transparency is composited", "colour profile is ignored")
 
 
 class Odd(NamedTuple):
