@@ -137,10 +137,6 @@ def test_levels_are_computed_in_double_and_rounded_once() -> None:
     assert at == len(gaussians) == stream.gaussians
 
 
-def test_a_file_without_gaussians_is_black() -> None:
-    assert decode(golden("v1-empty")).tolist() == np.zeros((5, 7, 3)).tolist()
-
-
 @pytest.mark.parametrize("size", [(1, 1), (1, 4096), (4096, 1), (65_535, 1), (1, 65_535)])
 def test_thin_pictures(size: tuple[int, int]) -> None:
     pixels = decode(wide(1, *size, scale_px=40.0, positions=(0.5, 0.5)))
