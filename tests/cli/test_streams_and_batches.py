@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import pty
 import re
 import signal
 import subprocess
@@ -33,7 +34,6 @@ from tests.cli.test_cli import (
     run,
     start,
     start_interruptible,
-    terminal_pair,
 )
 from tests.many.killing import begun_and_killed
 
@@ -74,14 +74,14 @@ def test_nobody_reads_standard_output(arguments: tuple[str, ...]) -> None:
 
 
 def test_no_bytes_for_a_terminal() -> None:
-    ours, theirs = terminal_pair()
+    ours, theirs = pty.openpty()
     process = start("decode", GOLDEN, "-", stdout=theirs, stderr=subprocess.PIPE)
     os.close(theirs)
     err = process.communicate()[1]
     assert process.returncode == 2
     assert "standard output is a terminal" in err
     assert rest_of(ours) == b""
-    ours, theirs = terminal_pair()
+    ours, theirs = pty.openpty()
     process = start("info", "-", stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     os.close(theirs)
     assert "standard input is a terminal" in process.communicate()[1]

@@ -13,7 +13,7 @@ from torch.utils.data import DataLoader
 
 import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
-from sgmethod.torch import SgDataset, decode, gaussians, read_gaussianimage, read_image_gs, render
+from sgmethod.torch import SgDataset, decode, read_gaussianimage, read_image_gs, render
 from sgmethod.view import WHOLE, View, recut
 from tests.backend.cases import single
 
@@ -28,9 +28,8 @@ def test_decoding_into_a_tensor() -> None:
     levels = decode("picture.sg", dtype=torch.float32)
     assert np.array_equal((255 * levels).round().permute(1, 2, 0).numpy(), pixels)
     assert levels.is_contiguous()
-    assert torch.equal(
-        decode("picture.sg", view=view, layout="HWC"), torch.from_numpy(sgmethod.decode("picture.sg", view=view))
-    )
+    small = torch.from_numpy(sgmethod.decode("picture.sg", view=view))
+    assert torch.equal(decode("picture.sg", view=view, layout="HWC"), small)
 
 
 def test_a_data_set_of_pixels() -> None:
@@ -60,9 +59,7 @@ def test_a_data_set_of_gaussians() -> None:
     ("call", "error", "words"),
     [
         (lambda: decode("picture.sg", dtype=torch.int32), SgError, "uint8 or of a floating-point type"),
-        (lambda: decode("picture.sg", dtype="float32"), SgError, "uint8 or of a floating-point type"),
         (lambda: decode("picture.sg", "cuda:99"), SgError, "there is no device 'cuda:99' here"),
-        (lambda: gaussians("picture.sg", torch.device("meta")), SgError, "there is no device 'meta' here"),
         (lambda: decode("picture.sg", layout="NCHW"), SgError, "CHW or HWC, not 'NCHW'"),
         (lambda: SgDataset(["picture.sg"]), SgError, "needs either size or most_gaussians"),
         (lambda: SgDataset("picture.sg", size=(8, 8)), SgError, "a list of files, not one file"),
@@ -81,13 +78,9 @@ def test_what_is_wrong_is_said(call: Callable[[], object], error: type[SgError],
 
 
 def cholesky() -> dict[str, torch.Tensor]:
-    values = {"_xyz": torch.atanh(torch.tensor([[-0.5, 0.25]])), "_cholesky": torch.tensor([[-2.5, 1.0, 2.5]])}
-    return {
-        **values,
-        "_opacity": torch.ones(1, 1),
-        "_features_dc": torch.tensor([[0.5, -0.25, 1]]),
-        "background": torch.ones(3),
-    }
+    places = {"_xyz": torch.atanh(torch.tensor([[-0.5, 0.25]])), "_cholesky": torch.tensor([[-2.5, 1.0, 2.5]])}
+    colors = {"_features_dc": torch.tensor([[0.5, -0.25, 1]]), "background": torch.ones(3)}
+    return places | colors | {"_opacity": torch.ones(1, 1)}
 
 
 def test_gaussianimage() -> None:
@@ -128,12 +121,8 @@ def test_what_is_no_checkpoint() -> None:
     torch.save(cholesky() | {"_xyz": torch.ones(3)}, "flat.pt")
     torch.save({name: values for name, values in cholesky().items() if name != "_cholesky"}, "part.pt")
     torch.save({"state_dict": print}, "code.pt")
-    for name, words in (
-        ("text.pt", "no checkpoint"),
-        ("code.pt", "no checkpoint"),
-        ("flat.pt", "no _xyz"),
-        ("part.pt", "_rot"),
-    ):
+    refused = {"text.pt": "no checkpoint", "code.pt": "no checkpoint", "flat.pt": "no _xyz", "part.pt": "_rot"}
+    for name, words in refused.items():
         with pytest.raises(GaussiansError, match=words):
             read_gaussianimage(name, *SIZE)
     with pytest.raises(GaussiansError, match="has no xy"):
