@@ -100,7 +100,7 @@ def test_a_fit_stays_where_the_file_can_put_it() -> None:
 
 def test_more_bytes_than_anyone_needs_are_not_filled_with_gaussians() -> None:
     """As many as pixels at the start: 16.5 dB."""
-    assert encode(noise(48, 64), Budget("bytes", 10**12)).stats.psnr > 25
+    assert encode(noise(32, 40), Budget("bytes", 10**12)).stats.psnr > 25
 
 
 def test_a_given_number_and_quality_hold_under_a_time_limit() -> None:
@@ -126,7 +126,7 @@ def test_a_psnr_out_of_reach_gives_a_good_picture() -> None:
 
 
 def test_quality_is_monotone_in_size_and_error() -> None:
-    found = [encode(crop(), Budget("quality", quality)) for quality in (5, 25, 45, 65, 85)]
+    found = [encode(crop(), Budget("quality", quality)) for quality in (5, 30, 60, 85)]
     for encoded in found:
         assert_sound(encoded, crop())
     sizes, decibels = [len(e.data) for e in found], [e.stats.psnr for e in found]
@@ -197,7 +197,7 @@ def test_no_encode_clips(picture: Callable[[], FloatArray], budget: Budget) -> N
 
 
 ODD: dict[str, Callable[[], FloatArray]] = {
-    "noise": lambda: noise(40, 50),
+    "noise": lambda: noise(24, 30),
     "1x1": lambda: np.full((1, 1, 3), (0.9, 0.1, 0.4), np.float32),
     "2x1": lambda: np.array([[[0, 0, 0], [1, 1, 1]]], np.float32),
     "1x600": lambda: noise(600, 1),
