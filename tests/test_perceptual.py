@@ -120,9 +120,7 @@ def test_local_statistics() -> None:
     rng = np.random.default_rng(0)
     noise = rng.normal(0, 20, (96, 144))
     found = local_statistics(grey(128 + noise), grey(128 + noise))
-    assert {name: found[name] for name in FIGURES if "luma" in name} == dict.fromkeys(
-        (name for name in FIGURES if "luma" in name), 1.0
-    )
+    assert {found[name] for name in FIGURES if "luma" in name} == {1.0}
     assert found["spread_chroma_fine"] is None  # of a grey source
     half = local_statistics(grey(128 + noise / 2), grey(128 + noise))
     assert half["spread_luma_fine"] == pytest.approx(0.5, abs=0.01)

@@ -73,9 +73,8 @@ def test_it_can_be_left_out(textured: bytes) -> None:
     assert np.array_equal(sgmethod.SgFile(textured).pixels(texture=False), plain)
     assert np.abs(decode(textured).astype(int) - plain).mean() > 2  # 4.6 seen
     half = View(0.5, (10, 20, 200, 100))
-    assert np.array_equal(
-        decode(textured, view=replace(half, texture=False)), decode(file_of(None, some_gaussians()), view=half)
-    )
+    without = decode(textured, view=replace(half, texture=False))
+    assert np.array_equal(without, decode(file_of(None, some_gaussians()), view=half))
 
 
 REGIONS = [(0, 0, 1, 1), (13, 7, 64, 33), (64, 16, 100, 50), (299, 199, 1, 1), (0, 50, 200, 9)]
@@ -154,10 +153,15 @@ def test_a_prefix_has_it_too(textured: bytes) -> None:
 # --- the encoder
 
 
-def estimated(source: NDArray[np.float64]) -> Codes | None:
-    """For a picture [H, W], or in colour, of which the Gaussians draw no detail."""
+def levels_of(source: NDArray[np.float64]) -> Pixels:
+    """A picture [H, W], or in colour, in 8 bits [H, W, 3]."""
     pixels = np.clip(np.round(source), 0, 255).astype(np.uint8)
-    pixels = np.repeat(pixels[:, :, None], 3, 2) if pixels.ndim == 2 else pixels
+    return np.repeat(pixels[:, :, None], 3, 2) if pixels.ndim == 2 else pixels
+
+
+def estimated(source: NDArray[np.float64]) -> Codes | None:
+    """For a picture of which the Gaussians draw no detail."""
+    pixels = levels_of(source)
     return estimate(pixels, cv2.GaussianBlur(pixels, (0, 0), 6), TEXTURE)
 
 
@@ -239,8 +243,7 @@ def test_it_ends_where_the_noise_ends() -> None:
 
 def hidden_of(picture: NDArray[np.float64], left: float = 1.0) -> NDArray[np.float64]:
     """Levels of 8 bits [H, W, 3] that are hidden of a picture [H, W], or in colour, of which the fit leaves a part."""
-    pixels = np.clip(np.round(picture), 0, 255).astype(np.uint8)
-    pixels = np.repeat(pixels[:, :, None], 3, 2) if pixels.ndim == 2 else pixels
+    pixels = levels_of(picture)
     missing = left * (pixels - cv2.GaussianBlur(pixels, (0, 0), 6).astype(np.float32)).transpose(2, 0, 1) / 255
     found = grain(pixels, lambda first, end: missing[:, first:end], TEXTURE)
     assert found.shape == missing.shape
