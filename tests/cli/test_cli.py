@@ -216,15 +216,6 @@ def test_version(module: bool) -> None:
     assert err == ""
 
 
-@pytest.mark.parametrize("command", [[], ["encode"], ["decode"], ["info"], ["compare"], ["plot"]])
-def test_help(run: Run, command: list[str]) -> None:
-    ran = run(*command, "--help")
-    assert (ran.status, ran.err) == (0, "")
-    assert ran.out.startswith("usage: sgmethod")
-    examples = ran.out.partition("examples:\n")[2]
-    assert re.search(rf"^  sgmethod {command[0] if command else 'encode'} ", examples, re.MULTILINE)
-
-
 @pytest.mark.parametrize(
     ("line", "why"),
     [

@@ -13,10 +13,9 @@ from torch import Tensor
 import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
 from sgmethod.native import native, reference
-from sgmethod.scene import Gaussians, Scene
+from sgmethod.scene import Gaussians
 from sgmethod.torch import drawing, render
 from sgmethod.torch.drawing import _draw, _draw_backward
-from sgmethod.view import View
 from tests.backend.cases import scattered
 
 SIZE = (40, 35)
@@ -189,12 +188,3 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
 def test_what_is_wrong_is_said(values: Any, more: dict[str, Any], error: type[SgError], words: str) -> None:
     with pytest.raises(error, match=words):
         render(*values, **{"size": SIZE, **more})
-
-
-def test_views_of_scenes_are_the_same() -> None:
-    """The low-pass of a reduction is written twice, here and in sgmethod/view.py."""
-    gaussians = scattered(10, 5)
-    scene = View(0.4).apply(Scene(gaussians, *SIZE, (0, 0, 0), CUTOFF, pyramid=True))
-    image = render(*tensors(gaussians), SIZE, scale=0.4)
-    wanted = reference.render_pyramid(*tensors(scene.gaussians), (scene.width, scene.height), CUTOFF)
-    torch.testing.assert_close(image, wanted, rtol=0, atol=1e-5)

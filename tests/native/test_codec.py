@@ -171,17 +171,6 @@ def test_errors_stay_within_the_steps(quantum: float) -> None:
     assert (moved[:, 1] <= slack * 0.5 * step * l3 + 1e-5).all()
 
 
-def test_a_finer_quantum_is_closer_and_larger() -> None:
-    values, size = scattered(400, (200, 150)), (200, 150)
-    sizes, errors = [], []
-    for quantum in (1.0, 0.25, 0.06, 0.015, 0.004):
-        parameters = native.RdParameters(*size, quantum)
-        sizes.append(len(encoded(parameters, values)))
-        errors.append(float(np.abs(quantised(parameters, values).colors - values.colors).mean()))
-    assert sizes == sorted(sizes)
-    assert errors == sorted(errors, reverse=True)
-
-
 def test_what_is_not_in_the_picture_costs_little() -> None:
     values = scattered(500, (200, 200))
     values.colors[:] = values.colors[:, 1:2]

@@ -28,7 +28,6 @@ from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
-from sgmethod.settings.shared import ADAM
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
 from tests.harness.data import PHOTOGRAPHS
@@ -198,37 +197,6 @@ def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -
     assert points[-1].step == 200
     assert points[-1].psnr == pytest.approx(psnr_of(fitted, photo()), abs=0.1)
     assert points[-1].psnr > points[0].psnr + 3
-
-
-def grey(values: NDArray[np.float64]) -> FloatArray:
-    return np.repeat(values[:, :, None], 3, 2).astype(np.float32)
-
-
-EXTREMES = {
-    "black": lambda: grey(np.zeros((30, 40))),
-    "white": lambda: grey(np.ones((30, 40))),
-    "checkerboard": lambda: grey(np.indices((30, 40)).sum(0) % 2 * 1.0),
-    "one white pixel": lambda: grey(np.pad([[1.0]], ((11, 18), (9, 30)))),
-    "step": lambda: grey((np.indices((30, 40))[1] > 19) * 1.0),
-    "noise": lambda: np.random.default_rng(0).random((30, 40, 3)).astype(np.float32),
-    "1 x 1": lambda: grey(np.ones((1, 1))),
-    "2 x 2": lambda: grey(np.eye(2)),
-    "row": lambda: grey(np.random.default_rng(0).random((1, 300))),
-    "column": lambda: grey(np.random.default_rng(0).random((300, 1))),
-}
-
-
-@pytest.mark.parametrize("name", EXTREMES)
-def test_extreme_pictures_stay_finite(name: str) -> None:
-    image = EXTREMES[name]()
-    pixels = image.shape[0] * image.shape[1]
-    for n in sorted({1, min(40, pixels), pixels}):
-        kept = recorder()
-        fitted, _ = fit(level(image), started(image, n), replace(PAPER, fit_steps=80), kept, unlimited())
-        assert all(np.isfinite(array).all() for array in fitted.arrays)
-        assert (fitted.factors[:, [0, 2]] >= np.float32(ADAM.min_scale_px)).all()
-        assert all(math.isfinite(p.psnr) for p in kept.points)
-        assert psnr_of(fitted, image) > kept.points[0].psnr - 3  # -0.8 seen, from 46.5 dB on; mostly far above
 
 
 def test_nothing_to_draw_is_soon_done() -> None:

@@ -119,7 +119,7 @@ RATIOS = [(6 / 9, 2 / 9, 1 / 9), (1 / 3, 1 / 3, 1 / 3), (0.5, 0.3, 0.2)]
 
 
 @pytest.mark.parametrize("ratio", RATIOS)
-@pytest.mark.parametrize("regions", [1, 2, 3, 4, 5, 9, 10, 11, 100, 333])
+@pytest.mark.parametrize("regions", [1, 2, 3, 4, 10, 333])
 def test_allocation_sums_to_n_and_favours_complexity(regions: int, ratio: tuple[float, float, float]) -> None:
     complexity = np.random.default_rng(regions).random(regions).astype(np.float32)
     descending = np.argsort(-complexity)
