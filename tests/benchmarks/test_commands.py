@@ -29,7 +29,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
     "speed growth": (
         "--images {small} --megapixels 0.002 --at-bytes 250 --bytes 120 --at-megapixels 0.002 --repeats 1",
         "max_bytes",
-        [120, 250],
+        [250, 120],
     ),
     "ablation": ("--images {small} --tables parts --seeds 1 --bpp 2", "table", ["parts"]),
     "ablation representation": (
@@ -38,7 +38,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         ["paper", "random-start"],
     ),
     "others": (
-        "--images {small} --sides 64,48 --seconds 0.2 --bpp 4",
+        "--images tests/data/photographs --most 1 --sides 96,72 --seconds 0.2 --bpp 2.5",
         "method",
         ["paper", "ingp", "neurbf", "2dgs", "3dgs", "rd"],
     ),
