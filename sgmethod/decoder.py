@@ -102,12 +102,12 @@ class SgFile:
         return red / 255, green / 255, blue / 255
 
     def gaussians(self) -> Gaussians:
-        """The Gaussians, the largest first from version 3 on. Those of alpha, and texture, are not among them.
+        """The Gaussians, the largest first in profile rd. Those of alpha, and texture, are not among them.
 
         >>> sgmethod.open("photo.sg").gaussians().means.dtype
         dtype('float32')
 
-        Gaussians of version 1, which extend farther, are converted to the nearest of later versions. Raises
+        Gaussians of version 1, which extend farther, are converted to the nearest of version 2. Raises
         BitstreamError and MemoryError.
         """
         scene = self._stream.scene()
@@ -182,7 +182,7 @@ def _drawn(scene: Scene) -> NDArray[np.uint8]:
             pyramid=scene.pyramid,
             x=x,
             y=y,
-            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift, t.is_banded),
+            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift),
         )
     except OverflowError as error:
         raise BitstreamError(OVERLAP) from error

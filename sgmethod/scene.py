@@ -68,19 +68,17 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Texture:
-    """Noise from a seed, which is drawn with the Gaussians (docs/format.md, versions 4 and 5).
+    """Noise from a seed, which is drawn with the Gaussians (docs/format.md, version 2).
 
     codes [octaves, rows, columns]: its strengths in the middles of the picture's cells, 0 for none;
     cell: sides (x, y) of a cell; corner: that of the picture (x, y), in the coordinates of the means;
-    shift: octave o is drawn on level o + shift of the pyramid, and not at all below level 0;
-    is_banded: whether the noise of an octave leaves lower frequencies alone, as since version 5, or is white.
+    shift: octave o is drawn on level o + shift of the pyramid, and not at all below level 0.
     """
 
     codes: NDArray[np.uint8]
     cell: tuple[float, float]
     corner: tuple[float, float] = (0.0, 0.0)
     shift: int = 0
-    is_banded: bool = True
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class Scene:
     """Everything that drawing a picture needs. Every version of the file format gives one.
 
     width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends;
-    pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 4); origin: the first pixel
+    pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 2); origin: the first pixel
     (x, y) that is drawn, in the coordinates of the means; texture: in a pyramid alone; alpha: a grey scene of the same
     pixels, white where the picture is opaque.
     """

@@ -147,14 +147,14 @@ def _resized(
 
 
 def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
-    """The nearest Gaussians that end at sigma = new_cutoff, by default that of files from version 3 on, of ones that
+    """The nearest Gaussians that end at sigma = new_cutoff, by default that of files of version 2, of ones that
     end at sigma = cutoff. Both are cut-offs of a version, or WHOLE."""
-    new_cutoff = native.CUTOFF_V3 if new_cutoff is None else new_cutoff
+    new_cutoff = native.CUTOFF_V2 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:
         return gaussians
-    # How much wider the nearest one is that ends at CUTOFF_V3, of all with the same integral, by least squares. The
+    # How much wider the nearest one is that ends at CUTOFF_V2, of all with the same integral, by least squares. The
     # root mean square of the difference is 5 % and 6 % of the Gaussian's.
-    wider_by = {native.CUTOFF_V3: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
+    wider_by = {native.CUTOFF_V2: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
     wider = wider_by[cutoff] / wider_by[new_cutoff]
     gain = _integral(cutoff) / (_integral(new_cutoff) * wider**2)
     return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))

@@ -3,8 +3,8 @@
 Arrays of numpy come in, and results leave in arrays that the caller brings.
 The C++ sources lie beside this file, in rooms that include and link those before them alone: core/ (constants,
 threads, vectors), texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile
-rd: integers, entropy coder), refine/ (the integers of one Gaussian at a time) and file/ (whole files, decoded without
-Python) know nothing of Python. bindings/ translates for Python.
+rd: integers, entropy coder) and refine/ (the integers of one Gaussian at a time) know nothing of Python. bindings/
+translates for Python.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from sgmethod.scene import FloatArray
 
 MAX_SIDE: int  # pixels along a side of a picture
 CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
-CUTOFF_V3: float  # and of versions 3 and 4
+CUTOFF_V2: float  # and of version 2
 MAX_CUTOFF: float  # the largest that the kernels take
 MIN_SCALE: float  # pixels; l1 and l3 are at least this
 COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -61,11 +61,9 @@ class Texture:
         x: float = 0.0,
         y: float = 0.0,
         shift: int = 0,
-        is_banded: bool = True,
     ) -> None:
         """codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS; cell_x, cell_y: sides of a cell, and x, y:
-        the picture's corner, in output pixels; shift: octave o is drawn on level o + shift; is_banded: the noise of
-        version 5, not that of version 4."""
+        the picture's corner, in output pixels; shift: octave o is drawn on level o + shift."""
 
 class Rasterization:
     """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""
@@ -189,10 +187,9 @@ class RdParameters:
         quantum: float,
         grey: bool = False,
         upright: bool = False,
-        version: int = 4,
         is_short: bool = False,
     ) -> None:
-        """version: of the payload, 3 or 4; is_short: whether all symbols share one state, as in a short file."""
+        """is_short: whether all symbols share one state, as in a short file."""
 
 def rd_clipped_values() -> int:
     """Values that lay outside of the range of their integer and were moved to its end, since the process began: of
@@ -229,7 +226,7 @@ def rd_refine(
     visibility, by_eye: as in squared_error(); halvings: of the picture, that make the target."""
 
 def rd_lay_out(
-    parameters: RdParameters, data: bytes, prefix: bool, cutoff: float, pyramid: bool, texture: Texture | None = None
+    parameters: RdParameters, data: bytes, prefix: bool, texture: Texture | None = None
 ) -> tuple[Rasterization, FloatArray]:
     """The Gaussians of a payload laid over the whole picture, and their colours. The first are laid out while others
     are still decoded. Raises as rd_decode() and Rasterization do, and beyond most_pairs() pairs."""

@@ -7,7 +7,7 @@ which is the paper's accumulated blending (section III-A) with the cut-off of do
 sigma <= cutoff carries a Gaussian, and the subtracted constant lets it end in zero instead of a step.
 Pixel (row, column) has its centre at (column + 0.5, row + 0.5).
 
-render_pyramid() is that of version 4, where wide Gaussians are drawn on coarser levels.
+render_pyramid() is that of version 2, where wide Gaussians are drawn on coarser levels.
 """
 
 from __future__ import annotations

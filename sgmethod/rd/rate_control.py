@@ -15,9 +15,17 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from sgmethod.backend.protocol import NO_LIMIT
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.texture import Codes, pack
-from sgmethod.bitstream.v5 import SHORT_BYTES, SMALLEST_ALPHA, SMALLEST_FILE, StreamV5, alpha_bytes, quantum_code
+from sgmethod.bitstream.v2 import (
+    MAX_QUANTUM,
+    MIN_QUANTUM,
+    SHORT_BYTES,
+    SMALLEST_ALPHA,
+    SMALLEST_FILE,
+    StreamV2,
+    alpha_bytes,
+    quantum_code,
+)
 from sgmethod.budget import MAX_PSNR_DB, Budget
 from sgmethod.decoder import draw_whole
 from sgmethod.errors import BudgetError
@@ -51,7 +59,7 @@ def error_per_bit(quantum: float) -> float:
 class Coded:
     """A coded picture, measured without its texture, which is there to be seen and not to be measured."""
 
-    stream: StreamV5
+    stream: StreamV2
     objective: Objective
 
     @cached_property
@@ -230,7 +238,7 @@ class Selection:
 
     rate: RateControl
 
-    def payload_limit(self, empty: StreamV5) -> int:
+    def payload_limit(self, empty: StreamV2) -> int:
         """Bytes that the budget leaves for the payload, beside what a file without any takes."""
         return NO_LIMIT if self.rate.max_bytes is None else max(self.rate.max_bytes - empty.file_bytes, 0)
 
@@ -349,10 +357,10 @@ def of_alpha(rate: RateControl) -> RateControl:
     if rate.max_bytes is None:
         return replace(rate, quantum=quantum, aim_db=None)
     most = int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA))
-    return replace(rate, quantum=quantum, max_bytes=StreamV5.MIN_BYTES + most, is_steered=False)
+    return replace(rate, quantum=quantum, max_bytes=StreamV2.MIN_BYTES + most, is_steered=False)
 
 
-def beside_alpha(rate: RateControl, alpha: StreamV5, error: float) -> RateControl:
+def beside_alpha(rate: RateControl, alpha: StreamV2, error: float) -> RateControl:
     """For the colours beside an alpha plane; error: the mean squared one of the file, if only alpha were wrong."""
     if rate.max_gaussians is not None:
         used = len(alpha.gaussians()) if alpha.payload else 0

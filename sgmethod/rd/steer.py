@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw_whole
 from sgmethod.rd.quantise import exact_psnr, rounded_psnr
 from sgmethod.rd.rate_control import Coded, looks_db
@@ -34,7 +34,7 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
         return exact_psnr(plan, state.gaussians) - rounded()
 
     quantum = request.rate.steered(state.quantum, stage.times, stage.at, size, reached, lost)
-    return replace(state, size=size, quantum=StreamV5.coded_quantum(quantum, request.rate.is_short))
+    return replace(state, size=size, quantum=StreamV2.coded_quantum(quantum, request.rate.is_short))
 
 
 def once_more(plan: Plan, state: State, files: Iterable[Coded]) -> State:

@@ -55,7 +55,7 @@ def test_a_document_that_differs_is_named(
 
 @pytest.mark.thorough
 def test_a_broken_rule_of_the_stiff_set_is_told(tmp_path: Path) -> None:
-    path = copied(tmp_path) / "version4" / "stiff.json"
+    path = copied(tmp_path) / "stiff.json"
     content = json.loads(path.read_text())
     for rule in content["rules"]:
         rule["broken"] = 0

@@ -143,7 +143,7 @@ def test_encode_and_decode(run: Run) -> None:
     ],
 )
 def test_views(run: Run, line: str, view: View) -> None:
-    data = golden_path("v3-color.sg").read_bytes()
+    data = golden_path("v2-color.sg").read_bytes()
     Path("rd.sg").write_bytes(data)
     assert run("decode", "rd.sg", "out.png", "--quiet", *line.split()) == Ran(0, "", "")
     assert np.array_equal(np.asarray(Image.open("out.png")), decode(data, view=view))
@@ -166,8 +166,8 @@ def test_looks(run: Run) -> None:
     assert run("encode", "photo.png", "out.sg", "--looks", "best").status == 2
 
 
-def test_info_of_version_3(run: Run) -> None:
-    data = golden_path("v3-grey.sg").read_bytes()
+def test_info_of_version_2(run: Run) -> None:
+    data = golden_path("v2-grey.sg").read_bytes()
     Path("rd.sg").write_bytes(data)
     ran = run("info", "rd.sg", "--json")
     assert (ran.status, ran.err) == (0, "")
@@ -177,7 +177,7 @@ def test_info_of_version_3(run: Run) -> None:
     shown = {line[:16].strip(): line[16:] for line in ran.out.splitlines()}
     assert shown["picture"] == "48 x 40 pixels"
     assert shown["file"] == f"{len(data)} bytes, {8 * len(data) / 48 / 40:.4f} bits per pixel"
-    assert shown["format"] == f"version 3, profile rd, checksum {data[4:8].hex()}"
+    assert shown["format"] == f"version 2, profile rd, checksum {data[-1:].hex()}"
     assert (shown["grey"], shown["upright"]) == ("yes", "no")
     assert shown.keys() >= {"Gaussians", "bits", "quantum", "background"}
     assert max(map(len, ran.out.splitlines())) < 100
@@ -678,7 +678,7 @@ def test_commands_of_the_readme(run: Run) -> None:
 
 def test_commands_of_the_command_lines_page(run: Run) -> None:
     run_in_order(run, commands_of("docs/command_line.md"))
-    assert info("photo.sg").version == 5  # none has put a file of another profile in its place
+    assert info("photo.sg").version == 2  # none has put a file of another profile in its place
     assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 
@@ -704,7 +704,7 @@ def test_python_of_the_readme() -> None:
 @pytest.mark.parametrize("command", ["encode photo.png out.sg", "decode in.sg out.png", "info in.sg"])
 def test_missing_kernels_are_one_clear_line(tmp_path: Path, command: str) -> None:
     PHOTO.save(tmp_path / "photo.png")
-    (tmp_path / "in.sg").write_bytes(golden_path("v3-color.sg").read_bytes())
+    (tmp_path / "in.sg").write_bytes(golden_path("v2-color.sg").read_bytes())
     missing = "import sys; sys.modules['sgmethod.native._native'] = None"
     script = f"{missing}; from sgmethod.cli.main import main; sys.exit(main())"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}

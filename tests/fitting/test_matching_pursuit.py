@@ -31,7 +31,7 @@ def planted(
 ) -> FloatArray:
     """The residual [H, W, 3] of one missing round Gaussian."""
     means, factors, colors = (torch.tensor([v]) for v in (at, (scale, 0.0, scale), color))
-    return np.ascontiguousarray(render(means, factors, colors, size, native.CUTOFF_V3).numpy().transpose(1, 2, 0))
+    return np.ascontiguousarray(render(means, factors, colors, size, native.CUTOFF_V2).numpy().transpose(1, 2, 0))
 
 
 @pytest.mark.parametrize("blur", BLURS_PX[1:5])

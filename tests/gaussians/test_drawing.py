@@ -20,7 +20,7 @@ from sgmethod.view import View
 from tests.backend.cases import scattered
 
 SIZE = (40, 35)
-CUTOFF = native.CUTOFF_V3
+CUTOFF = native.CUTOFF_V2
 BLENDS = "accumulated", "normalised"
 
 

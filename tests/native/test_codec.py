@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 
@@ -72,12 +72,6 @@ def test_decoding_gives_what_rounding_gives(seed: int) -> None:
     if upright:
         values.factors[:, 1] = 0
     assert_round_trip(native.RdParameters(*size, 0.003 * 4.0 ** (seed % 5), grey, upright), values)
-
-
-def test_version_3_is_only_read() -> None:
-    for write in (encoded, quantised):
-        with pytest.raises(ValueError, match="only version 4 is written"):
-            write(native.RdParameters(40, 30, 0.05, version=3), scattered(3, (40, 30)))
 
 
 @pytest.mark.parametrize("n", range(12))
@@ -297,7 +291,6 @@ def test_no_fineness_clips_what_fits_keep_to(name: str, quantum: float) -> None:
 
 
 def test_a_needle_keeps_its_shape_in_a_fine_file() -> None:
-    """In version 3 its slope went from 1 to 0.16."""
     factor, color = CORNERS["needle"]
     needle = gaussians([[150, 100]], [factor], [color])
     found = quantised(native.RdParameters(300, 200, MIN_QUANTUM), needle).factors[0]

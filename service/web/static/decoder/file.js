@@ -19,9 +19,9 @@ const SAYS = {
 const saying = Array.from({ length: SHAPE_SIGNS + 4 }, (_, row) => row);
 saying.forEach((row) => (saying[row] = SAYS[row] ?? (row === COUNT ? undefined : saying[row - 1])));
 
-function refuseOthers([first, second, third]) {
-  if (first === 0xd3 && second === 0xc5) return;
-  if ((first === 0xd3 && second >> 4 === 12) || String.fromCharCode(first, second, third) === "SGM")
+function refuseOthers([first, second]) {
+  if (first === 0xd3 && second === 0xc2) return;
+  if (first === 0xd3 && second >> 4 === 12)
     throw unknown("this version of the file is not known here");
   throw new SgError("this is no .sg file");
 }
