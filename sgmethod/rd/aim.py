@@ -1,4 +1,4 @@
-"""Rate control of a quality to reach, in as few bytes as it takes: a PSNR, or looks."""
+"""Rate control for a quality to reach in as few bytes as possible: a PSNR, or looks."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from sgmethod.settings.rd import RdSettings, Times
 
 @dataclass(frozen=True)
 class Aim(RateControl, ABC):
-    """A quality to reach, aim_db."""
+    """Rate control for a quality of aim_db."""
 
     aim_db: float = 0.0
 
     @abstractmethod
     def reached(self, picture: Measured) -> float:
-        """What a picture has of it, in dB."""
+        """Measure the quality of a picture in dB."""
 
     @property
     @abstractmethod
     def tries(self) -> int:
-        """Files with different quanta, at most."""
+        """Limit on the files with different quanta."""
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
-        """Towards the quality, but early in the growth a larger error than the final one is right."""
+        """Steer towards the quality; early in the growth, a larger error than the final one is right."""
         if at < times.steering_from:
             return quantum
         s = self.settings.rate
@@ -42,36 +42,36 @@ class Aim(RateControl, ABC):
         above = self.reached(fitted) - self.aim_db + self._refined_db()
         exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
         ratio = 2 ** ((above + times.early_db * missing) / s.db_per_doubling * exponent)
-        # Where rounding takes next to nothing, a finer quantum cannot give what is missing.
+        # If rounding loses next to nothing, a finer quantum cannot add what is missing.
         if ratio < 1 and at > times.growth_at[-1] and fitted.lost_db < min(s.missed_db, -above):
             return quantum
         return float(quantum * min(max(ratio, 1 / self._steering_limit), self._steering_limit))
 
     @property
     def _steering_limit(self) -> float:
-        """The quantum's largest change at one time, as a factor."""
+        """Largest factor by which the quantum changes at one time."""
         return self.settings.rate.steering_limit
 
     def _refined_db(self) -> float:
-        """What refining will add."""
+        """Quality that refining will add."""
         return 0.0
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
-        """The fit's: it was steered towards the quality."""
+        """The fit's, which was steered towards the quality."""
         return quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
-        """The one that should reach the quality just so, if it is new."""
+        """Return the one that should just reach the quality, unless it was tried."""
         found = self._nearer(tried) if len(tried) < self.tries else None
         known = {quantum_code(one.stream.quantum) for one in tried}
         return None if found is None or quantum_code(found) in known else found
 
     def chosen(self, tried: Sequence[Coded]) -> Coded:
-        """The best file for what is within reach."""
+        """Choose the best file for the quality that is within reach."""
         return replace(self, aim_db=self._reachable(tried)).best(tried)
 
     def relaxed_bytes(self, coded: Coded) -> int:
-        """Bytes with which a file that has more than was asked for has about that, once it is relaxed."""
+        """Size at which a file that is better than asked should have about the quality asked for."""
         s = self.settings.refine
         above = self.reached(coded) - self.aim_db
         if above < 0:
@@ -79,20 +79,19 @@ class Aim(RateControl, ABC):
         return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.most_spared)))
 
     def is_missed(self, files: Iterable[Coded]) -> bool:
-        """Whether none of the files has the quality."""
+        """Whether all files are below the quality."""
         return max(map(self.reached, files)) < self.aim_db
 
     def merit(self, coded: Coded) -> tuple[float, float]:
-        """Up to the quality, that; from there on, the fewest bytes."""
+        """Quality up to the one asked for, then size."""
         return min(self.reached(coded), self.aim_db), -coded.size
 
     def raised(self, by_db: float) -> Aim:
-        """The same with an aim that is higher by this, and a little more."""
+        """Return the same with an aim that is higher by this and a little more."""
         return replace(self, aim_db=min(self.aim_db + by_db + self.settings.rate.slack_db / 2, MAX_PSNR_DB))
 
     def _reachable(self, tried: Sequence[Coded]) -> float:
-        """What to aim at, in dB: where a finer quantum hardly helps any more, what the best of the tries has, or a PSNR
-        a little below it."""
+        """Quality to aim at, in dB: about that of the best try, if a finer quantum hardly helps any more."""
         s, reached = self.settings.rate, self.reached
         best = max(map(reached, tried))
         if len(tried) < 2 or best >= self.aim_db:
@@ -105,11 +104,11 @@ class Aim(RateControl, ABC):
 
     @property
     def _below_best_db(self) -> float:
-        """How far below the best seen a quality will do, if the one asked for is out of reach."""
+        """Distance below the best try that will do if the quality asked for is out of reach."""
         return 0.0
 
     def _nearer(self, tried: Sequence[Coded]) -> float | None:
-        """Where the line through the two tries nearest to what is asked for meets it, or a little above."""
+        """Quantum at which the line through the two nearest tries reaches the aim, or a little more."""
         s, aim = self.settings.rate, self._reachable(tried)
         above = [self.reached(one) - aim for one in tried]
         if 0 <= above[-1] <= s.slack_db:
@@ -120,7 +119,7 @@ class Aim(RateControl, ABC):
         if others and others[0][0] != x:
             x1, y1 = others[0]
             slope = min(max((y1 - y) / (x1 - x), 2 * slope), slope / 4)
-        # Near the aim chance decides, so each near miss asks for a little more.
+        # Near the aim, chance decides, so each near miss asks for a little more.
         near_misses = sum(-s.slack_db < y < 0 for y in above)
         at = x + (0.4 * (1 + near_misses) * s.slack_db - y) / slope
         return float(2 ** min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM)))
@@ -128,11 +127,11 @@ class Aim(RateControl, ABC):
 
 @dataclass(frozen=True)
 class PsnrAim(Aim):
-    """A PSNR to reach."""
+    """Rate control for a PSNR to reach."""
 
     @classmethod
     def of(cls, psnr: float, pixels: int, settings: RdSettings) -> PsnrAim:
-        """An aim for a picture of so many pixels, with about the quantum that a photograph needs."""
+        """Create the aim for a picture of `pixels` pixels, with about the quantum that a photograph needs."""
         s = settings.rate
         quantum = 0.1 * 2 ** ((34 - psnr) / s.db_per_doubling)
         return cls(settings, pixels, min(quantum, s.coarsest_of_aim), aim_db=psnr)
@@ -143,16 +142,16 @@ class PsnrAim(Aim):
 
     @property
     def tries(self) -> int:
-        """As for every budget."""
+        """As many as for any budget."""
         return self.settings.rate.aim_tries
 
     @property
     def further_rounds(self) -> int:
-        """Rounds that have helped to reach a PSNR."""
+        """As many as have helped to reach a PSNR."""
         return self.settings.schedule.rounds_for_psnr
 
     def allows(self, psnr: Callable[[], float]) -> bool:
-        """Whether about the PSNR is left: no Gaussian would come back once growth is over."""
+        """Whether about the PSNR is left: after growth, no Gaussian would come back."""
         return psnr() >= self.aim_db - self.settings.prune.missed_db
 
     @property
@@ -162,12 +161,14 @@ class PsnrAim(Aim):
 
 @dataclass(frozen=True)
 class LooksAim(Aim):
-    """SSIMULACRA 2 to reach, as looks_db() counts it."""
+    """Rate control for a SSIMULACRA 2 to reach, as looks_db() counts it."""
 
     @classmethod
     def of(cls, looks: float, size: tuple[int, int], settings: RdSettings) -> LooksAim:
-        """An aim for a picture of size (width, height), with about the quantum that a photograph needs. Raises
-        BudgetError for sides that have no looks."""
+        """Create the aim for a picture of size (width, height), with about the quantum that a photograph needs.
+
+        Raises BudgetError for sides that are too small for SSIMULACRA 2.
+        """
         if min(size) < SMALLEST_SIDE:
             raise BudgetError(f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
         s, aim = settings.rate, looks_db(looks)
@@ -183,16 +184,16 @@ class LooksAim(Aim):
 
     @property
     def tries(self) -> int:
-        """Fewer than for a PSNR, as each is measured for longer."""
+        """Fewer than for a PSNR, as measuring takes longer."""
         return self.settings.rate.looks_tries
 
     @property
     def further_rounds(self) -> int:
-        """Rounds that have helped to reach looks."""
+        """As many as have helped to reach looks."""
         return self.settings.schedule.rounds_for_looks
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
-        """Seldom: to measure looks takes as long as steps."""
+        """Steer seldom: measuring looks takes as long as steps."""
         return super().steered(quantum, times, at, fitted) if at in times.looks_at else quantum
 
     @property
@@ -203,14 +204,14 @@ class LooksAim(Aim):
         return self.settings.rate.looks_refined_db if self.settings.effort.refine_sweeps else 0.0
 
     def affords(self, texture: Codes) -> bool:
-        """Looks count grain, and texture as an error."""
+        """Never: SSIMULACRA 2 counts texture as an error."""
         return False
 
     def is_missed(self, files: Iterable[Coded]) -> bool:
-        """Less than a point is not worth another round."""
+        """Whether all files are clearly below the looks: less than a point is not worth another round."""
         return max(map(self.reached, files)) < self.aim_db - self.settings.rate.slack_db
 
     def finer(self, quantum: float, files: Iterable[Coded]) -> float:
-        """The quantum that a further round begins with, where files have reached no more than they have."""
+        """Return the quantum for a further round, given the files that missed the looks."""
         s, reached = self.settings.rate, max(map(self.reached, files))
         return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.looks_limit))
