@@ -26,9 +26,7 @@ def page() -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(page_of_text())))
 
 
-@pytest.mark.parametrize(
-    "name", ["astronaut", "coffee", "chelsea", "rocket", "brick", "grass", "retina", "camera", "moon"]
-)
+@pytest.mark.parametrize("name", ["astronaut", "coffee", "rocket", "grass", "retina", "moon"])
 def test_a_photograph_gets_no_advice(name: str) -> None:
     pixels = getattr(data, name)()
     pixels = np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels

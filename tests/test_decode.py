@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -137,10 +136,6 @@ def test_levels_are_computed_in_double_and_rounded_once() -> None:
     assert at == len(gaussians) == stream.gaussians
 
 
-def test_a_file_without_gaussians_is_black() -> None:
-    assert decode(golden("v1-empty")).tolist() == np.zeros((5, 7, 3)).tolist()
-
-
 @pytest.mark.parametrize("size", [(1, 1), (1, 4096), (4096, 1), (65_535, 1), (1, 65_535)])
 def test_thin_pictures(size: tuple[int, int]) -> None:
     pixels = decode(wide(1, *size, scale_px=40.0, positions=(0.5, 0.5)))
@@ -160,22 +155,10 @@ def test_info() -> None:
         assert PROFILE_CODES[str(fields["profile"])] == data[8]
         for field in ("width", "height", "position_bits", "gaussians"):
             assert fields[field] == getattr(stream, field)
-        bits = fields["bits"]
-        assert isinstance(bits, dict)
+        bits = info(data).bits
         assert list(bits) == ["headers", "positions", "covariances", "colors"]
         assert sum(bits.values()) == 8 * len(data)
         assert fields["groups"] == [{"bitwidth": g.bitwidth, "gaussians": len(g.positions)} for g in stream.groups]
-
-
-def test_decoding_loads_no_encoder() -> None:
-    script = (
-        "import sys, sgmethod\n"
-        f"data = open({str(golden_path('v1-paper.sg'))!r}, 'rb').read()\n"
-        "sgmethod.decode(data), sgmethod.info(data)\n"
-        "print(*{'torch', 'cv2', 'skimage', 'scipy'} & sys.modules.keys())\n"
-    )
-    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert run.stdout.strip() == ""
 
 
 def test_the_limit_of_pixels() -> None:
@@ -216,34 +199,6 @@ def test_hostile_overlap_is_refused_before_it_costs(name: str, tmp_path: Path) -
     assert "overlap" in why
     assert int(megabytes) < 60
     assert float(cpu_s) < 2
-
-
-EXTREMES = [0.0, 1e-45, -1e-45, 1e-20, 1.0, -1.0, 1e6, -1e6, 1e19, -1e19, 1e38, -1e38, 3.4e38, -3.4e38]
-
-
-def test_geometry_beyond_single_precision_is_harmless() -> None:
-    """Extremes as ranges of means and factors: some pixels or a refusal, and never a crash or a hang."""
-    rng = np.random.default_rng(0)
-    n = 64
-    group = Group(
-        16,
-        rng.integers(0, 4096, (n, 2)).astype(np.uint16),
-        rng.integers(0, 65_536, (n, 3)).astype(np.uint16),
-        rng.integers(0, 8, (n, 2)).astype(np.uint8),
-    )
-    codebooks = np.full((2, 8, 3), 65_504, np.float16)
-    codebooks[:, ::2] *= -1
-    drawn = 0
-    began = time.process_time()
-    for _ in range(3000):
-        ranges = rng.choice(EXTREMES, (5, 2)).astype(np.float32)
-        data = serialise(StreamV1("paper", 40, 70, 12, ranges[:2], ranges[2:], codebooks, (group,)))
-        try:
-            drawn += int(decode(data).any())
-        except BitstreamError as error:
-            assert "overlap" in str(error)
-    assert drawn > 50
-    assert time.process_time() - began < 30
 
 
 def test_coarse_levels_of_a_narrow_picture_take_little_memory() -> None:

@@ -1,7 +1,7 @@
 """A header as a table of its fields, from which it is read and written.
 
-docs/format.md, sgmethod/native/file/ and the page's decoder have the same tables; tests/native/decoder/test_fields.py
-compares them.
+docs/format.md, sgmethod/native/file/ and sgmethod/javascript/src/header.js have the same tables;
+tests/native/decoder/test_fields.py compares them.
 """
 
 from __future__ import annotations

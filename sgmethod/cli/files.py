@@ -32,7 +32,7 @@ class CommandError(SgError):
 
 
 def read(path: str) -> bytes:
-    """The bytes of a file, or of standard input, of at most MAX_INPUT_BYTES."""
+    """Read a file or standard input, of at most MAX_INPUT_BYTES."""
     data = bytearray()
     with _saying("read", path), _opened(path) as file:
         while block := file.read(1 << 20):
@@ -43,8 +43,7 @@ def read(path: str) -> bytes:
 
 
 def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.uint8], list[str]]:
-    """Pixels of an image file, [H, W, 3], or [H, W, 4] if alpha is to be kept and there is any; and what is left out of
-    it. Raises ImageError."""
+    """Decode an image file to pixels [H, W, 3 or 4]; also return notes on anything dropped. Raises ImageError."""
     from sgmethod.io.image import read_image_8_bit
 
     with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
@@ -71,7 +70,7 @@ def _opened(path: str) -> Iterator[BinaryIO]:
 
 
 def write(path: str, data: bytes) -> None:
-    """Write a file, completely or not at all, or standard output."""
+    """Write to standard output, or to a file, completely or not at all."""
     with _saying("write", path):
         if path == STREAM:
             sys.stdout.buffer.write(data)
@@ -81,22 +80,21 @@ def write(path: str, data: bytes) -> None:
 
 
 def output(path: str) -> str:
-    """The path, or STREAM where it is a name of standard output: that must not be opened a second time, or what is
-    written would replace what stands there already, and get our own lines in between."""
+    """Return STREAM for a name of standard output, any other path unchanged.
+
+    Opened a second time, standard output would be overwritten from its start, and mixed with our own messages.
+    """
     return STREAM if path in STDOUT_NAMES else path
 
 
 def listed(folder: str) -> list[Path]:
-    """The files of a folder, by name, and links that lead nowhere. Raises CommandError.
-
-    To open a pipe would wait for its writer for ever.
-    """
+    """List a folder's files and broken links by name, without pipes, which might block. Raises CommandError."""
     with _saying("read", folder):
         return sorted(path for path in Path(folder).iterdir() if path.is_file() or not path.exists())
 
 
 def name_of(path: str, stream: str = "standard input") -> str:
-    """The path, as named in a message."""
+    """Name a path in a message."""
     return stream if path == STREAM else path
 
 
@@ -105,7 +103,7 @@ def _saying(verb: str, path: str) -> Iterator[None]:
     """Turn OSError into a CommandError with the path as given."""
     try:
         yield
-    except BrokenPipeError:  # nobody reads any more, which is no error
+    except BrokenPipeError:  # the reader has gone, which main() does not treat as an error
         raise
     except OSError as error:
         stream = "standard input" if verb == "read" else "standard output"
@@ -142,7 +140,7 @@ def make_folder(path: str) -> None:
 
 
 def _check_writable(target: Path) -> None:
-    """Raise OSError as writing would. The system follows links: a pipe named by one has no path."""
+    """Raise the OSError that writing would. Links are left to the system: one to a pipe has no path."""
     mode = None
     with suppress(FileNotFoundError):
         mode = target.stat().st_mode

@@ -1,4 +1,4 @@
-"""sgmethod preview: pictures as short texts, printed or in a folder's manifest."""
+"""The command preview: pictures as short texts, printed or in a folder's manifest."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 def run_preview(arguments: argparse.Namespace) -> int:
-    """sgmethod preview"""
-    Budget("bytes", arguments.bytes)  # or every picture would be refused
+    """Run sgmethod preview."""
+    Budget("bytes", arguments.bytes)  # fail once, not for each picture
     if (arguments.html or arguments.element) and (STREAM in arguments.names or arguments.output_dir is not None):
         raise CommandError("--html and --element name each picture, and print: they take no - and no --output-dir")
     if arguments.alt is not None and not (arguments.html or arguments.element):
@@ -65,7 +65,7 @@ def _print(arguments: argparse.Namespace, outcome: Outcome, _tally: Tally) -> No
 
 
 def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
-    """Read, encode, and write where there is a folder for it."""
+    """Read and encode one picture; write the file if there is an output folder."""
     from sgmethod.previews.preview import preview
 
     image = files.read(conversion.source)

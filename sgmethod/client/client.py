@@ -32,13 +32,15 @@ PAGE = 200  # jobs in one answer
 Priority = Literal["interactive", "bulk"]
 JobState = Literal["queued", "running", "done", "failed"]
 File = str | os.PathLike[str] | bytes
-WAIT_S = 50  # of one request: less than what proxies, and this client, take for a connection that has died
+WAIT_S = 50  # per request: less than the timeouts of proxies and of this client
 
 
 @dataclass(frozen=True)
 class RemoteEncoded:
-    """An .sg file, its figures (sgmethod.Stats as a dictionary), its trace, and notes on anything dropped from the
-    image."""
+    """An .sg file encoded by a service.
+
+    figures: sgmethod.Stats as a dictionary; notes: on anything dropped from the image.
+    """
 
     data: bytes
     figures: Json
@@ -49,8 +51,8 @@ class RemoteEncoded:
 class Client:
     """A client of one service.
 
-    patience_s: how many seconds to keep trying while the service is busy or, once it has answered, unreachable;
-    on_retry: called with a sentence before each new attempt, logs a warning by default.
+    patience_s: time to keep trying while the service is busy or, once it has answered, unreachable; on_retry: called
+    with a sentence before each new attempt; logs a warning by default.
     """
 
     def __init__(
@@ -143,20 +145,20 @@ class Client:
     def _submit(self, path: str, query: Json, image: bytes = b"", wait_s: int = 0) -> httpx.Response:
         headers = {"Content-Type": "image/*", "Idempotency-Key": secrets.token_hex(16)}
         if wait_s:
-            headers["Prefer"] = f"wait={wait_s}"  # which a server that does not know it ignores
+            headers["Prefer"] = f"wait={wait_s}"
         return self._connection.ask("POST", path, params=query, content=image, headers=headers)
 
     def job(self, job_id: str) -> Json:
-        """A job's state, progress, trace, result and error."""
+        """Return a job's state, progress, trace, result and error."""
         return self._connection.ask_json("GET", f"/jobs/{job_id}")
 
     def jobs(self, state: JobState | None = None) -> Iterator[Json]:
-        """All jobs visible to this client, newest first, without traces; optionally only those in one state."""
+        """Yield all jobs visible to this client, newest first, without traces; optionally only those in one state."""
         path: str | None = f"/jobs?limit={PAGE}" + ("" if state is None else f"&state={state}")
         while path is not None:
             page: Json = self._connection.ask_json("GET", path)
             yield from page["jobs"]
-            # Its path may have a prefix of a proxy's, which the client's address has already.
+            # Only the query is used: the path may have a proxy's prefix, which the client's address has already.
             path = page["next"] and f"/jobs?{urlsplit(page['next']).query}"
 
     def wait(self, job_id: str, on_progress: Progress | None = None) -> Json:
@@ -185,11 +187,11 @@ class Client:
             patience.pause(why, least_s)
 
     def bitstream(self, job_id: str) -> bytes:
-        """The .sg file of a finished job."""
+        """Fetch the .sg file of a finished job."""
         return self._connection.ask("GET", f"/bitstreams/{job_id}.sg").content
 
     def picture(self, job_id: str, kind: str = "png", **view: float | str) -> bytes:
-        """The picture of a finished job, as "png", "jpg", "webp" or "avif".
+        """Fetch the picture of a finished job, as "png", "jpg", "webp" or "avif".
 
         view: parameters of the request, such as width=320, height=240, fit="crop" or region="x,y,w,h".
         """
@@ -204,7 +206,7 @@ class Client:
         return self._connection.ask("POST", f"/decode.{kind}", params=view, content=_bytes_of(bitstream)).content
 
     def links(self, job_id: str, expires_s: int = 3600) -> Json:
-        """URLs of a job's picture and bitstream that need no API key for expires_s seconds."""
+        """Create URLs of a job's picture and bitstream that need no API key for expires_s seconds."""
         return self._connection.ask_json("POST", f"/jobs/{job_id}/links", params={"expires_s": expires_s})
 
     def remove(self, job_id: str) -> None:
@@ -219,7 +221,7 @@ class Client:
 def _query(
     budget: Budget, profile: str, tune: str | None, effort: int, time_limit_s: float | None, priority: Priority
 ) -> Json:
-    """The options of an encode."""
+    """Query parameters of an encode."""
     wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
     wanted |= {"priority": priority, "time_limit_s": time_limit_s}
     wanted |= {"effort": None if effort == DEFAULT_EFFORT else effort}  # which older servers do not know
@@ -235,7 +237,7 @@ def _bytes_of(file: File) -> bytes:
 
 
 def _id_of(answer: httpx.Response) -> str:
-    """The id of the job that a request has created."""
+    """Return the id of the job that a request has created. Raises ServerError if there is none."""
     if "Location" not in answer.headers:
         raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is not an sgmethod service: it created no job")
     return str(answer.headers["Location"].rpartition("/")[2])

@@ -1,7 +1,7 @@
 """Pictures and files, in and out.
 
-Image files, Pillow images and arrays come in, and leave as sRGB levels.
-Decoded pixels leave in five file formats; every file is written completely or not at all.
+Image files, Pillow images and arrays are converted to sRGB levels. Decoded pixels are written in five file formats;
+every file is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _HOME = {"encode_png": "png", "read_image": "image", "read_image_8_bit": "image"
 
 
 def __getattr__(name: str) -> Any:
-    """Imported once it is asked for: a decode needs nothing of what reads pictures."""
+    """Import on first use: decoding needs none of the code that reads pictures."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -22,7 +22,7 @@ from sgmethod.budget import MAX_PSNR_DB
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.io.laying import on_backgrounds
+from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.rd import encode as pipeline
 from sgmethod.rd.aim import Aim, LooksAim, PsnrAim

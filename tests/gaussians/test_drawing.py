@@ -13,10 +13,9 @@ from torch import Tensor
 import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
 from sgmethod.native import native, reference
-from sgmethod.scene import Gaussians, Scene
+from sgmethod.scene import Gaussians
 from sgmethod.torch import drawing, render
 from sgmethod.torch.drawing import _draw, _draw_backward
-from sgmethod.view import View
 from tests.backend.cases import scattered
 
 SIZE = (40, 35)
@@ -110,12 +109,9 @@ def test_any_layout_in_memory(dtype: torch.dtype) -> None:
     values = stacked(6, 2, dtype)
     turned = [one.detach().mT.contiguous().mT.requires_grad_() for one in values]
     assert not turned[0].is_contiguous()
-    images = render(*values, SIZE), render(*turned, SIZE)
-    assert torch.equal(*images)
-    for one, other in zip(
-        *(torch.autograd.grad(i.sum(), v) for i, v in zip(images, (values, turned), strict=True)), strict=True
-    ):
-        assert torch.equal(one, other)
+    assert torch.equal(render(*values, SIZE), render(*turned, SIZE))
+    gradients = [torch.autograd.grad(render(*v, SIZE).sum(), v) for v in (values, turned)]
+    assert all(map(torch.equal, *gradients))
 
 
 @pytest.mark.parametrize("scale", [0.37, 1.0, 2.5])
@@ -133,11 +129,10 @@ def test_it_draws_what_a_file_shows(scale: float) -> None:
 
 def test_normalised_blending() -> None:
     """One Gaussian paints its colour wherever it reaches; where none does there is the background."""
-    means, factors = torch.tensor([[20.0, 17.0]]), torch.tensor([[4.0, 1.0, 5.0]])
-    image = render(means, factors, torch.tensor([[0.2, 0.5, 0.9]]), SIZE, 0.1, blend="normalised")
-    assert image[:, 17, 20].tolist() == pytest.approx([0.2, 0.5, 0.9], abs=1e-3)
-    assert image[:, 17, 25].tolist() == pytest.approx([0.2, 0.5, 0.9], abs=1e-3)
-    assert image[:, 0, 0].tolist() == pytest.approx([0.1] * 3)
+    one = (torch.tensor([row]) for row in ([20.0, 17.0], [4.0, 1.0, 5.0], [0.2, 0.5, 0.9]))
+    image = render(*one, SIZE, 0.1, blend="normalised")
+    for (x, y), color in {(20, 17): [0.2, 0.5, 0.9], (25, 17): [0.2, 0.5, 0.9], (0, 0): [0.1] * 3}.items():
+        assert image[:, y, x].tolist() == pytest.approx(color, abs=1e-3)
 
 
 NOT_DRAWN = {
@@ -193,12 +188,3 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
 def test_what_is_wrong_is_said(values: Any, more: dict[str, Any], error: type[SgError], words: str) -> None:
     with pytest.raises(error, match=words):
         render(*values, **{"size": SIZE, **more})
-
-
-def test_views_of_scenes_are_the_same() -> None:
-    """The low-pass of a reduction is written twice, here and in sgmethod/view.py."""
-    gaussians = scattered(10, 5)
-    scene = View(0.4).apply(Scene(gaussians, *SIZE, (0, 0, 0), CUTOFF, pyramid=True))
-    image = render(*tensors(gaussians), SIZE, scale=0.4)
-    wanted = reference.render_pyramid(*tensors(scene.gaussians), (scene.width, scene.height), CUTOFF)
-    torch.testing.assert_close(image, wanted, rtol=0, atol=1e-5)

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 import sgmethod
 from sgmethod.errors import SgError, ViewError
-from sgmethod.torch import SgDataset, decode, gaussians, render
+from sgmethod.torch import SgDataset, decode, render
 from sgmethod.view import View
 
 pytestmark = pytest.mark.usefixtures("files")
@@ -26,9 +26,8 @@ def test_decoding_into_a_tensor() -> None:
     levels = decode("picture.sg", dtype=torch.float32)
     assert np.array_equal((255 * levels).round().permute(1, 2, 0).numpy(), pixels)
     assert levels.is_contiguous()
-    assert torch.equal(
-        decode("picture.sg", view=view, layout="HWC"), torch.from_numpy(sgmethod.decode("picture.sg", view=view))
-    )
+    small = torch.from_numpy(sgmethod.decode("picture.sg", view=view))
+    assert torch.equal(decode("picture.sg", view=view, layout="HWC"), small)
 
 
 def test_a_data_set_of_pixels() -> None:
@@ -58,9 +57,7 @@ def test_a_data_set_of_gaussians() -> None:
     ("call", "error", "words"),
     [
         (lambda: decode("picture.sg", dtype=torch.int32), SgError, "uint8 or of a floating-point type"),
-        (lambda: decode("picture.sg", dtype="float32"), SgError, "uint8 or of a floating-point type"),
         (lambda: decode("picture.sg", "cuda:99"), SgError, "there is no device 'cuda:99' here"),
-        (lambda: gaussians("picture.sg", torch.device("meta")), SgError, "there is no device 'meta' here"),
         (lambda: decode("picture.sg", layout="NCHW"), SgError, "CHW or HWC, not 'NCHW'"),
         (lambda: SgDataset(["picture.sg"]), SgError, "needs either size or most_gaussians"),
         (lambda: SgDataset("picture.sg", size=(8, 8)), SgError, "a list of files, not one file"),

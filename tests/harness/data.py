@@ -8,6 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]  # of the repository
 DATA = ROOT / "tests" / "data"
 PHOTOGRAPHS = DATA / "photographs"
+JAVASCRIPT = ROOT / "sgmethod" / "javascript" / "src"
 
 
 def golden(version: int) -> dict[str, bytes]:

@@ -61,13 +61,6 @@ def decode_large() -> bytes:
     return decode(large_file()).tobytes()
 
 
-def render() -> bytes:
-    means, factors, colors = scattered(2000)
-    image = np.empty((3, HEIGHT, WIDTH), np.float32)
-    native.Rasterization(means, factors, WIDTH, HEIGHT).render(colors, image)
-    return image.tobytes()
-
-
 def gradients() -> bytes:
     means, factors, colors = scattered(2000)
     target = np.full((3, HEIGHT, WIDTH), 0.5, np.float32)
@@ -97,7 +90,6 @@ SCENARIOS: dict[str, Action] = {
     "decode-v1": decodes("v1-paper"),
     "decode-v3": decodes("v3-color"),
     "decode-large": decode_large,
-    "render": render,
     "gradients": gradients,
     "refine": refine,
     "encode": encode,

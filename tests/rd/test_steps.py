@@ -10,7 +10,7 @@ import pytest
 from sgmethod import Budget, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
-from sgmethod.fitting.moving_target import AheadForTheEye
+from sgmethod.fitting.moving_target import ExaggeratedTarget
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify, settle
@@ -35,7 +35,7 @@ def test_previews_are_files_that_come_nearer() -> None:
 @pytest.mark.parametrize("halvings", [0, 1])
 def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> None:
     plan, state = begun(requested(CROP, BUDGET, "visual"))
-    assert isinstance(state.target, AheadForTheEye)
+    assert isinstance(state.target, ExaggeratedTarget)
     plan = replace(plan, pyramid=plan.pyramid.from_level(plan.pyramid.levels[halvings]))
     state = replace(plan.begin(state.gaussians), quantum=state.quantum)
     after = fit(plan, state, stage_of(plan, 100, at=0.99))

@@ -25,8 +25,8 @@ import sgmethod
 from service.web.helpers.drawing import Drawing, Wish
 from service.web.helpers.picture_files import Rival, encode_picture
 from sgmethod.errors import ImageError, ImageWarning, SgError
+from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
-from sgmethod.io.laying import WHITE, laid_over
 
 READY = b"!"  # said once, at the start
 ANSWER_HEADER = struct.Struct(">IQ")
@@ -101,7 +101,7 @@ def _rival(rival: Rival, image: bytes, limits: ImageLimits) -> bytes:
     pixels = read_image_8_bit(image, limits, keep_alpha=True)
     if rival.kind == "webp" and (lossless := better_file(pixels, rival.size, 0.0, ("webp",))):
         return lossless.data
-    opaque = pixels if pixels.shape[2] == 3 else laid_over(pixels, WHITE)
+    opaque = pixels if pixels.shape[2] == 3 else composited(pixels, WHITE)
     return rival.made_of(opaque, drawn=is_drawn(pixels))
 
 

@@ -1,4 +1,4 @@
-"""Headers: what Python reads and writes, and the same tables in the text, in C++ and in the page's decoder."""
+"""Headers: what Python reads and writes, and the same tables in the text, in C++ and in JavaScript."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sgmethod.bitstream import payload, v1, v3, v4, v5
 from sgmethod.bitstream.fields import BitField, BitReader, Field, Header, write_bits
 from sgmethod.bitstream.stream import PREFIX_BYTES
 from tests.bitstream.test_format_v1 import TEXT, table
-from tests.harness.data import ROOT
+from tests.harness.data import JAVASCRIPT, ROOT
 
 pytestmark = pytest.mark.thorough
 
@@ -27,7 +27,7 @@ BIT_FIELDS = [field for header in BIT_HEADERS.values() for field in header]
 EVERY = [(header, field) for header in HEADERS.values() for field in header.fields]
 CPP = (ROOT / "sgmethod" / "native" / "file" / "fields.h").read_text()
 READING = (ROOT / "sgmethod" / "native" / "file" / "file.cpp").read_text()
-JAVASCRIPT = (ROOT / "service" / "web" / "static" / "decoder" / "header.js").read_text()
+HEADER_JS = (JAVASCRIPT / "header.js").read_text()
 
 
 def least(header: Header) -> dict[str, int]:
@@ -154,11 +154,11 @@ def test_the_text_has_the_tables_of_bits() -> None:
 def test_javascript_has_the_tables() -> None:
     """Those of version 5, the only one that it reads."""
     for name, header in {"HEADER": v5.HEADER, "ALPHA_HEADER": v5.ALPHA_HEADER}.items():
-        part = JAVASCRIPT.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
+        part = HEADER_JS.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
         rows = re.findall(r"\[(\d+), (\d+), (true|false)\], // (\w+)", part)
         assert bit_fields([[said, int(bits), int(short), more == "true"] for bits, short, more, said in rows]) == header
     flags = {"GREY": payload.FLAG_GREY, "UPRIGHT": payload.FLAG_UPRIGHT, "TEXTURE": payload.FLAG_TEXTURE}
     for name, flag in {**flags, "ALPHA": payload.FLAG_ALPHA}.items():
-        assert f"const {name} = {flag};" in JAVASCRIPT
+        assert f"const {name} = {flag};" in HEADER_JS
     assert v5.FLAG_SHORT << 3 == 128  # it looks at the whole byte
-    assert "isShort = bytes[2] > 127;" in JAVASCRIPT
+    assert "isShort = bytes[2] > 127;" in HEADER_JS

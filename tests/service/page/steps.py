@@ -87,7 +87,7 @@ def decoded(page: Browser, data: bytes, options: str = "{}") -> np.ndarray[Any, 
     """By the decoder of the page: RGBA."""
     text = page.run(f"""
         const bytes = Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0));
-        return import("/static/decoder/decoder.js").then(({{ decode }}) => {{
+        return import("/static/sgmethod/decoder.js").then(({{ decode }}) => {{
             const {{ width, height, data }} = decode(bytes, {options});
             return [width, height, [...data].map((level) => String.fromCharCode(level)).join("")];
         }});

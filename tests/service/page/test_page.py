@@ -310,7 +310,7 @@ def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path)
     open_page(page, web)
     html = page.run("""
         return (async () => {
-            const { snippetOf } = await import("/static/decoder/snippet.js");
+            const { snippetOf } = await import("/static/page/snippet.js");
             const sg = new Uint8Array(await (await fetch("/static/samples/coffee.sg")).arrayBuffer());
             return snippetOf({ sg, size: [432, 288], name: 'my "cup" & <b>.webp' });
         })();

@@ -256,7 +256,7 @@ def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) ->
     levels = page.run(f"""
         return (async () => {{
             const {{ openGpu }} = await import("/static/viewer/gpu.js");
-            const {{ readFile }} = await import("/static/decoder/file.js");
+            const {{ readFile }} = await import("/static/sgmethod/file.js");
             const file = readFile(Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0)));
             const [width, height] = [{width}, {height}];
             const context = new OffscreenCanvas(width, height).getContext("2d", {{ willReadFrequently: true }});

@@ -6,8 +6,8 @@ import { drawGaussians, rounded, setAlpha } from "./planes.js";
 
 export { SgError } from "./header.js";
 
-/** The picture that a text holds, its longer side `size` pixels: an ImageData; in Node, an object like it. Throws an
- * Error for a text that holds none. */
+/** The picture that a text holds, `size` pixels along its longer side: an ImageData, or in Node an object like it.
+ * Throws an Error for a text that holds none. */
 export function decodePreview(text, size = 256) {
   const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
   const bytes = Uint8Array.from(`\xd3${binary}`, (letter) => letter.charCodeAt(0));

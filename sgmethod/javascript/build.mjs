@@ -1,13 +1,11 @@
-// Bundles the modules of the service's page into dist/, holds them to their sizes, and compares what they decode:
-// node build.mjs FOLDER.
+// Bundles src/ into the package's modules in dist/, checks their sizes, and compares what they decode: node build.mjs.
 
 import { build } from "esbuild";
 import assert from "node:assert/strict";
 import { mkdirSync, writeFileSync } from "node:fs";
-import { resolve } from "node:path";
-import { pathToFileURL } from "node:url";
 import { gzipSync } from "node:zlib";
 import { minify } from "terser";
+import { decodePreview } from "./src/preview.js";
 
 const MOST_PREVIEW = 4000; // bytes with gzip
 const MOST_ALL = 10_000;
@@ -15,11 +13,9 @@ const SAMPLE = "xdIByWwsTlAkACGPAQBW0I8ielU25A1yzyRNnyNcrWwBow"; // with alpha
 // Properties that no user and no browser sees.
 const INTERNAL = /^(isShort|quantum|background|grey|upright|parts|payload|samples|left|top|sx|sy|dx|dy)$/;
 
-const folder = resolve(process.argv[2]);
-const from = (path) => JSON.stringify(resolve(folder, path));
-const preview = `export { SgError, decodePreview } from ${from("decoder/preview.js")};`;
-const element = `export { SgImage } from ${from("preview/sg-img.js")};`;
-const decoder = `export { decode } from ${from("decoder/decoder.js")};`;
+const preview = 'export { SgError, decodePreview } from "./src/preview.js";';
+const element = 'export { SgImage } from "./src/sg-img.js";';
+const decoder = 'export { decode } from "./src/decoder.js";';
 const ENTRIES = {
   preview: { contents: preview, isWhole: false },
   "sg-img": { contents: preview + element, isWhole: false },
@@ -31,7 +27,7 @@ mkdirSync("dist", { recursive: true });
 const sizes = {};
 for (const [name, { contents, isWhole }] of Object.entries(ENTRIES)) {
   const bundled = await build({
-    stdin: { contents, resolveDir: folder },
+    stdin: { contents, resolveDir: process.cwd() },
     bundle: true,
     minify: true,
     format: "esm",
@@ -48,9 +44,8 @@ for (const [name, { contents, isWhole }] of Object.entries(ENTRIES)) {
 }
 assert(sizes.preview <= MOST_PREVIEW && sizes.all <= MOST_ALL, "the package is larger than it may be");
 
-const { decodePreview } = await import(pathToFileURL(resolve(folder, "decoder/preview.js")));
 for (const name of Object.keys(ENTRIES)) {
-  const built = await import(pathToFileURL(resolve(`dist/${name}.js`)));
+  const built = await import(`./dist/${name}.js`);
   assert.deepEqual(built.decodePreview(SAMPLE), decodePreview(SAMPLE), `${name}.js decodes otherwise`);
   assert.throws(() => built.decodePreview(SAMPLE.slice(0, -4)), built.SgError);
 }

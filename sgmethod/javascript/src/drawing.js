@@ -4,9 +4,9 @@ import { CELL, OCTAVES, SgError, unknown } from "./header.js";
 import { TOP_LEVEL, drawGaussians, rounded, setAlpha } from "./planes.js";
 
 export const MOST_PIXELS = 50e6;
-export const MOST_SCALE = 64; // of a view; and one over it at least
+export const MOST_SCALE = 64; // and 1 / 64 at least
 
-/** A view: what part of the picture, how large it comes out. Throws SgError. */
+/** Which part of the picture a view shows, and how large. Throws SgError. */
 function viewOf(file, scale = 1, region = null) {
   const [x, y, w, h] = region ?? [0, 0, file.width, file.height];
   const within = x >= 0 && y >= 0 && w >= 1 && h >= 1 && x + w <= file.width && y + h <= file.height;
@@ -19,18 +19,17 @@ function viewOf(file, scale = 1, region = null) {
   return { x, y, left, top, width, height, sx, sy, dx: left - x * sx, dy: top - y * sy };
 }
 
-const product = Math.imul;
-
+/** A hash of 32 bits. */
 function mix(h) {
   h ^= h >>> 16;
-  h = product(h, 0x7feb352d);
+  h = Math.imul(h, 0x7feb352d);
   h ^= h >>> 15;
-  h = product(h, 0x846ca68b);
+  h = Math.imul(h, 0x846ca68b);
   return h ^ (h >>> 16);
 }
 
 export const SIDE = 256; // samples after which noise repeats
-export const NOISE_UNITS = [2 * 34.1 * 255, 2 * 29.7 * 255]; // by octave: half a level of 8 bits, of white, in its spread
+export const NOISE_UNITS = [2 * 34.1 * 255, 2 * 29.7 * 255]; // by octave: divides noise to a spread of 0.5 / 255
 const tables = [null, null];
 
 /** Sums of neighbours in a plane that repeats, weighted along both axes. */
@@ -55,7 +54,9 @@ export function noiseOf(octave) {
   });
   const mean = filtered(white, octave ? [1, 2, 1] : [1, 4, 6, 4, 1]);
   const detail = white.map((value, i) => (octave ? 16 : 256) * value - mean[i]);
-  const noise = octave ? detail.map((value) => (value + 16) >> 5) : filtered(detail, [1, 6, 1]).map((v) => (v + 8192) >> 14);
+  const noise = octave
+    ? detail.map((value) => (value + 16) >> 5)
+    : filtered(detail, [1, 6, 1]).map((value) => (value + 8192) >> 14);
   return (tables[octave] = Int8Array.from(noise));
 }
 
@@ -66,7 +67,7 @@ function between(place, cells) {
   return [low, Math.min(low + 1, cells - 1), at - low];
 }
 
-/** Noise as strong as an octave's codes say, on a level of a view. */
+/** Add an octave's noise to a level of a view, as strong as its codes say. */
 function addTexture(plane, texture, octave, level, { sx, sy, dx, dy }, gain) {
   const { columns, rows } = texture;
   const strengths = Float64Array.from(texture.octaves[octave], (code) =>
@@ -92,7 +93,7 @@ function addTexture(plane, texture, octave, level, { sx, sy, dx, dy }, gain) {
   }
 }
 
-/** On which level of a view each octave is drawn, and how strongly; none where it is finer than the view. */
+/** The level of a view on which each octave is drawn, and its gain; octaves finer than the view are left out. */
 export function octavesOf({ sx, sy }) {
   const n = Math.floor(Math.log2(2 * sx * sy) / 2);
   const found = [];
@@ -110,19 +111,10 @@ export function draw(file, { scale = 1, region = null, count = file.count, textu
   const top = Math.max(...octaves.map(({ level }) => level), 0);
   const gaussians = Array.from({ length: count }, (_, i) => file.values.subarray(8 * i, 8 * i + 8));
   const data = drawGaussians(gaussians, file.background, view, top, (plane, level) => {
-    for (const { octave, level: its, gain } of octaves) {
-      if (its === level) addTexture(plane, file.texture, octave, level, view, gain);
+    for (const drawn of octaves) {
+      if (drawn.level === level) addTexture(plane, file.texture, drawn.octave, level, view, drawn.gain);
     }
   });
   if (file.alpha) setAlpha(data, draw(file.alpha, { scale, region }).data);
   return { width: view.width, height: view.height, data };
-}
-
-/** What a picture that can be seen through is on white, in place. */
-export function layOverWhite({ data }) {
-  for (let at = 0; at < data.length; at += 4) {
-    const share = data[at + 3] / 255;
-    for (let c = 0; c < 3; c++) data[at + c] = data[at + c] * share + 255 * (1 - share);
-    data[at + 3] = 255;
-  }
 }

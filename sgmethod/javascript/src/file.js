@@ -1,12 +1,12 @@
-// An .sg file to its Gaussians, and what each of them cost.
+// From an .sg file to its Gaussians, and the bits that each took.
 
 import { CELL, OCTAVES, SgError, readHeader, refuseUnless, unknown } from "./header.js";
 import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
 import { readGaussians } from "./payload.js";
 
 const MOST_STRENGTH = 15;
-// What the bits of a model, and those that follow it, say of a Gaussian.
-const SAYS = {
+// What the bits of a model describe, by its first row.
+const FIRST_ROWS = {
   [DISTANCE]: "place",
   [LUMA]: "light",
   [A]: "tint",
@@ -16,8 +16,9 @@ const SAYS = {
   [R]: "slant",
   [SHAPE_SIGNS]: "shape",
 };
-const saying = Array.from({ length: SHAPE_SIGNS + 4 }, (_, row) => row);
-saying.forEach((row) => (saying[row] = SAYS[row] ?? (row === COUNT ? undefined : saying[row - 1])));
+// The same by each row; the count of Gaussians describes none.
+const described = [];
+for (let row = COUNT + 1; row < SHAPE_SIGNS + 4; row++) described[row] = FIRST_ROWS[row] ?? described[row - 1];
 
 function refuseOthers([first, second, third]) {
   if (first === 0xd3 && second === 0xc5) return;
@@ -48,9 +49,8 @@ function readTexture(bit, width, height) {
 
 /** Header and Gaussians of a file. Throws SgError.
  *
- * The Gaussians are in the file's order: each has 8 numbers in `values` (x, y, l1, l2, l3, red, green, blue), how many
- * bits it took in `bits`, and in `ends` how many bytes of the payload are needed for it. `spent` has the bits by what
- * they say of all Gaussians. */
+ * In the file's order, each Gaussian has 8 numbers in `values` (x, y, l1, l2, l3, red, green, blue), the bits that it
+ * took in `bits`, and the bytes of the payload that it needs in `ends`. `spent` sums the bits by what they describe. */
 export function readFile(bytes) {
   refuseOthers(bytes);
   const { payload, alpha, parts, ...header } = readHeader(bytes, readTexture);
@@ -72,26 +72,26 @@ function readPayload(header, payload) {
   const spent = { place: 0, shape: 0, slant: 0, light: 0, tint: 0 };
   const [values, bits, ends] = [[], [], []];
   let [now, next] = [0, 0]; // bits of the two Gaussians in a turn
-  const found = (its, end) => {
-    if (its) {
-      values.push(...its);
+  const onTurn = (gaussian, end) => {
+    if (gaussian) {
+      values.push(...gaussian);
       bits.push(now);
       ends.push(end);
     }
     [now, next] = [next, 0];
   };
-  const told = (cost, state, row) => {
-    if (!saying[row]) return;
-    spent[saying[row]] += cost;
+  const onCost = (cost, state, row) => {
+    if (!described[row]) return;
+    spent[described[row]] += cost;
     if (state) now += cost;
     else next += cost;
   };
-  readGaussians(header, payload, found, told);
+  readGaussians(header, payload, onTurn, onCost);
   const [typed, cost, last] = [Float32Array.from(values), Float32Array.from(bits), Uint32Array.from(ends)];
   return { spent, count: bits.length, values: typed, bits: cost, ends: last };
 }
 
-/** How many of the Gaussians are in the first part of a file, above 0 to 1. */
+/** How many Gaussians the first part of a file holds; part: above 0 to 1. */
 export function countInPart(file, part) {
   if (part >= 1) return file.count;
   const bytes = Math.ceil(part * file.payloadBytes);

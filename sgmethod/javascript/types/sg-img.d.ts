@@ -1,6 +1,6 @@
 export * from "./preview.js";
 
-type OfImg =
+type ImgProperty =
   | "loading"
   | "decoding"
   | "fetchPriority"
@@ -20,7 +20,7 @@ export class SgImage extends HTMLElement {
   preview: string;
 }
 /** As on an <img>. Setting them sets attributes of the element, which hold without an <img> within. */
-export interface SgImage extends Pick<HTMLImageElement, OfImg> {}
+export interface SgImage extends Pick<HTMLImageElement, ImgProperty> {}
 
 declare global {
   interface HTMLElementTagNameMap {

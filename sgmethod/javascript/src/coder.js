@@ -3,12 +3,12 @@
 import { refuseUnless } from "./header.js";
 import { SEEN, SLOW, newModels } from "./models.js";
 
-/** Functions that decode a payload. A state is 0 or 1; a short file has one for both. told(bits, state, row) is called
- * for whatever is decoded, with the bits of information that it took, and the row of its model. */
-export function newCoder(payload, isShort, told) {
+/** The functions that decode a payload. A state is 0 or 1; a short file has one state for both. onCost(bits, state,
+ * row) is called for each value decoded, with the bits of information that it took and the row of its model. */
+export function newCoder(payload, isShort, onCost) {
   const models = newModels();
-  const queue = new Uint8Array(64); // a ring of raw bits
-  let [at, head, tail] = [0, 0, 0]; // the byte that is read next, the bit that is taken next, the end of the queue
+  const queue = new Uint8Array(64); // of raw bits, a ring
+  let [at, head, tail] = [0, 0, 0]; // the next byte, the first bit of the queue, its end
   const byte = () => payload[at++] ?? 0;
   const half = () => byte() + 256 * byte();
   const first = () => half() + 65536 * half();
@@ -35,7 +35,7 @@ export function newCoder(payload, isShort, told) {
       model[i] += (aim - model[i] + 15) >> 5;
       model[i + SLOW] += (aim - model[i + SLOW] + (1 << (j - 1)) - 1) >> j;
     }
-    WHOLE: told?.(15 - Math.log2(share), state, row);
+    WHOLE: onCost?.(15 - Math.log2(share), state, row);
     return found;
   };
 
@@ -47,11 +47,11 @@ export function newCoder(payload, isShort, told) {
   const take = (count, state, row) => {
     let value = 0;
     for (let weight = 1; weight < 2 ** count; weight *= 2) value += queue[head++ & 63] * weight;
-    WHOLE: told?.(count, state, row);
+    WHOLE: onCost?.(count, state, row);
     return value;
   };
 
-  /** A number whose last bits may still follow: its least value, how many bits, its symbol, state and row. */
+  /** A number whose last bits may still be in the queue: its least value, how many bits, its symbol, state and row. */
   const number = (state, row) => {
     const found = symbol(state, row);
     if (found < 4) return [found, 0, found];
@@ -62,12 +62,11 @@ export function newCoder(payload, isShort, told) {
     return [2 ** bits + take(bits, state, row), 0, found];
   };
 
-  /** How many bytes were read. */
-  const read = () => at;
+  const bytesRead = () => at;
 
-  /** Whether the payload ended as it has to. */
+  /** Whether the payload ends as it must. */
   const isEnded = () =>
     states.every((state) => state === 65536) && !take(tail - head) && payload.subarray(at).every((rest) => rest === 0);
 
-  return [symbol, fetch, take, number, read, isEnded];
+  return [symbol, fetch, take, number, bytesRead, isEnded];
 }

@@ -1,9 +1,9 @@
 // What an .sg file says before its Gaussians: docs/format.md, "Version 5". Other versions are refused.
 //
-// Here and in the modules beside it, statements with the label WHOLE are for the whole decoder. The decoder of previews in
-// the package is built without them. It still finds damage, by the checksum and by how the payload ends.
+// Here and in the modules beside it, statements with the label WHOLE belong to the whole decoder. The npm package's
+// decoder of previews is built without them; it still finds damage, by the checksum and by how the payload ends.
 
-// Fields as sgmethod/bitstream/ has them: bits, bits in a short file, whether they grow. A test compares.
+// Fields as in sgmethod/bitstream/: bits, bits in a short file, whether they grow. A test compares them.
 const HEADER = [
   [5, 5, false], // flags
   [4, 4, true], // width
@@ -25,7 +25,7 @@ const ALPHA = 8;
 export const OCTAVES = 2;
 export const CELL = 64; // pixels along a side of a cell of texture
 
-/** A file that cannot be decoded. unknown: it may be a good one, of a kind that this decoder does not know. */
+/** A file that cannot be decoded; if `unknown`, it may be a good one of a kind that this decoder does not know. */
 export class SgError extends Error {
   name = "SgError";
 }
@@ -45,8 +45,8 @@ function crc32(bytes) {
   return ~crc >>> 0;
 }
 
-/** What the header says, and the payloads of the picture and of its alpha, a grey picture. readTexture(bit, width,
- * height) makes something of the texture's bits. Throws SgError. */
+/** The header, with the payloads of the picture and of its alpha, a grey picture. readTexture(bit, width, height) reads
+ * the texture. Throws SgError. */
 export function readHeader(bytes, readTexture) {
   let isShort = true;
   WHOLE: isShort = bytes[2] > 127;

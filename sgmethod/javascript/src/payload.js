@@ -9,15 +9,15 @@ const COLOUR = 0; // the states
 const SHAPE = 1;
 const NONE = [0, 0, 0];
 
-/** The Gaussians of a payload. found(values, end) is called after each turn; with the eight numbers of a Gaussian that
- * became whole in it (x, y, l1, l2, l3, red, green, blue) and the bytes read so far, or with nothing. told is as of
- * newCoder(). Throws SgError. */
-export function readGaussians({ width, height, isShort, quantum, grey, upright }, payload, found, told) {
+/** Decode the Gaussians of a payload. onTurn(values, end) is called after each turn, with the Gaussian that it
+ * completed (x, y, l1, l2, l3, red, green, blue) and the bytes read so far, or with nothing. onCost is newCoder()'s.
+ * Throws SgError. */
+export function readGaussians({ width, height, isShort, quantum, grey, upright }, payload, onTurn, onCost) {
   if (!payload.length) return;
-  const [symbol, fetch, take, number, read, isEnded] = newCoder(payload, isShort, told);
+  const [symbol, fetch, take, number, bytesRead, isEnded] = newCoder(payload, isShort, onCost);
   const whole = ([least, bits, , state, row]) => least + take(bits, state, row);
   const numberIf = (condition, state, row) => (condition ? number(state, row) : NONE);
-  const isWhole = () => read() <= payload.length;
+  const isWhole = () => bytesRead() <= payload.length;
   const most = min(width * height, 2 ** 24, 8 * payload.length + 64);
   fetch(6);
   let k = 28 - take(6);
@@ -35,7 +35,7 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
     let t = 0;
     for (let mean = floor((columns * rows) / max(n, 1)); mean >= 8; mean /= 2) t++;
     t = min(t, 24);
-    // Each turn has cell and colour of the next Gaussian, and shape and place of the one before it.
+    // A turn holds cell and colour of the next Gaussian, then shape and place of the one before it.
     let [cell, colour, square, h, uBits] = [0, [], 0, 0, 0]; // of the one before
     for (let i = 0; i <= n && n; i++) {
       const isMore = i < n;
@@ -69,9 +69,9 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
         const within = parts.map((bits) => (take(bits, SHAPE, DISTANCE) + 0.5) / 2 ** bits);
         const place = within.map((part, axis) => (even(cell, axis) - 2 + part) * side);
         refuseUnless(isWhole(), "it ends too early");
-        found([...place, ...valuesOf(quantum, k, h, (u + 0.5) / 2 ** uBits, v, r, colour)].map(fround), read());
+        onTurn([...place, ...valuesOf(quantum, k, h, (u + 0.5) / 2 ** uBits, v, r, colour)].map(fround), bytesRead());
       }
-      WHOLE: if (!i) found();
+      WHOLE: if (!i) onTurn();
       cell += far * 2 ** t + low;
       colour = next;
       if (isMore) {
@@ -90,16 +90,17 @@ export function readGaussians({ width, height, isShort, quantum, grey, upright }
   refuseUnless(isEnded(), "its end is wrong");
 }
 
+/** Which of a colour's models is next, by the symbol before. */
 const level = ([, , symbol]) => (symbol > 0) + (symbol > 2) + (symbol > 5);
 
-/** The bits of a number below 2^32 for one of the axes: every other one. */
+/** The bits that a cell below 2^32 has for one axis: every other one. */
 function even(cell, axis) {
   let n = 0;
   for (let rest = cell >>> axis, bit = 1; rest; rest >>>= 2, bit *= 2) n += rest & 1 && bit;
   return n;
 }
 
-/** How often an integer can be halved. Its digits are exact, logarithms are not. */
+/** The logarithm to base two of an integer, rounded down. Its digits are exact, Math.log2 is not. */
 const log2 = (x) => x.toString(2).length - 1;
 
 /** The logarithm to base two in sixteenths, linear between powers of two. */
@@ -119,7 +120,7 @@ function lgOfSquares(h, r) {
   return lg(squares);
 }
 
-/** By how many bits the cell is divided along x and y. */
+/** How many bits divide the cell along x and along y. */
 function partBits(k, square, h, u, v, r) {
   const within = floor(16 * u) - 8;
   const aspect = floor((46 * v) / 2 ** h);
@@ -130,7 +131,7 @@ function partBits(k, square, h, u, v, r) {
   return [along, across].map((bits) => min(max((bits >> 5) + 1, 0), 16));
 }
 
-/** Its last bit is the same everywhere. */
+/** Math.exp, but with the same last bit everywhere. */
 function exponential(x) {
   const z = x / 1024;
   let e = 1 + z * (1 + z * (0.5 + z * (0.16666666666666666 + z * 0.041666666666666664)));
@@ -138,7 +139,7 @@ function exponential(x) {
   return e;
 }
 
-/** From integers to what is drawn. */
+/** What a Gaussian's integers stand for: l1, l2, l3, red, green, blue. */
 function valuesOf(quantum, k, h, u, v, r, colour) {
   const step = 2 ** -h;
   const size = (k & 1 ? 1.4142135623730951 : 1) * 2 ** (k >> 1);

@@ -1,3 +1,3 @@
-// Functions by the names by which formulas know them.
+// Math's functions by the names that formulas have for them.
 
 export const { ceil, exp, floor, fround, max, min, sqrt } = Math;

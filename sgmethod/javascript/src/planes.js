@@ -8,10 +8,10 @@ const KEPT = (1 - EDGE * (1 + CUTOFF + (CUTOFF * CUTOFF) / 2)) / (1 - EDGE * (1 
 const NARROWEST = 1.4;
 export const TOP_LEVEL = 12;
 
-/** Halves to the even number. */
+/** The nearest integer; the even one of two. */
 export const rounded = (x) => (x % 1 === 0.5 ? 2 * Math.round(x / 2) : Math.round(x));
 
-/** A Gaussian as the view shows it: with the low-pass filter of smaller views. Then the level on which it is drawn. */
+/** A Gaussian as a view shows it, after the low-pass filter of smaller views, and the level on which it is drawn. */
 function placed([x, y, l1, l2, l3, ...colour], view) {
   const [a, b, d] = [view.sx * l1, view.sy * l2, view.sy * l3];
   const [vx, vy] = [view.sx, view.sy].map((scale) => max(1 - scale * scale, 0) / (12 * KEPT));
@@ -22,7 +22,8 @@ function placed([x, y, l1, l2, l3, ...colour], view) {
   return onLevel([...at, wide, a * (b / wide), high, ...colour.map((value) => gain * value)].map(fround));
 }
 
-/** In samples of its level, narrower and stronger. Places are counted from two samples before the picture. */
+/** A Gaussian in samples of its level, narrower by what enlarging will widen, and stronger. Above level 0, places count
+ * from two samples before the picture. */
 function onLevel(g) {
   const [x, y, l1, l2, l3, ...colour] = g;
   const xx = l1 * l1;
@@ -81,7 +82,7 @@ function add({ left, top, width, height, samples }, [x, y, l1, l2, l3, red, gree
   }
 }
 
-/** What a plane and one of the next level, enlarged by two, come to. `out` gets it, `stride` numbers for a sample. */
+/** Write the sum of a plane and the next level, enlarged by two, into `out`, `stride` numbers for a sample. */
 function addEnlarged({ left, top, width, height, samples }, coarse, out, stride) {
   const above = coarse.samples;
   const row = new Float32Array(3 * coarse.width);
@@ -99,8 +100,8 @@ function addEnlarged({ left, top, width, height, samples }, coarse, out, stride)
   }
 }
 
-/** Gaussians in a view, on a background: RGBA of 8 bits, row by row. addTo(plane, level) adds what else there is on a
- * level, `highest` at most; samples are in levels of 8 bits. */
+/** Draw Gaussians in a view, on a background: RGBA of 8 bits, row by row. addTo(plane, level) adds what else there is
+ * on a level, up to `highest`; samples are in levels of 8 bits. */
 export function drawGaussians(gaussians, background, view, highest = 0, addTo) {
   const drawn = gaussians.map((values) => placed(values, view));
   for (const g of drawn) highest = max(highest, g[8]);
@@ -119,7 +120,7 @@ export function drawGaussians(gaussians, background, view, highest = 0, addTo) {
   return data;
 }
 
-/** Give a picture the alpha that another has in its colours. */
+/** Take a picture's alpha from a grey picture. */
 export function setAlpha(data, grey) {
   for (let at = 3; at < data.length; at += 4) data[at] = grey[at - 1];
 }

@@ -2,14 +2,13 @@
 // fades it out once that has loaded. Without an <img> within, src, alt and so on on the element itself work as on one.
 // All that is drawn is in the element's shadow tree: nothing is written to the page's own elements.
 
-import { decodePreview } from "../decoder/preview.js";
+import { decodePreview } from "./preview.js";
 
 const SLICE_MS = 8; // of drawing at a time, so that a page of many stays responsive
 const FADE_MS = 300;
 // Properties of an <img>; in lower case, its attributes.
-const OF_IMG = ["loading", "decoding", "fetchPriority", "crossOrigin", "referrerPolicy", "alt", "width", "height"];
-OF_IMG.push("sizes", "srcset", "src");
-const WITHIN = `
+const OF_IMG = "loading decoding fetchPriority crossOrigin referrerPolicy alt width height sizes srcset src".split(" ");
+const SHADOW_STYLE = `
 :host { display: block; overflow: hidden; object-fit: cover }
 :host([hidden]), [hidden] { display: none }
 div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); position: relative; height: 100% }
@@ -18,12 +17,12 @@ div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inh
 ::slotted(picture) { display: contents }
 canvas { position: absolute; pointer-events: none }
 @media print { canvas { display: none } }`;
-// ::slotted() does not reach it. The rules of the page come first: the layer is below them.
-const AROUND = `@layer { sg-img > picture > img {
+// For what ::slotted() does not reach. The page's own rules win, since they are in no layer.
+const PAGE_STYLE = `@layer { sg-img > picture > img {
   grid-area: 1 / 1; width: 100%; height: 100%; object-fit: inherit; object-position: inherit } }`;
 
-const waiting = new Set(); // turns of elements, in order
-const sheets = new WeakMap(); // for each document: a style sheet belongs to one
+const waiting = new Set(); // elements' turns to draw, in order
+const sheets = new WeakMap(); // by document, since a style sheet belongs to one
 
 function later(turn) {
   waiting.add(turn);
@@ -43,7 +42,7 @@ function takeTurns() {
 function sheetsOf(page) {
   if (!sheets.has(page)) {
     const { CSSStyleSheet } = page.defaultView;
-    const made = [WITHIN, AROUND].map((text) => {
+    const made = [SHADOW_STYLE, PAGE_STYLE].map((text) => {
       const sheet = new CSSStyleSheet();
       sheet.replaceSync(text);
       return sheet;
@@ -57,7 +56,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
   static observedAttributes = ["preview", ...OF_IMG.map((name) => name.toLowerCase())];
   #own = document.createElement("img");
   #frame = document.createElement("div");
-  #canvas = null; // with the preview, while the photograph is not there
+  #canvas = null; // shows the preview until the photograph is there
   #drawn = null; // the text of that preview
 
   static {
@@ -95,10 +94,10 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
       delete this[name];
       this[name] = value;
     }
-    const [within, around] = sheetsOf(this.ownerDocument);
-    this.shadowRoot.adoptedStyleSheets = [within];
+    const [shadowSheet, pageSheet] = sheetsOf(this.ownerDocument);
+    this.shadowRoot.adoptedStyleSheets = [shadowSheet];
     const page = this.getRootNode();
-    if (!page.adoptedStyleSheets.includes(around)) page.adoptedStyleSheets.push(around);
+    if (!page.adoptedStyleSheets.includes(pageSheet)) page.adoptedStyleSheets.push(pageSheet);
     later(this.#update);
   }
 
@@ -125,7 +124,7 @@ export class SgImage extends (globalThis.HTMLElement ?? Object) {
       const canvas = document.createElement("canvas");
       [canvas.width, canvas.height] = [preview.width, preview.height];
       canvas.getContext("2d").putImageData(preview, 0, 0);
-      // It has to reserve the space if the photograph does not.
+      // The canvas reserves the space if the photograph does not.
       if (!img.hasAttribute("width") || !img.hasAttribute("height")) canvas.style.position = "static";
       this.#canvas?.remove();
       this.#frame.append(canvas);

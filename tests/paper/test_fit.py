@@ -1,4 +1,7 @@
-"""The fit of profile paper, and what fits are made of: colours by least squares, steps, schedule, clock and trace."""
+"""The fit of profile paper: colours by least squares, schedule, clock and trace, and whole fits.
+
+Gradients and steps have their tests with the backends (tests/backend).
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import CUTOFF_V1, Moments
+from sgmethod.backend.protocol import CUTOFF_V1
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.recorder import Recorder
@@ -25,7 +28,6 @@ from sgmethod.paper.fit import fit, level_of
 from sgmethod.paper.schedule import Schedule, Step
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
-from sgmethod.settings.shared import ADAM
 from sgmethod.start.placement import place
 from sgmethod.trace import TracePoint
 from tests.harness.data import PHOTOGRAPHS
@@ -94,73 +96,6 @@ def test_damping_is_that_of_a_ridge_weighed_by_energy() -> None:
         assert np.abs(found - ridge).max() < 1e-4  # worst seen 2e-6
 
 
-def test_more_steps_of_the_solver_do_not_make_it_worse() -> None:
-    image, shapes = small_case()
-    matrix, target = design(shapes, (17, 12)), image.reshape(-1, 3).astype(np.float64)
-    errors = []
-    for steps in (0, 1, 2, 4, 8, 16, 32):
-        colors = level(image).solve_colors(shapes, steps, damping=0.0).colors.astype(np.float64)
-        errors.append(np.square(matrix @ colors - target).sum())
-    assert errors[0] == pytest.approx(np.square(target).sum())
-    assert all(b <= a * (1 + 1e-6) for a, b in pairwise(errors))
-
-
-# --- gradients and the optimiser
-
-
-def test_gradients_are_those_of_the_mean_squared_error() -> None:
-    image, gaussians = small_case()
-    leaves = [torch.tensor(values).double().requires_grad_() for values in gaussians.arrays]
-    target = torch.from_numpy(image).double().permute(2, 0, 1)
-    mse = (reference.render(*leaves, (17, 12), CUTOFF_V1) - target).square().mean()
-    expected = torch.autograd.grad(mse, leaves)
-    found_mse, found = level(image).gradients(gaussians)
-    assert found_mse == pytest.approx(mse.item(), rel=1e-5)  # worst seen 2e-7
-    for mine, true in zip(found.arrays, expected, strict=True):
-        assert np.abs(mine - true.numpy()).max() < 1e-4 * true.abs().max()  # worst seen 5e-6
-
-
-def one_gaussian(scale: float) -> tuple[Gaussians, Gaussians]:
-    """A Gaussian and a gradient, the same but for the unit of length."""
-    values = [3.0 * scale, 4.0 * scale], [2.0 * scale, -1.0 * scale, 3.0 * scale], [0.5, 0.2, -0.1]
-    slopes = [0.3 / scale, -0.2 / scale], [0.1 / scale, 0.4 / scale, -0.7 / scale], [0.2, -0.3, 0.1]
-    one, gradient = (Gaussians(*(np.array([row], np.float32) for row in rows)) for rows in (values, slopes))
-    return one, gradient
-
-
-def step(gaussians: Gaussians, gradient: Gaussians, steps: int, rate: float = 1.0) -> None:
-    moments = Moments.none(len(gaussians))
-    for _ in range(steps):
-        KERNELS.step(gaussians, gradient, moments, ADAM, rate, 1)
-
-
-def test_a_step_is_relative_to_the_gaussians_own_scale() -> None:
-    moved = []
-    for scale in (1.0, 16.0):
-        one, gradient = one_gaussian(scale)
-        step(one, gradient, 5)
-        moved.append((one.means / np.float32(scale), one.factors / np.float32(scale), one.colors))
-    for near, far in zip(*moved, strict=True):
-        np.testing.assert_allclose(near, far, rtol=1e-5, atol=0)  # worst seen 0: 16 is a power of two
-
-
-@pytest.mark.parametrize("rate", [1e-3, 0.1])
-def test_a_step_lowers_the_error(rate: float) -> None:
-    image, shapes = small_case()
-    gaussians = level(image).solve_colors(shapes, 10)
-    before, gradient = level(image).gradients(gaussians)
-    step(gaussians, gradient, 1, rate)
-    after, _ = level(image).gradients(gaussians)
-    assert after < before
-
-
-def test_no_scale_falls_below_the_least() -> None:
-    one, gradient = one_gaussian(0.2)
-    gradient.factors[:] = 5.0, 0.0, 5.0
-    step(one, gradient, 100)
-    assert one.factors[0, 0] == one.factors[0, 2] == np.float32(ADAM.min_scale_px)
-
-
 # --- schedule, clock, trace
 
 
@@ -194,10 +129,7 @@ def test_a_time_limit_shortens_the_schedule() -> None:
     assert clock.now == pytest.approx(2.0, abs=0.1)
     assert rates[-1] == pytest.approx(0.03, abs=0.01)
     assert rates == sorted(rates, reverse=True)
-
-
-def test_a_limit_that_has_passed_leaves_one_step() -> None:
-    for limit_s in (1e-9, -5.0):
+    for limit_s in (1e-9, -5.0):  # which has passed
         assert Schedule("fit", 1000, 0.03).run(Deadline(SlowClock(), limit_s), recorder(), falling()) == 1
 
 
@@ -267,50 +199,11 @@ def test_a_fit_improves_the_picture_and_leaves_a_trace(profile: PaperSettings) -
     assert points[-1].psnr > points[0].psnr + 3
 
 
-def grey(values: NDArray[np.float64]) -> FloatArray:
-    return np.repeat(values[:, :, None], 3, 2).astype(np.float32)
-
-
-EXTREMES = {
-    "black": lambda: grey(np.zeros((30, 40))),
-    "white": lambda: grey(np.ones((30, 40))),
-    "checkerboard": lambda: grey(np.indices((30, 40)).sum(0) % 2 * 1.0),
-    "one white pixel": lambda: grey(np.pad([[1.0]], ((11, 18), (9, 30)))),
-    "step": lambda: grey((np.indices((30, 40))[1] > 19) * 1.0),
-    "noise": lambda: np.random.default_rng(0).random((30, 40, 3)).astype(np.float32),
-    "1 x 1": lambda: grey(np.ones((1, 1))),
-    "2 x 2": lambda: grey(np.eye(2)),
-    "row": lambda: grey(np.random.default_rng(0).random((1, 300))),
-    "column": lambda: grey(np.random.default_rng(0).random((300, 1))),
-}
-
-
-@pytest.mark.parametrize("name", EXTREMES)
-def test_extreme_pictures_stay_finite(name: str) -> None:
-    image = EXTREMES[name]()
-    pixels = image.shape[0] * image.shape[1]
-    for n in sorted({1, min(40, pixels), pixels}):
-        kept = recorder()
-        fitted, _ = fit(level(image), started(image, n), replace(PAPER, fit_steps=80), kept, unlimited())
-        assert all(np.isfinite(array).all() for array in fitted.arrays)
-        assert (fitted.factors[:, [0, 2]] >= np.float32(ADAM.min_scale_px)).all()
-        assert all(math.isfinite(p.psnr) for p in kept.points)
-        assert psnr_of(fitted, image) > kept.points[0].psnr - 3  # -0.8 seen, from 46.5 dB on; mostly far above
-
-
 def test_nothing_to_draw_is_soon_done() -> None:
     image = np.zeros((30, 40, 3), np.float32)
     fitted, steps = fit(level(image), started(image, 20), replace(PAPER, fit_steps=400), recorder(), unlimited())
     assert steps < 200
     assert not fitted.colors.any()
-
-
-def test_the_same_start_gives_the_same_fit() -> None:
-    start = started(photo(), 60)
-    fits = [fit(level(photo()), start, replace(PAPER, fit_steps=40), recorder(), unlimited())[0] for _ in range(2)]
-    for one, other in zip(*(f.arrays for f in fits), strict=True):
-        assert np.array_equal(one, other)
-    assert np.array_equal(start.colors, started(photo(), 60).colors)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 0.0])

@@ -1,9 +1,17 @@
-// The decoder in a worker, beside the page: it keeps opened files by a number and draws views of them, on white.
+// The decoder in a worker: keeps opened files by a number and draws views of them, over white.
 
-import { draw, layOverWhite } from "./drawing.js";
-import { readFile } from "./file.js";
+import { draw } from "../sgmethod/drawing.js";
+import { readFile } from "../sgmethod/file.js";
 
 const files = new Map();
+
+function layOverWhite(data) {
+  for (let at = 0; at < data.length; at += 4) {
+    const share = data[at + 3] / 255;
+    for (let c = 0; c < 3; c++) data[at + c] = data[at + c] * share + 255 * (1 - share);
+    data[at + 3] = 255;
+  }
+}
 
 const answers = {
   open({ key, bytes }) {
@@ -14,7 +22,7 @@ const answers = {
   draw({ key, ...view }) {
     const file = files.get(key);
     const picture = draw(file, view);
-    if (file.alpha) layOverWhite(picture);
+    if (file.alpha) layOverWhite(picture.data);
     return picture;
   },
   close({ key }) {

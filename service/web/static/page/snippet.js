@@ -1,13 +1,12 @@
-// A page that shows a picture without any other file: the decoder is in it.
+// HTML that holds a picture and the decoder that draws it.
 
-import { withoutSuffix } from "../page/words.js";
+import { withoutSuffix } from "./words.js";
 
 const SOURCES = ["math", "models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
 
-/** HTML that shows the picture from its .sg file, with the decoder in it: no other file is needed. The picture's name is
- * the text for those who do not see it. */
+/** HTML that shows a picture from its .sg file, and needs no other file. The picture's name is its label. */
 export async function snippetOf(item) {
-  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/decoder/${name}.js`)).text()));
+  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/sgmethod/${name}.js`)).text()));
   const decoder = sources
     .join("\n")
     .replace(/^(import|export) \{.*$/gm, "")

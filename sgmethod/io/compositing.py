@@ -1,4 +1,4 @@
-"""Pictures that can be seen through, as they look on a background."""
+"""Transparent pictures composited over a background."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ Pixels = NDArray[np.uint8]
 BLACK, WHITE = 0, 255
 
 
-def laid_over(pixels: Pixels, level: int) -> Pixels:
-    """Pixels [H, W, 4] on a background of one grey level: [H, W, 3], level * alpha + background * (1 - alpha)."""
+def composited(pixels: Pixels, level: int) -> Pixels:
+    """Composite pixels [H, W, 4] over one grey level: [H, W, 3], value * alpha + level * (1 - alpha)."""
     out = np.empty((*pixels.shape[:2], 3), np.uint8)
     for to, row in zip(out, pixels, strict=True):
         share = row[:, 3:].astype(np.float32) / 255
@@ -19,8 +19,7 @@ def laid_over(pixels: Pixels, level: int) -> Pixels:
 
 
 def on_backgrounds(pixels: Pixels) -> Pixels:
-    """[1, H, W, 3] of an opaque picture; [2, H, W, 3], on black and on white, of one with alpha, of which
-    two are compared on both."""
+    """Pictures to compare: [1, H, W, 3] if opaque, else [2, H, W, 3], composited over black and over white."""
     if pixels.shape[2] == 3:
         return pixels[None]
-    return np.stack([laid_over(pixels, BLACK), laid_over(pixels, WHITE)])
+    return np.stack([composited(pixels, BLACK), composited(pixels, WHITE)])
