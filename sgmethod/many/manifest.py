@@ -89,7 +89,7 @@ class Manifest:
                     raise SgError(f"{self._path} is damaged in line {number}: remove that line") from error
 
     def key(self, source: str | None) -> str:
-        """Hash version, options, and the picture's size and time: they decide the file's bytes. Empty for a missing file."""
+        """Hash what decides the bytes: version, options, the picture's size and time. Empty for a missing picture."""
         try:
             seen = None if source is None else Path(source).stat()
         except (OSError, ValueError):
