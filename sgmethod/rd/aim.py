@@ -20,18 +20,23 @@ from sgmethod.settings.rd import RdSettings, Times
 
 @dataclass(frozen=True)
 class Aim(RateControl, ABC):
-    """Rate control for a quality of aim_db."""
+    """Rate control for a quality of aim_db.
+
+    tries: limit on the files with different quanta; steering_limit: largest factor by which the quantum changes at one
+    time; refined_db: quality that refining will add; below_best_db: distance below the best try that will do if the aim
+    is out of reach; round_slack_db: a smaller miss is not worth another round.
+    """
 
     aim_db: float = 0.0
+    tries: int = 1
+    steering_limit: float = 1.0
+    refined_db: float = 0.0
+    below_best_db: float = 0.0
+    round_slack_db: float = 0.0
 
     @abstractmethod
     def reached(self, picture: Measured) -> float:
         """Measure the quality of a picture in dB."""
-
-    @property
-    @abstractmethod
-    def tries(self) -> int:
-        """Limit on the files with different quanta."""
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Steer towards the quality; early in the growth, a larger error than the final one is right."""
@@ -39,25 +44,15 @@ class Aim(RateControl, ABC):
             return quantum
         s = self.settings.rate
         missing = max(1 - (at - times.steering_from) / (times.early_until - times.steering_from), 0)
-        above = self.reached(fitted) - self.aim_db + self._refined_db()
+        above = self.reached(fitted) - self.aim_db + self.refined_db
         exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
         ratio = 2 ** ((above + times.early_db * missing) / s.db_per_doubling * exponent)
         # If rounding loses next to nothing, a finer quantum cannot add what is missing.
         if ratio < 1 and at > times.growth_at[-1] and fitted.lost_db < min(s.missed_db, -above):
             return quantum
-        return float(quantum * min(max(ratio, 1 / self._steering_limit), self._steering_limit))
-
-    @property
-    def _steering_limit(self) -> float:
-        """Largest factor by which the quantum changes at one time."""
-        return self.settings.rate.steering_limit
-
-    def _refined_db(self) -> float:
-        """Quality that refining will add."""
-        return 0.0
+        return float(quantum * min(max(ratio, 1 / self.steering_limit), self.steering_limit))
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
-        """The fit's, which was steered towards the quality."""
         return quantum
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
@@ -79,8 +74,7 @@ class Aim(RateControl, ABC):
         return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.most_spared)))
 
     def is_missed(self, files: Iterable[Coded]) -> bool:
-        """Whether all files are below the quality."""
-        return max(map(self.reached, files)) < self.aim_db
+        return max(map(self.reached, files)) < self.aim_db - self.round_slack_db
 
     def merit(self, coded: Coded) -> tuple[float, float]:
         """Quality up to the one asked for, then size."""
@@ -100,12 +94,7 @@ class Aim(RateControl, ABC):
         octaves = math.log2(finer.stream.quantum / finest.stream.quantum)
         if reached(finest) - reached(finer) >= s.least_gain * s.db_per_doubling * octaves:
             return self.aim_db
-        return best - self._below_best_db
-
-    @property
-    def _below_best_db(self) -> float:
-        """Distance below the best try that will do if the quality asked for is out of reach."""
-        return 0.0
+        return best - self.below_best_db
 
     def _nearer(self, tried: Sequence[Coded]) -> float | None:
         """Quantum at which the line through the two nearest tries reaches the aim, or a little more."""
@@ -133,30 +122,25 @@ class PsnrAim(Aim):
     def of(cls, psnr: float, pixels: int, settings: RdSettings) -> PsnrAim:
         """Create the aim for a picture of `pixels` pixels, with about the quantum that a photograph needs."""
         s = settings.rate
-        quantum = 0.1 * 2 ** ((34 - psnr) / s.db_per_doubling)
-        return cls(settings, pixels, min(quantum, s.coarsest_of_aim), aim_db=psnr)
+        quantum = min(0.1 * 2 ** ((34 - psnr) / s.db_per_doubling), s.coarsest_of_aim)
+        return cls(
+            settings,
+            pixels,
+            quantum,
+            further_rounds=settings.schedule.rounds_for_psnr,
+            aim_db=psnr,
+            tries=s.aim_tries,
+            steering_limit=s.steering_limit,
+            below_best_db=s.missed_db,
+        )
 
     def reached(self, picture: Measured) -> float:
         """PSNR in dB."""
         return picture.psnr
 
-    @property
-    def tries(self) -> int:
-        """As many as for any budget."""
-        return self.settings.rate.aim_tries
-
-    @property
-    def further_rounds(self) -> int:
-        """As many as have helped to reach a PSNR."""
-        return self.settings.schedule.rounds_for_psnr
-
     def allows(self, psnr: Callable[[], float]) -> bool:
         """Whether about the PSNR is left: after growth, no Gaussian would come back."""
         return psnr() >= self.aim_db - self.settings.prune.missed_db
-
-    @property
-    def _below_best_db(self) -> float:
-        return self.settings.rate.missed_db
 
 
 @dataclass(frozen=True)
@@ -176,40 +160,29 @@ class LooksAim(Aim):
         quantum *= 2 ** ((looks_db(known) - aim) / s.db_per_doubling)
         if min(size) < s.looks_small[0]:
             quantum *= s.looks_small[1]
-        return cls(settings, size[0] * size[1], min(quantum, s.coarsest_of_aim), aim_db=aim)
+        return cls(
+            settings,
+            size[0] * size[1],
+            min(quantum, s.coarsest_of_aim),
+            further_rounds=settings.schedule.rounds_for_looks,
+            aim_db=aim,
+            tries=s.looks_tries,
+            steering_limit=s.looks_limit,
+            refined_db=s.looks_refined_db if settings.effort.refine_sweeps else 0.0,
+            round_slack_db=s.slack_db,
+        )
 
     def reached(self, picture: Measured) -> float:
         """SSIMULACRA 2, as looks_db() counts it."""
         return picture.looks_db
 
-    @property
-    def tries(self) -> int:
-        """Fewer than for a PSNR, as measuring takes longer."""
-        return self.settings.rate.looks_tries
-
-    @property
-    def further_rounds(self) -> int:
-        """As many as have helped to reach looks."""
-        return self.settings.schedule.rounds_for_looks
-
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
         """Steer seldom: measuring looks takes as long as steps."""
         return super().steered(quantum, times, at, fitted) if at in times.looks_at else quantum
 
-    @property
-    def _steering_limit(self) -> float:
-        return self.settings.rate.looks_limit
-
-    def _refined_db(self) -> float:
-        return self.settings.rate.looks_refined_db if self.settings.effort.refine_sweeps else 0.0
-
     def affords(self, texture: Codes) -> bool:
         """Never: SSIMULACRA 2 counts texture as an error."""
         return False
-
-    def is_missed(self, files: Iterable[Coded]) -> bool:
-        """Whether all files are clearly below the looks: less than a point is not worth another round."""
-        return max(map(self.reached, files)) < self.aim_db - self.settings.rate.slack_db
 
     def finer(self, quantum: float, files: Iterable[Coded]) -> float:
         """Return the quantum for a further round, given the files that missed the looks."""

@@ -34,7 +34,6 @@ class ByteLimit(RateControl):
         return min(self.pixels, int(settings.densify.most * self.expected_gaussians()))
 
     def payload_limit(self, empty: StreamV5) -> int:
-        """The bytes that an empty file leaves."""
         return max(self.max_bytes - empty.file_bytes, 0)
 
     def affords(self, texture: Codes) -> bool:
@@ -42,7 +41,6 @@ class ByteLimit(RateControl):
         return len(pack(texture)) <= self.settings.objective.texture.share * self.max_bytes
 
     def merit(self, coded: Coded) -> tuple[float, float]:
-        """Error alone."""
         return -coded.error, -coded.size
 
 
@@ -73,7 +71,6 @@ class ByteBudget(ByteLimit):
         return replace(self, is_short=self.max_bytes < LONG_FILE)
 
     def expected_gaussians(self) -> int:
-        """As many as there are bytes for."""
         return max(min(self._gaussians_by_size(), self.pixels), 1)
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
@@ -111,5 +108,4 @@ class ByteBudget(ByteLimit):
         return last.stream.quantum * float(used**s.quantum_per_size)
 
     def is_cut_short(self, size: int, limit: int) -> bool:
-        """Whether it is far above the limit."""
         return size > self.settings.rate.far_from_size * limit

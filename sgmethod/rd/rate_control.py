@@ -110,14 +110,15 @@ class Coded:
 class RateControl:
     """Rate control for a quality: the quantum stays as asked. Other kinds override what they answer differently.
 
-    pixels: size of the picture; quantum: the first one; is_short: the file is to be a short one. Times (`at`) are parts
-    of a run of the schedule, 0 to 1.
+    pixels: size of the picture; quantum: the first one; is_short: the file is to be a short one; further_rounds: beyond
+    those of the effort, while the budget is missed. Times (`at`) are parts of a run of the schedule, 0 to 1.
     """
 
     settings: RdSettings
     pixels: int
     quantum: float
     is_short: bool = False
+    further_rounds: int = 0
 
     # --- asked while Gaussians are fitted
 
@@ -180,11 +181,6 @@ class RateControl:
 
     # --- asked once files are made
 
-    @property
-    def further_rounds(self) -> int:
-        """Rounds beyond those of the effort while the budget is missed."""
-        return 0
-
     def is_missed(self, files: Iterable[Coded]) -> bool:
         """Whether none of the files has the quality that was asked for."""
         return False
@@ -212,7 +208,6 @@ class GaussianCount(RateControl):
         return cls(settings, pixels, quantum, max_gaussians=max_gaussians)
 
     def expected_gaussians(self) -> int:
-        """The limit."""
         return self.max_gaussians
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
@@ -220,5 +215,4 @@ class GaussianCount(RateControl):
         return min(self.pixels, int(self.max_gaussians * excess(times, at)))
 
     def merit(self, coded: Coded) -> tuple[float, float]:
-        """Error alone."""
         return -coded.error, -coded.size
