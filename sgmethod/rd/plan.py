@@ -18,7 +18,7 @@ from sgmethod.fitting.moving_target import MovingTarget
 from sgmethod.rd.rate_control import error_per_bit
 from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import RdSettings, Times, hurried, sized
+from sgmethod.settings.rd import EFFORTS, RdSettings, Times
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,29 @@ def _within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
     optimiser, spacing = settings.fit.optimiser, pyramid.finest.frame.spacing
     narrowest = optimiser.min_scale_px if spacing == 1 else settings.pyramid.narrowest * spacing
     return replace(settings, fit=replace(settings.fit, optimiser=replace(optimiser, min_scale_px=narrowest)))
+
+
+def sized(settings: RdSettings, pixels: int) -> RdSettings:
+    """Adapt settings to a picture of so many pixels: a large one gets fewer steps, and reduced pictures for longer."""
+    s, effort = settings.schedule, settings.effort
+    small, large = s.large
+    share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
+    later = max(s.large_few_until - effort.times.few_until, 0.0)
+    times = replace(effort.times, few_until=effort.times.few_until + share * later)
+    steps = round(effort.steps * (1 - share * (1 - s.large_steps)))
+    return replace(settings, effort=replace(effort, steps=steps, times=times))
+
+
+def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
+    """Reduce settings, already sized(), to a number of steps.
+
+    The effort stays if it fits, else it becomes the highest lower effort that fits, else the lowest with fewer
+    Gaussians.
+    """
+    lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
+    choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
+    few = replace(choices[-1].densify, most=settings.deadline.most_hurried)
+    return next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
 
 
 @dataclass(frozen=True)
