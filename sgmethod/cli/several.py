@@ -47,7 +47,7 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
     if not arguments.quiet:
         figures = outcome.figures
         files.print_lines("note", outcome.input, outcome.notes)
-        files.print_lines("warning", outcome.input, figures.get("warnings", []))  # older servers have none
+        files.print_lines("warning", outcome.input, figures.get("warnings", []))
         files.print_lines("advice", outcome.input, filter(None, [figures.get("advice")]))
 
 
