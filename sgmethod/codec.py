@@ -41,7 +41,7 @@ from sgmethod.rd.request import Request
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
 from sgmethod.settings.shared import Tune
-from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
+from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
 Pixels = NDArray[np.uint8]
 Measure = Callable[[Pixels, Pixels], float | None]  # (picture, source) -> figure
@@ -191,7 +191,7 @@ def encode(
         budget = unasked(width, height, smallest_file(settings, has_alpha=channels == 4))
     deadline_settings = settings.deadline if isinstance(settings, RdSettings) else None
     deadline = Deadline(clock, limit_s, width * height, deadline_settings)
-    recorder = Recorder(clock, on_progress, on_preview or shown_to_nobody)
+    recorder = Recorder(clock, on_progress, on_preview)
     if isinstance(settings, RdSettings):
         data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed, backend)
     else:

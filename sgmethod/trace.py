@@ -32,7 +32,3 @@ class TracePoint:
 Progress = Callable[[TracePoint], None]
 Stop = Callable[[], bool]
 Preview = Callable[[bytes], None]
-
-
-def shown_to_nobody(_: bytes) -> None:
-    """The default preview callback."""

@@ -35,7 +35,7 @@ class Outcome(Row):
 
     @classmethod
     def of(cls, conversion: Conversion, **made: Any) -> Outcome:
-        """The result of this conversion, with what is known of it."""
+        """Create the result of a conversion."""
         return cls(Path(conversion.target).name, conversion.source, target=conversion.target, **made)
 
 
@@ -47,7 +47,7 @@ def say_notes(outcome: Outcome, arguments: argparse.Namespace) -> None:
     if not arguments.quiet:
         figures = outcome.figures
         files.print_lines("note", outcome.input, outcome.notes)
-        files.print_lines("warning", outcome.input, figures.get("warnings", []))  # older servers have none
+        files.print_lines("warning", outcome.input, figures.get("warnings", []))
         files.print_lines("advice", outcome.input, filter(None, [figures.get("advice")]))
 
 
@@ -97,12 +97,12 @@ def convert_all(
 
 
 def _beside(arguments: argparse.Namespace) -> TextIO:
-    """Where text goes: with --json, stdout has nothing else."""
+    """Stream for text: with --json, stdout has nothing else."""
     return sys.stderr if getattr(arguments, "json", False) else sys.stdout
 
 
 class _Report:
-    """Prints a line for each outcome, and progress on a terminal."""
+    """Printer of a line for each outcome, and of progress on a terminal."""
 
     def __init__(self, whole: int, arguments: argparse.Namespace) -> None:
         self.failed: list[Outcome] = []
@@ -111,7 +111,7 @@ class _Report:
         self._show_count(0, "")
 
     def show(self, outcome: Outcome, tally: Tally) -> None:
-        """Print what there is to say of an outcome."""
+        """Print a line for an outcome."""
         done = tally.encoded + tally.failed
         pace = f", {tally.per_second:.3g} pictures/s{remaining(tally.seconds, done / self._whole)}"
         self.clear()  # or what is said would stand behind it
@@ -137,12 +137,12 @@ class _Report:
 
 
 def tasks_of(conversions: list[Conversion]) -> list[Task[Outcome]]:
-    """A task for each conversion."""
+    """Create a task for each conversion."""
     return [Task(one, Outcome.of(one)) for one in conversions]
 
 
 def outcomes(tasks: list[Task[Outcome]], convert: Convert, arguments: argparse.Namespace) -> Finished[Outcome]:
-    """The outcomes, as they finish."""
+    """Yield outcomes as they finish."""
     make = partial(caught, partial(_converted, convert, arguments))
     return here(make, tasks, min(getattr(arguments, "jobs", 1), len(tasks)))
 

@@ -105,7 +105,7 @@ class Client:
                 job = self.wait(job_id, on_progress)
                 data = self.bitstream(job_id)
             trace = [_point(point) for point in job["trace"]]
-            return RemoteEncoded(data, job["result"], trace, job.get("notes", []))  # older servers have none
+            return RemoteEncoded(data, job["result"], trace, job["notes"])
         finally:
             self._remove_if_there(job_id)
 
@@ -222,9 +222,8 @@ def _query(
     budget: Budget, profile: str, tune: str | None, effort: int, time_limit_s: float | None, priority: Priority
 ) -> Json:
     """Query parameters of an encode."""
-    wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
+    wanted = {budget.kind: budget.value, "profile": profile, "tune": tune, "effort": effort}
     wanted |= {"priority": priority, "time_limit_s": time_limit_s}
-    wanted |= {"effort": None if effort == DEFAULT_EFFORT else effort}  # which older servers do not know
     return {name: value for name, value in wanted.items() if value is not None}
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from sgmethod.fitting.deadline import Clock
-from sgmethod.trace import Preview, Progress, TracePoint, shown_to_nobody
+from sgmethod.trace import Preview, Progress, TracePoint
 
 REPORT_INTERVAL_S = 0.1
 
@@ -18,7 +18,7 @@ class Recorder:
 
     clock: Clock
     on_progress: Progress | None = None
-    preview: Preview = shown_to_nobody
+    preview: Preview | None = None
     points: list[TracePoint] = field(default_factory=list)
     _slow_s: list[float] = field(default_factory=list)  # duration of the last measurement for the trace
 

@@ -1,4 +1,4 @@
-"""A run over a caller's pictures, whose files go to a folder that has a manifest."""
+"""Files of a caller's pictures in a folder that has a manifest."""
 
 from __future__ import annotations
 
@@ -27,8 +27,11 @@ def into_folder(
     resume: bool,
     on_row: OnRow[Row] | None,
 ) -> Tally:
-    """Make files of pictures in a folder that has a manifest. options: what decides the files, besides the pictures;
-    finish: writes the files of tasks into a folder. Raises SgError and OSError, as encode_many()."""
+    """Make files of pictures in a folder that has a manifest.
+
+    options: everything besides the pictures that decides the files; finish: writes the files of tasks into a folder.
+    Raises SgError and OSError, as encode_many() does.
+    """
     folder = own_path(output_dir)
     folder.mkdir(parents=True, exist_ok=True)
     with Manifest(folder, options) as manifest:
@@ -37,7 +40,7 @@ def into_folder(
 
 
 def _tasks(items: Iterable[Item]) -> Iterator[Task[Row]]:
-    """Raises SgError for a name that is invalid or used twice."""
+    """Yield a task for each picture. Raises SgError for a name that is invalid or used twice."""
     names = set()
     for item in items:
         name, picture = item if isinstance(item, tuple) else (own_path(item).stem, item)
@@ -51,7 +54,7 @@ def _tasks(items: Iterable[Item]) -> Iterator[Task[Row]]:
 
 
 def written(make: Callable[[Any], Made], folder: Path, task: Task[Row]) -> Row:
-    """The row of a picture whose file is made and written into the folder."""
+    """Make a picture's file and write it into the folder."""
     data, figures, notes = make(task.picture)
     write_atomically(folder / task.row.name, data)
     return replace(task.row, bytes=len(data), figures=figures, notes=notes)

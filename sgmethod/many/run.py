@@ -1,5 +1,4 @@
-"""One run over many pictures, whoever makes the files: a line of the manifest for each, errors included, and how far it
-is."""
+"""A run over many pictures: resume, note each file or its error, count. Callers bring the tasks and who does them."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ from sgmethod.many.processes import KILLED, in_processes
 
 @dataclass(frozen=True)
 class Tally:
-    """A run so far. pictures: how many there are in all, None if that is not known; seconds: wall time."""
+    """Progress of a run. pictures: how many there are in all, None if unknown; seconds: wall time."""
 
     encoded: int = 0
     skipped: int = 0
@@ -32,13 +31,13 @@ class Tally:
 
     @property
     def seconds_left(self) -> float | None:
-        """The estimated time left, None if it is not known."""
+        """Estimated time left; None if unknown."""
         if self.pictures is None or not self.per_second:
             return None
         return (self.pictures - self.encoded - self.skipped - self.failed) / self.per_second
 
     def with_row(self, row: Row, seconds: float) -> Tally:
-        """One more line."""
+        """Return the tally with one more row."""
         failed = row.error is not None
         encoded, bytes = self.encoded + (not failed), self.bytes + row.bytes
         return replace(self, encoded=encoded, failed=self.failed + failed, bytes=bytes, seconds=seconds)
@@ -50,7 +49,7 @@ OnRow = Callable[[AnyRow, Tally], None]
 
 @dataclass(frozen=True)
 class Task(Generic[AnyRow]):
-    """A picture to make a file of. row: what its line has before that."""
+    """A picture to make a file of, and its row so far."""
 
     picture: Any
     row: AnyRow
@@ -61,14 +60,14 @@ Finished = Generator[tuple[Task[AnyRow], AnyRow | None], None, None]  # a row is
 
 
 class Run(Generic[AnyRow]):
-    """Tasks are skipped, finished and counted. pictures: how many there are, if that is known."""
+    """A run that notes its rows in a manifest, if it has one. pictures: how many there are, if known."""
 
     def __init__(self, manifest: Manifest | None = None, resume: bool = False, pictures: int | None = None) -> None:
         self._manifest, self._resume = manifest, resume
         self._began, self._tally = time.perf_counter(), Tally(pictures=pictures)
 
     def rest(self, tasks: Iterable[Task[AnyRow]]) -> Iterator[Task[AnyRow]]:
-        """Tasks with their keys, without those that are done if the run resumes another."""
+        """Yield tasks with their keys, except, if the run resumes another, those that are done."""
         for task in tasks:
             if self._manifest is None:
                 yield task
@@ -80,7 +79,7 @@ class Run(Generic[AnyRow]):
                 yield replace(task, row=row)
 
     def finish(self, finished: Finished[AnyRow], on_row: OnRow[AnyRow] | None = None) -> Tally:
-        """Note each row as it comes. Raises SgError if the manifest cannot be written."""
+        """Note each row as it comes, and return the totals. Raises SgError if the manifest cannot be written."""
         with closing(finished):
             for task, made in finished:
                 row = replace(task.row, error=KILLED) if made is None else made
@@ -93,7 +92,7 @@ class Run(Generic[AnyRow]):
 
 
 def here(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int) -> Finished[AnyRow]:
-    """Finish tasks on this machine: one after the other, or several at a time in processes of their own."""
+    """Finish tasks one after the other, or several at a time in processes of their own."""
     if jobs > 1:
         yield from in_processes(make, tasks, jobs)
         return
@@ -102,7 +101,7 @@ def here(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int) -> Finish
 
 
 def caught(make: Make[AnyRow], task: Task[AnyRow]) -> AnyRow:
-    """The row of a task, with its error if it has one."""
+    """Finish a task; a file that cannot be made is a row with its error."""
     try:
         return make(task)
     except MemoryError:

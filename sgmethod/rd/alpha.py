@@ -28,18 +28,19 @@ from sgmethod.rd.aim import Aim, LooksAim, PsnrAim
 from sgmethod.rd.byte_limit import ByteBudget, ByteLimit
 from sgmethod.rd.rate_control import GaussianCount, RateControl, looks_db
 from sgmethod.rd.request import Request
-from sgmethod.trace import Preview, shown_to_nobody
+from sgmethod.trace import Preview
 
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 
 
 def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
-    """The coded picture of a request with alpha [H, W], and the optimiser steps it took."""
+    """Encode a request with alpha [H, W]; return the coded picture and the optimiser steps it took."""
     pixels = continued(request.pixels, alpha)
     layer, error, steps = _alpha(request, pixels, alpha)
     deadline, objective = request.deadline, request.objective.under(pixels, draw_whole(layer)[..., 0])
-    recorder = replace(request.recorder, preview=_with_alpha(request.recorder.preview, layer))
+    preview = request.recorder.preview
+    recorder = replace(request.recorder, preview=preview and _with_alpha(preview, layer))
     rate = rate_beside_alpha(request.rate, layer, error)
     found: list[tuple[float, StreamV2]] = []
     for _ in deadline.tries(request.settings.alpha.tries):
@@ -54,12 +55,12 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
         found.append((missing, stream))
         if missing == 0:
             break
-        rate = rate.raised(missing)  # colours do not know all of the error: both layers are rounded and clamped
+        rate = rate.raised(missing)  # the colours' own error is not all of it: both layers are rounded and clamped
     return min(found, key=lambda one: one[0])[1], steps
 
 
 def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, float, int]:
-    """The coded alpha plane, the file's error if nothing else were wrong, and the steps it took."""
+    """Encode the alpha plane; return it, the error of a file with exact colours, and the steps it took."""
     s, steps = request.settings, 0
     rate, deadline = rate_of_alpha(request.rate), request.deadline.part(s.alpha.time)
     objective, recorder = Objective.of_alpha(alpha, s.objective), Recorder(request.recorder.clock)
@@ -84,7 +85,7 @@ def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, f
 
 
 def rate_of_alpha(rate: RateControl) -> RateControl:
-    """For the alpha plane, which goes first. Under a budget of bytes it takes what it is worth, up to a limit."""
+    """Share a budget with the alpha plane, which goes first: of bytes it takes what it is worth, up to a limit."""
     s = rate.settings.alpha
     quantum = min(s.coarser * rate.quantum, MAX_QUANTUM)
     if isinstance(rate, GaussianCount):
@@ -96,7 +97,7 @@ def rate_of_alpha(rate: RateControl) -> RateControl:
 
 
 def rate_beside_alpha(rate: RateControl, alpha: StreamV2, error: float) -> RateControl:
-    """For the colours beside an alpha plane; error: the mean squared one of the file, if only alpha were wrong."""
+    """Rate control for the colours beside an alpha plane. error: mean squared error of a file with exact colours."""
     if isinstance(rate, GaussianCount):
         used = len(alpha.gaussians()) if alpha.payload else 0
         return replace(rate, max_gaussians=max(rate.max_gaussians - used, 1))
@@ -114,7 +115,7 @@ def _allows(rate: RateControl, error: float) -> bool:
 
 
 def _reached(aim: Aim, decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
-    """What decoded pixels [H, W, 4] have of what is asked for, in dB."""
+    """Quality of decoded pixels [H, W, 4] in dB, as the aim counts it."""
     if not isinstance(aim, LooksAim):
         return -10 * math.log10(max(_error(decoded, pixels, alpha), 1e-12))
     found = map(ssimulacra2, on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha])))
@@ -122,14 +123,12 @@ def _reached(aim: Aim, decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
 
 
 def _error(decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
-    """The mean squared error of decoded pixels [H, W, 4], 1 being white."""
+    """Mean squared error of decoded pixels [H, W, 4], 1 being white."""
     return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha]))) / 10))
 
 
 def _with_alpha(preview: Preview, alpha: StreamV2) -> Preview:
-    """A preview that is given files with alpha."""
-    if preview is shown_to_nobody:
-        return preview
+    """Wrap a preview so that it is given files with alpha."""
 
     def shown(file: bytes) -> None:
         stream = container.parse(file)
@@ -140,8 +139,7 @@ def _with_alpha(preview: Preview, alpha: StreamV2) -> Preview:
 
 
 def continued(pixels: Pixels, alpha: Pixels) -> Pixels:
-    """Pixels [H, W, 3] in which those that alpha [H, W] hides continue their surroundings: means over ever larger
-    squares of visible pixels fill the gaps."""
+    """Replace pixels [H, W, 3] that alpha [H, W] hides by means over ever larger squares of visible pixels."""
     if alpha.all():
         return pixels
     share = np.asarray(alpha, np.float32) / np.float32(255)

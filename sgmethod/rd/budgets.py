@@ -1,4 +1,4 @@
-"""The rate control that a budget asks for."""
+"""The kind of rate control for each kind of budget."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from sgmethod.settings.rd import RdSettings
 
 
 def rate_of(budget: Budget, size: tuple[int, int], settings: RdSettings, *, has_alpha: bool = False) -> RateControl:
-    """The rate control for a picture of size (width, height). Raises BudgetError for a budget that no file can meet."""
+    """Create rate control for a picture of size (width, height). Raises BudgetError if no file can meet the budget."""
     pixels = size[0] * size[1]
     match budget.kind:
         case "quality":

@@ -12,28 +12,27 @@ from sgmethod.errors import BudgetError
 from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
 from sgmethod.settings.rd import RdSettings, Times
 
-LONG_FILE = 32  # bytes that surely hold the header that is not short, with alpha
+LONG_FILE = 32  # bytes that certainly hold a header that is not short, with alpha
 
 
 @dataclass(frozen=True)
 class ByteLimit(RateControl):
-    """A quantum that stays as it is, and a file of at most max_bytes."""
+    """Rate control for a file of at most max_bytes whose quantum is fixed."""
 
     max_bytes: int = 0
 
     def expected_gaussians(self) -> int:
-        """As many as the quantum makes, if there are bytes for them."""
+        """The quantum's number, if there are bytes for it."""
         return min(super().expected_gaussians(), max(self._gaussians_by_size(), 1))
 
     def _gaussians_by_size(self) -> int:
         return int(8 * self.max_bytes / self.settings.rate.bits_per_gaussian)
 
     def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
-        """Several times those expected: some take few bits."""
+        """Several times the expected number: some take few bits."""
         return min(self.pixels, int(settings.densify.most * self.expected_gaussians()))
 
     def payload_limit(self, empty: StreamV2) -> int:
-        """The bytes that an empty file leaves."""
         return max(self.max_bytes - empty.file_bytes, 0)
 
     def affords(self, texture: Codes) -> bool:
@@ -41,17 +40,16 @@ class ByteLimit(RateControl):
         return len(pack(texture)) <= self.settings.objective.texture.share * self.max_bytes
 
     def merit(self, coded: Coded) -> tuple[float, float]:
-        """The least error."""
         return -coded.error, -coded.size
 
 
 @dataclass(frozen=True)
 class ByteBudget(ByteLimit):
-    """A file of at most max_bytes, and about as many: the quantum is steered towards them."""
+    """Rate control for a budget of bytes: the quantum is steered so that the file uses them."""
 
     @classmethod
     def of(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
-        """A budget for a picture of so many pixels. Raises BudgetError if no file is as small."""
+        """Create the budget for a picture of `pixels` pixels. Raises BudgetError if no file is as small."""
         least = SMALLEST_FILE + has_alpha * SMALLEST_ALPHA
         if max_bytes < least:
             kind = "a file with alpha" if has_alpha else "a file of profile rd"
@@ -59,7 +57,7 @@ class ByteBudget(ByteLimit):
         return cls(settings, pixels, 0.0, is_short=max_bytes <= SHORT_BYTES).for_bytes(max_bytes)
 
     def for_bytes(self, max_bytes: int) -> ByteBudget:
-        """The same for another number of bytes, or as many as a file can use."""
+        """Return the same for another number of bytes, at most as many as a file can use."""
         max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.most_bytes * self.pixels)
         bits, s = 8 * max_bytes, self.settings
         # Of a picture with more pixels than its Gaussians need, reduced to as many. Quanta grow with a picture's side.
@@ -68,16 +66,18 @@ class ByteBudget(ByteLimit):
         return replace(self, quantum=quantum, max_bytes=max_bytes)
 
     def for_exact_background(self) -> ByteBudget:
-        """The same for a file that is not short and rounds no background, if the budget has the bytes for that."""
+        """Return the same for a file that keeps all bits of its background, if the budget has the bytes for that."""
         return replace(self, is_short=self.max_bytes < LONG_FILE)
 
     def expected_gaussians(self) -> int:
-        """As many as there are bytes for."""
         return max(min(self._gaussians_by_size(), self.pixels), 1)
 
     def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
-        """Towards the whole size and more from the first: the fine steps that this means serve Gaussians well while
-        they are few. Later there are more Gaussians than can stay, and those that gain least for their bits go."""
+        """Steer towards the whole size, and a surplus early.
+
+        Few Gaussians are served well by the fine steps that this means. Later there are more than can stay, and those
+        that gain least for their bits go.
+        """
         s = self.settings.rate
         if at < times.steering_from:
             return quantum
@@ -86,8 +86,8 @@ class ByteBudget(ByteLimit):
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
-        """The finest at which all Gaussians fit, by bisection. Even the coarsest may leave too much; then refining
-        drops some."""
+        """Find the finest at which all Gaussians fit, by bisection. If even the coarsest does not do, refining drops
+        some."""
         low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
         while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
             low, high = high, high + math.log(2)
@@ -99,8 +99,7 @@ class ByteBudget(ByteLimit):
         return math.exp(high)
 
     def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
-        """A finer one while bytes are left: refining makes files smaller, by a percent or, after a short fit, a
-        fifth."""
+        """Return a finer one while bytes are left: refining saves a percent or, after a short fit, a fifth."""
         s, last = self.settings.rate, tried[-1]
         used = last.size / max(limit, 1)
         if len(tried) > size_tries or used >= s.least_used or used == 0:
@@ -108,5 +107,4 @@ class ByteBudget(ByteLimit):
         return last.stream.quantum * float(used**s.quantum_per_size)
 
     def is_cut_short(self, size: int, limit: int) -> bool:
-        """Whether a fit ends far above the limit."""
         return size > self.settings.rate.far_from_size * limit

@@ -8,9 +8,9 @@ fit        move all of them together, under the price of their bits             
 settle     drop Gaussians beyond the number that the budget allows               densify.py
 search     quantise and refine with several quanta, keep the best file           search.py, quantise.py
 
-The schedule is a first run and rounds: as many as the effort has and time allows, and while looks or a PSNR are missed
-one more, or two. In a round more Gaussians than can stay are added and fitted, and those that gain least go. Alpha is
-two requests, composed in alpha.py.
+The schedule is a first run and rounds: as many as the effort has and time allows, and one or two more while looks or a
+PSNR are missed. A round adds and fits more Gaussians than can stay, and drops those that gain least. Alpha takes two
+requests, which alpha.py combines.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sgmethod.scene import Gaussians
 
 
 def encode(request: Request) -> tuple[StreamV2, int]:
-    """The coded picture of a request, and the optimiser steps it took."""
+    """Encode a request; return the coded picture and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
     pyramid = request.pyramid()

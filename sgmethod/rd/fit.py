@@ -1,4 +1,4 @@
-"""Fit: all Gaussians together move down the gradient of their error and of the price of their bits."""
+"""Fit: move all Gaussians together down the gradient of their error and of the price of their bits."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sgmethod.scene import Gaussians
 
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
-    """The state after the steps of a stage."""
+    """Take the steps of a stage."""
     state = _without_grain(plan, state, stage)
     request, s, size = plan.request, plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
@@ -34,7 +34,7 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
 
 
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
-    """With grain taken off the target, once the fit misses about as much of it as it will in the end."""
+    """Take grain off the target, once the fit misses about as much of it as it will in the end."""
     is_whole = plan.finest.frame.spacing == 1
     if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
         return state
@@ -45,7 +45,7 @@ def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
 def take_step(
     plan: Plan, level: Level, gaussians: Gaussians, moments: Moments, rate: float, quantum: float, price: float
 ) -> None:
-    """Move Gaussians, in place, by one step on a level. price: squared error of the whole picture that a bit costs."""
+    """Move Gaussians in place by one step on a level. price: squared error of the whole picture that a bit costs."""
     request, backend = plan.request, plan.request.backend
     _, gradient = level.gradients(gaussians)
     backend.add_rate_gradient(gaussians, gradient, quantum, price / request.samples)

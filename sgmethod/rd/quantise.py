@@ -1,4 +1,4 @@
-"""Quantise and refine: fitted Gaussians become the integers of a file, and its bytes."""
+"""Quantise and refine: fitted Gaussians become the integers of a file and its bytes."""
 
 from __future__ import annotations
 
@@ -18,15 +18,17 @@ from sgmethod.scene import Gaussians
 
 @dataclass(frozen=True)
 class PayloadLimit:
-    """Bytes that the payload may take, beside a texture if there is one."""
+    """Limit on the payload of a file, which may hold a texture beside it."""
 
     max_bytes: int
     texture: Codes | None
 
 
 def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, limit: PayloadLimit) -> Coded:
-    """The coded picture with this quantum within a limit, its integers refined one Gaussian at a time on the
-    target that the others leave (native/refine/refine.cpp)."""
+    """Code Gaussians with this quantum within a limit.
+
+    Their integers are refined one Gaussian at a time on the target that the others leave (native/refine/refine.cpp).
+    """
     request, s = plan.request, plan.settings
     is_short = request.rate.is_short
     quantum = StreamV2.coded_quantum(quantum, is_short)
@@ -42,7 +44,7 @@ def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, 
 
 
 def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_]) -> Gaussians:
-    """The Gaussians [N] of a coded picture after some steps on what those of them that are held [N] leave of it."""
+    """Take some steps with the Gaussians [N] of a coded picture, except those that are held [N]."""
     s, level = plan.settings.refine, replace(plan.finest, target=target)
     before = stream.gaussians()
     moving, moments = before.copy(), Moments.none(len(before))

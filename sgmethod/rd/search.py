@@ -1,4 +1,4 @@
-"""Search: the one loop that makes several files of a fit and keeps the best."""
+"""Search: make several files of a fit and keep the best."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sgmethod.scene import Gaussians
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
-    """The coded picture that meets the budget best, of those with several quanta.
+    """Code a fit with several quanta, and return the file that meets the budget best.
 
     rounds: completed. For each after the first, a random half of the Gaussians is fitted again to what rounding the
     others leaves, and all are refined again: refining alone finds no single change that helps.

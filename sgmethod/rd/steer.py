@@ -1,4 +1,4 @@
-"""Steer: the quantum follows the budget."""
+"""Steer: move the quantum to the budget."""
 
 from __future__ import annotations
 
@@ -11,13 +11,11 @@ from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.rd.aim import LooksAim
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.rate_control import Coded
-from sgmethod.trace import shown_to_nobody
 
 
 @dataclass(frozen=True)
 class FitNow:
-    """What a fit comes to if it is rounded and coded as it stands. Each quality is measured when it is first asked
-    for."""
+    """A fit as it would be coded now. Each quality is measured when it is first asked for."""
 
     plan: Plan
     state: State
@@ -45,10 +43,10 @@ class FitNow:
 
 
 def steer(plan: Plan, state: State, stage: Stage) -> State:
-    """The state with the file's size, and with the quantum that rate control wants for it."""
+    """Set the file's size, and the quantum that rate control wants for it."""
     request = plan.request
     now = FitNow(plan, state, request.stream(state.gaussians, state.quantum))
-    if request.recorder.preview is not shown_to_nobody:
+    if request.recorder.preview is not None:
         request.recorder.preview(container.serialise(now.stream))
     quantum = request.rate.steered(state.quantum, stage.times, stage.at, now)
     coded = StreamV2.coded_quantum(quantum, request.rate.is_short)
@@ -56,9 +54,9 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
 
 
 def once_more(plan: Plan, state: State, files: Iterable[Coded]) -> State:
-    """The state for a further round, where files miss what was asked for.
+    """Prepare a further round after files that missed the budget.
 
-    Looks count grain, and a file that aims at them has no texture in its place: growth is shown what was hidden, at a
+    Looks count grain, and a file that aims at them has no texture instead: growth is shown what was hidden, at a
     quantum that is finer by as much as is missing.
     """
     rate = plan.request.rate

@@ -20,7 +20,6 @@ from tests.backend.cases import scattered
 
 SIZE = (40, 35)
 CUTOFF = native.CUTOFF_V2
-BLENDS = "accumulated", "normalised"
 
 
 def tensors(gaussians: Gaussians, dtype: torch.dtype = torch.float64) -> list[Tensor]:
@@ -58,13 +57,13 @@ def test_values_and_gradients(dtype: torch.dtype, pyramid: bool, seed: int) -> N
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.script.*:DeprecationWarning")  # of torch's own forward mode
-@pytest.mark.parametrize(("pyramid", "blend", "scale"), [*product((True, False), BLENDS, (1, 0.5))])
-def test_gradcheck(pyramid: bool, blend: Any, scale: float) -> None:
+@pytest.mark.parametrize(("pyramid", "scale"), [*product((True, False), (1, 0.5))])
+def test_gradcheck(pyramid: bool, scale: float) -> None:
     means, factors, colors = tensors(scattered(5, 1, (10, 8)))
     background = torch.rand(3, dtype=torch.float64, requires_grad=True)
 
     def drawn(*values: Tensor) -> Tensor:
-        return render(*values[:3], (10, 8), values[3], scale, pyramid, blend=blend)
+        return render(*values[:3], (10, 8), values[3], scale, pyramid)
 
     values = means, factors, colors, background
     assert torch.autograd.gradcheck(drawn, values, fast_mode=True, check_forward_ad=True)
@@ -127,14 +126,6 @@ def test_it_draws_what_a_file_shows(scale: float) -> None:
     assert np.abs(levels - file.pixels(scale)).max() < 0.501
 
 
-def test_normalised_blending() -> None:
-    """One Gaussian paints its colour wherever it reaches; where none does there is the background."""
-    one = (torch.tensor([row]) for row in ([20.0, 17.0], [4.0, 1.0, 5.0], [0.2, 0.5, 0.9]))
-    image = render(*one, SIZE, 0.1, blend="normalised")
-    for (x, y), color in {(20, 17): [0.2, 0.5, 0.9], (25, 17): [0.2, 0.5, 0.9], (0, 0): [0.1] * 3}.items():
-        assert image[:, y, x].tolist() == pytest.approx(color, abs=1e-3)
-
-
 NOT_DRAWN = {
     "padding": (0, [0, 0, 0], 0),
     "place": (np.nan, [1, 0, 1], 1),
@@ -182,7 +173,6 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
         (ONE, {"size": (0, 4)}, ViewError, "a side must be a whole number from 1"),
         (ONE, {"size": (4, 4, 4)}, ViewError, "a size is width and height"),
         (ONE, {"scale": 100}, ViewError, "the scale must lie in"),
-        (ONE, {"blend": "alpha"}, GaussiansError, "accumulated or normalised, not 'alpha'"),
     ],
 )
 def test_what_is_wrong_is_said(values: Any, more: dict[str, Any], error: type[SgError], words: str) -> None:

@@ -17,9 +17,9 @@ from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import Plan, State
+from sgmethod.rd.plan import Plan, State, hurried, sized
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import EFFORTS, RD, RdSettings, hurried, sized
+from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 from tests.harness.data import PHOTOGRAPHS
 from tests.rd.short import SlowClock, requested, short, stage_of
 
