@@ -18,7 +18,8 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     bitstream/  Gaussians <-> bytes, one module for each version of the format
     view        drawing any part at any size
     decoder     bytes -> Gaussians -> pixels
-    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; LPIPS, DISTS; local statistics
+    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; LPIPS, DISTS
+    advice      pictures that Gaussians do not suit, and the formats that suit them better
     start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline
     paper/      profiles paper and baseline
@@ -31,6 +32,8 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
     pillow/     .sg files for Pillow
     client/     client of an encoding service
     cli/        the command line
+
+javascript/ holds the decoder for browsers, `<sg-img>`, and the npm package of both.
 
 Decoding needs only NumPy, Pillow and the compiled kernels; profiles paper and baseline, sgmethod.torch and encodes on
 another device import PyTorch. Importing this package lets Pillow open and save .sg files.

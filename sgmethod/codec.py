@@ -43,7 +43,8 @@ from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
-from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.budgets import rate_of
+from sgmethod.rd.byte_limit import ByteBudget
 from sgmethod.rd.request import Request
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
@@ -243,8 +244,8 @@ def _rd(
     """Encode pixels [H, W, 3 or 4] with profile rd; return the file and its number of steps."""
     height, width, channels = pixels.shape
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
-    rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
-    if rate.is_short and Histogram(objective.pixels).has_majority:
+    rate = rate_of(budget, (width, height), settings, has_alpha=channels == 4)
+    if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).has_majority:
         rate = rate.for_exact_background()
     request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:

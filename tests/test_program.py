@@ -68,17 +68,14 @@ def threads(count: int) -> Iterator[None]:
         sgmethod.set_threads(before)
 
 
-def test_a_forked_child_encodes_as_its_parent_did() -> None:
+@pytest.mark.parametrize(
+    "more", [{}, {"profile": "paper", "bytes": 300, "effort": DEFAULT_EFFORT}], ids=["rd", "torch"]
+)
+def test_a_forked_child_encodes_as_its_parent_did(more: dict[str, object]) -> None:
     with threads(2):
-        expected = encoded()
-        assert in_child(encoded) == expected
-        assert in_child(lambda: in_child(encoded)) == expected
-
-
-def test_a_forked_child_fits_with_torch() -> None:
-    paper = {"profile": "paper", "bytes": 300, "effort": DEFAULT_EFFORT}
-    expected = encoded(**paper)
-    assert in_child(lambda: encoded(**paper)) == expected
+        expected = encoded(**more)
+        assert in_child(lambda: encoded(**more)) == expected
+        assert in_child(lambda: in_child(lambda: encoded(**more))) == expected
 
 
 def test_a_child_forked_during_work_of_other_threads_has_threads_of_its_own() -> None:

@@ -158,6 +158,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         dependencies = [Depends(known_query), Depends(no_stray_body), *security]
         app.include_router(routes.router, dependencies=dependencies, responses=refusals)
     app.include_router(health_routes.router, dependencies=[Depends(known_query)])
+    app.mount("/static/sgmethod", PageFiles(packages=[("sgmethod", "javascript/src")]))  # the decoder and <sg-img>
     app.mount("/static", PageFiles(directory=STATIC))
 
     @app.get("/", include_in_schema=False)

@@ -165,7 +165,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
 
 def _with_advice(encoded: Any, pixels: Any, request: EncodeRequest) -> tuple[dict[str, Any], bytes]:
     """The figures with advice, and the job's file: the better one, if the client wants it in place of Gaussians."""
-    from sgmethod.start.advice import advice, better_file
+    from sgmethod.advice import advice, better_file
 
     size, db = len(encoded.data), encoded.stats.psnr
     better = better_file(pixels, size, db)

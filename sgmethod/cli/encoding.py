@@ -90,7 +90,8 @@ def _encode(conversion: Conversion, arguments: argparse.Namespace, began: float,
         points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
         files.write(files.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
     files.write(conversion.target, data)
-    return Outcome(conversion, len(data), "" if arguments.json else _summary(figures), figures, notes)
+    said = "" if arguments.json else _summary(figures)
+    return Outcome.of(conversion, bytes=len(data), said=said, figures=figures, notes=notes)
 
 
 Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # file, figures, trace, notes on anything dropped
@@ -103,8 +104,8 @@ def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
+    from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
-    from sgmethod.start.advice import advice, better_file
 
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(

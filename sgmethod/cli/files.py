@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.terminal import silent_stderr
-from sgmethod.errors import ImageWarning
+from sgmethod.errors import ImageWarning, SgError
 from sgmethod.io.files import write_atomically
 
 if TYPE_CHECKING:
@@ -27,8 +27,8 @@ STDOUT_NAMES = ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
 MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncompressed; a device never ends
 
 
-class CommandError(Exception):
-    """A command failed, for the reason in the message, one sentence."""
+class CommandError(SgError):
+    """The reason why a command failed, in one sentence."""
 
 
 def read(path: str) -> bytes:

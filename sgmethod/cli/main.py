@@ -30,7 +30,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     if threads:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", threads)
     from sgmethod.cli.arguments import parse
-    from sgmethod.cli.files import CommandError
 
     with suppress(AttributeError):  # file names need not be valid text; stderr already escapes those
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
@@ -47,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except MemoryError:
         return _fail("out of memory")
-    except (SgError, CommandError) as error:
+    except SgError as error:
         return _fail(str(error))
     except OSError as error:
         _abandon_stdout()

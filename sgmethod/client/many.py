@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import partial
 from itertools import islice
@@ -12,10 +12,9 @@ from typing import Any
 
 from sgmethod.budget import DEFAULT_BUDGET, checked_integer
 from sgmethod.client.client import Client
+from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
-from sgmethod.many.run import Item, Made, OnRow, Picture, Tally, made, run
-
-MAX_JOBS = 256
+from sgmethod.many.run import Finished, Make, OnRow, Tally, Task, caught
 
 
 def encode_many(
@@ -25,13 +24,14 @@ def encode_many(
     *,
     jobs: int = 4,
     resume: bool = False,
-    on_row: OnRow | None = None,
+    on_row: OnRow[Row] | None = None,
     **options: Any,
 ) -> Tally:
-    """sgmethod.encode_many() by a server. items: paths, or pairs of a name and the path or bytes of an image file;
-    jobs: pictures that the server has at a time; options: of Client.encode(), such as budget.
+    """Encode pictures like sgmethod.encode_many(), on a server.
 
-    A server that is busy is asked again for as long as the client has patience: give it hours for a long run.
+    items: paths, or pairs of a name and the path or bytes of an image file; jobs: pictures on the server at a time;
+    options: of Client.encode(), such as budget. A busy server is asked again while the client's patience lasts: give it
+    hours for a long run.
     """
     threads = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
     options = {"budget": DEFAULT_BUDGET, "priority": "bulk", **options}
@@ -40,20 +40,18 @@ def encode_many(
         encoded = client.encode(picture, **options)
         return encoded.data, encoded.figures, encoded.notes
 
-    def finish(folder: Path, pictures: Iterator[Picture]) -> Generator[Row, None, None]:
-        yield from _in_threads(partial(made, make, folder), pictures, threads)
+    def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
+        return _in_threads(partial(caught, partial(written, make, folder)), tasks, threads)
 
-    return run(items, output_dir, options, finish, resume, on_row)
+    return into_folder(items, output_dir, options, finish, resume, on_row)
 
 
-def _in_threads(
-    make_row: Callable[[Picture], Row], pictures: Iterator[Picture], threads: int
-) -> Generator[Row, None, None]:
-    running: set[Future[Row]] = set()
+def _in_threads(make: Make[Row], tasks: Iterator[Task[Row]], threads: int) -> Finished[Row]:
+    running: dict[Future[Row], Task[Row]] = {}
     with ThreadPoolExecutor(threads, "sgmethod") as pool:
         while True:
-            running |= {pool.submit(make_row, one) for one in islice(pictures, threads - len(running))}
+            running |= {pool.submit(make, task): task for task in islice(tasks, threads - len(running))}
             if not running:
                 return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            yield from (future.result() for future in done)
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM, is_upright
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
 from sgmethod.budget import Budget, checked_integer, finite_number
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import own_array, own_gaussians
@@ -82,21 +81,21 @@ class _Packing:
         self._gaussians, self._size, self._background, self._target = gaussians, size, background, target
         self._grey = len(set(background)) == 1 and bool((gaussians.colors == gaussians.colors[:, :1]).all())
 
-    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV5:
+    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV2:
         """With this quantum; refined, with at most so many bytes of payload, if there is a target."""
-        quantum = StreamV5.coded_quantum(quantum)
+        quantum = StreamV2.coded_quantum(quantum)
         self._check_range(quantum)
-        rounded = StreamV5.of(self._gaussians, self._size, quantum, self._background, self._grey)
+        rounded = StreamV2.of(self._gaussians, self._size, quantum, self._background, self._grey)
         if self._target is None:
             return rounded
         limits = RefineLimits(error_per_bit(quantum), SWEEPS, math.inf, max_bytes)
         coding = Coding(*self._size, quantum, self._grey, rounded.upright)
         payload = Kernels().refine(self._gaussians, coding, self._target, limits, None)
-        return StreamV5(*self._size, quantum, self._background, self._grey, rounded.upright, payload)
+        return StreamV2(*self._size, quantum, self._background, self._grey, rounded.upright, payload)
 
-    def within(self, max_bytes: int) -> StreamV5:
+    def within(self, max_bytes: int) -> StreamV2:
         """With the finest quantum for a file of at most so many bytes."""
-        empty = StreamV5.of(Gaussians.empty(0), self._size, MAX_QUANTUM, self._background, self._grey)
+        empty = StreamV2.of(Gaussians.empty(0), self._size, MAX_QUANTUM, self._background, self._grey)
         room = max_bytes - empty.file_bytes
         found = self.stream(self._quantum(room, max_bytes), room)
         if self._target is None or not found.payload:
@@ -108,7 +107,7 @@ class _Packing:
         """The finest, about, of which the payload has at most `room` bytes before refining."""
 
         def payload(quantum: float) -> int:
-            return len(StreamV5.of(self._gaussians, self._size, quantum, self._background, self._grey).payload)
+            return len(StreamV2.of(self._gaussians, self._size, quantum, self._background, self._grey).payload)
 
         if payload(MAX_QUANTUM) > room:
             raise BudgetError(f"no file of these Gaussians fits into {max_bytes} bytes: take fewer, or more bpp")
@@ -142,7 +141,7 @@ class _Packing:
 def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
     """Those that reach into a picture of this size."""
     l1, l2, l3 = gaussians.factors.T
-    reach = math.sqrt(2 * native.CUTOFF_V3) * np.stack([l1, np.hypot(l2, l3)], 1)
+    reach = math.sqrt(2 * native.CUTOFF_V2) * np.stack([l1, np.hypot(l2, l3)], 1)
     inside = np.logical_and(gaussians.means > -reach, gaussians.means < size + reach)
     return gaussians.rows(np.flatnonzero(inside.all(1)))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from sgmethod.settings.shared import STRUCTURE, OptimiserSettings, StartSettings
@@ -313,26 +312,3 @@ class RdSettings:
 
 
 RD = RdSettings()
-
-
-def sized(settings: RdSettings, pixels: int) -> RdSettings:
-    """Adapt settings to a picture of so many pixels: a large one gets fewer steps, and reduced pictures for longer."""
-    s, effort = settings.schedule, settings.effort
-    small, large = s.large
-    share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
-    later = max(s.large_few_until - effort.times.few_until, 0.0)
-    times = replace(effort.times, few_until=effort.times.few_until + share * later)
-    steps = round(effort.steps * (1 - share * (1 - s.large_steps)))
-    return replace(settings, effort=replace(effort, steps=steps, times=times))
-
-
-def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
-    """Reduce settings, already sized(), to a number of steps.
-
-    The effort stays if it fits, else it becomes the highest lower effort that fits, else the lowest with fewer
-    Gaussians.
-    """
-    lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
-    choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
-    few = replace(choices[-1].densify, most=settings.deadline.most_hurried)
-    return next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))

@@ -44,12 +44,6 @@ def test_the_examples() -> None:
     assert len(names["loader"]) == 1
 
 
-def test_the_fit_takes_twenty_lines() -> None:
-    (example,) = (text for text in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL) if "pack(gaussians" in text)
-    code = [line for line in example.splitlines() if line and not line.startswith(("import", "from"))]
-    assert len(code) <= 20
-
-
 @pytest.mark.parametrize("name", [*sgmethod.__all__, *(f"torch.{name}" for name in sgmethod.torch.__all__)])
 def test_every_name_is_on_the_page(name: str) -> None:
     assert f"`{name}`" in PAGE.split("## All names")[1]

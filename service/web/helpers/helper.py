@@ -96,7 +96,7 @@ def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _rival(rival: Rival, image: bytes, limits: ImageLimits) -> bytes:
-    from sgmethod.start.advice import better_file, is_drawn
+    from sgmethod.advice import better_file, is_drawn
 
     pixels = read_image_8_bit(image, limits, keep_alpha=True)
     if rival.kind == "webp" and (lossless := better_file(pixels, rival.size, 0.0, ("webp",))):

@@ -199,16 +199,15 @@ struct Simd {
   }
 };
 
-// Counts the numbers not greater than `place` among 16 ascending ones. kSome: at least one is greater, which saves a
-// step. p is aligned to 16 bytes.
-template <bool kSome>
+// Counts the numbers not greater than `place` among 16 ascending ones, of which the last is greater. p is aligned to 16
+// bytes.
 SG_INLINE uint32_t count_until(const int16_t* p, int place) {
 #if SG_X86
   __m128i at = _mm_shufflelo_epi16(_mm_cvtsi32_si128(place), 0);
   at = _mm_unpacklo_epi64(at, at);
   const auto* v = reinterpret_cast<const __m128i*>(p);
   const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(_mm_load_si128(v), at), _mm_cmpgt_epi16(_mm_load_si128(v + 1), at));
-  return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above)) | (kSome ? 0u : 1u << 16)));
+  return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above))));
 #elif defined(__ARM_NEON) && defined(__aarch64__)
   const int16x8_t at = vdupq_n_s16(static_cast<int16_t>(place));  // a true comparison is -1
   const uint16x8_t within = vaddq_u16(vcleq_s16(vld1q_s16(p), at), vcleq_s16(vld1q_s16(p + 8), at));

@@ -12,20 +12,18 @@
 namespace sg {
 namespace {
 
-// Coordinates repeat after this many output pixels, like those of Gaussians in views (sgmethod/view.py).
-constexpr int kRepeat = 1 << 16;
 // Factor on the strength of an octave that is drawn at level 0 of a reduced view, where it is not blurred by enlarging
 // and also replaces the finer octave.
 constexpr float kUnenlarged = 0.75f;
 
-// Banded noise, plus 128: a periodic table, in words of four rows. Rows are longer than the period, for vectors that
-// reach beyond it.
+// The noise, plus 128: a periodic table, in words of four rows. Rows are longer than the period, for vectors that reach
+// beyond it.
 constexpr int kSide = 256, kBeyond = kTileWidth;
-constexpr float kMiddle = 128.0f, kWhiteMiddle = 127.5f;
-struct Banded {
+constexpr float kMiddle = 128.0f;
+struct Noise {
   uint32_t words[kSide / 4][kSide + kBeyond];
 };
-const Banded& banded(int octave);
+const Noise& noise_of(int octave);
 
 typedef uint32_t Unsigned4 __attribute__((vector_size(16)));
 typedef uint32_t Unsigned8 __attribute__((vector_size(32)));
@@ -39,9 +37,8 @@ struct UnsignedLanes<8> { using U = Unsigned8; };
 template <>
 struct UnsignedLanes<16> { using U = Unsigned16; };
 
-// A bijection that mixes all bits ("lowbias32" of C. Wellons, hash-prospector, 2018), for numbers and for vectors.
-template <typename U>
-SG_INLINE U mixed(U h) {
+// A bijection that mixes all bits ("lowbias32" of C. Wellons, hash-prospector, 2018).
+uint32_t mixed(uint32_t h) {
   h ^= h >> 16;
   h *= 0x7feb352du;
   h ^= h >> 15;
@@ -53,40 +50,30 @@ SG_INLINE U mixed(U h) {
 // Data shared by all rows of a tile that lie between the same rows of cells.
 struct Strip {
   uint32_t first;              // coordinate of the first column
-  uint32_t mask;               // of coordinates, which repeat
   const float *upper, *lower;  // strengths in the rows of cells above and below
-  const Banded* banded;        // null for white noise
+  const Noise* noise;
 };
 
 // Adds noise to rows of a tile from `first` to before `end`. place: coordinate of row 0; part: position of each row
 // from upper to lower, 0 to 1. A word of noise has one byte for each of four rows.
 template <int W>
-SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const float* part, int first, int end,
-                        float* accumulators) {
+SG_INLINE void add_body(const Strip& strip, int place, const float* part, int first, int end, float* accumulators) {
   using V = Simd<W>;
   using F = typename V::F;
   using I = typename V::I;
   using U = typename UnsignedLanes<W>::U;
   constexpr int kVectors = kTileWidth / W;
-  const float middle = strip.banded ? kMiddle : kWhiteMiddle;
   F upper[kVectors], change[kVectors];
-  U columns[kVectors];
   for (int i = 0; i < kVectors; ++i) {
     upper[i] = V::load(strip.upper + i * W);
     change[i] = V::load(strip.lower + i * W) - upper[i];
-    for (int lane = 0; lane < W; ++lane) columns[i][lane] = (strip.first + static_cast<uint32_t>(i * W + lane)) & strip.mask;
   }
   for (int row = first; row < end;) {
-    const int at = (place + row) & static_cast<int>(strip.mask);
+    const int at = (place + row) & (kSide - 1);
     U noise[kVectors];
-    if (strip.banded) {
-      const auto& words = strip.banded->words;
-      std::memcpy(noise, &words[at / 4 % (kSide / 4)][strip.first % kSide], sizeof noise);
-      __builtin_prefetch(&words[(at / 4 + 2) % (kSide / 4)][strip.first % kSide]);
-    } else {
-      const uint32_t key = mixed(mixed(octave + 1) + static_cast<uint32_t>(at >> 2));
-      for (int i = 0; i < kVectors; ++i) noise[i] = mixed(columns[i] + key);
-    }
+    const auto& words = strip.noise->words;
+    std::memcpy(noise, &words[at / 4][strip.first % kSide], sizeof noise);
+    __builtin_prefetch(&words[(at / 4 + 2) % (kSide / 4)][strip.first % kSide]);
     for (int i = 0; i < kVectors; ++i) noise[i] >>= 8 * (at & 3);
     for (const int next = std::min(row + 4 - (at & 3), end); row < next; ++row) {
       float* out = accumulators + row * 3 * kTileWidth;
@@ -94,7 +81,7 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const fl
         const U bytes = noise[i] & 255u;
         I whole;
         std::memcpy(&whole, &bytes, sizeof whole);
-        const F value = (__builtin_convertvector(whole, F) - middle) * (upper[i] + change[i] * part[row]);
+        const F value = (__builtin_convertvector(whole, F) - kMiddle) * (upper[i] + change[i] * part[row]);
         for (int k = 0; k < 3; ++k) V::store(out + k * kTileWidth, V::load(out + k * kTileWidth) + value);
         noise[i] >>= 8;
       }
@@ -102,12 +89,11 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const fl
   }
 }
 
-using Add = void (*)(const Strip&, uint32_t, int, const float*, int, int, float*);
+using Add = void (*)(const Strip&, int, const float*, int, int, float*);
 
 #define SG_TEXTURE(name, width, attribute)                                                                       \
-  attribute void add_##name(const Strip& s, uint32_t octave, int place, const float* part, int first, int end,    \
-                            float* accumulators) {                                                               \
-    add_body<width>(s, octave, place, part, first, end, accumulators);                                            \
+  attribute void add_##name(const Strip& s, int place, const float* part, int first, int end, float* accumulators) { \
+    add_body<width>(s, place, part, first, end, accumulators);                                                    \
   }
 
 SG_TEXTURE(baseline, 4, )
@@ -136,9 +122,9 @@ struct Between {
   std::vector<float> parts;
 };
 
-// The strength of a code: half a level for code 1, and a factor of sqrt(2) for each further code. White noise, from
-// -127.5 to 127.5, has a spread of 74, banded noise of kBandedSpreads.
-constexpr double kWhiteSpread = 74.0, kBandedSpreads[kTextureOctaves] = {34.1, 29.7};
+// The strength of a code: half a level for code 1, and a factor of sqrt(2) for each further code. kSpreads are the
+// noise's standard deviations.
+constexpr double kSpreads[kTextureOctaves] = {34.1, 29.7};
 float strength_of(int code, double spread) {
   if (code == 0) return 0.0f;
   const double half_levels = std::ldexp((code - 1) % 2 == 0 ? 1.0 : 1.4142135623730951, (code - 1) / 2);
@@ -161,7 +147,7 @@ Plane filtered(const Plane& plane, const int (&weights)[N]) {
 }
 
 // White noise, from -128 to 127, minus its local mean. The finest octave is also smoothed, because it is not enlarged.
-Banded make_banded(int octave) {
+Noise make_noise(int octave) {
   Plane noise(kSide * kSide), white(kSide * kSide);
   for (int row = 0; row < kSide; ++row) {
     const uint32_t key = mixed(mixed(uint32_t{1}) + static_cast<uint32_t>(row >> 2));
@@ -172,7 +158,7 @@ Banded make_banded(int octave) {
   const int whole = octave == 0 ? 256 : 16, shift = octave == 0 ? 14 : 5;
   for (size_t i = 0; i < noise.size(); ++i) noise[i] = whole * white[i] - mean[i];
   if (octave == 0) noise = filtered(noise, {1, 6, 1});
-  Banded table{};
+  Noise table{};
   for (int row = 0; row < kSide; ++row)
     for (int i = 0; i < kSide + kBeyond; ++i) {
       const int value = (noise[row * kSide + i % kSide] + (1 << shift >> 1)) >> shift;
@@ -181,8 +167,8 @@ Banded make_banded(int octave) {
   return table;
 }
 
-const Banded& banded(int octave) {
-  static const Banded tables[kTextureOctaves] = {make_banded(0), make_banded(1)};
+const Noise& noise_of(int octave) {
+  static const Noise tables[kTextureOctaves] = {make_noise(0), make_noise(1)};
   return tables[octave];
 }
 
@@ -220,7 +206,7 @@ std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width,
   return codes;
 }
 
-Texture::Texture(const uint8_t* codes, const TextureGrid& grid, bool is_banded) : grid_(grid), is_banded_(is_banded) {
+Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
   const auto fits = [](double v) { return std::abs(v) <= 1e9; };
   const bool possible = grid.columns > 0 && grid.rows > 0 && grid.cell_x >= 0.5 && grid.cell_y >= 0.5 && fits(grid.cell_x) &&
                         fits(grid.cell_y) && fits(grid.x) && fits(grid.y) && std::abs(grid.shift) <= 8;
@@ -232,14 +218,14 @@ Texture::Texture(const uint8_t* codes, const TextureGrid& grid, bool is_banded) 
     const float share = level == 0 && grid.shift < 0 ? kUnenlarged : 1.0f;
     for (size_t i = octave * cells; i < (octave + 1) * cells; ++i) {
       if (codes[i] >= kTextureStrengths) refuse<std::invalid_argument>("there is no such strength of texture");
-      strengths_[i] = share * strength_of(codes[i], is_banded ? kBandedSpreads[octave] : kWhiteSpread);
+      strengths_[i] = share * strength_of(codes[i], kSpreads[octave]);
       if (codes[i] != 0) top_ = std::max(top_, level);
     }
   }
 }
 
 TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int columns, int rows)
-    : is_banded_(texture.is_banded_), octave_(level - texture.grid_.shift), mask_((kRepeat >> level) - 1), x_(x), y_(y), strips_(columns / kTileWidth) {
+    : octave_(level - texture.grid_.shift), x_(x), y_(y), strips_(columns / kTileWidth) {
   const TextureGrid& grid = texture.grid_;
   if (octave_ < 0 || octave_ >= kTextureOctaves || level > texture.top()) return;
   const Between across(level, grid.cell_x, grid.x, grid.columns, x, columns);
@@ -267,7 +253,7 @@ void TextureLayer::add(int isa, int x, int y, int first_row, int end_row, float*
   if (strengths_.empty()) return;
   const int* cells = &cells_[y - y_];
   const int across = (x - x_) / kTileWidth, stride = strips_ * kTileWidth;
-  Strip strip{static_cast<uint32_t>(x), static_cast<uint32_t>(mask_), nullptr, nullptr, is_banded_ ? &banded(octave_) : nullptr};
+  Strip strip{static_cast<uint32_t>(x), nullptr, nullptr, &noise_of(octave_)};
   for (int row = first_row; row < end_row;) {
     int end = row + 1;
     while (end < end_row && cells[end] == cells[row]) ++end;
@@ -275,7 +261,7 @@ void TextureLayer::add(int isa, int x, int y, int first_row, int end_row, float*
     if (busy_[cell * strips_ + across] || busy_[(cell + 1) * strips_ + across]) {
       strip.upper = &strengths_[cell * stride + across * kTileWidth];
       strip.lower = strip.upper + stride;
-      kAdd[isa](strip, static_cast<uint32_t>(octave_), y, &parts_[y - y_], row, end, accumulators);
+      kAdd[isa](strip, y, &parts_[y - y_], row, end, accumulators);
     }
     row = end;
   }

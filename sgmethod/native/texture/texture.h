@@ -1,9 +1,9 @@
-// Texture from a seed (docs/format.md, versions 4 and 5): noise that is generated, with strengths stored in the file.
+// Texture from a seed (docs/format.md, version 2): noise that is generated, with strengths stored in the file.
 //
 // Octave o is noise on the samples of level o of the pyramid, added there and enlarged with the rest. Each sample
-// depends only on its octave and coordinates, so that every region, thread and instruction set draws the same. In
-// version 4 noise is white; in version 5 it is banded: taken from a table without frequencies below the octave.
-// Strengths are given at the centres of the picture's cells, and interpolated linearly between them.
+// depends only on its octave and coordinates, so that every region, thread and instruction set draws the same. Noise is
+// taken from a table without frequencies below the octave. Strengths are given at the centres of the picture's cells,
+// and interpolated linearly between them.
 #pragma once
 
 #include <cstddef>
@@ -35,7 +35,7 @@ struct TextureGrid {
 class Texture {
  public:
   // codes [kTextureOctaves, rows, columns]. Throws std::invalid_argument for invalid codes or grids.
-  Texture(const uint8_t* codes, const TextureGrid& grid, bool is_banded);
+  Texture(const uint8_t* codes, const TextureGrid& grid);
 
   // The highest level with noise; -1 for none.
   int top() const { return top_; }
@@ -43,7 +43,6 @@ class Texture {
  private:
   friend class TextureLayer;
   TextureGrid grid_;
-  bool is_banded_;
   int top_ = -1;
   std::vector<float> strengths_;  // [kTextureOctaves, rows, columns], per unit of noise
 };
@@ -57,8 +56,7 @@ class TextureLayer {
   void add(int isa, int x, int y, int first_row, int end_row, float* accumulators) const;
 
  private:
-  bool is_banded_;
-  int octave_, mask_, x_, y_, strips_;
+  int octave_, x_, y_, strips_;
   std::vector<int> cells_;        // the row of cells before each row, counted from the first row's
   std::vector<float> parts_;      // position of each row from there to the next row of cells, 0 to 1
   std::vector<float> strengths_;  // [rows of cells, columns]; empty without noise

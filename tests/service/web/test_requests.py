@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from service.web.app import STATIC
+from tests.harness.data import JAVASCRIPT
 from tests.harness.pictures import SMALL, png
 from tests.harness.service import SMALL_QUEUE, Service, assert_problem
 
@@ -50,7 +51,8 @@ def test_page_names_nothing_elsewhere(web: Service) -> None:
     assert page.headers["content-type"].startswith("text/html")
     assert "script-src 'self'" in page.headers["content-security-policy"]
     files = [f"/static/{file.relative_to(STATIC)}" for kind in ("js", "css") for file in STATIC.rglob(f"*.{kind}")]
-    assert len(files) > 10
+    files += [f"/static/sgmethod/{file.name}" for file in JAVASCRIPT.iterdir()]
+    assert len(files) > 20
     for path in ("/", "/docs", *files):
         answer = web.client.get(path)
         assert answer.status_code == 200
