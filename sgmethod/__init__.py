@@ -149,10 +149,10 @@ def set_threads(count: int) -> None:
     The default is SG_THREADS, or else the number of cores that the process and its control group may use. Raises
     SgError.
     """
-    from sgmethod.budget import whole
+    from sgmethod.budget import checked_integer
     from sgmethod.native import native
 
-    native.set_thread_count(whole(count, "the number of threads", 1, MAX_THREADS))
+    native.set_thread_count(checked_integer(count, "the number of threads", 1, MAX_THREADS))
 
 
 def __getattr__(name: str) -> Any:

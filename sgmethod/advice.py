@@ -45,8 +45,10 @@ class Better:
 
 
 def is_drawn(pixels: Pixels) -> bool:
-    """Whether a picture [H, W, C] is drawn or typeset and no photograph: most pixels equal their neighbours, and many
-    of the others jump. Two milliseconds for 0.4 megapixels."""
+    """Whether a picture [H, W, C] is drawn or typeset, not a photograph.
+
+    Most of its pixels equal their neighbours, and many of the others jump. Takes 2 ms for 0.4 megapixels.
+    """
     rows = pixels[::EVERY, :, :3]
     changes = int((rows[:, 1:] != rows[:, :-1]).any(2).sum())
     green = rows[..., 1].astype(np.int16)
@@ -55,8 +57,10 @@ def is_drawn(pixels: Pixels) -> bool:
 
 
 def better_file(pixels: Pixels, size: int, db: float, kinds: Sequence[Kind] = KINDS) -> Better | None:
-    """The better file for a drawn picture [H, W, 3 or 4], given the bytes and the PSNR of its encode; None for a
-    photograph, and where neither lossless WebP nor quick AVIF, as far as they are asked for, is clearly better."""
+    """Find a better file for a drawn picture [H, W, 3 or 4], given the bytes and the PSNR of its encode.
+
+    None for a photograph, and where neither lossless WebP nor quick AVIF (as far as `kinds` has them) is clearly better.
+    """
     if not is_drawn(pixels):
         return None
     try:

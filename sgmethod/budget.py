@@ -22,7 +22,7 @@ MAX_QUALITY = 100.0
 LOOKS = {"preview": 40.0, "web": 60.0, "archive": 80.0}
 
 
-def looks_of(asked: float | str) -> float:
+def looks_value(asked: float | str) -> float:
     """Return the value of a name in LOOKS; numbers pass unchanged. Raises BudgetError for an unknown name."""
     if not isinstance(asked, str):
         return asked
@@ -31,7 +31,7 @@ def looks_of(asked: float | str) -> float:
     return LOOKS[asked]
 
 
-def own_number(value: object) -> int | float | None:
+def finite_number(value: object) -> int | float | None:
     """Convert a number to a Python int or float; None if it is not a finite number."""
     if isinstance(value, Integral):
         return int(value)
@@ -44,7 +44,7 @@ def own_number(value: object) -> int | float | None:
     return number if -math.inf < number < math.inf else None  # torch.compile does not support math.isfinite
 
 
-def whole(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
+def checked_integer(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
     """Return a whole number from least to most as a Python int. Raises `error` for anything else."""
     if not isinstance(value, Integral) or not least <= int(value) <= most:
         raise error(f"{name} must be a whole number from {least} to {most}, got {value!r}")
@@ -70,7 +70,7 @@ class Budget:
     def __post_init__(self) -> None:
         if self.kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {self.kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        value = own_number(looks_of(self.value) if self.kind == "looks" else self.value)
+        value = finite_number(looks_value(self.value) if self.kind == "looks" else self.value)
         if value is None or value <= 0:
             raise BudgetError(f"{self.kind} must be a positive number, got {self.value!r}")
         object.__setattr__(self, "value", value)
@@ -99,7 +99,7 @@ class Budget:
 DEFAULT_BUDGET = Budget("bpp", 0.3)
 
 
-def unasked(width: int, height: int, least: int) -> Budget:
+def default_budget(width: int, height: int, least: int) -> Budget:
     """Return a picture's default budget: DEFAULT_BUDGET, or `least` bytes if no file is that small."""
     asked = DEFAULT_BUDGET.max_bytes(width, height) or 0
     return DEFAULT_BUDGET if asked >= least else Budget("bytes", least)

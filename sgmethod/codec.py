@@ -21,7 +21,15 @@ from sgmethod.backend.devices import backend_on
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, looks_of, own_number, unasked, whole
+from sgmethod.budget import (
+    DEFAULT_BUDGET,
+    Budget,
+    BudgetKind,
+    checked_integer,
+    default_budget,
+    finite_number,
+    looks_value,
+)
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.deadline import Clock, Deadline
@@ -29,7 +37,7 @@ from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.compositing import on_backgrounds
-from sgmethod.io.files import own_path, write_atomically
+from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
@@ -118,7 +126,7 @@ class Encoded:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the file completely, or raise OSError and leave the path as it was."""
-        write_atomically(own_path(path), self.data)
+        write_atomically(checked_path(path), self.data)
 
 
 def encode(
@@ -177,10 +185,10 @@ def encode(
     BudgetError for a budget that no file can meet, SgError for a device that is missing, OSError for a path that cannot
     be read, and MemoryError.
     """
-    clock, limit_s = Clock(stop), _own_time_limit(time_limit_s)
-    seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
+    clock, limit_s = Clock(stop), _checked_time_limit(time_limit_s)
+    seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
     kinds: dict[BudgetKind, float | None] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality}
-    kinds |= {"looks": None if looks is None else looks_of(looks), "gaussians": gaussians}
+    kinds |= {"looks": None if looks is None else looks_value(looks), "gaussians": gaussians}
     budget = _only_budget(budget, kinds)
     tuned_for = tuning(tune, checked_profile(profile), budget)
     effort, backend = checked_effort(effort), backend_on(device)
@@ -188,7 +196,7 @@ def encode(
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
     height, width, channels = pixels.shape
     if budget is DEFAULT_BUDGET:
-        budget = unasked(width, height, smallest_file(settings, has_alpha=channels == 4))
+        budget = default_budget(width, height, smallest_file(settings, has_alpha=channels == 4))
     deadline_settings = settings.deadline if isinstance(settings, RdSettings) else None
     deadline = Deadline(clock, limit_s, width * height, deadline_settings)
     recorder = Recorder(clock, on_progress, on_preview)
@@ -237,7 +245,7 @@ def _rd(
     height, width, channels = pixels.shape
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
     rate = rate_of(budget, (width, height), settings, has_alpha=channels == 4)
-    if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).is_most:
+    if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).has_majority:
         rate = rate.for_exact_background()
     request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:
@@ -301,10 +309,10 @@ def _mean(figures: Iterable[float | None]) -> float | None:
     return statistics.fmean(found) if found else None
 
 
-def _own_time_limit(seconds: float | None) -> float | None:
+def _checked_time_limit(seconds: float | None) -> float | None:
     if seconds is None:
         return None
-    number = own_number(seconds)
+    number = finite_number(seconds)
     if number is None or not 0 < number <= sys.float_info.max:
         raise BudgetError(f"the time limit must be a positive number of seconds, got {seconds!r}")
     return float(number)

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
 from sgmethod.bitstream.text import file_of
-from sgmethod.budget import whole
+from sgmethod.budget import checked_integer
 from sgmethod.errors import BitstreamError, ViewError
-from sgmethod.io.files import own_path
+from sgmethod.io.files import checked_path
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians, Scene
 from sgmethod.view import View, recut
@@ -50,7 +50,7 @@ def info(data: File, max_gaussians: int | None = None) -> Info:
     OSError.
     """
     if max_gaussians is not None:
-        max_gaussians = whole(max_gaussians, "max_gaussians", 0, MAX_LIMIT)
+        max_gaussians = checked_integer(max_gaussians, "max_gaussians", 0, MAX_LIMIT)
     return container.info(_bytes_of(data), Limits(max_gaussians=max_gaussians))
 
 
@@ -75,7 +75,7 @@ class SgFile:
         data: the path or bytes of a file, or of its text; max_pixels: limit for the picture and each view.
         Raises BitstreamError and OSError.
         """
-        self._limits = Limits(whole(max_pixels, "max_pixels", 0, MAX_LIMIT))
+        self._limits = Limits(checked_integer(max_pixels, "max_pixels", 0, MAX_LIMIT))
         self._data = _bytes_of(data)
         self._stream = container.parse(self._data, self._limits)
 
@@ -144,7 +144,7 @@ class SgFile:
 
 def _bytes_of(file: File) -> bytes:
     if isinstance(file, str | os.PathLike):
-        file = own_path(file, BitstreamError).read_bytes()
+        file = checked_path(file, BitstreamError).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
         return file_of(bytes(file))
     raise BitstreamError(f"an .sg file must be a path or bytes, not {type(file).__name__}")

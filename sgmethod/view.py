@@ -14,7 +14,7 @@ from numbers import Integral
 
 import numpy as np
 
-from sgmethod.budget import own_number, whole
+from sgmethod.budget import checked_integer, finite_number
 from sgmethod.errors import ViewError
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene, Texture
@@ -22,8 +22,8 @@ from sgmethod.scene import Gaussians, Scene, Texture
 PIXEL_VARIANCE = 1 / 12  # variance of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
 # Output pixels; coordinates stay below, for single precision. A multiple of the width of every level's samples.
-FAR = 1 << 16
-WHOLE = 50.0  # sigma at which nothing is left of a Gaussian without cut-off
+MAX_COORDINATE = 1 << 16
+NO_CUTOFF = 50.0  # sigma at which nothing is left of a Gaussian without cut-off
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,12 @@ class View:
     texture: bool = True
 
     def __post_init__(self) -> None:
-        scale, prefix = own_number(self.scale), own_number(self.prefix)
+        scale, prefix = finite_number(self.scale), finite_number(self.prefix)
         if scale is None or not MIN_SCALE <= scale <= MAX_SCALE:
             raise ViewError(f"scale must be between {MIN_SCALE} and {MAX_SCALE:g}, got {self.scale!r}")
         if prefix is None or not 0 < prefix <= 1:
             raise ViewError(f"prefix must be above 0 and at most 1, got {self.prefix!r}")
-        own = {"scale": scale, "region": _own_region(self.region), "prefix": prefix, "texture": bool(self.texture)}
+        own = {"scale": scale, "region": _checked_region(self.region), "prefix": prefix, "texture": bool(self.texture)}
         for name, value in own.items():
             object.__setattr__(self, name, value)
 
@@ -79,7 +79,9 @@ class View:
             return self
         if self.scale != 1:
             raise ViewError("scale cannot be combined with width or height")
-        scales = [whole(limit, "a width or height", 1, FAR, ViewError) / side for limit, side in limits]
+        scales = [
+            checked_integer(limit, "a width or height", 1, MAX_COORDINATE, ViewError) / side for limit, side in limits
+        ]
         return replace(self, scale=min(scales))
 
     def apply(self, scene: Scene) -> Scene:
@@ -92,7 +94,7 @@ class View:
         # Rounding makes the two differ slightly, so that the output's edges are exactly the region's.
         scale = width / w, height / h
         # Samples of a pyramid's levels depend on coordinates: a part keeps its own, to look as in the whole picture.
-        origin = (int(x * scale[0]) % FAR, int(y * scale[1]) % FAR) if scene.pyramid else (0, 0)
+        origin = (int(x * scale[0]) % MAX_COORDINATE, int(y * scale[1]) % MAX_COORDINATE) if scene.pyramid else (0, 0)
         widening = PIXEL_VARIANCE / variance(scene.cutoff)
         gaussians = _resized(scene.gaussians, (x, y), origin, scale, widening)
         if texture is not None:
@@ -102,7 +104,7 @@ class View:
         return replace(drawn, texture=texture, alpha=alpha)
 
 
-def _own_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | None:
+def _checked_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | None:
     if region is None:
         return None
     numbers = list(region) if isinstance(region, Iterable) else []
@@ -150,14 +152,14 @@ def _resized(
 def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
     """Convert Gaussians cut off at sigma = cutoff to the closest ones cut off at new_cutoff.
 
-    Both are the cut-off of a file version, or WHOLE. The default is that of version 2.
+    Both are the cut-off of a file version, or NO_CUTOFF. The default is that of version 2.
     """
     new_cutoff = native.CUTOFF_V2 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:
         return gaussians
     # Least-squares widening for cut-off CUTOFF_V2 at the same integral. The root mean square of the difference is 5 %
     # and 6 % of the Gaussian's.
-    wider_by = {native.CUTOFF_V2: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
+    wider_by = {native.CUTOFF_V2: 1.0, native.CUTOFF_V1: 1.094, NO_CUTOFF: 1.108}
     wider = wider_by[cutoff] / wider_by[new_cutoff]
     gain = _integral(cutoff) / (_integral(new_cutoff) * wider**2)
     return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))

@@ -20,7 +20,7 @@ from PIL import Image, UnidentifiedImageError
 import sgmethod
 from service.web.routes.pictures import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
-from sgmethod.io import encode_png
+from sgmethod.io.png import encode_png
 from sgmethod.native import native
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel

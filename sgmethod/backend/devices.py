@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import torch
 
 
-def own_device(device: object) -> torch.device:
+def checked_device(device: object) -> torch.device:
     """Return a torch.device, from its name or a torch.device; the CPU for None.
 
     Raises SgError for a device that is missing or holds no values, and MissingPackageError without torch.
@@ -30,10 +30,10 @@ def own_device(device: object) -> torch.device:
 
 
 def backend_on(device: object) -> Backend:
-    """Return the compiled kernels for None and "cpu", else a backend of tensors. Raises the errors of own_device()."""
+    """Return the compiled kernels for None and "cpu", else a backend of tensors. Raises like checked_device()."""
     if device is None or str(device) == "cpu":
         return Kernels()
-    found = own_device(device)
+    found = checked_device(device)
     from sgmethod.backend.tensors import Tensors
 
     return Tensors(found)

@@ -24,11 +24,8 @@ CUTOFF_V1, CUTOFF = native.CUTOFF_V1, native.CUTOFF_V2  # sigma at which a Gauss
 # Distance of a centre beyond the picture, in scales of the Gaussian. Files allow two cells of the grid, at least 1.68.
 GRID_REACH = 1.6
 TILE_HEIGHT = native.TILE_HEIGHT
-TEXTURE_OCTAVES, TEXTURE_CELL, TEXTURE_STRENGTHS = (
-    native.TEXTURE_OCTAVES,
-    native.TEXTURE_CELL,
-    native.TEXTURE_STRENGTHS,
-)
+TEXTURE_OCTAVES, TEXTURE_CELL = native.TEXTURE_OCTAVES, native.TEXTURE_CELL
+TEXTURE_STRENGTHS = native.TEXTURE_STRENGTHS
 SEEN_COLOR, SEEN_LUMA = native.SEEN_COLOR, native.SEEN_LUMA
 NO_LIMIT = 1 << 40  # bytes
 thread_count, release_memory = native.thread_count, native.release_memory

@@ -144,8 +144,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
     """Build the parser; its result names the command as `run`.
 
-    Only commands named in argv get arguments, because those of encode import every profile, which a decode does not
-    need.
+    Only commands named in argv get arguments: a decode need not import every profile for the arguments of encode.
     """
     whole = _Parser(prog="sgmethod", description="An image codec of 2D Gaussians.", epilog=EXAMPLES)
     whole.add_argument("--version", action=_Version, nargs=0, help="show the version")

@@ -79,7 +79,6 @@ Measured = float | str  # a figure, or the reason why there is none
 
 
 def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[str, Measured]:
-    """Measure MS-SSIM and SSIMULACRA 2."""
     from sgmethod.metrics import MIN_SIDE, looks, ms_ssim
 
     found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
@@ -88,7 +87,6 @@ def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[s
 
 
 def _perceptual(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | None) -> dict[str, Measured]:
-    """Measure LPIPS and DISTS."""
     try:
         from sgmethod.metrics import perceptual
     except ImportError:

@@ -37,7 +37,6 @@ def run_decode(arguments: argparse.Namespace) -> int:
 
 
 def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
-    """Read, decode and write one picture."""
     file = SgFile(files.read(conversion.source))
     sides = {"width": arguments.width, "height": arguments.height}
     pixels = file.pixels(**asdict(_view(arguments)), **sides)

@@ -34,7 +34,7 @@ class CommandError(SgError):
 def read(path: str) -> bytes:
     """Read a file or standard input, of at most MAX_INPUT_BYTES."""
     data = bytearray()
-    with _saying("read", path), _opened(path) as file:
+    with _command_errors("read", path), _opened(path) as file:
         while block := file.read(1 << 20):
             data += block
             if len(data) > MAX_INPUT_BYTES:
@@ -71,7 +71,7 @@ def _opened(path: str) -> Iterator[BinaryIO]:
 
 def write(path: str, data: bytes) -> None:
     """Write to standard output, or to a file, completely or not at all."""
-    with _saying("write", path):
+    with _command_errors("write", path):
         if path == STREAM:
             sys.stdout.buffer.write(data)
             sys.stdout.buffer.flush()
@@ -89,7 +89,7 @@ def output(path: str) -> str:
 
 def listed(folder: str) -> list[Path]:
     """List a folder's files and broken links by name, without pipes, which might block. Raises CommandError."""
-    with _saying("read", folder):
+    with _command_errors("read", folder):
         return sorted(path for path in Path(folder).iterdir() if path.is_file() or not path.exists())
 
 
@@ -99,7 +99,7 @@ def name_of(path: str, stream: str = "standard input") -> str:
 
 
 @contextmanager
-def _saying(verb: str, path: str) -> Iterator[None]:
+def _command_errors(verb: str, path: str) -> Iterator[None]:
     """Turn OSError into a CommandError with the path as given."""
     try:
         yield
@@ -117,7 +117,7 @@ def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
             if sys.stdout is None or sys.stdout.isatty():
                 raise CommandError("standard output is a terminal: name a file, or redirect it with > or |")
         else:
-            with _saying("write", path):
+            with _command_errors("write", path):
                 _check_writable(Path(path))
     taken: dict[str, str] = {os.path.realpath(path): path for path in sources if not is_device(path)}
     for path in outputs:
@@ -135,7 +135,7 @@ def is_device(path: str) -> bool:
 
 def make_folder(path: str) -> None:
     """Create a folder and its parents. Raises CommandError."""
-    with _saying("write", path):
+    with _command_errors("write", path):
         Path(path).mkdir(parents=True, exist_ok=True)
 
 

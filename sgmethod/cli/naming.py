@@ -70,7 +70,6 @@ def decodes(arguments: argparse.Namespace) -> list[Conversion]:
 
 
 def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]:
-    """Return the input and the optional output."""
     names = [*arguments.names, *([] if arguments.output is None else [arguments.output])]
     if len(names) > 2:
         raise CommandError(

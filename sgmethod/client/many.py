@@ -10,7 +10,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from sgmethod.budget import DEFAULT_BUDGET, whole
+from sgmethod.budget import DEFAULT_BUDGET, checked_integer
 from sgmethod.client.client import Client
 from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
@@ -32,7 +32,7 @@ def encode_many(
 
     A server that is busy is asked again for as long as the client has patience: give it hours for a long run.
     """
-    threads = whole(jobs, "the number of jobs", 1, MAX_JOBS)
+    threads = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
     options = {"budget": DEFAULT_BUDGET, "priority": "bulk", **options}
 
     def make(picture: Any) -> Made:

@@ -12,7 +12,7 @@ from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
-from sgmethod.budget import Budget, own_number, whole
+from sgmethod.budget import Budget, checked_integer, finite_number
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import own_array, own_gaussians
 from sgmethod.fitting.level import target_of
@@ -51,7 +51,7 @@ def pack(
 
     Raises GaussiansError for what no file can hold, BudgetError, and ImageError for a picture of another size.
     """
-    width, height = (whole(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
+    width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
     own = seen(own_gaussians(gaussians), (width, height))
     if len(own) > min(width * height, MOST_GAUSSIANS):
         raise GaussiansError(f"{len(own)} Gaussians are more than a file of {width} x {height} pixels can hold")
@@ -62,7 +62,7 @@ def pack(
         raise BudgetError("one of bpp and quantum is needed")
     if bpp is not None:
         return container.serialise(packed.within(Budget("bpp", bpp).max_bytes(width, height) or 0))
-    number = own_number(quantum)
+    number = finite_number(quantum)
     if number is None or not MIN_QUANTUM <= number <= MAX_QUANTUM:
         raise BudgetError(f"the quantum must be from {MIN_QUANTUM} to {MAX_QUANTUM:g}, got {quantum!r}")
     return container.serialise(packed.stream(number))

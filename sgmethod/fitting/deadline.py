@@ -35,7 +35,7 @@ class Deadline:
     def __init__(
         self, clock: Clock, limit_s: float | None = None, pixels: int = 0, settings: DeadlineSettings | None = None
     ) -> None:
-        """Start an encode. limit_s: for the whole encode, of which a reserve for `pixels` is subtracted."""
+        """Start an encode. limit_s: for the whole encode, including a reserve for measuring so many pixels."""
         self._clock, self.settings = clock, settings or DeadlineSettings()
         s = self.settings
         reserve_s = s.reserve_s_per_megapixel + s.shared_s_per_megapixel / thread_count()

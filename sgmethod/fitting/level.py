@@ -30,7 +30,7 @@ SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 class Histogram:
     """Statistics of the levels of an image [H, W, 3].
 
-    background: the colour of more than half of the image, such as a page's white (is_most), else the mean colour;
+    background: the colour of more than half of the image, such as a page's white (has_majority), else the mean colour;
     spread: the largest difference between the levels of a channel.
     """
 
@@ -38,8 +38,8 @@ class Histogram:
         number = pixels.shape[0] * pixels.shape[1]
         counts = _counts(pixels)
         most = counts.argmax(1).astype(np.uint8)
-        self.is_most = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
-        red, green, blue = (round(float(c)) for c in (most if self.is_most else counts @ np.arange(256) / number))
+        self.has_majority = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
+        red, green, blue = (round(float(c)) for c in (most if self.has_majority else counts @ np.arange(256) / number))
         self.background = red, green, blue
         self.spread = int(max(np.ptp(np.flatnonzero(of_channel)) for of_channel in counts))
 

@@ -65,7 +65,7 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def own_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Path:
+def checked_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Path:
     """Convert to a Path. Raises `error` for an invalid file name."""
     name = os.fsdecode(path)
     try:

@@ -119,7 +119,7 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     try:
         reader = formats.open_reader(data, kind)
     except RuntimeError as error:
-        raise ValueError("rejected by its decoder") from error  # whose message would not help a user
+        raise ValueError("rejected by its decoder") from error  # the decoder's own message would not help a user
     (limits or ImageLimits()).check(*reader.size)
     notes = [] if is_still(reader, data) else ["only the first of several pictures is used"]
     if kind == "TIFF":

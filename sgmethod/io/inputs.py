@@ -10,7 +10,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from sgmethod.errors import ImageError
-from sgmethod.io.files import own_path
+from sgmethod.io.files import checked_path
 from sgmethod.io.header import (
     ImageLimits,
     Opened,
@@ -41,7 +41,7 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
     if isinstance(image, bytes | bytearray | memoryview):
         return read_image_8_bit(bytes(image), keep_alpha=keep_alpha)
     if isinstance(image, str | os.PathLike):
-        return read_image_8_bit(own_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
+        return read_image_8_bit(checked_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
     raise ImageError(
         "an image must be a path, the bytes of an image file, a Pillow image or a numpy array, "
         f"not {type(image).__name__}"

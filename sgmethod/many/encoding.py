@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sgmethod.budget import whole
+from sgmethod.budget import checked_integer
 from sgmethod.codec import encode
 from sgmethod.errors import ImageWarning, SgError
 from sgmethod.io.inputs import Input
@@ -45,7 +45,7 @@ def encode_many(
     A picture that cannot be encoded is a line with its error, and the rest goes on. Raises SgError for a name that is
     invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
-    jobs = whole(jobs, "the number of jobs", 1, MAX_JOBS)
+    jobs = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
     if engine not in ("local", "ray"):
         raise SgError(f'the engine must be "local" or "ray", got {engine!r}')
 

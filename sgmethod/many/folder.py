@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sgmethod.errors import SgError
-from sgmethod.io.files import own_path, write_atomically
+from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import Input
 from sgmethod.many.manifest import Manifest, Row
 from sgmethod.many.run import Finished, OnRow, Run, Tally, Task
@@ -32,7 +32,7 @@ def into_folder(
     options: everything besides the pictures that decides the files; finish: writes the files of tasks into a folder.
     Raises SgError and OSError, as encode_many() does.
     """
-    folder = own_path(output_dir)
+    folder = checked_path(output_dir)
     folder.mkdir(parents=True, exist_ok=True)
     with Manifest(folder, options) as manifest:
         run = Run[Row](manifest, resume, len(items) if isinstance(items, Sized) else None)
@@ -43,8 +43,8 @@ def _tasks(items: Iterable[Item]) -> Iterator[Task[Row]]:
     """Yield a task for each picture. Raises SgError for a name that is invalid or used twice."""
     names = set()
     for item in items:
-        name, picture = item if isinstance(item, tuple) else (own_path(item).stem, item)
-        if not isinstance(name, str) or not name or own_path(name).name != name:
+        name, picture = item if isinstance(item, tuple) else (checked_path(item).stem, item)
+        if not isinstance(name, str) or not name or checked_path(name).name != name:
             raise SgError(f"the name of a picture must be a file name without folders, got {name!r}")
         if name in names:
             raise SgError(f"two pictures are named {name!r}: give other names, as pairs (name, picture)")

@@ -139,7 +139,6 @@ def _edges(plane: Plane, mean: Plane) -> Plane:
 
 
 def _fourth(plane: Plane) -> Plane:
-    """Raise to the fourth power in place."""
     return np.square(np.square(plane, out=plane), out=plane)
 
 

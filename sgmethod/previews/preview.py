@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from sgmethod.bitstream.text import from_text, to_text
-from sgmethod.budget import whole
+from sgmethod.budget import checked_integer
 from sgmethod.codec import encode
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
@@ -87,7 +87,7 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
     characters); limits: of image files.
     Raises ImageError, BudgetError, OSError and MemoryError, and warns with ImageWarning, as encode() does.
     """
-    bytes = whole(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
+    bytes = checked_integer(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
     pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
     text = to_text(encode(pixels, bytes=bytes, tune="psnr", effort=EFFORT).data)
     color = average_of(pixels)

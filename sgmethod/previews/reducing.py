@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sgmethod.errors import ImageError
-from sgmethod.io.files import own_path
+from sgmethod.io.files import checked_path
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.image import read_header, read_image_8_bit
 from sgmethod.io.inputs import Input, read_input
@@ -27,7 +27,7 @@ def reduced(image: Input, pixels: int, limits: ImageLimits | None = None) -> tup
     limits: of image files. Raises ImageError, and OSError for a path that cannot be read.
     """
     if isinstance(image, str | os.PathLike):
-        image = own_path(image, ImageError).read_bytes()
+        image = checked_path(image, ImageError).read_bytes()
     if isinstance(image, bytes | bytearray | memoryview):
         header = read_header(bytes(image), limits)
         own = header.width, header.height

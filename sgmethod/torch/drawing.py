@@ -16,7 +16,7 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from sgmethod.backend.pairs import Pairs, is_drawn
-from sgmethod.budget import own_number, whole
+from sgmethod.budget import checked_integer, finite_number
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, variance
@@ -52,7 +52,7 @@ def render(
     """
     means, factors, colors, lead = _checked(means, factors, colors)
     width, height = own_size(size)
-    number = own_number(scale)
+    number = finite_number(scale)
     if number is None or not MIN_SCALE <= number <= MAX_SCALE:
         raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {scale!r}")
     resized = max(round(width * number), 1), max(round(height * number), 1)
@@ -67,7 +67,7 @@ def own_size(size: object) -> tuple[int, int]:
     sides = list(size) if isinstance(size, Iterable) else []
     if len(sides) != 2:
         raise ViewError(f"a size is width and height in pixels, not {size!r}")
-    width, height = (whole(side, "a side", 1, native.MAX_SIDE, ViewError) for side in sides)
+    width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, ViewError) for side in sides)
     return width, height
 
 

@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from sgmethod import decoder
-from sgmethod.backend.devices import own_device
-from sgmethod.budget import whole
+from sgmethod.backend.devices import checked_device
+from sgmethod.budget import checked_integer
 from sgmethod.decoder import MAX_PIXELS, WHOLE, File, SgFile
 from sgmethod.errors import SgError, ViewError
 from sgmethod.exchange.packing import MOST_GAUSSIANS
@@ -43,7 +43,7 @@ def decode(
     and the errors raised, as in sgmethod.decode(), which draws the pixels: the same on every device.
     Raises SgError for a device that is not there.
     """
-    found = own_device(device)
+    found = checked_device(device)
     return _tensor(decoder.decode(file, max_pixels, view), dtype, layout).to(found)
 
 
@@ -60,7 +60,7 @@ def gaussians(
     else:
         opened = file if isinstance(file, SgFile) else SgFile(file)
         found, background = opened.gaussians(), opened.background
-    where = own_device(device)
+    where = checked_device(device)
     means, factors, colors = (torch.as_tensor(values, dtype=dtype, device=where) for values in found.arrays)
     return means, factors, colors, torch.tensor(background, dtype=dtype, device=where)
 
@@ -90,7 +90,9 @@ class SgDataset(Dataset[dict[str, Tensor]]):
             raise SgError("SgDataset needs a list of files, not one file")
         self._files = files
         self._size = None if size is None else own_size(size)
-        self._most = 0 if most_gaussians is None else whole(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
+        self._most = (
+            0 if most_gaussians is None else checked_integer(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
+        )
 
     def __len__(self) -> int:
         return len(self._files)

@@ -24,8 +24,9 @@ from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v1 import Group, StreamV1
 from sgmethod.bitstream.v2 import StreamV2, coded_background
-from sgmethod.io import encode_png, write_atomically
+from sgmethod.io.files import write_atomically
 from sgmethod.io.image import read_image
+from sgmethod.io.png import encode_png
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS, golden_path

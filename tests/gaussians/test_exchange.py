@@ -17,7 +17,7 @@ from sgmethod.exchange.packing import seen
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.native.reference import render
-from sgmethod.view import WHOLE, recut
+from sgmethod.view import NO_CUTOFF, recut
 from tests.backend.cases import scattered, single
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
@@ -67,8 +67,8 @@ def test_gaussians_of_version_1_are_the_nearest_of_this_shape() -> None:
 
 def test_a_whole_gaussian_and_the_nearest_that_ends() -> None:
     one = [torch.tensor(values, dtype=torch.float64) for values in ([[50.0, 50.0]], [[9.0, 4.0, 6.0]], [[1.0, 1, 1]])]
-    cut = recut(single(*one), WHOLE)
-    whole = render(*one, (100, 100), WHOLE)[0]
+    cut = recut(single(*one), NO_CUTOFF)
+    whole = render(*one, (100, 100), NO_CUTOFF)[0]
     near = render(*(torch.from_numpy(values).double() for values in cut.arrays), (100, 100), native.CUTOFF_V2)[0]
     assert float(near.sum() / whole.sum()) == pytest.approx(1, abs=1e-4)
     assert float((near - whole).abs().max()) < 0.035  # as it was, 0.2 of its integral would be missing
@@ -177,7 +177,7 @@ def test_ply_of_3d_splats_is_flattened(order: str, tmp_path: Path) -> None:
     (tmp_path / "splats.ply").write_bytes(HEADER.format(order=order).encode() + body)
     wanted = single([[3.5, 4.5], [8.5, 1.5]], [[2, 0, 3], [4, 0, 5]], [[0.75, 0.25, 0.25], [0.5, 0.5, 1.5]])
     assert np.allclose(sgmethod.read_ply(tmp_path / "splats.ply").factors[:, 1], 0, atol=1e-5)
-    assert close(sgmethod.read_ply(tmp_path / "splats.ply"), recut(wanted, WHOLE))
+    assert close(sgmethod.read_ply(tmp_path / "splats.ply"), recut(wanted, NO_CUTOFF))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from service.jobs.job import SourceImage
 from service.web.guards.problems import ProblemError
 from service.web.submitting.fields import Asked
 from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import Budget, unasked
+from sgmethod.budget import Budget, default_budget
 from sgmethod.metrics.looks import SMALLEST_SIDE
 from sgmethod.profiles import PROFILES
 from sgmethod.settings.rd import RdSettings
@@ -23,7 +23,7 @@ def feasible(asked: Asked, image: SourceImage) -> Asked:
     request, settings = asked.request, PROFILES[asked.request.profile]
     budget, pixels = Budget(request.budget_kind, request.budget_value), image.width * image.height
     if not asked.has_budget:
-        budget = unasked(image.width, image.height, smallest_file(settings, has_alpha=True))
+        budget = default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
         return replace(asked, request=replace(request, budget_kind=budget.kind, budget_value=budget.value))
     if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
         detail = f"profile {request.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"

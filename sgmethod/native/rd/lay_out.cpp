@@ -22,18 +22,18 @@ LaidOut lay_out(const RdParameters& p, const uint8_t* data, size_t size, bool pr
   Arriving arriving(p, room);
   std::vector<float> colors(3 * room);
   bool crowded = false;
-  Arrivals arrivals{static_cast<int>(room), {}, {}};
-  arrivals.bring = [&](const std::function<void(int)>& there) {
+  StreamedGaussians streamed{static_cast<int>(room), {}, {}};
+  streamed.bring = [&](const std::function<void(int)>& there) {
     try {
       arriving.decode(data, size, prefix, there);
     } catch (const std::overflow_error&) {
       crowded = true;
     }
   };
-  arrivals.values = [&](int first, int last, float* means, float* factors) {
+  streamed.values = [&](int first, int last, float* means, float* factors) {
     arriving.values(first, last, means, factors, &colors[3 * static_cast<size_t>(first)]);
   };
-  auto raster = std::make_unique<Rasterization>(arrivals, canvas, -1);
+  auto raster = std::make_unique<Rasterization>(streamed, canvas, -1);
   if (crowded) return laid_out(rd_decode(p, data, size, prefix), canvas);
   colors.resize(3 * static_cast<size_t>(raster->gaussians()));
   return {std::move(raster), std::move(colors)};

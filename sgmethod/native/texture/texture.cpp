@@ -12,11 +12,12 @@
 namespace sg {
 namespace {
 
-// An octave that would be enlarged at scale 1, and is not in a smaller view, stands for the finer one as well.
+// Factor on the strength of an octave that is drawn at level 0 of a reduced view, where it is not blurred by enlarging
+// and also replaces the finer octave.
 constexpr float kUnenlarged = 0.75f;
 
-// The noise, plus 128: a table that repeats after so many samples, in words for four rows. There are more in each row, for
-// vectors that reach beyond.
+// The noise, plus 128: a periodic table, in words of four rows. Rows are longer than the period, for vectors that reach
+// beyond it.
 constexpr int kSide = 256, kBeyond = kTileWidth;
 constexpr float kMiddle = 128.0f;
 struct Noise {
@@ -46,15 +47,15 @@ uint32_t mixed(uint32_t h) {
   return h;
 }
 
-// What all rows of a tile that lie between the same cells share.
+// Data shared by all rows of a tile that lie between the same rows of cells.
 struct Strip {
-  uint32_t first;              // place of the first column
+  uint32_t first;              // coordinate of the first column
   const float *upper, *lower;  // strengths in the rows of cells above and below
   const Noise* noise;
 };
 
-// Rows of a tile from `first` to before `end`; place: of row 0; part: of the way from upper to lower, for each row. A word
-// of noise is for four rows, a byte for each.
+// Adds noise to rows of a tile from `first` to before `end`. place: coordinate of row 0; part: position of each row
+// from upper to lower, 0 to 1. A word of noise has one byte for each of four rows.
 template <int W>
 SG_INLINE void add_body(const Strip& strip, int place, const float* part, int first, int end, float* accumulators) {
   using V = Simd<W>;
@@ -105,10 +106,10 @@ constexpr Add kAdd[] = {add_baseline, add_avx2, add_avx512};
 constexpr Add kAdd[] = {add_baseline};
 #endif
 
-// Between which cells samples of a level lie, along one axis: the cell before each, or the last or the first of all, and the
-// part of the way to the next.
+// Positions of a level's samples between cells, along one axis: the cell before each sample (clamped), and the position
+// from it to the next, 0 to 1.
 struct Between {
-  // cell, corner: output pixels. From a place on, a number of them.
+  // cell, corner: output pixels; number: of cells; place, count: of samples.
   Between(int level, double cell, double corner, int number, int place, int count) : cells(count), parts(count) {
     const double step = std::ldexp(1.0, level) / cell, first = 0.5 * step - corner / cell - 0.5, last = number - 1;
     for (int i = 0; i < count; ++i) {
@@ -121,8 +122,8 @@ struct Between {
   std::vector<float> parts;
 };
 
-// The strength of a code: half a level for code 1, and half a power of two more for each that follows. The noise
-// has these spreads.
+// The strength of a code: half a level for code 1, and a factor of sqrt(2) for each further code. The noise has these
+// spreads.
 constexpr double kSpreads[kTextureOctaves] = {34.1, 29.7};
 float strength_of(int code, double spread) {
   if (code == 0) return 0.0f;
@@ -130,7 +131,7 @@ float strength_of(int code, double spread) {
   return static_cast<float>(half_levels / (2.0 * spread * 255.0));
 }
 
-// Sums of neighbours in a plane that repeats, weighted along both axes.
+// Separable filter of a periodic plane.
 using Plane = std::vector<int>;
 template <int N>
 Plane filtered(const Plane& plane, const int (&weights)[N]) {
@@ -145,7 +146,7 @@ Plane filtered(const Plane& plane, const int (&weights)[N]) {
   return sums;
 }
 
-// White noise, from -128 to 127, less its mean around each sample. The finest octave is also smoothed: nothing enlarges it.
+// White noise, from -128 to 127, minus its local mean. The finest octave is also smoothed, because it is not enlarged.
 Noise make_noise(int octave) {
   Plane noise(kSide * kSide), white(kSide * kSide);
   for (int row = 0; row < kSide; ++row) {
@@ -229,7 +230,7 @@ TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int 
   if (octave_ < 0 || octave_ >= kTextureOctaves || level > texture.top()) return;
   const Between across(level, grid.cell_x, grid.x, grid.columns, x, columns);
   Between down(level, grid.cell_y, grid.y, grid.rows, y, rows);
-  const int first = down.cells.front(), end = down.cells.back() + 2;  // one more, which the last rows go towards
+  const int first = down.cells.front(), end = down.cells.back() + 2;  // including the cell after the last sample
   strengths_.resize(static_cast<size_t>(end - first) * static_cast<size_t>(columns));
   busy_.resize(static_cast<size_t>(end - first) * static_cast<size_t>(strips_));
   float* strength = strengths_.data();
