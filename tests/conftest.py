@@ -1,4 +1,4 @@
-"""How much hypothesis tries: little in `make test`, much in `make thorough`, always the same; a fixture of all tests."""
+"""How much hypothesis tries: little in `make test`, much in `make thorough`; and a fixture that all tests share."""
 
 from __future__ import annotations
 
