@@ -197,6 +197,13 @@ def test_what_an_encode_is_tuned_for() -> None:
         encode(small(), Budget("bpp", 4), "paper", tune="visual")
 
 
+def test_other_profiles_have_neither_looks_nor_effort() -> None:
+    with pytest.raises(BudgetError, match="has no looks scale"):
+        encode(small(), profile="paper", looks="web")
+    with pytest.raises(BudgetError, match="only profile rd has an effort"):
+        encode(small(), profile="paper", bytes=600, effort=6)
+
+
 # --- pictures
 
 ODD = {
