@@ -475,12 +475,14 @@ def test_commands_of_the_readme(run: Run) -> None:
 
 
 def test_commands_of_the_command_lines_page(run: Run) -> None:
+    """Slow: each is an encode or draws a picture."""
     run_in_order(run, commands_of("docs/command_line.md"))
     assert info("photo.sg").version == 5  # none has put a file of another profile in its place
     assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 
 def test_commands_of_the_help(run: Run) -> None:
+    """Slow: as many encodes again."""
     Path("photos").mkdir(exist_ok=True)
     for name in ("photos/a.jpg", "a.png", "b.png"):
         PHOTO.save(name)
