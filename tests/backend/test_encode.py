@@ -56,7 +56,7 @@ def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
 
 
 def test_files_are_as_good_as_those_of_the_kernels() -> None:
-    """Slow: four encodes on tensors. On average, since a fit with other last bits ends some hundredths of a dB apart."""
+    """Slow: four encodes on tensors. On average: fits with other last bits end some hundredths of a dB apart."""
     photo, gains = np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")), []
     for x, y in ((0, 0), (40, 0), (80, 0), (0, 32)):
         pixels = np.ascontiguousarray(photo[y : y + SIZE[1], x : x + SIZE[0]])

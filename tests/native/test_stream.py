@@ -89,6 +89,12 @@ def test_refused_headers(at: int, value: bytes, why: str, stream: StreamV3 | Str
         container.parse(data if at == 4 else with_checksum(data)).gaussians()
 
 
+def test_version_3_has_no_texture() -> None:
+    data = container.serialise(of_version_3())
+    with pytest.raises(BitstreamError, match="flags is 4"):
+        container.parse(with_checksum(data[:8] + b"\4" + data[9:]))
+
+
 @STREAMS
 def test_a_limit_of_gaussians(stream: StreamV3 | StreamV4) -> None:
     count = len(stream.gaussians())
