@@ -199,9 +199,9 @@ def test_what_an_encode_is_tuned_for() -> None:
 
 def test_other_profiles_have_neither_looks_nor_effort() -> None:
     with pytest.raises(BudgetError, match="has no looks scale"):
-        encode(small(), profile="paper", looks="web")
+        sgmethod.encode(small(), profile="paper", looks="web")
     with pytest.raises(BudgetError, match="only profile rd has an effort"):
-        encode(small(), profile="paper", bytes=600, effort=6)
+        sgmethod.encode(small(), profile="paper", bytes=600, effort=6)
 
 
 # --- pictures

@@ -192,8 +192,9 @@ def test_pillow_opens_and_saves() -> None:
     clear = PHOTO.resize((32, 24)).convert("RGBA")
     clear.putalpha(100)
     clear.save("clear.sg", bytes=100)
-    assert Image.open("clear.sg").mode == "RGBA"
-    assert np.array_equal(np.asarray(Image.open("clear.sg")), sgmethod.decode("clear.sg"))
+    with Image.open("clear.sg") as image:
+        assert image.mode == "RGBA"
+        assert np.array_equal(np.asarray(image), sgmethod.decode("clear.sg"))
 
 
 def test_pillow_draws_small_pictures_small(monkeypatch: pytest.MonkeyPatch) -> None:
