@@ -65,6 +65,16 @@ def test_results_do_not_depend_on_threads_and_earlier_calls(
         assert torch.equal(grad, results[0][2])
 
 
+def test_the_target_is_kept() -> None:
+    """Not copied, which a large picture's memory would feel, but neither let go."""
+    target, image = pictures(300, 300)
+    before, _ = native.ReconstructionLoss(target, 0.0)(image, torch.empty_like(image))
+    loss = native.ReconstructionLoss(target.clone(), 0.0)
+    overwrites_freed_memory = [torch.zeros_like(target) for _ in range(5)]
+    assert loss(image, torch.empty_like(image))[0] == before
+    assert len(overwrites_freed_memory) == 5
+
+
 def test_other_shapes_and_types_are_refused() -> None:
     target, image = pictures(7, 5)
     loss = native.ReconstructionLoss(target, 0.06)

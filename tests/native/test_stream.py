@@ -15,7 +15,7 @@ from sgmethod.bitstream.stream import Limits
 from sgmethod.bitstream.v3 import StreamV3
 from sgmethod.bitstream.v4 import StreamV4
 from tests.harness.data import golden, golden_path, with_checksum
-from tests.native.test_codec import rows, scattered
+from tests.native.test_codec import gaussians, rows, scattered
 
 
 def of_version_3() -> StreamV3:
@@ -42,6 +42,20 @@ def test_prefix_of_a_stream(stream: StreamV3 | StreamV4) -> None:
         part = stream.gaussians(prefix)
         assert np.array_equal(rows(part), rows(whole)[: len(part)])
         assert len(part) == pytest.approx(prefix * len(whole), abs=0.12 * len(whole))
+
+
+def test_exact_bytes() -> None:
+    """Values well within their steps, so that no machine's logarithm matters."""
+    values = gaussians(
+        [[10.3, 20.4], [40.6, 5.2], [40.7, 5.3], [1.1, 46.2]],
+        [[8.3, 1.2, 5.1], [2.2, 0, 2.3], [0.9, -0.4, 1.7], [0.4, 0.1, 0.5]],
+        [[0.31, 0.22, 0.13], [-0.2, 0.1, 0.3], [0.5, 0.4, 0.4], [0.9, -0.9, 0.8]],
+    )
+    data = container.serialise(StreamV4.of(values, (64, 48), 0.1, (128, 64, 32), False))
+    assert data[:4] == b"SGM\4"
+    assert data[4:].hex() == (
+        "7110ab470000400030089a8040208e9017000301dc0ad751397a60781a69eb88b79eb6ce06488ff08316fa585a0a4fe01903"
+    )
 
 
 @pytest.mark.parametrize("quantum", [1e-9, MIN_QUANTUM, 0.0123, 0.1, 0.999, 1.0, 1.9999, 3.3, MAX_QUANTUM, 1e9])
