@@ -59,7 +59,7 @@ def is_drawn(pixels: Pixels) -> bool:
 def better_file(pixels: Pixels, size: int, db: float, kinds: Sequence[Kind] = KINDS) -> Better | None:
     """Find a better file for a drawn picture [H, W, 3 or 4], given the bytes and the PSNR of its encode.
 
-    None for a photograph, and where neither lossless WebP nor quick AVIF (as far as `kinds` has them) is clearly better.
+    None for a photograph, and where neither lossless WebP nor quick AVIF, if among `kinds`, is clearly better.
     """
     if not is_drawn(pixels):
         return None

@@ -77,7 +77,8 @@ def convert_all(
     manifest: Manifest | None = None,
 ) -> int:
     """Print one line per finished conversion, a summary, and the failures, with exit status 1. With a manifest, add a
-    line there for each, and with --resume skip those that it has."""
+    line there for each, and with --resume skip those that it has.
+    """
     beside = _beside(arguments)
     kept = without_those_there(conversions, arguments, beside)
     run = Run[Outcome](manifest, getattr(arguments, "resume", False))
