@@ -76,8 +76,9 @@ def convert_all(
     arguments: argparse.Namespace,
     manifest: Manifest | None = None,
 ) -> int:
-    """Print one line per finished conversion, a summary, and the failures, with exit status 1. With a manifest, add a
-    line there for each, and with --resume skip those that it has.
+    """Print one line per finished conversion, a summary, and the failures, with exit status 1.
+
+    Each also becomes a line of the manifest, if there is one; with --resume, those that it has are skipped.
     """
     beside = _beside(arguments)
     kept = without_those_there(conversions, arguments, beside)

@@ -27,10 +27,11 @@ def encode_many(
     on_row: OnRow[Row] | None = None,
     **options: Any,
 ) -> Tally:
-    """sgmethod.encode_many() by a server. items: paths, or pairs of a name and the path or bytes of an image file;
-    jobs: pictures that the server has at a time; options: of Client.encode(), such as budget.
+    """Encode many pictures as sgmethod.encode_many() does, on a server.
 
-    A server that is busy is asked again for as long as the client has patience: give it hours for a long run.
+    items: paths, or pairs of a name and the path or bytes of an image file; jobs: pictures on the server at a time;
+    options: of Client.encode(), such as budget. A busy server is asked again until the client's patience ends: give it
+    hours for a long run.
     """
     threads = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
     options = {"budget": DEFAULT_BUDGET, "priority": "bulk", **options}
