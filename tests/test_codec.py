@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
@@ -197,6 +197,13 @@ def test_what_an_encode_is_tuned_for() -> None:
         encode(small(), Budget("bpp", 4), "paper", tune="visual")
 
 
+def test_other_profiles_have_neither_looks_nor_effort() -> None:
+    with pytest.raises(BudgetError, match="has no looks scale"):
+        sgmethod.encode(small(), profile="paper", looks="web")
+    with pytest.raises(BudgetError, match="only profile rd has an effort"):
+        sgmethod.encode(small(), profile="paper", bytes=600, effort=6)
+
+
 # --- pictures
 
 ODD = {
@@ -376,15 +383,11 @@ def test_the_seed_decides(profile: str) -> None:
 
 
 @pytest.mark.parametrize("profile", SLOWLY)
-def test_the_file_does_not_depend_on_threads(profile: str) -> None:
-    before = sgmethod.native.native.thread_count()
+def test_the_file_does_not_depend_on_threads(profile: str, set_threads: Callable[[int], None]) -> None:
     files = []
-    try:
-        for threads in (1, 3):
-            sgmethod.set_threads(threads)
-            files.append(encode(small(), Budget("bytes", 400), profile).data)
-    finally:
-        sgmethod.set_threads(before)
+    for threads in (1, 3):
+        set_threads(threads)
+        files.append(encode(small(), Budget("bytes", 400), profile).data)
     assert files[0] == files[1]
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from sgmethod import BitstreamError, decode, info, set_threads
+from sgmethod import BitstreamError, decode, info
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
 from sgmethod.bitstream.v2 import StreamV2
@@ -54,13 +54,6 @@ def wide(n: int, width: int, height: int, *, scale_px: float, positions: tuple[f
     )
 
 
-@pytest.fixture
-def restored_threads() -> Iterator[None]:
-    before = native.thread_count()
-    yield
-    set_threads(before)
-
-
 @pytest.mark.parametrize("name", GOLDEN)
 def test_golden_pixels(name: str) -> None:
     """Exact: make_golden.py wrote these pictures when the streams were made."""
@@ -71,9 +64,8 @@ def test_golden_pixels(name: str) -> None:
     assert np.array_equal(pixels, expected)
 
 
-@pytest.mark.usefixtures("restored_threads")
 @pytest.mark.parametrize("name", [*GOLDEN, "scattered"])
-def test_pixels_are_the_same_everywhere(name: str) -> None:
+def test_pixels_are_the_same_everywhere(name: str, set_threads: Callable[[int], None]) -> None:
     """Bit by bit, for each instruction set this processor has and several numbers of threads."""
     if name == "scattered":
         scene = Scene(scattered(700, 301, 203), 301, 203, (0, 0, 0), native.CUTOFF_V1)
@@ -92,10 +84,9 @@ def test_pixels_are_the_same_everywhere(name: str) -> None:
         assert np.array_equal(draw(scene), expected)
 
 
-@pytest.mark.usefixtures("restored_threads")
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_what_is_laid_out_while_it_is_decoded_is_the_same(threads: int) -> None:
-    """As one after the other, for whole payloads and parts of them, of both versions."""
+def test_what_is_laid_out_while_it_is_decoded_is_the_same(threads: int, set_threads: Callable[[int], None]) -> None:
+    """As one after the other, for whole payloads and parts of them, of every version."""
     set_threads(threads)
     for name in EVERY:
         stream = parse(golden(name))

@@ -18,7 +18,6 @@ import sgmethod
 from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
 
 FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
-OUTSIDE = {"__init__", "__main__"}  # a package's face and its command: they import what they hand on
 
 
 def listed(package: str) -> list[str]:

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -21,7 +21,6 @@ import sgmethod
 from service.web.routes.pictures import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
 from sgmethod.io.png import encode_png
-from sgmethod.native import native
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.harness import profiles
@@ -193,8 +192,9 @@ def test_pillow_opens_and_saves() -> None:
     clear = PHOTO.resize((32, 24)).convert("RGBA")
     clear.putalpha(100)
     clear.save("clear.sg", bytes=100)
-    assert Image.open("clear.sg").mode == "RGBA"
-    assert np.array_equal(np.asarray(Image.open("clear.sg")), sgmethod.decode("clear.sg"))
+    with Image.open("clear.sg") as image:
+        assert image.mode == "RGBA"
+        assert np.array_equal(np.asarray(image), sgmethod.decode("clear.sg"))
 
 
 def test_pillow_draws_small_pictures_small(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,14 +240,7 @@ def test_examples_in_docstrings(module: str) -> None:
 # --- threads
 
 
-@pytest.fixture
-def threads_as_before() -> Iterator[None]:
-    before = native.thread_count()
-    yield
-    sgmethod.set_threads(before)
-
-
-@pytest.mark.usefixtures("threads_as_before")
+@pytest.mark.usefixtures("set_threads")
 def test_results_are_in_order_and_made_by_as_many_threads_as_told() -> None:
     sgmethod.set_threads(2)
     both = threading.Barrier(2)
@@ -261,7 +254,7 @@ def test_results_are_in_order_and_made_by_as_many_threads_as_told() -> None:
     assert in_parallel(lambda _: threading.current_thread(), range(3)) == [threading.current_thread()] * 3
 
 
-@pytest.mark.usefixtures("threads_as_before")
+@pytest.mark.usefixtures("set_threads")
 def test_threads_that_the_system_refuses_are_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
     refused = Mock(side_effect=RuntimeError("can't start new thread"))
     with monkeypatch.context() as patch:

@@ -78,7 +78,7 @@ def convert_all(
 ) -> int:
     """Print one line per finished conversion, a summary, and the failures, with exit status 1.
 
-    With a manifest, add a line there for each, and with --resume skip those that it has.
+    Each also becomes a line of the manifest, if there is one; with --resume, those that it has are skipped.
     """
     beside = _beside(arguments)
     kept = without_those_there(conversions, arguments, beside)

@@ -218,8 +218,8 @@ class Client:
 def _query(
     budget: Budget, profile: str, tune: str | None, effort: int, time_limit_s: float | None, priority: Priority
 ) -> Json:
-    wanted = {budget.kind: budget.value, "profile": profile, "tune": tune, "effort": effort}
-    wanted |= {"priority": priority, "time_limit_s": time_limit_s}
+    wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
+    wanted |= {"priority": priority, "time_limit_s": time_limit_s, "effort": effort}
     return {name: value for name, value in wanted.items() if value is not None}
 
 

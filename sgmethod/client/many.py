@@ -27,10 +27,10 @@ def encode_many(
     on_row: OnRow[Row] | None = None,
     **options: Any,
 ) -> Tally:
-    """Encode pictures like sgmethod.encode_many(), on a server.
+    """Encode many pictures as sgmethod.encode_many() does, on a server.
 
     items: paths, or pairs of a name and the path or bytes of an image file; jobs: pictures on the server at a time;
-    options: of Client.encode(), such as budget. A busy server is asked again while the client's patience lasts: give it
+    options: of Client.encode(), such as budget. A busy server is asked again until the client's patience ends: give it
     hours for a long run.
     """
     threads = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)

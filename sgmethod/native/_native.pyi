@@ -11,7 +11,7 @@ from sgmethod.scene import FloatArray
 
 MAX_SIDE: int  # pixels along a side of a picture
 CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
-CUTOFF_V2: float  # the same for version 2
+CUTOFF_V2: float  # and of version 2
 MAX_CUTOFF: float  # the largest that the kernels support
 MIN_SCALE: float  # pixels; l1 and l3 are at least this
 COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]

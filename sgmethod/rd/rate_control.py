@@ -102,7 +102,7 @@ class Coded:
 
     @cached_property
     def looks_db(self) -> float:
-        """SSIMULACRA 2 of the whole file, on the scale of looks_db."""
+        """SSIMULACRA 2 of the whole file, on the scale of the function of this name."""
         return looks_db(self.objective.looks(draw_whole(self.stream)))
 
 

@@ -46,6 +46,7 @@ def encoded(pixels: np.ndarray, tune: Tune, backend: Backend) -> bytes:
 
 @pytest.mark.parametrize("tune", ["psnr", pytest.param("visual", marks=pytest.mark.thorough)])
 def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
+    """Slow: a whole encode on the reference."""
     pixels = np.asarray(Image.open(io.BytesIO(png(*SIZE))))
     files = [encoded(pixels, tune, backend) for backend in (Kernels(), Reference())]
     assert all(0.95 * BYTES < len(file) <= BYTES for file in files)
@@ -55,7 +56,7 @@ def test_each_backend_makes_a_file_as_good(tune: Tune) -> None:
 
 
 def test_files_are_as_good_as_those_of_the_kernels() -> None:
-    """On average: a fit that begins with other last bits ends some hundredths of a decibel higher or lower."""
+    """Slow: four encodes on tensors. On average: fits with other last bits end some hundredths of a dB apart."""
     photo, gains = np.asarray(Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")), []
     for x, y in ((0, 0), (40, 0), (80, 0), (0, 32)):
         pixels = np.ascontiguousarray(photo[y : y + SIZE[1], x : x + SIZE[0]])

@@ -11,14 +11,14 @@ from sgmethod.bitstream import v1, v2
 from sgmethod.bitstream.fields import BitField, BitReader, Field, Header, write_bits
 from sgmethod.bitstream.stream import SIGNATURE_BYTES
 from tests.bitstream.test_format_v1 import table
-from tests.harness.data import ROOT
+from tests.harness.data import JAVASCRIPT
 
 pytestmark = pytest.mark.thorough
 
 HEADERS = (v1.HEADER, v1.GROUP)
 BIT_FIELDS = (*v2.HEADER, *v2.ALPHA_HEADER)
 EVERY = [(header, field) for header in HEADERS for field in header.fields]
-JAVASCRIPT = (ROOT / "service" / "web" / "static" / "decoder" / "header.js").read_text()
+SCRIPT = (JAVASCRIPT / "header.js").read_text()
 
 
 def least(header: Header) -> dict[str, int]:
@@ -102,12 +102,12 @@ def test_the_text_has_the_tables_of_bits() -> None:
 def test_javascript_has_the_tables() -> None:
     """Those of version 2, the only one that it reads."""
     for name, header in {"HEADER": v2.HEADER, "ALPHA_HEADER": v2.ALPHA_HEADER}.items():
-        part = JAVASCRIPT.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
+        part = SCRIPT.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
         rows = re.findall(r"\[(\d+), (\d+), (true|false)\], // (\w+)", part)
         found = tuple(BitField(said, int(bits), int(short), more == "true") for bits, short, more, said in rows)
         assert found == header
     flags = {"GREY": v2.FLAG_GREY, "UPRIGHT": v2.FLAG_UPRIGHT, "TEXTURE": v2.FLAG_TEXTURE}
     for name, flag in {**flags, "ALPHA": v2.FLAG_ALPHA}.items():
-        assert f"const {name} = {flag};" in JAVASCRIPT
+        assert f"const {name} = {flag};" in SCRIPT
     assert v2.FLAG_SHORT << 3 == 128  # it looks at the whole byte
-    assert "isShort = bytes[2] > 127;" in JAVASCRIPT
+    assert "isShort = bytes[2] > 127;" in SCRIPT

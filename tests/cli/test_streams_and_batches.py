@@ -195,7 +195,7 @@ def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.thorough
 @pytest.mark.parametrize("after", [0, 2])
 def test_interrupted_jobs_end(after: float) -> None:
-    """Ctrl-C, while two processes start or encode, this long after both are there; and none is left."""
+    """Slow: Ctrl-C, while two processes start or encode, this long after both are there; and none is left."""
     for name in ("one.png", "two.png", "three.png"):
         PHOTO.resize((512, 384)).save(name)
     pictures = ["one.png", "two.png", "three.png"]

@@ -71,6 +71,7 @@ def test_gradcheck(pyramid: bool, scale: float) -> None:
 
 @pytest.mark.thorough
 def test_it_is_an_operator_of_torch() -> None:
+    """Slow: torch traces and compiles the operator in every way that it knows."""
     values = stacked(6, 2)
     torch.library.opcheck(_draw, (*values, *SIZE, True))
     by_image = torch.rand(2, 3, *SIZE[::-1])
@@ -78,7 +79,7 @@ def test_it_is_an_operator_of_torch() -> None:
 
 
 def test_it_compiles_whole() -> None:
-    """Also for a second scale, for which torch compiles it again with any scale."""
+    """Slow: torch compiles it, and for a second scale again, with any scale."""
 
     def loss(scale: float, *values: Tensor) -> Tensor:
         return render(*values, SIZE, 0.5, scale).square().mean()

@@ -27,6 +27,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("files")
 def test_the_examples() -> None:
+    """Slow: eight examples, of which one fits by gradients and one trains."""
     torch.manual_seed(0)
     names: dict[str, Any] = {}
     every = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

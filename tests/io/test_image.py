@@ -19,7 +19,7 @@ from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image, read_image_8_bit
 from sgmethod.io.levels import to_8_bit
-from tests.harness.data import PHOTOGRAPHS
+from tests.harness.data import PHOTOGRAPHS, golden_path
 
 pillow_heif.register_heif_opener()
 PHOTO = Image.open(PHOTOGRAPHS / "kodim05-crop.png").convert("RGB").crop((20, 30, 68, 62))  # 48 x 32
@@ -269,7 +269,12 @@ def test_jpeg_with_a_second_picture_is_its_first() -> None:
     assert np.array_equal(read_image(data), read_image(KINDS["jpeg"]))
 
 
-REFUSED = {  # and many others: tests/io/test_odd_inputs.py
+REFUSED = {
+    "empty": b"",
+    "text": b"hello",
+    "sg": golden_path("v5-color.sg").read_bytes(),
+    "preview of a raw file": tiff(4, 1, 8, bytes(4), t254=1),
+    "float samples": saved("TIFF", PHOTO.convert("F")),
     "32-bit samples": saved("TIFF", PHOTO.convert("I")),
     "strips for a part of the rows": tiff(4, 9, 8, bytes(36), t278=3),
     "16-bit channels apart": tiff(48, 32, 16, RGB16.tobytes(), t262=2, t284=2),

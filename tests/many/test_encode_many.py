@@ -187,7 +187,7 @@ if __name__ == "__main__":
 
 
 def test_a_killed_run_goes_on() -> None:
-    """Killed with its processes after a few lines: no picture twice, none lost, the same bytes."""
+    """Slow: 20 encodes, by a program that is killed after a few: no picture twice, none lost, the same bytes."""
     for number in range(3, 20):
         PHOTO.rotate(number).save(f"{number}.png")
     Path("run.py").write_text(RUN)

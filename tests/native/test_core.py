@@ -37,6 +37,7 @@ def test_the_cores_golden_file_is_ours() -> None:
 
 
 def test_the_core_builds_and_passes_its_tests_without_python() -> None:
+    """Slow: it compiles all kernels."""
     command = [tool("ctest"), "--test-dir", str(core()), "--output-on-failure", "--timeout", "120"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 import torch
 from torch import Tensor
@@ -47,22 +49,30 @@ def test_a_ramp_of_slope_one_has_gradient_one() -> None:
 
 
 @pytest.mark.parametrize("lambda_g", LAMBDAS)
-def test_results_do_not_depend_on_threads_and_earlier_calls(lambda_g: float) -> None:
+def test_results_do_not_depend_on_threads_and_earlier_calls(
+    lambda_g: float, set_threads: Callable[[int], None]
+) -> None:
     target, image = pictures(50, 137)
-    before = native.thread_count()
     loss = native.ReconstructionLoss(target, lambda_g)
     results = []
-    try:
-        for threads in (1, 2, 5):
-            native.set_thread_count(threads)
-            grad = torch.empty_like(image)
-            results.append((*loss(image, grad), grad))
-            loss(target, torch.empty_like(image))
-    finally:
-        native.set_thread_count(before)
+    for threads in (1, 2, 5):
+        set_threads(threads)
+        grad = torch.empty_like(image)
+        results.append((*loss(image, grad), grad))
+        loss(target, torch.empty_like(image))
     for mse, geometry, grad in results[1:]:
         assert (mse, geometry) == results[0][:2]
         assert torch.equal(grad, results[0][2])
+
+
+def test_the_target_is_kept() -> None:
+    """Not copied, which a large picture's memory would feel, but neither let go."""
+    target, image = pictures(300, 300)
+    before, _ = native.ReconstructionLoss(target, 0.0)(image, torch.empty_like(image))
+    loss = native.ReconstructionLoss(target.clone(), 0.0)
+    overwrites_freed_memory = [torch.zeros_like(target) for _ in range(5)]
+    assert loss(image, torch.empty_like(image))[0] == before
+    assert len(overwrites_freed_memory) == 5
 
 
 def test_other_shapes_and_types_are_refused() -> None:

@@ -100,20 +100,18 @@ def test_a_price_on_bits_buys_smaller_files(seed: int) -> None:
 
 
 @pytest.mark.parametrize(("size", "n"), [(SIZE, 150), ((700, 420), 1500)])
-def test_the_same_for_every_number_of_threads(size: tuple[int, int], n: int) -> None:
+def test_the_same_for_every_number_of_threads(
+    size: tuple[int, int], n: int, set_threads: Callable[[int], None]
+) -> None:
     """On the larger one many cells are refined at once."""
     values = scattered(n, size, 0)
     target = target_of(picture(values, size) + np.random.default_rng(0).normal(0, 0.005, (3, size[1], size[0])))
     parameters = native.RdParameters(*size, 0.3)
     most = len(encoded(parameters, values)) * 3 // 4
-    threads = native.thread_count()
-    try:
-        found = []
-        for count in (1, 2, 5):
-            native.set_thread_count(count)
-            found.append([refined(parameters, values, target, price=0.01, max_bytes=m) for m in (NO_LIMIT, most)])
-    finally:
-        native.set_thread_count(threads)
+    found = []
+    for count in (1, 2, 5):
+        set_threads(count)
+        found.append([refined(parameters, values, target, price=0.01, max_bytes=m) for m in (NO_LIMIT, most)])
     assert found[0] == found[1] == found[2]
     assert len(found[0][1]) <= most
     assert error(parameters, found[0][0], target) < error(parameters, encoded(parameters, values), target)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -154,13 +154,6 @@ def native_gradients(c: Case, isa: int) -> list[Tensor]:
     return out
 
 
-@pytest.fixture
-def thread_count() -> Iterator[None]:
-    before = native.thread_count()
-    yield
-    native.set_thread_count(before)
-
-
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("name", CASES)
 def test_values(name: str, isa: int) -> None:
@@ -186,14 +179,13 @@ def test_pictures_have_something_and_few_gradients_are_excused_by_a_rim() -> Non
                 assert (rim > 0).any(1).mean() < 0.1
 
 
-@pytest.mark.usefixtures("thread_count")
 @pytest.mark.parametrize("name", CASES)
-def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str) -> None:
+def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str, set_threads: Callable[[int], None]) -> None:
     c = case(name)
     expected = native_picture(c, 0)
     bytes_expected = torch.floor(expected.clamp(0, 1) * 255 + 0.5).permute(1, 2, 0).to(torch.uint8).contiguous()
     for threads in (1, 2, 5):
-        native.set_thread_count(threads)
+        set_threads(threads)
         for isa in ISAS:
             assert torch.equal(native_picture(c, isa), expected)
             found = torch.full_like(bytes_expected, 77)
@@ -201,16 +193,15 @@ def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str) -> None:
             assert torch.equal(found, bytes_expected)
 
 
-@pytest.mark.usefixtures("thread_count")
 @pytest.mark.parametrize("name", CASES)
-def test_bytes_over_a_background(name: str) -> None:
+def test_bytes_over_a_background(name: str, set_threads: Callable[[int], None]) -> None:
     """The background is what the sum begins with, so that rounding may differ by a level from adding it last."""
     c, background = case(name), (0.2, 0.7, 0.4)
     shown = native_picture(c, 0).permute(1, 2, 0) + torch.tensor(background)
     levels = torch.floor(shown.clamp(0, 1) * 255 + 0.5)
     results = []
     for threads in (1, 2, 5):
-        native.set_thread_count(threads)
+        set_threads(threads)
         for isa in ISAS:
             results.append(torch.full(shown.shape, 77, dtype=torch.uint8))
             native.Rasterization(c.means, c.factors, *c.size, isa=isa).render_bytes(c.colors, results[-1], background)
@@ -220,14 +211,13 @@ def test_bytes_over_a_background(name: str) -> None:
     assert (difference > 0).float().mean() < 1e-3  # none seen
 
 
-@pytest.mark.usefixtures("thread_count")
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("name", CASES)
-def test_gradients_do_not_depend_on_threads(name: str, isa: int) -> None:
-    native.set_thread_count(1)
+def test_gradients_do_not_depend_on_threads(name: str, isa: int, set_threads: Callable[[int], None]) -> None:
+    set_threads(1)
     expected = native_gradients(case(name), isa)
     for threads in (2, 5):
-        native.set_thread_count(threads)
+        set_threads(threads)
         for mine, one in zip(native_gradients(case(name), isa), expected, strict=True):
             assert torch.equal(mine, one)
 
@@ -251,11 +241,13 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
     assert native.MAX_CUTOFF == CUTOFF
 
 
-NOT_DRAWN = {  # and factors that are no numbers: tests/native/test_pyramid.py
+NOT_DRAWN = {  # more, and in a pyramid: tests/gaussians/test_drawing.py
     "mean x": ([np.nan, 5], [2, 0, 2]),
     "mean y": ([5, np.inf], [2, 0, 2]),
+    "l1 not a number": ([5, 5], [np.nan, 0, 2]),
     "l1 negative": ([5, 5], [-2, 0, 2]),
     "l2 infinite": ([5, 5], [2, -np.inf, 2]),
+    "l3 infinite": ([5, 5], [2, 0, np.inf]),
     "l3 zero": ([5, 5], [2, 0, 0]),
     "l1 subnormal": ([5, 5], [1e-40, 0, 2]),
     "l3 subnormal": ([5, 5], [2, 0, 1e-40]),

@@ -84,6 +84,7 @@ def test_solved_colours_reach_the_least_squares_residual() -> None:
     assert residual == pytest.approx(least, rel=1e-6)  # worst seen 3e-13
     assert np.abs(found - best).max() < 1e-4  # worst seen 2e-6
     assert least < 0.7 * np.square(target).sum()
+    assert not level(image).solve_colors(shapes, steps=0, damping=0.0).colors.any()
 
 
 def test_damping_is_that_of_a_ridge_weighed_by_energy() -> None:

@@ -129,6 +129,8 @@ def test_kmeans_finds_the_weighted_means_of_clusters() -> None:
     points, weights, index = clusters()
     found = kmeans(points, weights, 8, seed=0)
     assert torch.equal(found, kmeans(points, weights, 8, seed=0))
+    others = kmeans(points, torch.where(index == 0, 0.0, weights), 7, seed=0)
+    assert (torch.cdist(others, points[index == 0]) > 4).all()  # points without weight are neglected
     for k in range(8):
         inside = index == k
         mean = (points[inside] * weights[inside, None]).sum(0) / weights[inside].sum()

@@ -98,7 +98,7 @@ def test_the_same_alpha_everywhere_is_a_header(level: int) -> None:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-@pytest.mark.parametrize("aim", [28, 34, 38])
+@pytest.mark.parametrize("aim", [28, 36])
 def test_a_psnr_is_reached_on_black_and_on_white(aim: float, soft: bool) -> None:
     assert aim <= encode(seen_through(soft), psnr=aim).stats.psnr < aim + 0.5
 
@@ -107,7 +107,7 @@ def test_better_qualities_and_more_gaussians() -> None:
     pixels = seen_through(soft=True)
     found = [encode(pixels, quality=quality).stats for quality in (20, 50, 80)]
     assert sorted(found, key=lambda s: s.bytes) == sorted(found, key=lambda s: s.psnr) == found
-    for most in (1, 5, 60):
+    for most in (1, 20):
         assert encode(pixels, gaussians=most).stats.gaussians <= max(most, 2)
 
 
@@ -141,7 +141,7 @@ def test_a_time_limit_spoils_no_alpha(soft: bool, monkeypatch: pytest.MonkeyPatc
     for size in (1500, 20_000):
         budget, pixels = Budget("bytes", size), seen_through(soft)
         # Texture, of which a longer fit may have more, takes from the PSNR of a file that is tuned for the eye.
-        some, more = (encode(pixels, budget, tune="psnr", time_limit_s=limit_s).stats for limit_s in (3.0, 20.0))
+        some, more = (encode(pixels, budget, tune="psnr", time_limit_s=limit_s).stats for limit_s in (3.0, 10.0))
         assert 30 < some.psnr < more.psnr
         assert max(some.bytes, more.bytes) <= size
 

@@ -17,7 +17,6 @@ from tests.rd.short import shortened
 
 GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 PIXELS = np.random.default_rng(1).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-WIDE = np.tile(np.arange(768, dtype=np.uint16).astype(np.uint8), (512, 1))
 INTEGERS = [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64]
 
 
@@ -56,24 +55,17 @@ def test_a_region_is_pythons_own(kind: type) -> None:
     assert View(2, (kind(100), kind(0), kind(100), kind(100))).size(200, 100) == (200, 200)  # 100 + 100 in int8: -56
 
 
-def test_scale_and_prefix_are_pythons_own() -> None:
-    view = View(np.float16(0.5), prefix=np.float16(0.5))
-    assert [type(value) for value in (view.scale, view.prefix)] == [float, float]
-    assert view == View(0.5, prefix=0.5)
-
-
+@pytest.mark.usefixtures("set_threads")
 def test_other_arguments_are_pythons_own() -> None:
     expected = sgmethod.encode(PIXELS, bytes=300, seed=5, effort=4).data
     assert sgmethod.encode(PIXELS, bytes=np.uint16(300), seed=np.uint8(5), effort=np.int8(4)).data == expected
     assert sgmethod.encode(PIXELS, bytes=300, time_limit_s=np.float16(9)).stats.bytes <= 300
     assert sgmethod.decode(GOLDEN, np.uint16(48 * 40)).shape == (40, 48, 3)
+    view = View(np.float16(0.5), prefix=np.float16(0.5))
+    assert (view, type(view.scale), type(view.prefix)) == (View(0.5, prefix=0.5), float, float)
     assert sgmethod.info(GOLDEN, np.int32(9000)) == sgmethod.info(GOLDEN)
-    before = sgmethod.native.native.thread_count()
-    try:
-        sgmethod.set_threads(np.uint8(2))
-        assert sgmethod.native.native.thread_count() == 2
-    finally:
-        sgmethod.set_threads(before)
+    sgmethod.set_threads(np.uint8(2))
+    assert sgmethod.native.native.thread_count() == 2
 
 
 @pytest.mark.parametrize(

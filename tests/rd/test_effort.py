@@ -195,8 +195,3 @@ def test_a_picture_of_one_colour_takes_no_search() -> None:
 def test_an_effort_that_is_none_is_refused(effort: object) -> None:
     with pytest.raises(BudgetError, match="effort must be a whole number from 1 to 9"):
         encode(crop(), effort=effort)  # type: ignore[arg-type]
-
-
-def test_other_profiles_have_no_effort() -> None:
-    with pytest.raises(BudgetError, match="only profile rd has an effort"):
-        encode(crop(), Budget("bytes", 600), "paper", effort=6)

@@ -64,14 +64,14 @@ def assert_sound(encoded: Encoded, pixels: FloatArray) -> None:
     assert all(math.isfinite(point.psnr) for point in encoded.trace)
 
 
-@pytest.mark.parametrize("max_bytes", [120, 300, 700, 1500])
+@pytest.mark.parametrize("max_bytes", [120, 700])
 def test_a_size_is_kept_and_used(max_bytes: int) -> None:
     encoded = encode(crop(), Budget("bytes", max_bytes))
     assert_sound(encoded, crop())
     assert 0.97 * max_bytes <= len(encoded.data) <= max_bytes
 
 
-@pytest.mark.parametrize("max_bytes", [SMALLEST_FILE, 30, 41, 64, 100])
+@pytest.mark.parametrize("max_bytes", [SMALLEST_FILE, 41, 100])
 @pytest.mark.parametrize("picture", [lambda: quadrants(400), crop, lambda: noise(30, 40)])
 def test_a_few_bytes_are_never_exceeded(picture: Callable[[], FloatArray], max_bytes: int) -> None:
     """The coarsest steps alone would not do it on large pictures with strong colours."""
@@ -188,7 +188,7 @@ def grating(side: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("picture", [lambda: line(32), lambda: line(96), lambda: grating(40)])
-@pytest.mark.parametrize("budget", [Budget("bpp", 1), Budget("bpp", 4), Budget("bpp", 16), Budget("quality", 100)])
+@pytest.mark.parametrize("budget", [Budget("bpp", 1), Budget("bpp", 16), Budget("quality", 100)])
 def test_no_encode_clips(picture: Callable[[], FloatArray], budget: Budget) -> None:
     """A needle in a fine file would be drawn as something else."""
     before = native.rd_clipped_values()
@@ -200,8 +200,8 @@ ODD: dict[str, Callable[[], FloatArray]] = {
     "noise": lambda: noise(24, 30),
     "1x1": lambda: np.full((1, 1, 3), (0.9, 0.1, 0.4), np.float32),
     "2x1": lambda: np.array([[[0, 0, 0], [1, 1, 1]]], np.float32),
-    "1x600": lambda: noise(600, 1),
-    "600x1": lambda: noise(1, 600),
+    "1x300": lambda: noise(300, 1),
+    "300x1": lambda: noise(1, 300),
     "black": lambda: np.zeros((9, 8, 3), np.float32),
     "white": lambda: np.ones((9, 8, 3), np.float32),
     "one bright pixel": lambda: np.pad(np.ones((1, 1, 3), np.float32), ((20, 20), (20, 20), (0, 0))),

@@ -122,8 +122,8 @@ struct Between {
   std::vector<float> parts;
 };
 
-// The strength of a code: half a level for code 1, and a factor of sqrt(2) for each further code. kSpreads are the
-// noise's standard deviations.
+// The strength of a code: half a level for code 1, and a factor of sqrt(2) for each further code. The noise has these
+// spreads.
 constexpr double kSpreads[kTextureOctaves] = {34.1, 29.7};
 float strength_of(int code, double spread) {
   if (code == 0) return 0.0f;

@@ -1,9 +1,9 @@
 // Texture from a seed (docs/format.md, version 2): noise that is generated, with strengths stored in the file.
 //
 // Octave o is noise on the samples of level o of the pyramid, added there and enlarged with the rest. Each sample
-// depends only on its octave and coordinates, so that every region, thread and instruction set draws the same. Noise is
-// taken from a table without frequencies below the octave. Strengths are given at the centres of the picture's cells,
-// and interpolated linearly between them.
+// depends only on its octave and coordinates, so that every region, thread and instruction set draws the same. It comes
+// from a table without frequencies below the octave. Strengths are given at the centres of the picture's cells, and
+// interpolated linearly between them.
 #pragma once
 
 #include <cstddef>
