@@ -275,10 +275,7 @@ def _measured(
     asked: tuple[str, Tune, int],
     measures: Sequence[Measure],
 ) -> Encoded:
-    """Decode the file and measure it against pixels [H, W, 3 or 4].
-
-    asked: profile, tuning, effort; measures: in addition to PSNR.
-    """
+    """Decode a file and measure it against pixels. asked: profile, tuning, effort; measures: in addition to PSNR."""
     file = SgFile(data)
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]

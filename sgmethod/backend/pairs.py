@@ -171,10 +171,7 @@ class Pairs:
 
 
 def is_drawn(means: Tensor, factors: Tensor) -> Tensor:
-    """Mask [..., N] of the Gaussians to draw.
-
-    These have l1 and l3 above 0, and means, covariance and inverse covariance within the precision of the tensors.
-    """
+    """Mask [..., N] of Gaussians with positive l1 and l3, and with values that the tensors' precision can hold."""
     l1, l2, l3 = factors.unbind(-1)
     squares = torch.stack([l1 * l1, l3 * l3, l2 * l2 + l3 * l3], -1)
     normal = (squares >= torch.finfo(factors.dtype).tiny) & (squares < math.inf)

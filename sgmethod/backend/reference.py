@@ -1,7 +1,4 @@
-"""The backend that defines the others.
-
-It is slow on purpose: in float64, with derivatives by torch, and with searches that try one change after another.
-"""
+"""The backend that defines the others, slow on purpose: in float64, with torch's derivatives and naive searches."""
 
 from __future__ import annotations
 

@@ -184,8 +184,7 @@ class StreamV1:
         )
 
     def size_bits(self) -> dict[str, int]:
-        """Bits spent on headers (with tables of ranges and groups, checksum and padding), positions,
-        covariances and colours; their sum is the file's size."""
+        """Bits spent on headers (all that is not below), positions, covariances and colours; in sum the whole file."""
         n = self.gaussians
         parts = {
             "positions": 2 * self.position_bits * n,
@@ -224,7 +223,7 @@ def _check_count(gaussians: int, pixels: int, limits: Limits) -> None:
 
 
 def _levels(codes: NDArray[Any], value_range: FloatArray, bits: int) -> FloatArray:
-    """low + code (high - low) / (2^bits - 1), computed in float64 and rounded once to float32."""
+    """Decode: low + code (high - low) / (2^bits - 1), computed in float64 and rounded once to float32."""
     low, high = value_range.astype(np.float64).T
     values: FloatArray = (low + codes * ((high - low) / (2**bits - 1))).astype(np.float32)
     return values

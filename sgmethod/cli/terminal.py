@@ -37,10 +37,7 @@ def silent_stderr() -> Iterator[None]:
 
 @contextmanager
 def progress_line(shown: bool, began: float) -> Iterator[Progress | None]:
-    """Provide a callback that redraws one line on stderr, cleared at the end; None if not shown.
-
-    began: value of perf_counter when the user's wait began.
-    """
+    """Provide a callback that redraws one line on stderr; None if not shown. began: perf_counter at the start."""
     if not shown:
         yield None
         return

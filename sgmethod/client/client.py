@@ -37,10 +37,7 @@ WAIT_S = 50  # per request: less than the timeouts of proxies and of this client
 
 @dataclass(frozen=True)
 class RemoteEncoded:
-    """An .sg file encoded by a service.
-
-    figures: sgmethod.Stats as a dictionary; notes: on anything dropped from the image.
-    """
+    """An .sg file from a service; figures: sgmethod.Stats as a dictionary; notes: on what was dropped."""
 
     data: bytes
     figures: Json

@@ -26,11 +26,7 @@ log = logging.getLogger("sgmethod.client")
 
 
 class RefusedError(ServerError):
-    """The server refused.
-
-    problem: its problem document (RFC 9457), empty if it sent none; again_s: seconds after which to retry, None for
-    never.
-    """
+    """The server refused. problem: its document (RFC 9457) or {}; again_s: seconds until a retry, None for never."""
 
     def __init__(self, detail: str, problem: Json, again_s: float | None) -> None:
         super().__init__(detail)

@@ -91,10 +91,7 @@ class Deadline:
         return math.isfinite(self.left_s())
 
     def runs(self, lengths: Sequence[int]) -> Iterator[Pace]:
-        """Yield a pace for each run of the schedule, the first in any case, further ones while they end in time.
-
-        lengths: steps of each run.
-        """
+        """Yield a pace for each run of so many steps: the first in any case, further ones while they end in time."""
         prepared_s = self._clock.seconds()
         least_until_s = prepared_s + self.settings.least_part * (prepared_s - self._began_s)
         step_s = 0.0
@@ -126,10 +123,7 @@ def cosine(final_rate: float, progress: float) -> float:
 
 
 class Pace:
-    """Progress through one run of the schedule, 0 to 1, by steps or by time, whichever is further.
-
-    So a time limit shortens the schedule instead of cutting it off.
-    """
+    """Progress through a run, 0 to 1, by steps or by time, whichever is further: a limit shortens the schedule."""
 
     def __init__(self, clock: Clock, steps: int, until_s: Callable[[], float]) -> None:
         self._clock, self._until_s = clock, until_s

@@ -76,10 +76,7 @@ class SeenShare:
 
     @np.errstate(invalid="ignore")
     def of(self, gaussians: Gaussians) -> FloatArray:
-        """Visible share [N], from the colours and the mean visibility over about each Gaussian's size.
-
-        A NaN centre counts as the picture's corner, a NaN size as zero.
-        """
+        """Visible share [N]. A NaN centre counts as the picture's corner, a NaN size as zero."""
         means, factors, colors = gaussians.arrays
         size = 2 * np.sqrt(factors[:, 0] * factors[:, 2])
         level_of = np.clip(np.log2(np.maximum(size, 1)), 0, len(self._levels) - 1).astype(np.intp)

@@ -100,8 +100,5 @@ def reader_of(name: str) -> type[ImageFile.ImageFile]:
 
 
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
-    """Open a reader, which parses the file's header.
-
-    Raises ImageError if the format's package is missing, and any error of the reader.
-    """
+    """Open a reader, which parses the header. Raises its errors, and ImageError if its package is missing."""
     return reader_of(name)(io.BytesIO(chunks.plain_png(data) if name == "PNG" else data))

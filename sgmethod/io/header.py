@@ -139,10 +139,7 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
-    """Check the header of a JPEG XL before its reader, which decodes all pixels on opening, and some files wrongly.
-
-    Raises ImageError.
-    """
+    """Check a JPEG XL's header first: its reader decodes all pixels on opening, some wrongly. Raises ImageError."""
     formats.reader_of("JPEG XL")
     header = chunks.of_jpeg_xl(data)
     (limits or ImageLimits()).check(header.width, header.height)

@@ -143,10 +143,7 @@ def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Sam
 
 
 def _with_end(jpeg: bytes) -> bytes:
-    """Complete a JPEG that lacks its end marker.
-
-    Raises ImageError if pixels are missing too: then different random tails decode to different pixels.
-    """
+    """Complete a JPEG that lacks its end marker. Raises ImageError if pixels are missing too."""
     jpeg = jpeg.rstrip(b"\xff")  # the first half of a marker
     number = int.from_bytes(([b"\7", *re.findall(rb"\xff([\xd0-\xd7])", jpeg)])[-1], "big")
     restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # missing pixels may continue with the next restart marker

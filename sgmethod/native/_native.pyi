@@ -174,10 +174,7 @@ def frame_adam(
 def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray
 ) -> None:
-    """Clamp Gaussians to values that every file can represent.
-
-    Limits scale, slant and amplitude, and keeps means within reach sqrt(l1 l3) of the picture.
-    """
+    """Clamp scale, slant and amplitude to the limits of a fit, and means to within reach sqrt(l1 l3) of the picture."""
 
 def rd_rate_gradient(
     quantum: float,

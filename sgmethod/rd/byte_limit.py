@@ -86,8 +86,7 @@ class ByteBudget(ByteLimit):
         return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
 
     def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
-        """Find the finest at which all Gaussians fit, by bisection. If even the coarsest does not do, refining drops
-        some."""
+        """Bisect for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some."""
         low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
         while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
             low, high = high, high + math.log(2)

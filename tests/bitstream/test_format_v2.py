@@ -27,7 +27,7 @@ from sgmethod.bitstream.v2 import (
 )
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
-from sgmethod.view import FAR, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
+from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
 from tests.bitstream import plain_decoder_v2
 from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
 from tests.bitstream.test_format_v1 import MAX_LEVELS, MAX_SHARE, TEXT, table
@@ -102,8 +102,8 @@ def test_the_version_and_the_views_in_the_text() -> None:
     assert f"# Version {StreamV2.VERSION} " in text
     assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
     assert f"/ ({1 / PIXEL_VARIANCE:g} k)" in text
-    assert f"OX = floor(X * sx) mod {FAR} " in text
-    assert FAR % 2**plain_decoder_v2.TOP_LEVEL == 0
+    assert f"OX = floor(X * sx) mod {MAX_COORDINATE} " in text
+    assert MAX_COORDINATE % 2**plain_decoder_v2.TOP_LEVEL == 0
     assert f"C = 3: k = {variance(native.CUTOFF_V2):.4f}" in text
     assert f"C = 5.5: k = {variance(native.CUTOFF_V1):.4f}" in text
 
@@ -206,11 +206,11 @@ def test_the_plain_decoder_draws_the_same_views(name: str, scale: float) -> None
 
 
 def test_the_plain_decoder_draws_the_same_views_far_out() -> None:
-    """Where places are counted modulo FAR, and just before and across that."""
+    """Where places are counted modulo MAX_COORDINATE, and just before and across that."""
     rng = np.random.default_rng(5)
     n, size = 60, (60_000, 50)
     factors = np.exp(rng.uniform(0, 4, (n, 1)) + rng.normal(0, 0.4, (n, 3))) * (1, rng.choice([-1, 1]), 1)
-    for x in (FAR // 2 - 10, 50_001):
+    for x in (MAX_COORDINATE // 2 - 10, 50_001):
         means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
         gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
         data = container.serialise(StreamV2.of(gaussians, size, 0.01, (120, 110, 100), grey=False))
