@@ -196,7 +196,7 @@ def test_texture_on_and_off(page: Chromium, web: Service) -> None:
 def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     open_page(page, web)
     for name, lacking in (("grey", "Colour"), ("upright", "Slants"), ("color", "Texture"), ("texture", "Transparency")):
-        data = golden(2)[f"v5-{name}"]
+        data = golden(2)[f"v2-{name}"]
         give(page, "drop", data, f"{name}.sg")
         says(page, f"{len(data)} B", "#right-label")
         rows = page.run("return [...document.querySelectorAll('#contents tbody tr')].map((row) => row.innerText)")
