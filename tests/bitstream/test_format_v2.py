@@ -289,7 +289,7 @@ def test_quanta_are_near_to_those_asked_for(is_short: bool) -> None:
 @pytest.mark.parametrize(
     ("data", "why"),
     [
-        (b"\xd3", r"not an \.sg"),
+        (b"\xd3", "too short"),
         (b"\xd3\xc2\x80\0\0\0", "too short"),
         (b"\xd3\xc5" + bytes(9), "version 5"),
         (b"\xd3\xc0" + bytes(9), r"not an \.sg"),
