@@ -53,6 +53,8 @@ def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
 
     Raises BitstreamError for anything but a whole, intact file within the limits.
     """
+    if len(data) < SIGNATURE_BYTES:
+        raise BitstreamError(f"the file is too short: {len(data)} bytes")
     version = _stream_of(version_of(data))
     if len(data) < version.MIN_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")

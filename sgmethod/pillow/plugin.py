@@ -85,7 +85,8 @@ def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
 
 def register() -> None:
     """Register .sg files with Pillow."""
-    Image.register_open(FORMAT, SgImageFile, lambda prefix: prefix.startswith((b"\xd3\xc1", b"\xd3\xc2")))
+    # Files of later versions too, so that the error tells what they are.
+    Image.register_open(FORMAT, SgImageFile, lambda prefix: b"\xd3\xc0" < prefix[:2] < b"\xd3\xd0")
     Image.register_save(FORMAT, _save)
     Image.register_extension(FORMAT, ".sg")
     Image.register_mime(FORMAT, "application/octet-stream")  # as in the service

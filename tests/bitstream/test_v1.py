@@ -180,7 +180,7 @@ def f32(value: float) -> bytes:
 
 WHOLE = serialise(stream(12, [(6, 3), (8, 2)]))  # 252 bits of records, 4 of padding
 REFUSED = {
-    "nothing": (b"", "not an .sg file"),
+    "nothing": (b"", "too short"),
     "less than a header": (WHOLE[:12], "too short"),
     "another file": (b"\x89PNG\r\n\x1a\n" + bytes(100), "not an .sg file"),
     "a later version": (WHOLE[:1] + b"\xc3" + WHOLE[2:], "version 3"),

@@ -96,13 +96,13 @@ def test_going_back(page: Chromium, web: Service) -> None:
     page.click("#sample-cat")
     says(page, "5.4 kB", "#right-label")
     give(page, "drop", OTHER, "other.sg")
-    says(page, "48 × 40 pixels", "#figures")
+    says(page, "40 × 56 pixels", "#figures")
     page.run("history.back()")
     says(page, "5.4 kB", "#right-label")
     page.run("history.back()")
     says(page, "4.7 kB", "#right-label")
     page.run("history.go(2)")
-    says(page, "48 × 40 pixels", "#figures")
+    says(page, "40 × 56 pixels", "#figures")
 
 
 @pytest.mark.thorough
@@ -125,12 +125,12 @@ def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Servi
     page.click("#sample-cat")
     says(page, "5.4 kB", "#right-label")
     give(page, "drop", OTHER, "other.sg")
-    says(page, "48 × 40 pixels", "#figures")
+    says(page, "40 × 56 pixels", "#figures")
     page.run("window.goOn()")
     original = f"{web.url}/static/samples/cat.webp"
     wait_until(lambda: page.run(f"return performance.getEntriesByName('{original}').length"))
     page.run("return new Promise((done) => setTimeout(done, 300))")
-    assert "48 × 40 pixels" in page.text("#figures")
+    assert "40 × 56 pixels" in page.text("#figures")
 
 
 @pytest.mark.thorough
@@ -215,7 +215,7 @@ def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:
     assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
     give(page, "drop", OTHER, "other.sg")
     says(page, "Drawn by the service", "#note")
-    says(page, "48 × 40 pixels", "#figures")
+    says(page, "40 × 56 pixels", "#figures")
     page.click("#rows li:first-child .pick")
     says(page, COFFEE_SAYS, "#figures")
     give(page, "drop", COFFEE[:-1], "cut.sg")

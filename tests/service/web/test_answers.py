@@ -197,7 +197,7 @@ def test_a_full_disk_shows_and_takes_no_jobs(start_service: StartService) -> Non
         (b"\0\0\0\x18ftypisom\0\0\0\0mp41isom", "video"),
         (b"%PDF-1.7", "PDF"),
         (b"<svg xmlns=", "SVG"),
-        (b"SGM\x04", ".sg"),
+        (b"\xd3\xc2", ".sg"),
     ],
 )
 def test_refusals_name_what_came(web: Service, first: bytes, name: str) -> None:
