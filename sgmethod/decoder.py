@@ -101,12 +101,12 @@ class SgFile:
         return red / 255, green / 255, blue / 255
 
     def gaussians(self) -> Gaussians:
-        """Return the Gaussians, the largest first from version 3 on, without those of alpha and without texture.
+        """Return the Gaussians, the largest first in version 2, without those of alpha and without texture.
 
         >>> sgmethod.open("photo.sg").gaussians().means.dtype
         dtype('float32')
 
-        Gaussians of version 1 extend farther, and are converted to the closest ones of later versions. Raises
+        Gaussians of version 1 extend farther, and are converted to the closest ones of version 2. Raises
         BitstreamError and MemoryError.
         """
         scene = self._stream.scene()
@@ -181,7 +181,7 @@ def _drawn(scene: Scene) -> NDArray[np.uint8]:
             pyramid=scene.pyramid,
             x=x,
             y=y,
-            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift, t.is_banded),
+            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift),
         )
     except OverflowError as error:
         raise BitstreamError(OVERLAP) from error

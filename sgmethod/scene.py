@@ -67,19 +67,17 @@ class Gaussians:
 
 @dataclass(frozen=True)
 class Texture:
-    """Noise from a seed, drawn together with the Gaussians (docs/format.md, versions 4 and 5).
+    """Noise from a seed, drawn together with the Gaussians (docs/format.md, version 2).
 
     codes [octaves, rows, columns]: strengths at the centres of the picture's cells, 0 for none;
     cell: sides (x, y) of a cell; corner: the picture's corner (x, y), in the coordinates of the means;
-    shift: octave o is drawn on level o + shift of the pyramid, or not at all below level 0;
-    is_banded: whether each octave's noise is band-limited (version 5) or white (version 4).
+    shift: octave o is drawn on level o + shift of the pyramid, or not at all below level 0.
     """
 
     codes: NDArray[np.uint8]
     cell: tuple[float, float]
     corner: tuple[float, float] = (0.0, 0.0)
     shift: int = 0
-    is_banded: bool = True
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Scene:
     """Everything needed to draw a picture, the same for every version of the file format.
 
     width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends;
-    pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 4); origin: the first pixel
+    pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 2); origin: the first pixel
     (x, y) drawn, in the coordinates of the means; texture: only with a pyramid; alpha: a grey scene of the same size,
     white where the picture is opaque.
     """

@@ -150,14 +150,14 @@ def _resized(
 def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
     """Convert Gaussians cut off at sigma = cutoff to the closest ones cut off at new_cutoff.
 
-    Both are the cut-off of a file version, or WHOLE. The default is that of files from version 3 on.
+    Both are the cut-off of a file version, or WHOLE. The default is that of version 2.
     """
-    new_cutoff = native.CUTOFF_V3 if new_cutoff is None else new_cutoff
+    new_cutoff = native.CUTOFF_V2 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:
         return gaussians
-    # Least-squares widening for cut-off CUTOFF_V3 at the same integral. The root mean square of the difference is 5 %
+    # Least-squares widening for cut-off CUTOFF_V2 at the same integral. The root mean square of the difference is 5 %
     # and 6 % of the Gaussian's.
-    wider_by = {native.CUTOFF_V3: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
+    wider_by = {native.CUTOFF_V2: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
     wider = wider_by[cutoff] / wider_by[new_cutoff]
     gain = _integral(cutoff) / (_integral(new_cutoff) * wider**2)
     return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))

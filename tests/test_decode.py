@@ -15,7 +15,7 @@ from PIL import Image
 from sgmethod import BitstreamError, decode, info, set_threads
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.v1 import PROFILE_CODES, Group, StreamV1
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw, draw_whole
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene
@@ -23,7 +23,7 @@ from sgmethod.view import View
 from tests.harness.data import golden, golden_path
 
 GOLDEN = sorted(golden(1))
-EVERY = [name for version in (1, 3, 4) for name in sorted(golden(version))]
+EVERY = [name for version in (1, 2) for name in sorted(golden(version))]
 ISAS = range(native.best_isa() + 1)
 
 
@@ -95,12 +95,12 @@ def test_pixels_are_the_same_everywhere(name: str) -> None:
 @pytest.mark.usefixtures("restored_threads")
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_what_is_laid_out_while_it_is_decoded_is_the_same(threads: int) -> None:
-    """As one after the other, for whole payloads and parts of them, of every version."""
+    """As one after the other, for whole payloads and parts of them, of both versions."""
     set_threads(threads)
     for name in EVERY:
         stream = parse(golden(name))
         assert np.array_equal(draw_whole(stream), draw(stream.scene()))
-    for name in ("v3-color", "v5-texture"):
+    for name in ("v2-color", "v2-texture"):
         stream = parse(golden(name))
         for prefix in np.linspace(0.01, 0.99, 50).tolist():
             expected = draw(View(texture=False).apply(stream.scene(prefix)))
@@ -113,7 +113,7 @@ def test_more_gaussians_than_expected_are_laid_out_too() -> None:
     many = Gaussians(
         *(np.tile(np.array([row], np.float32), (n, 1)) for row in ((20, 20), (3, 0, 3), (0.02, 0.02, 0.02)))
     )
-    stream = StreamV5.of(many, (64, 64), 0.25, (0, 0, 0), False)
+    stream = StreamV2.of(many, (64, 64), 0.25, (0, 0, 0), False)
     assert 8 * len(stream.payload) < 9 * n
     assert np.array_equal(draw_whole(stream), draw(stream.scene()))
     assert len(stream.gaussians()) == n
@@ -150,9 +150,9 @@ def test_info() -> None:
         json.dumps(fields, allow_nan=False)
         assert fields["bytes"] == len(data)
         assert fields["bpp"] == 8 * len(data) / (stream.width * stream.height)
-        assert fields["version"] == data[3]
-        assert fields["checksum"] == data[4:8].hex()
-        assert PROFILE_CODES[str(fields["profile"])] == data[8]
+        assert fields["version"] == data[1] - 0xC0 == 1
+        assert fields["checksum"] == data[-4:].hex()
+        assert PROFILE_CODES[str(fields["profile"])] == data[2]
         for field in ("width", "height", "position_bits", "gaussians"):
             assert fields[field] == getattr(stream, field)
         bits = info(data).bits
@@ -210,7 +210,7 @@ def test_coarse_levels_of_a_narrow_picture_take_little_memory() -> None:
         "peak = lambda: int(re.search(r'VmHWM:\\s*(\\d+) kB', open('/proc/self/status').read())[1]) // 1024\n"
         "before, pixels = peak(), np.empty((1 << 20, 16, 3), np.uint8)\n"
         "gaussian = np.full((1, 2), 8, np.float32), np.float32([[1e4, 0, 1e4]])\n"
-        "raster = native.Rasterization(*gaussian, 16, 1 << 20, native.CUTOFF_V3, pyramid=True)\n"
+        "raster = native.Rasterization(*gaussian, 16, 1 << 20, native.CUTOFF_V2, pyramid=True)\n"
         "raster.render_bytes(np.ones((1, 3), np.float32), pixels)\n"
         "print(peak() - before)\n"
     )

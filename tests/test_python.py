@@ -31,7 +31,7 @@ from tests.rd.short import short
 
 PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
 PIXELS = np.asarray(PHOTO)
-GOLDEN = golden_path("v5-color.sg").read_bytes()  # 48 x 40
+GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 
 
 @pytest.fixture(autouse=True)

@@ -15,7 +15,7 @@ import sgmethod
 from sgmethod import Budget, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.fitting.texture import SHOWN, estimate, grain
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
@@ -45,7 +45,7 @@ NOTHING = Gaussians(*(np.zeros((0, n), np.float32) for n in (2, 3, 3)))
 def file_of(
     codes: Codes | None, gaussians: Gaussians | None = None, *, grey: bool = False, size: tuple[int, int] = SIZE
 ) -> bytes:
-    stream = StreamV5.of(gaussians or NOTHING, size, 0.02, (128, 128, 128) if grey else (140, 120, 110), grey)
+    stream = StreamV2.of(gaussians or NOTHING, size, 0.02, (128, 128, 128) if grey else (140, 120, 110), grey)
     return container.serialise(replace(stream, texture=codes))
 
 
@@ -100,7 +100,7 @@ def test_the_same_on_every_instruction_set_and_for_every_number_of_threads() -> 
                 for count in (1, 3):
                     native.set_thread_count(count)
                     arrays = gaussians.means, gaussians.factors
-                    raster = native.Rasterization(*arrays, *SIZE, native.CUTOFF_V3, isa, pyramid=True, texture=texture)
+                    raster = native.Rasterization(*arrays, *SIZE, native.CUTOFF_V2, isa, pyramid=True, texture=texture)
                     pixels = np.empty((HEIGHT, WIDTH, 3), np.uint8)
                     raster.render_bytes(gaussians.colors, pixels, (0.5, 0.4, 0.3))
                     seen.add((shift, pixels.tobytes()))
@@ -339,9 +339,9 @@ def test_what_cannot_be_is_refused() -> None:
 
 def test_files_are_compared_without_their_texture() -> None:
     """By an encode that has several to choose from."""
-    data = golden_path("v5-texture.sg").read_bytes()
+    data = golden_path("v2-texture.sg").read_bytes()
     stream, smooth = container.parse(data), decode(data, texture=False)
-    assert isinstance(stream, StreamV5)
+    assert isinstance(stream, StreamV2)
     assert psnr(decode(data), smooth) < EXACT_DB
     request = requested(smooth, Budget("quality", 50), "visual")
     assert Coded(stream, request.objective).psnr == EXACT_DB
@@ -352,7 +352,7 @@ def test_noise_keeps_to_its_octave(octave: int) -> None:
     """Of its energy, what is left after averaging over squares; and what the law of strength counts on."""
     codes = codes_of(9 * (octave == 0), 9 * (octave == 1), (512, 512))
     grey = (128, 128, 128)
-    stream = replace(StreamV5.of(NOTHING, (512, 512), 0.02, grey, grey=True), texture=codes)
+    stream = replace(StreamV2.of(NOTHING, (512, 512), 0.02, grey, grey=True), texture=codes)
     noise = (decode(container.serialise(stream))[..., 0] - 128.0).astype(np.float32)
     level = cv2.resize(noise, None, fx=0.5**octave, fy=0.5**octave, interpolation=cv2.INTER_AREA)
     coarse = cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)

@@ -18,7 +18,7 @@ from benchmarks.ablation.report import REPRESENTATIONS
 from benchmarks.pictures import Pixels
 from benchmarks.speed.sizes import peak_mib
 from sgmethod.backend.kernels import Kernels
-from sgmethod.bitstream.payload import MIN_QUANTUM
+from sgmethod.bitstream.v2 import MIN_QUANTUM
 from sgmethod.budget import Budget
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline

@@ -84,7 +84,7 @@ class Kernels:
             coding.parameters,
             *gaussians.arrays,
             target,
-            native.CUTOFF_V3,
+            native.CUTOFF_V2,
             limits.price,
             limits.sweeps,
             limits.seconds,

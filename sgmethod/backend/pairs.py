@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MAX_LEVEL, NARROWEST = 12, 1.4  # docs/format.md, version 4
+MAX_LEVEL, NARROWEST = 12, 1.4  # docs/format.md, version 2
 MOST_PAIRS = 1 << 22  # pairs of Gaussian and sample at a time: about 300 MB
 
 

@@ -20,7 +20,7 @@ from sgmethod.settings.shared import OptimiserSettings
 Target = NDArray[np.int16]  # [3, H, W], the sum that Gaussians should reach; TARGET_WHITE is white
 TARGET_WHITE = native.TARGET_WHITE
 VISIBLE = native.VISIBLE  # a visibility of 1
-CUTOFF_V1, CUTOFF = native.CUTOFF_V1, native.CUTOFF_V3  # sigma at which a Gaussian ends, in version 1 and later ones
+CUTOFF_V1, CUTOFF = native.CUTOFF_V1, native.CUTOFF_V2  # sigma at which a Gaussian ends, in versions 1 and 2
 # Distance of a centre beyond the picture, in scales of the Gaussian. Files allow two cells of the grid, at least 1.68.
 GRID_REACH = 1.6
 TILE_HEIGHT = native.TILE_HEIGHT

@@ -1,7 +1,6 @@
 """A header as a table of its fields, from which it is read and written.
 
-docs/format.md, sgmethod/native/file/ and sgmethod/javascript/src/header.js have the same tables;
-tests/native/decoder/test_fields.py compares them.
+docs/format.md and sgmethod/javascript/src/header.js have the same tables; tests/bitstream/test_fields.py compares them.
 """
 
 from __future__ import annotations
@@ -14,22 +13,21 @@ from sgmethod.errors import BitstreamError
 
 @dataclass(frozen=True)
 class Field:
-    """A number without sign, its first byte the most significant: low to high, or one value besides."""
+    """A number without sign, from low to high, its first byte the most significant."""
 
     name: str
     bytes: int
     low: int
     high: int
-    also: int | None = None
 
     def allows(self, value: int) -> bool:
         """Whether a file may hold the value."""
-        return self.low <= value <= self.high or value == self.also
+        return self.low <= value <= self.high
 
     @property
     def range(self) -> str:
-        """As docs/format.md writes it."""
-        return ("" if self.also is None else f"{self.also}, ") + f"{self.low}..{self.high}"
+        """The range as docs/format.md writes it."""
+        return f"{self.low}..{self.high}"
 
 
 @dataclass(frozen=True)

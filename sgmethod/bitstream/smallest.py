@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sgmethod.bitstream.v1 import CODEBOOK_STAGES, COLOR_INDEX_BITS, file_bytes
-from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE
+from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 

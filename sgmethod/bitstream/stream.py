@@ -9,12 +9,10 @@ from sgmethod.errors import BitstreamError
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Scene
 
-MAGIC = b"SGM"
 OVERLAP = "the file's Gaussians overlap beyond what a picture needs"
-PREFIX_BYTES = len(MAGIC) + 1 + 4  # magic, version, CRC-32 of all that follows
-# From version 5 on: "S" with its highest bit, and the version with its two highest; the checksum is at the end.
-SIGNATURE, SIGNATURE_BYTES = (0xD3, 0xC0), 2
-BEGINNINGS = MAGIC, b"\xd3\xc5"  # of files that are known
+SIGNATURE, VERSION_ZERO = 0xD3, 0xC0  # the first byte; what a file's version is added to in the second
+SIGNATURE_BYTES = 2
+BEGINNINGS = b"\xd3\xc1", b"\xd3\xc2"  # of files that are known
 SHORT_CHECKSUM, LONG_CHECKSUM = 1, 4  # bytes, the last of the CRC-32 of all that comes before them
 LaidOut = tuple[native.Rasterization, FloatArray]  # Gaussians as they are drawn, and their colours
 
@@ -59,7 +57,7 @@ class Info:
 
 
 class Stream(Protocol):
-    """A file without its magic, version and checksum, parsed. Its body is what is left of the bytes."""
+    """A file without its signature and checksum, parsed. Its body is what is left of the bytes."""
 
     VERSION: ClassVar[int]
     MIN_BYTES: ClassVar[int]  # of a whole file
@@ -90,7 +88,7 @@ class Stream(Protocol):
         ...
 
     def body(self) -> bytes:
-        """The bytes but for signature, version and checksum."""
+        """The bytes between signature and checksum."""
         ...
 
     def scene(self, prefix: float = 1.0) -> Scene:

@@ -8,25 +8,24 @@ from __future__ import annotations
 import base64
 import binascii
 
-from sgmethod.bitstream.container import LAST_WITH_MAGIC, parse, version_of
+from sgmethod.bitstream.container import parse, version_of
 from sgmethod.bitstream.stream import NO_LIMITS, SIGNATURE, Limits
 from sgmethod.errors import BitstreamError
 
-FIRST = b"x"  # character of a text of version 5, and of no other file
+FIRST = b"w"  # character of a text of versions 1 to 3, and of no file
 
 
 def to_text(data: bytes) -> str:
-    """The text of a file of version 5: 4 characters for 3 bytes, of A-Z a-z 0-9 - _ alone. Raises BitstreamError for an
-    older one."""
-    if version_of(data) <= LAST_WITH_MAGIC:
-        raise BitstreamError("only files of version 5 have a text: encode the picture again")
+    """The text of a file: 4 characters for 3 bytes, of A-Z a-z 0-9 - _ alone. Raises BitstreamError for anything but a
+    file."""
+    version_of(data)
     return base64.urlsafe_b64encode(data[1:]).rstrip(b"=").decode()
 
 
 def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
     """The file of a text. Raises BitstreamError for anything but the whole text of an intact file within the limits."""
     try:
-        data = bytes([SIGNATURE[0]]) + base64.b64decode(text.encode() + b"=" * (-len(text) % 4), b"-_", validate=True)
+        data = bytes([SIGNATURE]) + base64.b64decode(text.encode() + b"=" * (-len(text) % 4), b"-_", validate=True)
     except (binascii.Error, UnicodeEncodeError) as error:
         raise BitstreamError("this is not the text of an .sg file") from error
     parse(data, limits)

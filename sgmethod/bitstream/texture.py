@@ -1,4 +1,4 @@
-"""The texture part of a version 4 file: codes of strengths <-> bits (docs/format.md).
+"""The texture part of a version 2 file: codes of strengths <-> bits (docs/format.md).
 
 A code is told by how it differs from its neighbour on the left, the first of a row from that above. The smaller a
 difference is, the likelier: 0, -1, 1, -2, ... are as many ones and a zero.

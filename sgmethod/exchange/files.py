@@ -64,7 +64,7 @@ def read_npz(path: PathLike) -> Gaussians:
 
 def write_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Write a binary PLY file in the format of 3D Gaussian splatting. Raises GaussiansError and OSError."""
-    whole = recut(own_gaussians(gaussians), native.CUTOFF_V3, WHOLE)
+    whole = recut(own_gaussians(gaussians), native.CUTOFF_V2, WHOLE)
     l1, l2, l3 = whole.factors.astype(np.float64).T
     axes, scales, _ = np.linalg.svd(np.stack([l1, 0 * l1, l2, l3], 1).reshape(-1, 2, 2))
     half = np.arctan2(axes[:, 1, 0], axes[:, 0, 0]) / 2  # of the angle of the major axis

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM, is_upright
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
 from sgmethod.budget import Budget, own_number, whole
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import own_array, own_gaussians
@@ -83,9 +82,9 @@ class _Packing:
         self._gaussians, self._size, self._background, self._target = gaussians, size, background, target
         self._grey = len(set(background)) == 1 and bool((gaussians.colors == gaussians.colors[:, :1]).all())
 
-    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV5:
+    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV2:
         """Code Gaussians with this quantum; if there is a target, refine them to at most max_bytes of payload."""
-        quantum = StreamV5.coded_quantum(quantum)
+        quantum = StreamV2.coded_quantum(quantum)
         self._check_range(quantum)
         rounded = self._coded(self._gaussians, quantum)
         if self._target is None:
@@ -95,10 +94,10 @@ class _Packing:
         payload = Kernels().refine(self._gaussians, coding, self._target, limits, None)
         return replace(rounded, payload=payload)
 
-    def _coded(self, gaussians: Gaussians, quantum: float) -> StreamV5:
-        return StreamV5.of(gaussians, self._size, quantum, self._background, self._grey)
+    def _coded(self, gaussians: Gaussians, quantum: float) -> StreamV2:
+        return StreamV2.of(gaussians, self._size, quantum, self._background, self._grey)
 
-    def within(self, max_bytes: int) -> StreamV5:
+    def within(self, max_bytes: int) -> StreamV2:
         """Code Gaussians with the finest quantum for a file of at most max_bytes."""
         limit = max_bytes - self._coded(Gaussians.empty(0), MAX_QUANTUM).file_bytes
         found = self.stream(self._quantum(limit, max_bytes), limit)
@@ -145,7 +144,7 @@ class _Packing:
 def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
     """Return those that reach into a picture of this size."""
     l1, l2, l3 = gaussians.factors.T
-    reach = math.sqrt(2 * native.CUTOFF_V3) * np.stack([l1, np.hypot(l2, l3)], 1)
+    reach = math.sqrt(2 * native.CUTOFF_V2) * np.stack([l1, np.hypot(l2, l3)], 1)
     inside = np.logical_and(gaussians.means > -reach, gaussians.means < size + reach)
     return gaussians.rows(np.flatnonzero(inside.all(1)))
 

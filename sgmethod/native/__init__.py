@@ -2,9 +2,8 @@
 
 Arguments are NumPy arrays, and results are written to arrays provided by the caller. The C++ sources lie beside this
 file, in rooms that include and link only those before them: core/ (constants, threads, vectors), texture/ (noise from a
-seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd: integers, entropy coder), refine/ (search
-over the integers, one Gaussian at a time) and file/ (whole files, decoded without Python) know nothing of Python.
-bindings/ is the interface to Python.
+seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd: integers, entropy coder) and refine/
+(search over the integers, one Gaussian at a time) know nothing of Python. bindings/ is the interface to Python.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from sgmethod.scene import FloatArray
 
 MAX_SIDE: int  # pixels along a side of a picture
 CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
-CUTOFF_V3: float  # and of versions 3 and 4
+CUTOFF_V2: float  # and of version 2
 MAX_CUTOFF: float  # the largest that the kernels support
 MIN_SCALE: float  # pixels; l1 and l3 are at least this
 COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
@@ -63,12 +63,11 @@ class Texture:
         x: float = 0.0,
         y: float = 0.0,
         shift: int = 0,
-        is_banded: bool = True,
     ) -> None:
         """Take codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS.
 
         cell_x, cell_y: sides of a cell, and x, y: the picture's corner, in output pixels; shift: octave o is drawn on
-        level o + shift; is_banded: the noise of version 5, not that of version 4.
+        level o + shift.
         """
 
 class Rasterization:
@@ -200,10 +199,9 @@ class RdParameters:
         quantum: float,
         grey: bool = False,
         upright: bool = False,
-        version: int = 4,
         is_short: bool = False,
     ) -> None:
-        """Describe a payload. version: 3 or 4; is_short: whether all symbols share one state, as in a short file."""
+        """Describe a payload. is_short: whether all symbols share one state, as in a short file."""
 
 def rd_clipped_values() -> int:
     """Number of values clamped to the range of their integers in this process, while Gaussians were quantised."""
@@ -241,7 +239,7 @@ def rd_refine(
     """
 
 def rd_lay_out(
-    parameters: RdParameters, data: bytes, prefix: bool, cutoff: float, pyramid: bool, texture: Texture | None = None
+    parameters: RdParameters, data: bytes, prefix: bool, texture: Texture | None = None
 ) -> tuple[Rasterization, FloatArray]:
     """Decode a payload to a Rasterization of the whole picture and the colours; the two overlap in time.
 

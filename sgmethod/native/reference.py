@@ -7,7 +7,7 @@ This is the paper's accumulated blending (section III-A) with the cut-off of doc
 the ellipse sigma <= cutoff, and the subtracted constant makes it end at zero instead of in a step. Pixel (row, column)
 has its centre at (column + 0.5, row + 0.5).
 
-render_pyramid() defines version 4, where wide Gaussians are drawn on coarser levels.
+render_pyramid() defines version 2, where wide Gaussians are drawn on coarser levels.
 """
 
 from __future__ import annotations

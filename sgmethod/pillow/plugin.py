@@ -85,7 +85,7 @@ def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
 
 def register() -> None:
     """Register .sg files with Pillow."""
-    Image.register_open(FORMAT, SgImageFile, lambda prefix: prefix.startswith((b"SGM", b"\xd3\xc5")))
+    Image.register_open(FORMAT, SgImageFile, lambda prefix: prefix.startswith((b"\xd3\xc1", b"\xd3\xc2")))
     Image.register_save(FORMAT, _save)
     Image.register_extension(FORMAT, ".sg")
     Image.register_mime(FORMAT, "application/octet-stream")  # as in the service

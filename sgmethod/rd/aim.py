@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from sgmethod.backend.protocol import NO_LIMIT
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v5 import quantum_code
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, quantum_code
 from sgmethod.budget import MAX_PSNR_DB
 from sgmethod.errors import BudgetError
 from sgmethod.metrics.looks import SMALLEST_SIDE

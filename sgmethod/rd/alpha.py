@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.payload import MAX_QUANTUM
-from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV5, alpha_bytes
+from sgmethod.bitstream.v2 import MAX_QUANTUM, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2, alpha_bytes
 from sgmethod.budget import MAX_PSNR_DB
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
@@ -35,7 +34,7 @@ Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 
 
-def encode(request: Request, alpha: Pixels) -> tuple[StreamV5, int]:
+def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
     """Encode a request with alpha [H, W]; return the coded picture and the optimiser steps it took."""
     pixels = continued(request.pixels, alpha)
     layer, error, steps = _alpha(request, pixels, alpha)
@@ -43,7 +42,7 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV5, int]:
     preview = request.recorder.preview
     recorder = replace(request.recorder, preview=preview and _with_alpha(preview, layer))
     rate = rate_beside_alpha(request.rate, layer, error)
-    found: list[tuple[float, StreamV5]] = []
+    found: list[tuple[float, StreamV2]] = []
     for _ in deadline.tries(request.settings.alpha.tries):
         colours = replace(request, objective=objective, rate=rate, recorder=recorder, deadline=deadline.part(1.0))
         stream, taken = pipeline.encode(colours)
@@ -60,7 +59,7 @@ def encode(request: Request, alpha: Pixels) -> tuple[StreamV5, int]:
     return min(found, key=lambda one: one[0])[1], steps
 
 
-def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV5, float, int]:
+def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, float, int]:
     """Encode the alpha plane; return it, the error of a file with exact colours, and the steps it took."""
     s, steps = request.settings, 0
     rate, deadline = rate_of_alpha(request.rate), request.deadline.part(s.alpha.time)
@@ -92,12 +91,12 @@ def rate_of_alpha(rate: RateControl) -> RateControl:
     if isinstance(rate, GaussianCount):
         return replace(rate, quantum=quantum, max_gaussians=max(int(s.most_gaussians * rate.max_gaussians), 1))
     if isinstance(rate, ByteBudget):
-        most = StreamV5.MIN_BYTES + int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA))
+        most = StreamV2.MIN_BYTES + int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA))
         return ByteLimit(rate.settings, rate.pixels, quantum, rate.is_short, max_bytes=most)
     return RateControl(rate.settings, rate.pixels, quantum)
 
 
-def rate_beside_alpha(rate: RateControl, alpha: StreamV5, error: float) -> RateControl:
+def rate_beside_alpha(rate: RateControl, alpha: StreamV2, error: float) -> RateControl:
     """Rate control for the colours beside an alpha plane. error: mean squared error of a file with exact colours."""
     if isinstance(rate, GaussianCount):
         used = len(alpha.gaussians()) if alpha.payload else 0
@@ -128,12 +127,12 @@ def _error(decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
     return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha]))) / 10))
 
 
-def _with_alpha(preview: Preview, alpha: StreamV5) -> Preview:
+def _with_alpha(preview: Preview, alpha: StreamV2) -> Preview:
     """Wrap a preview so that it is given files with alpha."""
 
     def shown(file: bytes) -> None:
         stream = container.parse(file)
-        assert isinstance(stream, StreamV5)
+        assert isinstance(stream, StreamV2)
         preview(container.serialise(replace(stream, alpha=alpha)))
 
     return shown

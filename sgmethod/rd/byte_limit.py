@@ -6,9 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.bitstream.texture import Codes, pack
-from sgmethod.bitstream.v5 import SHORT_BYTES, SMALLEST_ALPHA, SMALLEST_FILE, StreamV5
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, SHORT_BYTES, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
 from sgmethod.errors import BudgetError
 from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
 from sgmethod.settings.rd import RdSettings, Times
@@ -33,7 +32,7 @@ class ByteLimit(RateControl):
         """Several times the expected number: some take few bits."""
         return min(self.pixels, int(settings.densify.most * self.expected_gaussians()))
 
-    def payload_limit(self, empty: StreamV5) -> int:
+    def payload_limit(self, empty: StreamV2) -> int:
         return max(self.max_bytes - empty.file_bytes, 0)
 
     def affords(self, texture: Codes) -> bool:

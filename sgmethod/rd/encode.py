@@ -15,7 +15,7 @@ requests, which alpha.py combines.
 
 from __future__ import annotations
 
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
@@ -27,7 +27,7 @@ from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
 
 
-def encode(request: Request) -> tuple[StreamV5, int]:
+def encode(request: Request) -> tuple[StreamV2, int]:
     """Encode a request; return the coded picture and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Moments, RefineLimits, Target
-from sgmethod.bitstream.payload import is_upright
 from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2, is_upright
 from sgmethod.rd.fit import take_step
 from sgmethod.rd.plan import Plan
 from sgmethod.rd.rate_control import Coded, error_per_bit
@@ -32,7 +31,7 @@ def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, 
     """
     request, s = plan.request, plan.settings
     is_short = request.rate.is_short
-    quantum = StreamV5.coded_quantum(quantum, is_short)
+    quantum = StreamV2.coded_quantum(quantum, is_short)
     upright = is_upright(gaussians.factors, request.with_shear)
     finest, spacing = plan.finest, plan.finest.frame.spacing
     price = s.refine.weight * error_per_bit(quantum) / spacing**2
@@ -40,11 +39,11 @@ def quantised(plan: Plan, gaussians: Gaussians, target: Target, quantum: float, 
     coding = replace(request.coding(quantum), upright=upright)
     payload = request.backend.refine(gaussians, coding, target, limits, finest.visibility)
     colours = *request.size, quantum, request.background, request.grey, upright, payload
-    stream = StreamV5(*colours, limit.texture, is_short=is_short)
+    stream = StreamV2(*colours, limit.texture, is_short=is_short)
     return Coded(stream, request.objective)
 
 
-def relaxed(plan: Plan, stream: StreamV5, target: Target, held: NDArray[np.bool_]) -> Gaussians:
+def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_]) -> Gaussians:
     """Take some steps with the Gaussians [N] of a coded picture, except those that are held [N]."""
     s, level = plan.settings.refine, replace(plan.finest, target=target)
     before = stream.gaussians()

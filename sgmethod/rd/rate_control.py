@@ -18,7 +18,7 @@ from typing import Protocol
 
 from sgmethod.backend.protocol import NO_LIMIT
 from sgmethod.bitstream.texture import Codes
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.settings.rd import RdSettings, Times
@@ -82,7 +82,7 @@ class Fitted(Measured, Protocol):
 class Coded:
     """A coded picture, measured without its texture, which is there to be seen and not to be measured."""
 
-    stream: StreamV5
+    stream: StreamV2
     objective: Objective
 
     @cached_property
@@ -151,7 +151,7 @@ class RateControl:
 
     # --- asked while files are searched
 
-    def payload_limit(self, empty: StreamV5) -> int:
+    def payload_limit(self, empty: StreamV2) -> int:
         """Bytes left for the payload, given a file without any."""
         return NO_LIMIT
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Backend, Coding, Frame
-from sgmethod.bitstream.v5 import StreamV5, coded_background
+from sgmethod.bitstream.v2 import StreamV2, coded_background
 from sgmethod.fitting.deadline import Deadline
 from sgmethod.fitting.level import Histogram, Level, Pyramid, target_of
 from sgmethod.fitting.objective import Objective
@@ -86,7 +86,7 @@ class Request:
         """Parameters with which a quantum codes this picture."""
         return Coding(*self.size, quantum, self.grey, is_short=self.rate.is_short)
 
-    def stream(self, gaussians: Gaussians, quantum: float) -> StreamV5:
+    def stream(self, gaussians: Gaussians, quantum: float) -> StreamV2:
         """Code Gaussians."""
         own = self.background, self.grey, self.with_shear, self.rate.is_short
-        return StreamV5.of(gaussians, self.size, quantum, *own)
+        return StreamV2.of(gaussians, self.size, quantum, *own)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.rd.aim import LooksAim
 from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.rd.rate_control import Coded
@@ -19,7 +19,7 @@ class FitNow:
 
     plan: Plan
     state: State
-    stream: StreamV5
+    stream: StreamV2
 
     @property
     def file_bytes(self) -> int:
@@ -49,7 +49,7 @@ def steer(plan: Plan, state: State, stage: Stage) -> State:
     if request.recorder.preview is not None:
         request.recorder.preview(container.serialise(now.stream))
     quantum = request.rate.steered(state.quantum, stage.times, stage.at, now)
-    coded = StreamV5.coded_quantum(quantum, request.rate.is_short)
+    coded = StreamV2.coded_quantum(quantum, request.rate.is_short)
     return replace(state, size=now.file_bytes, quantum=coded)
 
 

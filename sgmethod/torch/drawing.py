@@ -43,7 +43,7 @@ def render(
     size: width and height of the picture in pixels.
     background: below the Gaussians, a number or [..., 3].
     scale: output pixels per pixel of the picture, 1/64 to 64.
-    pyramid: draw wide Gaussians on coarser levels, as files from version 4 on do; without, sample every pixel of each.
+    pyramid: draw wide Gaussians on coarser levels, as files of version 2 do; without, sample every pixel of each.
     The two differ by 0.002 on average in a fitted photograph (root mean square).
 
     Gaussians with a value that is not finite, with l1 or l3 <= 0, or with a covariance or an inverse of it that the
@@ -109,7 +109,7 @@ def _resized(
     factors, colors = torch.where(drawn, factors, 1), torch.where(drawn, colors, 0)
     if min(scale) >= 1:
         return means, factors, colors
-    widening = PIXEL_VARIANCE / variance(native.CUTOFF_V3)
+    widening = PIXEL_VARIANCE / variance(native.CUTOFF_V2)
     wide_x, wide_y = (max(1 - s * s, 0.0) * widening for s in scale)
     l1, l2, l3 = factors.unbind(-1)
     n1 = (l1 * l1 + wide_x).sqrt()
@@ -125,7 +125,7 @@ def _drawn(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]
         image: Tensor = _draw(means, factors, colors, *size, pyramid)
         return image
     rows = zip(means, factors, colors, strict=True)
-    images = [Pairs(mean, factor, size, native.CUTOFF_V3, pyramid).draw(color) for mean, factor, color in rows]
+    images = [Pairs(mean, factor, size, native.CUTOFF_V2, pyramid).draw(color) for mean, factor, color in rows]
     return torch.stack(images) if images else colors.new_empty(0, 3, *size[::-1])
 
 
@@ -138,7 +138,7 @@ def _draw(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: in
             raster = _kernels(mean, factor, width, height, pyramid)
             raster.render(_numpy(color), to.numpy())
         else:
-            to[:] = Pairs(mean, factor, (width, height), native.CUTOFF_V3, pyramid).draw(color)
+            to[:] = Pairs(mean, factor, (width, height), native.CUTOFF_V2, pyramid).draw(color)
     return image
 
 
@@ -154,7 +154,7 @@ def _draw_backward(
             raster = _kernels(mean, factor, width, height, pyramid)
             raster.backward(_numpy(color), _numpy(by), *(values.numpy() for values in to))
         else:
-            found = Pairs(mean, factor, (width, height), native.CUTOFF_V3, pyramid).gradients(color, by)
+            found = Pairs(mean, factor, (width, height), native.CUTOFF_V2, pyramid).gradients(color, by)
             for values, gradient in zip(to, found, strict=True):
                 values[:] = gradient
     return out
@@ -174,7 +174,7 @@ def _numpy(values: Tensor) -> np.ndarray:
 
 
 def _kernels(means: Tensor, factors: Tensor, width: int, height: int, pyramid: bool) -> native.Rasterization:
-    return native.Rasterization(_numpy(means), _numpy(factors), width, height, native.CUTOFF_V3, pyramid=pyramid)
+    return native.Rasterization(_numpy(means), _numpy(factors), width, height, native.CUTOFF_V2, pyramid=pyramid)
 
 
 @_draw.register_fake

@@ -137,7 +137,7 @@ def test_encode_and_decode(run: Run) -> None:
     ],
 )
 def test_views(run: Run, line: str, view: View) -> None:
-    data = golden_path("v3-color.sg").read_bytes()
+    data = golden_path("v2-color.sg").read_bytes()
     Path("rd.sg").write_bytes(data)
     assert run("decode", "rd.sg", "out.png", "--quiet", *line.split()) == Ran(0, "", "")
     assert np.array_equal(np.asarray(Image.open("out.png")), decode(data, view=view))
@@ -191,7 +191,7 @@ def test_summary_and_trace(run: Run) -> None:
             {"headers", "positions", "covariances", "colors"},
             {"picture": "40 x 56 pixels", "position bits": "12"},
         ),
-        ("v3-grey", {"headers", "gaussians"}, {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"}),
+        ("v2-grey", {"headers", "gaussians"}, {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"}),
     ],
 )
 def test_info(run: Run, name: str, parts: set[str], lines: dict[str, str]) -> None:
@@ -476,7 +476,7 @@ def test_commands_of_the_readme(run: Run) -> None:
 
 def test_commands_of_the_command_lines_page(run: Run) -> None:
     run_in_order(run, commands_of("docs/command_line.md"))
-    assert info("photo.sg").version == 5  # none has put a file of another profile in its place
+    assert info("photo.sg").version == 2  # none has put a file of another profile in its place
     assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 

@@ -33,7 +33,7 @@ def test_one_text(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     assert json.loads(again.out)["text"] == ran.out.strip()
     Path("text").write_text(ran.out)
     assert run("decode", "text", "out.png").status == 0
-    assert "version 5" in run("info", "text").out
+    assert "version 2" in run("info", "text").out
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(Path("photo.png").read_bytes())))
     assert run("preview", "-", "--bytes", "100").out == ran.out
 

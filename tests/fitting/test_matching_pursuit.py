@@ -30,7 +30,7 @@ def planted(
     """The residual [H, W, 3] of one missing round Gaussian."""
     means, factors, colors = (np.array([v], np.float32) for v in (at, (scale, 0.0, scale), color))
     drawn = np.empty((3, *size[::-1]), np.float32)
-    native.Rasterization(means, factors, *size, native.CUTOFF_V3).render(colors, drawn)
+    native.Rasterization(means, factors, *size, native.CUTOFF_V2).render(colors, drawn)
     return np.ascontiguousarray(drawn.transpose(1, 2, 0))
 
 

@@ -18,7 +18,7 @@ from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import RD
 from tests.native.test_refine import SIZE, picture, refined, scene
 
-CUTOFF = native.CUTOFF_V3
+CUTOFF = native.CUTOFF_V2
 DETAIL = RD.objective.visibility
 
 

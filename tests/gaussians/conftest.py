@@ -18,5 +18,5 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with photo.png, of 128 x 96 pixels, and picture.sg, of 48 x 40, which is the working directory."""
     monkeypatch.chdir(tmp_path)
     Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB").save("photo.png")
-    (tmp_path / "picture.sg").write_bytes(golden_path("v4-color.sg").read_bytes())
+    (tmp_path / "picture.sg").write_bytes(golden_path("v2-color.sg").read_bytes())
     return tmp_path

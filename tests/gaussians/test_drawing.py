@@ -19,7 +19,7 @@ from sgmethod.torch.drawing import _draw, _draw_backward
 from tests.backend.cases import scattered
 
 SIZE = (40, 35)
-CUTOFF = native.CUTOFF_V3
+CUTOFF = native.CUTOFF_V2
 
 
 def tensors(gaussians: Gaussians, dtype: torch.dtype = torch.float64) -> list[Tensor]:

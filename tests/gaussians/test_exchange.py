@@ -43,7 +43,7 @@ def close(found: Gaussians, wanted: Gaussians) -> bool:
 def test_out_of_a_file_and_back(name: str) -> None:
     """The same Gaussians, but for those that no pixel sees, and any that are as narrow as can be: their size was
     clipped when they were decoded."""
-    file = sgmethod.open(golden_path(f"v4-{name}.sg").read_bytes())
+    file = sgmethod.open(golden_path(f"v2-{name}.sg").read_bytes())
     found = file.gaussians()
     data = sgmethod.pack(found, *file.size, quantum=file.info.quantum, background=file.background)
     assert sgmethod.info(data).background == file.info.background
@@ -69,7 +69,7 @@ def test_a_whole_gaussian_and_the_nearest_that_ends() -> None:
     one = [torch.tensor(values, dtype=torch.float64) for values in ([[50.0, 50.0]], [[9.0, 4.0, 6.0]], [[1.0, 1, 1]])]
     cut = recut(single(*one), WHOLE)
     whole = render(*one, (100, 100), WHOLE)[0]
-    near = render(*(torch.from_numpy(values).double() for values in cut.arrays), (100, 100), native.CUTOFF_V3)[0]
+    near = render(*(torch.from_numpy(values).double() for values in cut.arrays), (100, 100), native.CUTOFF_V2)[0]
     assert float(near.sum() / whole.sum()) == pytest.approx(1, abs=1e-4)
     assert float((near - whole).abs().max()) < 0.035  # as it was, 0.2 of its integral would be missing
 

@@ -234,7 +234,7 @@ ODD = {
     # Broken ones
     "nothing": Odd(b"", "empty"),
     "words": Odd(b"hello", "not a PNG, JPEG"),
-    "an .sg file": Odd(golden_path("v5-color.sg").read_bytes(), "an .sg file already"),
+    "an .sg file": Odd(golden_path("v2-color.sg").read_bytes(), "an .sg file already"),
     "a jpeg xl of zeros": Odd(b"\xff\x0a" + bytes(50), "the JPEG XL is damaged"),
     "half a jpeg xl": Odd(JXL["plain"][:38], "the JPEG XL is damaged, truncated"),
     "a jpeg xl without its last box": Odd(JXL["in boxes"][:40], "the JPEG XL is damaged, truncated"),

@@ -64,7 +64,7 @@ from tests.native.harness.golden import GOLDEN, is_golden
 grant = ctypes.CDLL(None).grant_threads
 for granted in (0, 1, 3, 100):
     native.set_thread_count(1)
-    assert is_golden("v3-color", decode(GOLDEN["v3-color"]))
+    assert is_golden("v2-color", decode(GOLDEN["v2-color"]))
     native.set_thread_count(5)
     grant(granted)
     for name in GOLDEN:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sgmethod.native import native, reference
 from sgmethod.scene import FloatArray, Gaussians
 
-CUTOFF = native.CUTOFF_V3
+CUTOFF = native.CUTOFF_V2
 ISAS = range(native.best_isa() + 1)
 VALUE_TOLERANCE = 1e-5  # worst seen 3.9e-6
 ERROR_TOLERANCE = 3e-6  # of the mean squared error, in parts of it; worst seen 6.6e-7

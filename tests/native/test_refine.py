@@ -13,12 +13,12 @@ import pytest
 from numpy.typing import NDArray
 
 from sgmethod.backend.protocol import Target
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from tests.native.test_codec import encoded, gaussians, rows, scattered
 
-CUTOFF = native.CUTOFF_V3
+CUTOFF = native.CUTOFF_V2
 
 SIZE = (150, 70)  # a strip that is not full at the end
 NO_LIMIT = 1 << 40

@@ -15,7 +15,7 @@ from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV5
+from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.moving_target import OvershootingTarget
 from sgmethod.io.compositing import on_backgrounds
@@ -52,9 +52,9 @@ def seen_through(soft: bool = False) -> Pixels:
     return np.dstack([photograph(), disc(soft)])
 
 
-def stream_of(data: bytes) -> StreamV5:
+def stream_of(data: bytes) -> StreamV2:
     stream = container.parse(data)
-    assert isinstance(stream, StreamV5)
+    assert isinstance(stream, StreamV2)
     return stream
 
 

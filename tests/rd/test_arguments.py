@@ -15,7 +15,7 @@ from sgmethod.profiles import PROFILES
 from tests.harness.data import golden_path
 from tests.rd.short import shortened
 
-GOLDEN = golden_path("v5-color.sg").read_bytes()  # 48 x 40
+GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 PIXELS = np.random.default_rng(1).integers(0, 256, (20, 30, 3), dtype=np.uint8)
 WIDE = np.tile(np.arange(768, dtype=np.uint16).astype(np.uint8), (512, 1))
 INTEGERS = [np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.int64, np.uint64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import sgmethod
 from sgmethod import Budget, Encoded, decode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import SMALLEST_FILE, StreamV5
+from sgmethod.bitstream.v2 import SMALLEST_FILE, StreamV2
 from sgmethod.io.image import read_image
 from sgmethod.native import native
 from sgmethod.rd.rate_control import quality_quantum
@@ -48,9 +48,9 @@ def quadrants(side: int) -> FloatArray:
     return np.stack([(x + y) % 2, (x + y) % 2 * x / 3, (x + y) % 2 * y / 3], 2).astype(np.float32)
 
 
-def stream(encoded: Encoded) -> StreamV5:
+def stream(encoded: Encoded) -> StreamV2:
     found = container.parse(encoded.data)
-    assert isinstance(found, StreamV5)
+    assert isinstance(found, StreamV2)
     return found
 
 

@@ -56,7 +56,7 @@ EXAMPLE_TRACE = {"progress": 0.06, "trace": [{**EXAMPLE_POINT, "phase": "fit"}]}
 
 
 EXAMPLE_PREVIEW = {
-    "text": "xYMQtjRiDiYJEwCUUeehgKV_5UkIqTnuzptoNyvAPCDfXzxwoLw3ixinHIvg0gIR-MkWNBXhPhxJVW-3ASM",
+    "text": "woMQtjRiDiYJEwCUUeehgKV_5UkIqTnuzptoNyvAPCDfXzxwoLw3ixinHIvg0gIR-MkWNBXhPhxJVW-3Ad8",
     "width": 4032,
     "height": 3024,
     "color": "#644138",

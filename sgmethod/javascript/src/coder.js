@@ -1,4 +1,4 @@
-// The entropy decoder of versions 4 and 5: docs/format.md, "The entropy decoder of version 4".
+// The entropy decoder of version 2: docs/format.md, "The entropy decoder".
 
 import { refuseUnless } from "./header.js";
 import { SEEN, SLOW, newModels } from "./models.js";

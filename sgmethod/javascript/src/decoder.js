@@ -1,4 +1,4 @@
-// Decodes .sg files of version 5, in a browser or elsewhere:
+// Decodes .sg files of version 2, in a browser or elsewhere:
 //
 //   const { width, height, data } = decode(bytes, { scale: 0.5 });
 //   context.putImageData(new ImageData(data, width), 0, 0);

@@ -20,9 +20,9 @@ const FIRST_ROWS = {
 const described = [];
 for (let row = COUNT + 1; row < SHAPE_SIGNS + 4; row++) described[row] = FIRST_ROWS[row] ?? described[row - 1];
 
-function refuseOthers([first, second, third]) {
-  if (first === 0xd3 && second === 0xc5) return;
-  if ((first === 0xd3 && second >> 4 === 12) || String.fromCharCode(first, second, third) === "SGM")
+function refuseOthers([first, second]) {
+  if (first === 0xd3 && second === 0xc2) return;
+  if (first === 0xd3 && second >> 4 === 12)
     throw unknown("this version of the file is not known here");
   throw new SgError("this is no .sg file");
 }

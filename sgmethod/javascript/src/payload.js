@@ -1,4 +1,4 @@
-// A payload to its Gaussians: docs/format.md, "Order of the payload of version 4".
+// A payload to its Gaussians: docs/format.md, "The payload".
 
 import { newCoder } from "./coder.js";
 import { refuseUnless } from "./header.js";

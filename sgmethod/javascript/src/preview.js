@@ -11,8 +11,8 @@ export { SgError } from "./header.js";
 export function decodePreview(text, size = 256) {
   const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
   const bytes = Uint8Array.from(`\xd3${binary}`, (letter) => letter.charCodeAt(0));
-  // Version 5, short, without texture.
-  refuseUnless(bytes[1] === 0xc5 && (bytes[2] & 160) === 128, "it is no preview");
+  // Version 2, short, without texture.
+  refuseUnless(bytes[1] === 0xc2 && (bytes[2] & 160) === 128, "it is no preview");
   const header = readHeader(bytes);
   const sides = [header.width, header.height];
   const [width, height] = sides.map((side) => Math.max(rounded((side * size) / Math.max(...sides)), 1));

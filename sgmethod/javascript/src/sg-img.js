@@ -1,4 +1,4 @@
-// <sg-img preview="xY0a..."><img src="photo.avif" width height></sg-img>: draws the preview over the photograph, and
+// <sg-img preview="wo0a..."><img src="photo.avif" width height></sg-img>: draws the preview over the photograph, and
 // fades it out once that has loaded. Without an <img> within, src, alt and so on on the element itself work as on one.
 // All that is drawn is in the element's shadow tree: nothing is written to the page's own elements.
 

@@ -19,7 +19,7 @@ export interface Picture {
 }
 
 /**
- * Draw an .sg file of version 5, of any size.
+ * Draw an .sg file of version 2, of any size.
  *
  * @throws SgError
  */

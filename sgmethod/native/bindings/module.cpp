@@ -25,7 +25,7 @@ NB_MODULE(_native, m) {
   m.doc() = "The compiled kernels. Types and meanings stand in sgmethod/native/_native.pyi.";
   m.attr("MAX_SIDE") = sg::kMaxSide;
   m.attr("CUTOFF_V1") = sg::kCutoffV1;
-  m.attr("CUTOFF_V3") = sg::kCutoffV3;
+  m.attr("CUTOFF_V2") = sg::kCutoffV2;
   m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
   m.attr("MIN_SCALE") = sg::kMinScale;
   m.attr("TARGET_WHITE") = sg::kTargetWhite;

@@ -199,16 +199,15 @@ struct Simd {
   }
 };
 
-// How many of 16 ascending numbers are no greater than a place. kSome: at least one is greater, which spares a step. p lies
-// at a multiple of 16 bytes.
-template <bool kSome>
+// How many of 16 ascending numbers, of which the last is greater, are no greater than a place. p lies at a multiple of 16
+// bytes.
 SG_INLINE uint32_t count_until(const int16_t* p, int place) {
 #if SG_X86
   __m128i at = _mm_shufflelo_epi16(_mm_cvtsi32_si128(place), 0);
   at = _mm_unpacklo_epi64(at, at);
   const auto* v = reinterpret_cast<const __m128i*>(p);
   const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(_mm_load_si128(v), at), _mm_cmpgt_epi16(_mm_load_si128(v + 1), at));
-  return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above)) | (kSome ? 0u : 1u << 16)));
+  return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above))));
 #elif defined(__ARM_NEON) && defined(__aarch64__)
   const int16x8_t at = vdupq_n_s16(static_cast<int16_t>(place));  // a comparison that holds is -1
   const uint16x8_t within = vaddq_u16(vcleq_s16(vld1q_s16(p), at), vcleq_s16(vld1q_s16(p + 8), at));

@@ -1,4 +1,4 @@
-// Drawing in a pyramid (docs/format.md, version 4). A wide Gaussian is smooth, so it is drawn on a coarser grid, which is
+// Drawing in a pyramid (docs/format.md, version 2). A wide Gaussian is smooth, so it is drawn on a coarser grid, which is
 // enlarged afterwards. The samples of level l are 2^l pixels wide. A Gaussian belongs to the highest level on which its
 // minor axis is still kNarrowest samples long.
 //

@@ -255,7 +255,6 @@ class Refinement {
 
 std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
                                const int16_t* target, const RefineSettings& settings) {
-  if (p.version != 4) refuse<std::invalid_argument>("only version 4 is refined");
   return Refinement(p, quantised(p, means, factors, colors, n), target, settings).run();
 }
 

@@ -63,7 +63,7 @@ struct State {
   Candidate decoded(const Symbols& s) const {
     Candidate c{s, {}, {}, {}, {}, {}, 0, 0};
     if (s.empty()) return c;  // scales of 0 draw nothing
-    dequantise(p, s, Geometry(s, Steps(p, s)), c.mean, c.factor, c.color);
+    dequantise(p, s, Geometry(s, Steps(s)), c.mean, c.factor, c.color);
     const float samples = std::ldexp(1.0f, -settings.halvings);
     for (int k = 0; k < 2; ++k) c.place[k] = c.mean[k] * samples;
     for (int k = 0; k < 3; ++k) c.shape[k] = c.factor[k] * samples;
@@ -113,7 +113,7 @@ class Visitor {
     Candidate best{};  // none at all
     best.cost = 0;
     consider(now, best);
-    const Steps steps(state_.p, s);
+    const Steps steps(s);
     const Geometry g(s, steps);
     for (int sign = -1; sign <= 1 && !outside_; sign += 2) {
       // One step of u may lead to another class of size, so the Gaussian grows and is rounded again.
@@ -243,7 +243,7 @@ class Visitor {
     if (s.y == c.symbols.y && s.a == c.symbols.a && s.b == c.symbols.b) return;
     Symbols same = c.symbols;
     same.y = s.y, same.a = s.a, same.b = s.b;
-    const Steps before(state_.p, c.symbols), after(state_.p, same);
+    const Steps before(c.symbols), after(same);
     Candidate found;
     if (same.size_class == s.size_class && before.exponent == after.exponent) {
       const Geometry old_geometry(c.symbols, before), geometry(same, after);

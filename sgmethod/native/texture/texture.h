@@ -1,9 +1,8 @@
-// Texture from a seed (docs/format.md, versions 4 and 5): noise that the file does not hold, with the strength that it does.
+// Texture from a seed (docs/format.md, version 2): noise that the file does not hold, with the strength that it does.
 //
 // Octave o is noise on the samples of level o of the pyramid, added there and enlarged with all else. Each sample is a
-// function of its octave and place alone, so that any region, thread and instruction set draws the same. In version 4 it is
-// white; in version 5 it is banded: frequencies below its octave are taken out of it, once for a table of which all samples
-// are. Strengths are given for the middles of the picture's cells; between them they go straight.
+// function of its octave and place alone, so that any region, thread and instruction set draws the same. It is banded:
+// frequencies below its octave are taken out of it, once for a table that holds all samples. Strengths are given for the middles of the picture's cells; between them they go straight.
 #pragma once
 
 #include <cstddef>
@@ -35,7 +34,7 @@ struct TextureGrid {
 class Texture {
  public:
   // codes [kTextureOctaves, rows, columns]. Throws std::invalid_argument for codes or grids that cannot be.
-  Texture(const uint8_t* codes, const TextureGrid& grid, bool is_banded);
+  Texture(const uint8_t* codes, const TextureGrid& grid);
 
   // The highest level that noise is added to; -1 if none is.
   int top() const { return top_; }
@@ -43,7 +42,6 @@ class Texture {
  private:
   friend class TextureLayer;
   TextureGrid grid_;
-  bool is_banded_;
   int top_ = -1;
   std::vector<float> strengths_;  // [kTextureOctaves, rows, columns], of the noise's unit
 };
@@ -58,8 +56,7 @@ class TextureLayer {
   void add(int isa, int x, int y, int first_row, int end_row, float* accumulators) const;
 
  private:
-  bool is_banded_;
-  int octave_, mask_, x_, y_, strips_;
+  int octave_, x_, y_, strips_;
   std::vector<int> cells_;        // of each row: the row of cells before it, counted from that of the first
   std::vector<float> parts_;      // of each row: the part of the way to the next row of cells
   std::vector<float> strengths_;  // [rows of cells, columns]; empty where there is no noise

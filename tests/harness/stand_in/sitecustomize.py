@@ -35,7 +35,7 @@ def encode(
     import numpy as np
 
     from sgmethod.bitstream import container
-    from sgmethod.bitstream.v5 import StreamV5
+    from sgmethod.bitstream.v2 import StreamV2
     from sgmethod.io.inputs import read_input
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
@@ -51,7 +51,7 @@ def encode(
     height, width = pixels.shape[:2]
     middle, shape = (width / 2, height / 2), (width / 4, 0, height / 4)
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
-    data = container.serialise(StreamV5.of(one, (width, height), 0.5, (0, 0, 0), False))
+    data = container.serialise(StreamV2.of(one, (width, height), 0.5, (0, 0, 0), False))
     figures = {"bytes": len(data), "psnr": 24.0, "gaussians": 1, "width": width, "height": height, "profile": profile}
     return SimpleNamespace(data=data, stats=SimpleNamespace(psnr=24.0, to_dict=lambda: figures))
 

@@ -26,7 +26,7 @@ from tests.harness.service import Service, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 NEVER_S = 10_000  # a limit that no test reaches
 HELPER_START_CPU_S = 1.0  # more than one takes to start
 

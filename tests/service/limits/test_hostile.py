@@ -28,7 +28,7 @@ from tests.harness.service import Service, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 HEADER_LIMIT = MAX_HEAD_BYTES
 HEADER_TIMEOUT_S = 0.5
 

@@ -15,7 +15,7 @@ from tests.harness.data import golden_path
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 
-OLD = golden_path("v3-color.sg").read_bytes()
+OTHER = golden_path("v1-paper.sg").read_bytes()  # which the page does not read
 COFFEE = (STATIC / "samples" / "coffee.sg").read_bytes()
 COFFEE_SAYS = f"{sgmethod.info(COFFEE).gaussians:,} Gaussians"
 

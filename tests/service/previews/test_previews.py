@@ -19,9 +19,9 @@ from tests.harness.service import Service
 from tests.service.page.steps import assert_as_python, complaints, open_blank
 
 SIZE = 96  # of the longer side, pixels
-SHORT = [golden(5)[name] for name in ("v5-color", "v5-grey", "v5-empty")]
+SHORT = [golden(2)[name] for name in ("v2-color", "v2-grey", "v2-empty")]
 GOOD = to_text(SHORT[0])
-TEXTURED, LONG = to_text(golden(5)["v5-short-alpha"]), to_text(golden(5)["v5-long"])
+TEXTURED, LONG = to_text(golden(2)["v2-short-alpha"]), to_text(golden(2)["v2-long"])
 BAD = ["", "x", "no preview", GOOD[:-4], GOOD[:200] + "A" + GOOD[201:], TEXTURED, LONG, "A" + GOOD[1:]]
 DECODE = """
 const answers = %s.map((text) => {

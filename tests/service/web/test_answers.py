@@ -18,7 +18,7 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from tests.harness.service import Service, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 Event = tuple[str, dict[str, Any]]
 
 

@@ -18,7 +18,7 @@ from tests.service.jobs.test_jobs import grow_older
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 STALL_S = 1000  # which no test waits for
 
 

@@ -19,7 +19,7 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S
 from tests.harness.service import Service, StartService, assert_problem
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 SECRET = "0123456789abcdef" * 2
 ANN, BOB = "key-of-ann", "key-of-bob"
 KEYS = f"ann:{digest(ANN)},bob:{digest(BOB)}"

@@ -19,8 +19,8 @@ from tests.harness.data import PHOTOGRAPHS, golden_path
 from tests.harness.pictures import SMALL, page_of_text
 from tests.harness.service import Service, StartService, assert_problem
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
-TEXTURED = golden_path("v5-texture.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
+TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()
 TEXT = page_of_text()
@@ -65,7 +65,7 @@ def test_views_of_a_job_and_of_a_body(web: Service, done: str, query: str, view:
 
 
 def test_alpha_is_kept_where_a_format_has_it(web: Service) -> None:
-    data = golden_path("v5-alpha.sg").read_bytes()
+    data = golden_path("v2-alpha.sg").read_bytes()
     job, pixels = web.published(data), sgmethod.decode(data)
     np.testing.assert_array_equal(pixels_of(web.client.get(f"/decode/{job}.png")), pixels)
     shapes = {kind: pixels_of(web.client.get(f"/decode/{job}.{kind}")).shape for kind in ("webp", "avif", "jpg")}
@@ -155,7 +155,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
         assert len(Rival("jpg", wanted).made_of(pixels)) >= 0.97 * wanted
 
 
-def test_the_older_version_of_the_file(web: Service) -> None:
+def test_the_other_version_of_the_file(web: Service) -> None:
     answer = web.client.get(f"/decode/{web.published(OTHER)}.png?scale=0.5")
     np.testing.assert_array_equal(pixels_of(answer), sgmethod.decode(OTHER, view=View(0.5)))
 

@@ -21,7 +21,7 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import STAND_IN, Service, StartService, assert_problem
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 BODY = {"Content-Type": "image/png"}
 QUICK = "time_limit_s=0.1"
 
