@@ -56,11 +56,11 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
         return state  # nothing was worth this price, and the error has not grown since
     n, rate = len(state.gaussians), plan.request.rate
     at_once = max(int(s.growth * n), rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
-    room = min(at_once, rate.most_gaussians(plan.settings, stage.times, stage.at) - n)
-    level = plan.level_for(state, stage, n + room)
+    most = min(at_once, rate.most_gaussians(plan.settings, stage.times, stage.at) - n)
+    level = plan.level_for(state, stage, n + most)
     least_gain = price * s.bits_of_new / level.frame.spacing**2
-    new = _found(plan, state, level, room, least_gain)
-    saturated = price if len(new) < min(room, s.saturated * n) else state.saturated_price
+    new = _found(plan, state, level, most, least_gain)
+    saturated = price if len(new) < min(most, s.saturated * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
     if level.values > MANY_VALUES:

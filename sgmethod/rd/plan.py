@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -36,20 +36,10 @@ class Plan:
         If time is too short for all steps, it takes the settings of a lower effort; if that takes too long as well, a
         smaller picture is fitted. The time of a gradient is measured here, on this machine.
         """
-        rate, deadline = request.rate, request.deadline
-        most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * rate.expected_gaussians())
+        most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * request.rate.expected_gaussians())
         settings = sized(request.settings, most.pixels)
-        if deadline.has_limit():
-
-            def gradient_s(level: Level) -> float:
-                return deadline.seconds_of(lambda: level.gradients(gaussians))
-
-            most_s = gradient_s(most)
-            in_time = deadline.steps_in_time(most_s)
-            part = in_time / rate.steps(settings)
-            settings = hurried(settings, most.pixels, part * settings.effort.steps)
-            step_s = most_s * in_time * deadline.settings.gradients_per_step / rate.steps(settings)
-            pyramid = pyramid.from_level(_in_time(pyramid, most, most_s, step_s, gradient_s))
+        if request.deadline.has_limit():
+            settings, pyramid = _in_time(request, settings, pyramid, most, gaussians)
         return cls(request, _within_pixels(settings, pyramid), pyramid)
 
     @property
@@ -115,13 +105,23 @@ class Plan:
 
 
 def _in_time(
-    pyramid: Pyramid, most: Level, most_s: float, step_s: float, gradient_s: Callable[[Level], float]
-) -> Level:
-    """Choose the finest level whose gradient takes at most `step_s`, given that `most` takes `most_s`.
+    request: Request, settings: RdSettings, pyramid: Pyramid, most: Level, gaussians: Gaussians
+) -> tuple[RdSettings, Pyramid]:
+    """Reduce settings and pyramid to the time left. most: the level of most steps.
 
-    A coarser one must halve the time to be worth the detail that it lacks.
+    The finest level is one whose gradient takes no longer than a step may. A coarser one must halve the time to be
+    worth the detail that it lacks.
     """
-    finest, took_s = pyramid.finest if most_s <= step_s else most, most_s
+    rate, deadline = request.rate, request.deadline
+
+    def gradient_s(level: Level) -> float:
+        return deadline.seconds_of(lambda: level.gradients(gaussians))
+
+    took_s = gradient_s(most)
+    in_time = deadline.steps_in_time(took_s)
+    settings = hurried(settings, most.pixels, in_time / rate.steps(settings) * settings.effort.steps)
+    step_s = took_s * in_time * deadline.settings.gradients_per_step / rate.steps(settings)
+    finest = pyramid.finest if took_s <= step_s else most
     for level in pyramid.from_level(most).levels[1:]:
         if took_s <= step_s:
             break
@@ -129,7 +129,7 @@ def _in_time(
         if took_s > before_s / 2:
             break
         finest = level
-    return finest
+    return settings, pyramid.from_level(finest)
 
 
 def _within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
