@@ -61,10 +61,16 @@ def test_exact_bytes() -> None:
 @pytest.mark.parametrize("quantum", [1e-9, MIN_QUANTUM, 0.0123, 0.1, 0.999, 1.0, 1.9999, 3.3, MAX_QUANTUM, 1e9])
 def test_quantum_round_trip(quantum: float) -> None:
     code = quantum_code(quantum)
-    assert code <= quantum_code(1.01 * quantum)
     assert quantum_code(quantum_of(code)) == code
     clamped = min(max(quantum, MIN_QUANTUM), MAX_QUANTUM)
     assert quantum_of(code) == pytest.approx(clamped, rel=1 / 511)
+
+
+def test_quantum_is_monotone() -> None:
+    found = [quantum_of(quantum_code(q)) for q in np.geomspace(MIN_QUANTUM / 2, 2 * MAX_QUANTUM, 20_000)]
+    assert found == sorted(found)
+    assert len(set(found)) == 14 * 256 + 1
+    assert all(quantum_code(q) == code for code in (0, *range(256, 3840)) for q in [quantum_of(code)])
 
 
 def test_flags_of_a_stream() -> None:
