@@ -16,7 +16,7 @@ import numpy as np
 from sgmethod.bitstream.container import parse, serialise
 from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v2 import StreamV2, coded_background
-from sgmethod.io import write_atomically
+from sgmethod.io.files import write_atomically
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.bitstream import plain_decoder_v2 as plain

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.web.app import STATIC
 from sgmethod import View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
 from tests.bitstream import make_vectors
+from tests.harness.data import JAVASCRIPT
 
 MOST_BYTES = 300_000
 TEXT = make_vectors.VECTORS.read_text()
@@ -95,7 +95,7 @@ def test_the_decoder_in_javascript_does_the_same() -> None:
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")
     asked = [[of["bytes"], [{}, *of.get("views", [])]] for of in FILES.values()]
-    script = SCRIPT.format(folder=(STATIC / "decoder").as_uri(), files=json.dumps(asked))
+    script = SCRIPT.format(folder=JAVASCRIPT.as_uri(), files=json.dumps(asked))
     command = ["node", "--input-type=module", "--no-warnings", "--eval", script]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     for answer, of in zip(json.loads(done.stdout), FILES.values(), strict=True):

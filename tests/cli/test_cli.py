@@ -191,7 +191,11 @@ def test_summary_and_trace(run: Run) -> None:
             {"headers", "positions", "covariances", "colors"},
             {"picture": "40 x 56 pixels", "position bits": "12"},
         ),
-        ("v2-grey", {"headers", "payload"}, {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"}),
+        (
+            "v2-grey",
+            {"headers", "texture", "alpha", "payload"},
+            {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"},
+        ),
     ],
 )
 def test_info(run: Run, name: str, parts: set[str], lines: dict[str, str]) -> None:

@@ -272,7 +272,7 @@ def test_jpeg_with_a_second_picture_is_its_first() -> None:
 REFUSED = {
     "empty": b"",
     "text": b"hello",
-    "sg": golden_path("v5-color.sg").read_bytes(),
+    "sg": golden_path("v2-color.sg").read_bytes(),
     "preview of a raw file": tiff(4, 1, 8, bytes(4), t254=1),
     "float samples": saved("TIFF", PHOTO.convert("F")),
     "32-bit samples": saved("TIFF", PHOTO.convert("I")),
