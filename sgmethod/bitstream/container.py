@@ -21,38 +21,35 @@ from sgmethod.bitstream.stream import (
 )
 from sgmethod.errors import BitstreamError
 
-# A new version of the format is a module beside this one, and a line here. Only those that are met are imported: a
-# decode from a cold start waits for each.
+# A new version of the format is a module beside this one, and a line here. A module is imported when a file needs it,
+# because each delays a decode from a cold start.
 STREAMS = {1: "v1.StreamV1", 2: "v2.StreamV2"}
 
 
 def serialise(stream: Stream) -> bytes:
-    """The file's bytes."""
+    """Write a file."""
     return with_checksum(bytes([SIGNATURE, VERSION_ZERO + stream.VERSION]) + stream.body())
 
 
 def with_checksum(begun: bytes) -> bytes:
-    """A file from all that comes before its checksum."""
+    """Append the checksum to the bytes before it."""
     return begun + zlib.crc32(begun).to_bytes(LONG_CHECKSUM, "big")[-_checksum_bytes(begun) :]
 
 
 def _checksum_bytes(data: bytes) -> int:
-    """The checksum's size, which the first bit after the signature tells. It is never set in version 1."""
+    """Size of the checksum: short if the first bit after the signature is set, which it never is in version 1."""
     return SHORT_CHECKSUM if data[SIGNATURE_BYTES] & 0x80 else LONG_CHECKSUM
 
 
 def version_of(data: bytes) -> int:
-    """The version that the first bytes of a file say. Raises BitstreamError where they are not those of a file."""
+    """Read the version from a file's signature. Raises BitstreamError for anything but an .sg file."""
     if len(data) < SIGNATURE_BYTES or data[0] != SIGNATURE or not 0 < data[1] - VERSION_ZERO < 16:
         raise BitstreamError("this is not an .sg file")
     return data[1] - VERSION_ZERO
 
 
 def parse(data: bytes, limits: Limits = NO_LIMITS) -> Stream:
-    """The stream in a file of any version.
-
-    Raises BitstreamError for anything but a whole, intact file within the limits.
-    """
+    """Parse a file of any version. Raises BitstreamError unless it is whole, intact and within the limits."""
     if len(data) < SIGNATURE_BYTES:
         raise BitstreamError(f"the file is too short: {len(data)} bytes")
     version = _stream_of(version_of(data))
@@ -73,10 +70,10 @@ def _stream_of(version: int) -> type[Stream]:
 
 
 def checksum(data: bytes) -> str:
-    """A file's checksum as hexadecimal digits."""
+    """Return a file's checksum as hexadecimal digits."""
     return data[-_checksum_bytes(data) :].hex()
 
 
 def info(data: bytes, limits: Limits = NO_LIMITS) -> Info:
-    """What a file says of itself. Raises BitstreamError."""
+    """Describe a file. Raises BitstreamError."""
     return parse(data, limits).info(len(data), checksum(data), limits)

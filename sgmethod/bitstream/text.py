@@ -1,6 +1,6 @@
-"""A file as text that an attribute or a JSON string can hold: base64url of all its bytes but the first.
+"""Files as text for an attribute or a JSON string: base64url of all bytes but the first.
 
-The first byte says no more than that this is a file; the second has the version, so that later ones can be told apart.
+The first byte is the same in every file; the second has the version, so texts of later versions can be recognised.
 """
 
 from __future__ import annotations
@@ -12,18 +12,17 @@ from sgmethod.bitstream.container import parse, version_of
 from sgmethod.bitstream.stream import NO_LIMITS, SIGNATURE, Limits
 from sgmethod.errors import BitstreamError
 
-FIRST = b"w"  # character of a text of versions 1 to 3, and of no file
+FIRST = b"w"  # first character of every text, and of no file
 
 
 def to_text(data: bytes) -> str:
-    """The text of a file: 4 characters for 3 bytes, of A-Z a-z 0-9 - _ alone. Raises BitstreamError for anything but a
-    file."""
+    """Convert a file to text, 4 characters of A-Z a-z 0-9 - _ for 3 bytes. Raises BitstreamError if it is no file."""
     version_of(data)
     return base64.urlsafe_b64encode(data[1:]).rstrip(b"=").decode()
 
 
 def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
-    """The file of a text. Raises BitstreamError for anything but the whole text of an intact file within the limits."""
+    """Convert text to a file. Raises BitstreamError unless it is the whole text of an intact file within the limits."""
     try:
         data = bytes([SIGNATURE]) + base64.b64decode(text.encode() + b"=" * (-len(text) % 4), b"-_", validate=True)
     except (binascii.Error, UnicodeEncodeError) as error:
@@ -35,5 +34,5 @@ def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
 
 
 def file_of(data: bytes) -> bytes:
-    """The file, where data are its text, as in a file with a line end. Raises BitstreamError as from_text() does."""
+    """Convert a file's text, perhaps with a line end, to the file; return other data as they are. Raises BitstreamError."""
     return from_text(data.decode("latin-1").strip()) if data[:1] == FIRST else data

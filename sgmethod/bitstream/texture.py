@@ -16,12 +16,12 @@ Codes = NDArray[np.uint8]  # [octaves, rows, columns]
 
 
 def cells(width: int, height: int) -> tuple[int, int]:
-    """Rows and columns of the cells of a picture, given in pixels."""
+    """Count the rows and columns of cells in a picture of this size in pixels."""
     return -(-height // native.TEXTURE_CELL), -(-width // native.TEXTURE_CELL)
 
 
 def pack(codes: Codes) -> bytes:
-    """The part's bytes."""
+    """Write the texture part."""
     told = codes.astype(np.int64)
     told[1:] -= told[:-1].copy()  # a finer octave tells much of the next
     first = np.diff(told[:, :, :1], axis=1, prepend=0)
@@ -33,7 +33,7 @@ def pack(codes: Codes) -> bytes:
 
 
 def unpack(data: bytes, width: int, height: int) -> tuple[Codes, int]:
-    """The codes of a picture, given in pixels, and how many bytes they took. Raises BitstreamError."""
+    """Read the codes for a picture of this size in pixels; also return the bytes read. Raises BitstreamError."""
     try:
         return native.unpack_texture(data, width, height)
     except RuntimeError as error:

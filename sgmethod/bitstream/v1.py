@@ -94,7 +94,7 @@ class StreamV1:
 
     @classmethod
     def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> StreamV1:
-        """Read what lies between signature and checksum.
+        """Read the bytes between signature and checksum.
 
         Raises BitstreamError for anything but a whole body, and beyond the limits before the records are read.
         """
@@ -119,7 +119,7 @@ class StreamV1:
         return cls(profile, *size, *tables, _read_groups(body[at:], header["position_bits"], counts))
 
     def body(self) -> bytes:
-        """What lies between signature and checksum."""
+        """Write the bytes between signature and checksum."""
         values = {
             "profile": PROFILE_CODES[self.profile],
             "width": self.width,
@@ -144,7 +144,7 @@ class StreamV1:
         return sum(len(g.positions) for g in self.groups)
 
     def dequantised(self) -> Gaussians:
-        """The Gaussians, exactly as every decoder must see them (docs/format.md)."""
+        """Dequantise the Gaussians, exactly as every decoder must (docs/format.md)."""
         if not self.groups:
             return Gaussians(np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
         means = [_levels(g.positions, self.position_range, self.position_bits) for g in self.groups]
@@ -155,16 +155,16 @@ class StreamV1:
         return Gaussians(np.concatenate(means), np.concatenate(factors), colors)
 
     def lay_out(self, prefix: float = 1.0, texture: bool = True) -> None:
-        """Only scene() is drawn."""
+        """Return None: only scene() can be drawn."""
 
     def scene(self, prefix: float = 1.0) -> Scene:
-        """What is to be drawn. Raises ViewError for a prefix below 1."""
+        """Return the scene to draw. Raises ViewError for a prefix below 1."""
         if prefix < 1:
             raise ViewError(f"a file of profile {self.profile} cannot be decoded from a prefix")
         return Scene(self.dequantised(), self.width, self.height, self.background, native.CUTOFF_V1)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
-        """The description of the file."""
+        """Describe the file."""
         del limits  # parse() has seen to them
         return InfoV1(
             bytes=file_bytes,

@@ -39,13 +39,12 @@ ALPHA_BYTES = BitField("alpha_bytes", 5, 5, grows=True)  # of its payload, and 1
 HEADER = (FLAGS, *SIZE, QUANTUM, *BACKGROUND)
 ALPHA_HEADER = (BitField("alpha_quantum", 12, 8), BitField("alpha_background", 8, 5), ALPHA_BYTES)
 MIN_QUANTUM, MAX_QUANTUM = 2.0**-10, 16.0
-SHORT_BYTES = 1024  # up to which our encoder writes short files: beyond, they would gain less than half a percent
-SMALLEST_FILE, SMALLEST_ALPHA = 12, 3  # bytes without any Gaussian, of the largest picture; and of opaque alpha
+SHORT_BYTES = 1024  # largest short file that the encoder writes: beyond, a short header saves less than half a percent
+SMALLEST_FILE, SMALLEST_ALPHA = 12, 3  # bytes without Gaussians: of the largest picture, and of opaque alpha
 
 
 def quantum_of(code: int) -> float:
-    """The quantum of a code, (1 + f / 256) 2^(3 - e): e in the upper four bits, f in the lower eight; exact in
-    float64."""
+    """Decode a quantum, (1 + f / 256) 2^(3 - e) with e the upper four bits and f the lower eight; exact in float64."""
     return (1 + (code & 0xFF) / 256) * 2.0 ** (3 - (code >> 8))
 
 
@@ -56,7 +55,7 @@ def _short_codes() -> dict[float, int]:
 
 
 def quantum_code(quantum: float, is_short: bool = False) -> int:
-    """The code of the nearest quantum."""
+    """Return the code of the nearest quantum."""
     if is_short:
         codes = _short_codes()
         return codes[min(codes, key=lambda q: abs(q - quantum))]
@@ -67,7 +66,7 @@ def quantum_code(quantum: float, is_short: bool = False) -> int:
 
 
 def coded_background(background: tuple[int, int, int], is_short: bool) -> tuple[int, int, int]:
-    """The nearest colour that a file can hold."""
+    """Return the nearest colour that a file can hold."""
     if not is_short:
         return background
     levels = [BACKGROUND[0].value(upper) for upper in range(2 ** BACKGROUND[0].short_bits)]
@@ -76,14 +75,17 @@ def coded_background(background: tuple[int, int, int], is_short: bool) -> tuple[
 
 
 def is_upright(factors: FloatArray, with_shear: bool) -> bool:
-    """Whether a payload is without shear: where no factors [N, 3] have any, unless it is coded all the same."""
+    """Whether a payload leaves out shear: no factor [N, 3] has any, and none is asked for."""
     return not with_shear and not bool(factors[:, 1].any())
 
 
 @dataclass(frozen=True, kw_only=True)
 class InfoV2(Info):
-    """Info of a version 2 file; gaussians: those of alpha too; texture, alpha: whether it has any; short: whether it is
-    a short file. The other fields as in StreamV2."""
+    """Description of a version 2 file.
+
+    gaussians: includes those of alpha; texture, alpha: whether the file has any; short: whether it is a short file. The
+    other fields are those of StreamV2.
+    """
 
     quantum: float
     background: list[int]
@@ -138,12 +140,12 @@ class StreamV2:
 
     @staticmethod
     def coded_quantum(quantum: float, is_short: bool = False) -> float:
-        """The nearest quantum that a file can hold."""
+        """Return the nearest quantum that a file can hold."""
         return quantum_of(quantum_code(quantum, is_short))
 
     @classmethod
     def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> StreamV2:
-        """Read what lies between signature and checksum, but not the payloads. Raises BitstreamError."""
+        """Read the bytes between signature and checksum, except the payloads. Raises BitstreamError."""
         bits = BitReader(body)
         (flags,) = bits.read([FLAGS], False)
         is_short, grey = bool(flags & FLAG_SHORT), bool(flags & FLAG_GREY)
@@ -168,13 +170,13 @@ class StreamV2:
         return cls(*colours, texture, alpha, is_short)
 
     def body(self) -> bytes:
-        """What lies between signature and checksum."""
+        """Write the bytes between signature and checksum."""
         if self.alpha is not None and self.alpha.payload:
             assert (self.alpha.grey, self.alpha.upright, self.alpha.is_short) == (True, False, self.is_short)
         return write_bits(self._header(), self.is_short) + b"".join(self._parts().values())
 
     def _header(self) -> Iterator[tuple[BitField, int]]:
-        """Each field and its value."""
+        """Yield each field of the header and its value."""
         more = FLAG_TEXTURE * (self.texture is not None) | FLAG_ALPHA * (self.alpha is not None)
         yield FLAGS, FLAG_GREY * self.grey | FLAG_UPRIGHT * self.upright | FLAG_SHORT * self.is_short | more
         yield from zip(SIZE, (self.width, self.height), strict=True)
@@ -186,7 +188,7 @@ class StreamV2:
             yield from zip(ALPHA_HEADER, values, strict=True)
 
     def _parts(self) -> dict[str, bytes]:
-        """What follows the header. Alpha has no flags of its own: it is grey, has shear, and is as short."""
+        """Parts after the header. Alpha has no flags of its own: it is grey, has shear, and is short if the file is."""
         texture = b"" if self.texture is None else pack(self.texture)
         return {"texture": texture, "alpha": b"" if self.alpha is None else self.alpha.payload, "payload": self.payload}
 
@@ -202,7 +204,7 @@ class StreamV2:
         return self.payload[: math.ceil(prefix * len(self.payload))]
 
     def gaussians(self, prefix: float = 1.0, limits: Limits = NO_LIMITS) -> Gaussians:
-        """The Gaussians of the colours, largest first; with prefix < 1 those in that part of the payload.
+        """Decode the Gaussians of the colours, largest first; with prefix < 1, those in that part of the payload.
 
         Raises BitstreamError, also for more Gaussians than the limit.
         """
@@ -215,7 +217,7 @@ class StreamV2:
             raise BitstreamError(f"the file exceeds the limit of {limits.max_gaussians} Gaussians") from error
 
     def lay_out(self, prefix: float = 1.0, texture: bool = True) -> LaidOut:
-        """The whole picture's colours as they are drawn; texture: whether with theirs. Raises BitstreamError."""
+        """Lay out the whole picture without alpha, with or without texture. Raises BitstreamError."""
         drawn = None
         if texture and self.texture is not None:
             drawn = native.Texture(self.texture, native.TEXTURE_CELL, native.TEXTURE_CELL)
@@ -227,7 +229,7 @@ class StreamV2:
             raise BitstreamError(OVERLAP) from error
 
     def scene(self, prefix: float = 1.0) -> Scene:
-        """What is to be drawn, as far as that part of the payload tells; of alpha always all. Raises BitstreamError."""
+        """Return the scene to draw, from that part of the payload and all of alpha. Raises BitstreamError."""
         size, cell = (self.width, self.height), (native.TEXTURE_CELL, native.TEXTURE_CELL)
         texture = None if self.texture is None else Texture(self.texture, cell)
         alpha = None if self.alpha is None else self.alpha.scene()
@@ -235,7 +237,7 @@ class StreamV2:
         return replace(colours, texture=texture, alpha=alpha)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV2:
-        """The description of the file. Raises BitstreamError, also for more Gaussians than the limit."""
+        """Describe the file. Raises BitstreamError, also for more Gaussians than the limit."""
         gaussians = len(self.gaussians(limits=limits))
         if self.alpha is not None:
             left = None if limits.max_gaussians is None else limits.max_gaussians - gaussians
@@ -260,11 +262,11 @@ class StreamV2:
         )
 
     def size_bits(self) -> dict[str, int]:
-        """Bits spent on header and checksum, on texture, on alpha and on the payload, which mixes all attributes."""
+        """Bits of header and checksum, texture, alpha, and payload, which mixes all attributes."""
         parts = {name: 8 * len(part) for name, part in self._parts().items()}
         return {"headers": 8 * self.file_bytes - sum(parts.values()), **parts}
 
 
 def alpha_bytes(alpha: StreamV2) -> int:
-    """Bytes that alpha takes in a file, at most."""
+    """Most bytes that alpha takes in a file."""
     return len(write_bits(list(replace(alpha, alpha=alpha)._header())[-3:], alpha.is_short)) + len(alpha.payload)

@@ -1,4 +1,4 @@
-"""Gaussians <-> PLY files, as programs for 3D Gaussian splatting have them, and .npz files of numpy.
+"""Gaussians <-> PLY files of programs for 3D Gaussian splatting, and NumPy's .npz files.
 
 |                    | npz                     | PLY, written                   | PLY, read                       |
 |--------------------|-------------------------|--------------------------------|---------------------------------|
@@ -53,7 +53,7 @@ def write_npz(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def read_npz(path: PathLike) -> Gaussians:
-    """Gaussians from what write_npz() wrote. Raises GaussiansError and OSError."""
+    """Read Gaussians from a file of write_npz(). Raises GaussiansError and OSError."""
     try:
         with np.load(io.BytesIO(checked_path(path).read_bytes()), allow_pickle=False) as file:
             arrays = [file[name] for name in ("means", "factors", "colors")]
@@ -77,7 +77,7 @@ def write_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def read_ply(path: PathLike) -> Gaussians:
-    """Gaussians from a PLY file of 2D or 3D Gaussian splatting. Raises GaussiansError and OSError."""
+    """Read Gaussians from a PLY file of 2D or 3D Gaussian splatting. Raises GaussiansError and OSError."""
     vertices = _vertices(checked_path(path).read_bytes(), str(path))
 
     def columns(names: str) -> NDArray[np.float64]:
@@ -97,7 +97,7 @@ def read_ply(path: PathLike) -> Gaussians:
 
 
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
-    """The vertices of a PLY file, which are its first element, with a field for each property."""
+    """Read the vertices of a PLY file, its first element, with a field for each property."""
     head = re.match(rb"ply\r?\nformat (\w+) 1\.0\r?\n(.*?)end_header\r?\n", data, re.DOTALL)
     lines = head[2].decode("latin1") if head else ""
     vertex = re.match(r"(?:(?:comment|obj_info) .*\n)*element vertex (\d+)\s*\n((?:(?:property|comment) .*\n)*)", lines)

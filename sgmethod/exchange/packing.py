@@ -36,7 +36,7 @@ def pack(
     background: Any = (0.0, 0.0, 0.0),
     image: Input | None = None,
 ) -> bytes:
-    """The .sg file of Gaussians over a picture of width x height pixels.
+    """Write Gaussians over a picture of width x height pixels to an .sg file.
 
     >>> file = sgmethod.open("photo.sg")
     >>> again = sgmethod.pack(file.gaussians(), *file.size, quantum=0.2, background=file.background)
@@ -107,7 +107,7 @@ class _Packing:
         return self.stream(self._quantum(spared, max_bytes), limit)
 
     def _quantum(self, limit: int, max_bytes: int) -> float:
-        """Find about the finest whose payload has at most `limit` bytes before refining."""
+        """Find about the finest quantum whose payload has at most `limit` bytes before refining."""
 
         def payload(quantum: float) -> int:
             return len(self._coded(self._gaussians, quantum).payload)
@@ -142,7 +142,7 @@ class _Packing:
 
 
 def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
-    """Return those that reach into a picture of this size."""
+    """Return the Gaussians that reach into a picture of this size."""
     l1, l2, l3 = gaussians.factors.T
     reach = math.sqrt(2 * native.CUTOFF_V2) * np.stack([l1, np.hypot(l2, l3)], 1)
     inside = np.logical_and(gaussians.means > -reach, gaussians.means < size + reach)

@@ -31,7 +31,7 @@ def render(
     scale: float = 1.0,
     pyramid: bool = True,
 ) -> Tensor:
-    """The picture [..., 3, height, width] of Gaussians, differentiable in all tensors: 0 black, 1 white, unclamped.
+    """Draw Gaussians as a picture [..., 3, height, width], differentiable in all tensors: 0 black, 1 white, unclamped.
 
     >>> means, factors = torch.tensor([[4.0, 3.0]]), torch.tensor([[2.0, 0.0, 1.0]])
     >>> render(means, factors, torch.ones(1, 3), (8, 6)).shape
@@ -63,7 +63,7 @@ def render(
 
 
 def own_size(size: object) -> tuple[int, int]:
-    """A width and a height as Python's own numbers. Raises ViewError for anything else."""
+    """Return a width and a height as integers. Raises ViewError for anything else."""
     sides = list(size) if isinstance(size, Iterable) else []
     if len(sides) != 2:
         raise ViewError(f"a size is width and height in pixels, not {size!r}")
@@ -72,7 +72,7 @@ def own_size(size: object) -> tuple[int, int]:
 
 
 def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor, tuple[int, ...]]:
-    """The same [B, N, ...], and the leading dimensions."""
+    """Reshape tensors to [B, N, ...]; also return the leading dimensions."""
     tensors = means, factors, colors
     for values, name, last in zip(tensors, ("means", "factors", "colors"), (2, 3, 3), strict=True):
         if not isinstance(values, Tensor) or values.ndim < 2 or values.shape[-1] != last:
@@ -119,8 +119,10 @@ def _resized(
 
 
 def _drawn(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], pyramid: bool) -> Tensor:
-    """[B, 3, height, width] of Gaussians [B, N, ...]. In forward mode, torch silently drops the tangents of custom
-    operators, so there it differentiates the list of pairs itself."""
+    """Draw Gaussians [B, N, ...] as pictures [B, 3, height, width].
+
+    In forward mode, torch silently drops the tangents of custom operators, so the list of pairs is differentiated there.
+    """
     if forward_ad._current_level < 0:  # not in forward mode; torch has no public name for this
         image: Tensor = _draw(means, factors, colors, *size, pyramid)
         return image
@@ -131,7 +133,7 @@ def _drawn(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]
 
 @torch.library.custom_op("sgmethod::draw", mutates_args=())
 def _draw(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: int, pyramid: bool) -> Tensor:
-    """[B, 3, height, width] of Gaussians [B, N, ...]."""
+    """Draw Gaussians [B, N, ...] as pictures [B, 3, height, width]."""
     image = colors.new_empty(len(colors), 3, height, width)
     for mean, factor, color, to in zip(means, factors, colors, image, strict=True):
         if _has_kernels(color):
@@ -146,7 +148,7 @@ def _draw(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: in
 def _draw_backward(
     means: Tensor, factors: Tensor, colors: Tensor, by_image: Tensor, pyramid: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The gradients by means, factors and colours, given that by the picture [B, 3, height, width]."""
+    """Return gradients by means, factors and colours, given the gradient by the picture [B, 3, height, width]."""
     out = _gradients_of(means, factors, colors)
     height, width = by_image.shape[2:]
     for mean, factor, color, by, *to in zip(means, factors, colors, by_image, *out, strict=True):
@@ -161,7 +163,7 @@ def _draw_backward(
 
 
 def _gradients_of(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Room for gradients, contiguous whatever the layout of the others is."""
+    """Allocate gradients, contiguous whatever the layout of the parameters."""
     return means.new_empty(means.shape), factors.new_empty(factors.shape), colors.new_empty(colors.shape)
 
 

@@ -34,13 +34,13 @@ def decode(
     view: View = WHOLE,
     max_pixels: int = MAX_PIXELS,
 ) -> Tensor:
-    """The picture in an .sg file, or a view of it, as a tensor on a device: [3, H, W], [4, H, W] with alpha.
+    """Decode an .sg file, or a view of it, to a tensor on a device: [3, H, W], [4, H, W] with alpha.
 
     >>> decode("photo.sg", dtype=torch.float32).shape
     torch.Size([3, 96, 128])
 
-    dtype: uint8 for levels, a floating-point type for values in [0, 1]; layout: "HWC" for [H, W, 3 or 4]. The others,
-    and the errors raised, as in sgmethod.decode(), which draws the pixels: the same on every device.
+    dtype: uint8 for levels, a floating-point type for values in [0, 1]; layout: "HWC" for [H, W, 3 or 4]. The other
+    arguments and errors are those of sgmethod.decode(), which draws the pixels, the same for every device.
     Raises SgError for a device that is not there.
     """
     found = checked_device(device)
@@ -50,10 +50,11 @@ def decode(
 def gaussians(
     file: File | SgFile | Gaussians, device: Device = None, dtype: torch.dtype = torch.float32
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Means [N, 2], factors [N, 3], colours [N, 3] and background [3] as render() takes them. Raises BitstreamError,
-    OSError, and SgError for a device that is not there.
+    """Return means [N, 2], factors [N, 3], colours [N, 3] and background [3] for render().
 
     >>> means, factors, colors, background = gaussians("photo.sg")
+
+    Raises BitstreamError, OSError, and SgError for a device that is not there.
     """
     if isinstance(file, Gaussians):
         found, background = file, (0.0, 0.0, 0.0)
@@ -105,7 +106,7 @@ class SgDataset(Dataset[dict[str, Tensor]]):
 
 
 def _padded(file: SgFile, most: int) -> dict[str, Tensor]:
-    """The first Gaussians of a file, and zeros."""
+    """Return the first Gaussians of a file, padded with zeros."""
     *values, background = gaussians(file)
     padded = [torch.cat([some[:most], some.new_zeros(most, some.shape[1])])[:most] for some in values]
     named = dict(zip(("means", "factors", "colors"), padded, strict=True))
@@ -114,7 +115,7 @@ def _padded(file: SgFile, most: int) -> dict[str, Tensor]:
 
 
 def _covering(file: SgFile, size: tuple[int, int]) -> Tensor:
-    """[3, height, width]: the middle of a picture that is drawn just large enough."""
+    """Draw a picture just large enough, and crop its middle to [3, height, width]."""
     width, height = size
     scale = max((side + 0.5) / whole for side, whole in zip(size, file.size, strict=True))
     if not MIN_SCALE <= scale <= MAX_SCALE:
