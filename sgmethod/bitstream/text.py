@@ -34,5 +34,5 @@ def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
 
 
 def file_of(data: bytes) -> bytes:
-    """Convert a file's text, perhaps with a line end, to the file; return other data as they are. Raises BitstreamError."""
+    """Convert a file's text, perhaps with a line end, to the file, and return other data. Raises BitstreamError."""
     return from_text(data.decode("latin-1").strip()) if data[:1] == FIRST else data

@@ -121,7 +121,7 @@ def _resized(
 def _drawn(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], pyramid: bool) -> Tensor:
     """Draw Gaussians [B, N, ...] as pictures [B, 3, height, width].
 
-    In forward mode, torch silently drops the tangents of custom operators, so the list of pairs is differentiated there.
+    In forward mode, torch silently drops tangents of custom operators, so there it differentiates the list of pairs.
     """
     if forward_ad._current_level < 0:  # not in forward mode; torch has no public name for this
         image: Tensor = _draw(means, factors, colors, *size, pyramid)
