@@ -141,12 +141,15 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
 
 
 def _announce(settings: Settings) -> socket.socket:
-    """Listen, and say where."""
+    """Listen, and say where. Raises OSError, also for an address that others can reach while nobody needs a key."""
     listener = listen(settings)
+    if not (is_loopback(listener) or settings.key_names or settings.host_names):
+        listener.close()
+        raise OSError(
+            f"SG_HOST={settings.host}: others could post, list and delete jobs without a key; set SG_API_KEYS_FILE, or "
+            "SG_HOST_NAMES to the names under which everyone may"
+        )
     print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings)}", flush=True)
-    if not is_loopback(listener) and not settings.key_names:
-        warning = "anyone who reaches this address can post, list and delete jobs: set SG_API_KEYS"
-        print(warning, file=sys.stderr, flush=True)
     return listener
 
 

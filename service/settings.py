@@ -68,7 +68,7 @@ class Settings(BaseSettings):
     )
     trusted_proxies: str = Field(
         default="",
-        description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted; exempt from limits",
+        description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted",
     )
     retention_s: float = Field(
         default=30 * 86_400, ge=0, le=LONGEST_KEPT_S, description="seconds until finished jobs are removed; 0 for never"
@@ -152,10 +152,16 @@ class Settings(BaseSettings):
     )
 
     # Proxies and browsers.
-    path_prefix: str = Field(
+    host_names: str = Field(
+        default="",
+        pattern=r"^(|\*|[A-Za-z0-9.-]+(,\s*[A-Za-z0-9.-]+)*)$",
+        description="without API keys: names, separated by commas, that the service answers to beside localhost and "
+        "addresses, and without which it listens on this machine only; `*` for all",
+    )
+    root_path: str = Field(
         default="",
         pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$",
-        description="path under which a proxy serves this, such as /sg, whether or not it strips it",
+        description="path under which a proxy serves this, and which it strips, such as /sg",
     )
     cors_origins: str = Field(
         default="",
@@ -163,42 +169,21 @@ class Settings(BaseSettings):
         description="origins, separated by commas, whose pages may call the API from a browser; `*` for all",
     )
 
-    # Clients: connections, uploads, responses.
-    max_connections: int = Field(
-        default=1000, ge=1, description="concurrent connections before the slowest is closed, or new ones get 503"
-    )
-    max_connections_per_address: int = Field(default=200, ge=1, description="the same per client address, with 429")
+    # Requests.
     max_streams: int = Field(
         default=100,
         ge=1,
-        description="concurrent uploads, and as many event streams and waits, before new ones get 503; one client may "
-        "use half",
+        description="concurrent event streams and waits before new ones get 503",
     )
-    max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="maximum bytes of an image file or bitstream")
+    max_upload_bytes: int = Field(
+        default=64 * 2**20,
+        ge=1,
+        description="maximum bytes of a request's body: an image, a form with one, or a bitstream",
+    )
     max_pixels: int = Field(
         default=50_000_000,
         ge=1,
         description="maximum pixels (width x height) of an image, and of a decoded picture or view",
-    )
-    header_timeout_s: float = Field(
-        default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for the request line and headers"
-    )
-    body_chunk_timeout_s: float = Field(
-        default=5.0, gt=0, le=LONGEST_S, description="seconds without data during an upload before 408"
-    )
-    body_timeout_s: float = Field(
-        default=120.0, gt=0, le=LONGEST_S, description="seconds for a whole upload before 408"
-    )
-    send_timeout_s: float = Field(
-        default=60.0,
-        ge=1,
-        le=LONGEST_S,
-        description="seconds a client may take to read 256 KiB of a response before it is disconnected",
-    )
-    max_answer_bytes: int = Field(
-        default=512 * 2**20,
-        ge=1,
-        description="bytes of responses not yet read by clients before new pictures get 503; one client may use half",
     )
 
     # Decodes.

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -24,17 +25,9 @@ from service.settings import Settings
 from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
 from service.web.guards.metrics import Metrics, RequestMetrics
-from service.web.guards.middleware import (
-    AnswerGuard,
-    BodyGuard,
-    BodyLimits,
-    HeadAsGet,
-    PacedRequests,
-    ResponseHeaders,
-    WithoutPrefix,
-)
+from service.web.guards.middleware import BodyLimit, HeadAsGet, ResponseHeaders
 from service.web.guards.problems import install_problem_handlers, problems
-from service.web.guards.shares import Shares
+from service.web.guards.streams import Streams
 from service.web.guards.turns import Turns
 from service.web.helpers.work import Work
 from service.web.routes import events as event_routes
@@ -45,7 +38,6 @@ from service.web.routes import previews as preview_routes
 from service.web.routes.decoding import PictureCache
 from service.web.routes.health import VERSION
 from service.web.routes.parts import Parts, known_query, no_stray_body
-from service.web.submitting.submission import MULTIPART_OVERHEAD_BYTES
 
 STATIC = Path(__file__).with_name("static")
 PAGE_POLICY = (
@@ -54,7 +46,6 @@ PAGE_POLICY = (
 )
 FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY = 4
-MIN_UPLOAD_RATE = 2000  # bytes a second, on average
 KEYS_POLL_S = 1.0
 
 log = logging.getLogger(__name__)
@@ -74,6 +65,9 @@ class PageFiles(StaticFiles):
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     parts: Parts = app.state.parts
+    # What is there now stays. Looking through all of it for garbage again and again held the loop for 70 ms each.
+    gc.collect()
+    gc.freeze()
     reloading = asyncio.create_task(_reload_keys(parts))
     yield
     reloading.cancel()
@@ -111,17 +105,8 @@ def _version_of(path: Path) -> tuple[int, int, int] | None:
     return found.st_ctime_ns, found.st_ino, found.st_size
 
 
-def _body_limits(settings: Settings) -> BodyLimits:
-    return BodyLimits(
-        settings.max_upload_bytes + MULTIPART_OVERHEAD_BYTES,
-        settings.body_chunk_timeout_s,
-        settings.body_timeout_s,
-        MIN_UPLOAD_RATE,
-    )
-
-
-def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) -> ASGIApp:
-    """The application with its middleware, ready for a server; stopping tells it that the server is to stop.
+def create_app(settings: Settings, stopping: Callable[[], bool]) -> ASGIApp:
+    """The application with its middleware, ready for a server; stopping: whether the server is to stop.
 
     Raises JobTableError, MissingPackagesError, OSError.
     """
@@ -130,7 +115,6 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         version=VERSION,
         description="Encode photographs as 2D Gaussians, and decode them.",
         lifespan=_lifespan,
-        servers=[{"url": settings.path_prefix}] if settings.path_prefix else None,
         docs_url=None,  # both pages load scripts from elsewhere, and break the policy of ours
         redoc_url=None,
         redirect_slashes=False,  # it would repeat whatever host the client named
@@ -142,14 +126,12 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         Work(settings),
         PictureCache(settings.decode_cache_bytes),
         Turns(UPLOADS_IN_MEMORY, settings.max_streams),
-        Shares(settings.max_streams, "streams", "streams of events are open"),
-        Shares(settings.max_answer_bytes, "answers", "pictures are on their way to clients"),
+        Streams(settings.max_streams),
         stopping,
         KeyRing(settings.key_names),
-        metrics,
+        Metrics(),
     )
-    metrics.watch(parts.streams)
-    metrics.watch(parts.outflow)
+    parts.metrics.watch(parts.streams)
     install_problem_handlers(app)
     # The gate does the work; this is how the document says so.
     security = [Security(HTTPBearer(auto_error=False))] if settings.key_names else []
@@ -177,11 +159,8 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
     """The application with its middleware around it."""
     settings = parts.settings
     # From the inside out. They stand outside FastAPI: its answer to an unexpected error skips its own middleware.
-    secret = settings.link_secret.get_secret_value()
-    gate = Gate(PacedRequests(HeadAsGet(app)), parts.keys, secret)
-    uploads = Shares(settings.max_streams, "uploads", "uploads are under way")
-    parts.metrics.watch(uploads)
-    guarded: ASGIApp = BodyGuard(gate, _body_limits(settings), uploads)
+    gate = Gate(HeadAsGet(app), parts.keys, settings)
+    guarded: ASGIApp = BodyLimit(gate, settings.max_upload_bytes)
     if settings.cors_origins:
         guarded = CORSMiddleware(
             guarded,
@@ -190,5 +169,4 @@ def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
             allow_headers=["Authorization", "Idempotency-Key", "Prefer", "Range", "X-Request-Id"],
             expose_headers=["ETag", "Location", "Content-Range", "Preference-Applied", "Retry-After", "X-Request-Id"],
         )
-    told = AccessLog(AnswerGuard(ResponseHeaders(RequestMetrics(guarded, parts.metrics)), parts.outflow))
-    return WithoutPrefix(told, settings.path_prefix) if settings.path_prefix else told
+    return AccessLog(ResponseHeaders(RequestMetrics(guarded, parts.metrics)))

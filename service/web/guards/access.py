@@ -24,14 +24,6 @@ def new_id() -> str:
     return secrets.token_hex(8)
 
 
-def log_refusal(name: str, status: int, client: str, refusal: str) -> None:
-    """The line of a request that never was one: its connection was refused, or its head. name: its id."""
-    token = request_id.set(name)
-    figures = {"status": status, "client": client, "refusal": refusal}
-    log.info("%s", "- {status}, {client} {refusal}".format(**figures), extra={FIGURES: figures})
-    request_id.reset(token)
-
-
 class AccessLog:
     """Middleware: takes over the client's X-Request-Id or makes one, and logs the request when its answer has gone.
 

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 NETWORK_BITS = 64  # of an IPv6 address: one customer has at least as many as the rest can tell apart
 UNKNOWN = "unknown"
 
-Network = ipaddress.IPv4Network | ipaddress.IPv6Network
-
 
 def address_of(peer: Sequence[object] | None) -> str:
     """Who a peer (host, port) is: an IPv4 address or an IPv6 network."""
@@ -21,13 +19,3 @@ def address_of(peer: Sequence[object] | None) -> str:
         mapped = address.ipv4_mapped
         address = mapped or ipaddress.ip_network((int(address), NETWORK_BITS), strict=False).network_address
     return UNKNOWN if address is None else str(address)
-
-
-def networks(text: str) -> list[Network]:
-    """Addresses and networks from words apart by commas. Raises ValueError."""
-    return [ipaddress.ip_network(word.strip()) for word in text.split(",") if word.strip()]
-
-
-def is_within(address: str, known: Sequence[Network]) -> bool:
-    """Whether an address of address_of is in one of the networks."""
-    return address != UNKNOWN and any(ipaddress.ip_address(address) in network for network in known)

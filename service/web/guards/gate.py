@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 import time
 from dataclasses import dataclass
-from urllib.parse import parse_qs
+from ipaddress import ip_address
+from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.keys import KeyRing, Link
+from service.settings import Settings
 from service.web.guards.addresses import address_of
 from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError, refused
@@ -19,6 +21,7 @@ from service.web.guards.problems import ProblemError, refused
 # A page must load before a person can give it a key, and probes have none.
 OPEN_PATHS = frozenset({"/", "/docs", "/healthz", "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
+SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
 
 _LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})(\.[a-z]{2,4})?")
@@ -37,21 +40,49 @@ class Caller:
     linked_job: str | None = None
 
 
+def _name_in(host: str) -> str:
+    """The name or address in a Host header; empty if it cannot be read."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def path_of(scope: Scope) -> str:
+    """The path without the prefix under which a proxy shows the service."""
+    path: str = scope["path"]
+    return path.removeprefix(scope.get("root_path", ""))
+
+
 def _without_link(scope: Scope) -> bytes:
     """The query as the routes know it. A link that is not needed, as beside a key, does no harm."""
     query: bytes = scope["query_string"]
-    if _LINKED_PATH.fullmatch(scope["path"]) is None:
+    if _LINKED_PATH.fullmatch(path_of(scope)) is None:
         return query
     return b"&".join(part for part in query.split(b"&") if not part.startswith((b"expires=", b"signature=")))
 
 
 class Gate:
-    """Middleware that identifies the caller for the routes, or answers 401 itself."""
+    """Middleware that identifies the caller for the routes, or refuses.
 
-    def __init__(self, app: ASGIApp, keys: KeyRing, link_secret: str) -> None:
+    Where there are no keys, whatever a browser on this machine loads could call the service, so pages of other sites
+    are kept out: by the name that they have reached it under, and by their origin where something would change.
+    """
+
+    def __init__(self, app: ASGIApp, keys: KeyRing, settings: Settings) -> None:
         self._app = app
         self._keys = keys
-        self._link_secret = link_secret
+        self._link_secret = settings.link_secret.get_secret_value()
+        self._host_names = {"localhost", *settings.host_names.replace(",", " ").split()}
+        self._origins = set(settings.cors_origins.replace(",", " ").split())
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
@@ -64,12 +95,24 @@ class Gate:
         await self._app(scope, receive, send)
 
     def _caller(self, scope: Scope) -> Caller:
-        path, address = scope["path"], address_of(scope["client"])
+        path, address = path_of(scope), address_of(scope["client"])
+        if not self._keys:
+            self._check_site(Headers(scope=scope), scope["method"])
         if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
             return Caller(address)
         scheme, _, key = (joined(Headers(scope=scope), "authorization") or "").partition(" ")
         # A key that comes with a link stands for itself: if it is not known, the link does not help.
         return self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
+
+    def _check_site(self, headers: Headers, method: str) -> None:
+        """Raises ProblemError 421 or 403."""
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if not {"*", _name_in(host)} & self._host_names and not _is_address(_name_in(host)):
+            raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
+        if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
+            return
+        if origin.partition("://")[2] != host:
+            raise ProblemError(403, "a page of another site may not change anything here", reason="origin")
 
     def _key_bearer(self, scheme: str, key: str) -> Caller:
         owner = self._keys.owner_of(key) if scheme.lower() == "bearer" else None
@@ -78,7 +121,7 @@ class Gate:
         return Caller(f"key {owner}", owner)
 
     def _link_bearer(self, scope: Scope, address: str) -> Caller:
-        match = _LINKED_PATH.fullmatch(scope["path"])
+        match = _LINKED_PATH.fullmatch(path_of(scope))
         query = parse_qs(scope["query_string"].decode("latin-1"))
         expires, signature = (query.get(name, [""])[0] for name in ("expires", "signature"))
         if match is None or not signature or not self._link_secret or scope["method"] not in ("GET", "HEAD"):

@@ -10,7 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.jobs.table import Census
 from service.process.background import failures
 from service.web.guards.problems import REFUSAL
-from service.web.guards.shares import Shares
+from service.web.guards.streams import Streams
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
@@ -32,9 +32,7 @@ class Metrics:
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
-        self._taken = Gauge(
-            "sgmethod_taken", "What clients have now of things that are limited.", ("what",), registry=registry
-        )
+        self._streams = Gauge("sgmethod_streams", "Streams of events and waits that are open.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.key_requests = Counter("sgmethod_key_requests", "Requests of an API key.", ("key",), registry=registry)
         self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)
@@ -60,9 +58,9 @@ class Metrics:
         self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
 
-    def watch(self, shares: Shares) -> None:
-        """Show how much of a limited thing clients have."""
-        self._taken.labels(shares.reason).set_function(shares.total)
+    def watch(self, streams: Streams) -> None:
+        """Show how many are open."""
+        self._streams.set_function(lambda: streams.open)
 
     def accept(self, owner: str | None) -> None:
         """Count a job that was accepted, and whose API key it came with."""

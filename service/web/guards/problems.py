@@ -37,8 +37,8 @@ RETRY_SOON_S = "5"
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
     **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
-    **{409: "state", 410: "gone", 412: "condition", 413: "large", 415: "type", 416: "range", 422: "invalid"},
-    **{431: "head", 500: "fault"},
+    **{409: "state", 410: "gone", 412: "condition", 413: "large", 415: "type", 416: "range", 421: "host"},
+    **{422: "invalid", 500: "fault"},
 }
 REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
 

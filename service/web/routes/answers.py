@@ -197,9 +197,9 @@ def _time(seconds: float | None) -> datetime | None:
 def urls(job_id: str, settings: Settings) -> dict[str, str]:
     """Where a job's resources are, on this host."""
     return {
-        "status_url": f"{settings.path_prefix}/jobs/{job_id}",
-        "decode_url": f"{settings.path_prefix}/decode/{job_id}.png",
-        "bitstream_url": f"{settings.path_prefix}/bitstreams/{job_id}.sg",
+        "status_url": f"{settings.root_path}/jobs/{job_id}",
+        "decode_url": f"{settings.root_path}/decode/{job_id}.png",
+        "bitstream_url": f"{settings.root_path}/bitstreams/{job_id}.sg",
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 from collections.abc import AsyncIterator
 
@@ -14,8 +15,7 @@ from service.jobs.table import JobTableError
 from service.web.guards.problems import problems
 from service.web.routes import answers
 from service.web.routes.answers import curl
-from service.web.routes.gone import set_within
-from service.web.routes.parts import KnownJob, Parts, UseCaller, UseParts
+from service.web.routes.parts import KnownJob, Parts, UseParts
 
 log = logging.getLogger(__name__)
 router = APIRouter()
@@ -23,17 +23,16 @@ router = APIRouter()
 POLL_S = 0.5  # workers write progress down as often
 
 
-async def _place(parts: UseParts, caller: UseCaller) -> AsyncIterator[None]:
-    """One of the places for streams, until the stream ends. Raises ProblemError 429 or 503."""
-    parts.streams.check(caller.client)
-    with parts.streams.taken(caller.client):
+async def _place(parts: UseParts) -> AsyncIterator[None]:
+    """One of the places for streams, until the stream ends. Raises ProblemError 503."""
+    with parts.streams.one():
         yield
 
 
 @router.get(
     "/jobs/{job_id}/events",
     response_class=EventSourceResponse,
-    responses=problems(404, 429, 503),
+    responses=problems(404, 503),
     summary="Follow a job",
     dependencies=[Depends(_place)],  # which come first: too many streams are refused before a job is looked up
     openapi_extra=curl("-N HOST/jobs/ID/events"),
@@ -70,7 +69,8 @@ async def _story(job: Job, parts: Parts) -> AsyncIterator[ServerSentEvent]:
         if job.state in FINAL_STATES:
             yield ServerSentEvent(event=job.state, data=summary)
             return
-        if await set_within(parts.stopping, POLL_S):
+        await asyncio.sleep(POLL_S)
+        if parts.stopping():
             return
         seen = await to_thread.run_sync(parts.table.get, job.id)
         if seen is None:

@@ -1,4 +1,4 @@
-"""Work ends when nobody waits for it any more, and waiting ends when the service is to stop."""
+"""Work ends when nobody waits for it any more."""
 
 from __future__ import annotations
 
@@ -33,12 +33,3 @@ async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> 
 async def _gone(request: Request) -> None:
     while (await request.receive())["type"] != "http.disconnect":
         pass
-
-
-async def set_within(event: asyncio.Event, seconds: float) -> bool:
-    """Whether the event is set within this many seconds."""
-    try:
-        await asyncio.wait_for(event.wait(), seconds)
-    except TimeoutError:
-        return False
-    return True

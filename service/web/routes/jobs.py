@@ -104,7 +104,7 @@ async def encode(
     wait_s, key = wished_wait_s(request), idempotency_key(request)
     await to_thread.run_sync(_check_queue, parts, key, caller.owner)  # before the body is read
     async with submission(request, parts.settings) as submitted:
-        header = await read_header(submitted, parts.work, caller.client, parts.settings.max_upload_bytes)
+        header = await read_header(submitted, parts.work, caller.client)
         asked = feasible(submitted.asked, header)
         async with parts.accepting.turn(caller.client):
             image = await submitted.image_bytes()
@@ -246,7 +246,7 @@ def jobs(
     response.headers.update(NEVER_STORED)
     page = parts.table.page(limit + 1, before, caller.owner, state)
     chosen = "" if state is None else f"&state={state}"
-    where = f"{parts.settings.path_prefix}/jobs?limit={limit}"
+    where = f"{parts.settings.root_path}/jobs?limit={limit}"
     older = f"{where}&before={page[limit - 1].number}{chosen}" if len(page) > limit else None
     return answers.JobPage(jobs=[answers.summary(job, parts.settings) for job in page[:limit]], next=older)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -18,7 +18,7 @@ from service.storage.files import Storage
 from service.web.guards.gate import Caller
 from service.web.guards.metrics import Metrics
 from service.web.guards.problems import ProblemError
-from service.web.guards.shares import Shares
+from service.web.guards.streams import Streams
 from service.web.guards.turns import Turns
 from service.web.helpers.work import Work
 from service.web.routes.decoding import PictureCache
@@ -33,8 +33,8 @@ class Parts:
     """The pieces of the running service.
 
     work: what helpers do; accepting: turns in which an upload is held in memory, which bounds what all of them take
-    together; streams: of events; outflow: bytes that clients have yet to take; stopping: set when the service is to
-    stop; watching: threads of probes, which must not queue behind work.
+    together; streams: of events; stopping: whether the service is to stop; watching: threads of probes, which must not
+    queue behind work.
     """
 
     settings: Settings
@@ -43,9 +43,8 @@ class Parts:
     work: Work
     pictures: PictureCache
     accepting: Turns
-    streams: Shares
-    outflow: Shares
-    stopping: asyncio.Event
+    streams: Streams
+    stopping: Callable[[], bool]
     keys: KeyRing
     metrics: Metrics
     watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))

@@ -132,19 +132,16 @@ async def picture_answer(request: Request, job: Job, query: ViewQuery, kind: Pic
             except BitstreamError as error:
                 raise _damaged(job, error) from error
 
-    return file_answer(request, await _remembered(request, parts, etag, made), MEDIA_TYPES[kind], headers)
+    return file_answer(request, await _remembered(parts, etag, made), MEDIA_TYPES[kind], headers)
 
 
-async def _remembered(request: Request, parts: Parts, etag: str, made: Callable[[], Awaitable[bytes]]) -> bytes:
-    """The picture file of that name, from memory if it was asked for lately. Raises ProblemError 429 or 503."""
+async def _remembered(parts: Parts, etag: str, made: Callable[[], Awaitable[bytes]]) -> bytes:
+    """The picture file of that name, from memory if it was asked for lately."""
     file = parts.pictures.get(etag)
     parts.metrics.cache.labels("no" if file is None else "yes").inc()
-    client = request.state.caller.client
-    parts.outflow.check(client)
     if file is None:
         file = await made()
         parts.pictures.put(etag, file)
-        parts.outflow.check(client)  # again: others of its pictures may be on their way by now
     return file
 
 
@@ -233,13 +230,11 @@ async def picture_of_body_as(
 
 async def _draw_body(request: Request, query: ViewQuery, kind: PictureFormat, parts: Parts) -> Response:
     wish = query.wish(kind)
-    parts.outflow.check(request.state.caller.client)
-    async with body_as_file(request, parts.settings.max_upload_bytes) as upload:
+    async with body_as_file(request) as upload:
         try:
             file = await _drawn(request, parts, upload.file, wish, parts.settings.max_decode_gaussians)
         except BitstreamError as error:
             raise ProblemError(422, str(error)) from error
-    parts.outflow.check(request.state.caller.client)  # again: others of its pictures may be on their way by now
     return Response(file, headers={**NOTHING_KEPT, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 
 
@@ -344,4 +339,4 @@ async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Requ
             except HelperError as error:
                 raise ProblemError(422, str(error)) from error
 
-    return file_answer(request, await _remembered(request, parts, etag, made), MEDIA_TYPES[kind], headers)
+    return file_answer(request, await _remembered(parts, etag, made), MEDIA_TYPES[kind], headers)

@@ -44,7 +44,7 @@ async def preview(
     body. It is answered at once, without a job, within the limits of decodes."""
     if request.headers.get("content-type", "").startswith(FORM_TYPE):
         raise ProblemError(415, "the body must be the image itself, not a form", headers={"Accept": "image/*"})
-    async with body_as_file(request, parts.settings.max_upload_bytes) as image:
+    async with body_as_file(request) as image:
         try:
             made = await while_client_waits(request, parts.work.preview(caller.client, image.file, most_bytes))
         except RefusedError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import time
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from service.web.guards.problems import ProblemError
 from service.web.helpers.picture_files import MEDIA_TYPES
 from service.web.routes.decoding import ViewQuery
 from service.web.routes.file_answers import VARIES, accepted_format
-from service.web.routes.gone import set_within, while_client_waits
+from service.web.routes.gone import while_client_waits
 from service.web.routes.parts import Parts
 from service.web.routes.pictures import BITSTREAM_TYPE, bitstream_answer, picture_answer
 from service.web.submitting.submission import WAIT_FIELD
@@ -61,10 +62,9 @@ def wished_wait_s(request: Request) -> int:
 
 async def job_within(request: Request, job: Job, seconds: int, parts: Parts) -> Job | None:
     """The job once it has ended, None if it has not in time. Raises ProblemError 409 if it is removed meanwhile."""
-    client = request.state.caller.client
-    if parts.streams.refusal(client) is not None:  # too many wait already
+    if parts.streams.full:  # too many wait already
         return None
-    with parts.streams.taken(client):
+    with parts.streams.one():
         return await while_client_waits(request, _ended(job, time.monotonic() + seconds, parts))
 
 
@@ -72,7 +72,8 @@ async def _ended(job: Job, deadline: float, parts: Parts) -> Job | None:
     pause_s = FIRST_POLL_S
     while job.state not in FINAL_STATES:
         pause_s = min(1.1 * pause_s, POLL_S)
-        if time.monotonic() >= deadline or await set_within(parts.stopping, pause_s):
+        await asyncio.sleep(pause_s)
+        if time.monotonic() >= deadline or parts.stopping():
             return None
         seen = await to_thread.run_sync(parts.table.get, job.id)
         if seen is None:

@@ -16,18 +16,13 @@ MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes
 
 
 @asynccontextmanager
-async def body_as_file(request: Request, max_bytes: int) -> AsyncIterator[UploadFile]:
-    """The whole body as a file, gone with the context. Raises ProblemError 413, and 408 from the guard before."""
-    length = request.headers.get("content-length", "")
-    if length.isdecimal() and int(length) > max_bytes:
-        raise _too_large(max_bytes)
+async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
+    """The whole body as a file, gone with the context. Raises ProblemError 413, from the limit before."""
     file = cast(BinaryIO, tempfile.SpooledTemporaryFile(MEMORY_BYTES))  # noqa: SIM115 - upload closes it
     upload = UploadFile(file, size=0)
     try:
         async for chunk in request.stream():
             await upload.write(chunk)
-            if upload.size is not None and upload.size > max_bytes:
-                raise _too_large(max_bytes)
         await upload.seek(0)
         yield upload
     finally:
@@ -44,7 +39,3 @@ async def refuse_body(request: Request, refusal: ProblemError) -> None:
     async for chunk in request.stream():
         if chunk:
             raise refusal
-
-
-def _too_large(max_bytes: int) -> ProblemError:
-    return ProblemError(413, f"the body is larger than {max_bytes} bytes", max_bytes=max_bytes)

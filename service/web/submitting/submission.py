@@ -25,8 +25,6 @@ from sgmethod.io.formats import is_read
 FORMAT_BYTES = 256  # of a file, which tell its format
 WAIT_FIELD = "wait"  # of the query alone
 MAX_FIELD_BYTES = 256
-# What multipart adds to the image itself: boundaries, part headers, the other fields.
-MULTIPART_OVERHEAD_BYTES = 16 * 1024
 
 FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
 
@@ -94,7 +92,7 @@ async def fields_without_image(request: Request) -> EncodeFields:
 async def submission(request: Request, settings: Settings) -> AsyncIterator[Submission]:
     """The body, read as it comes in; what is large goes to temporary files, gone with the context.
 
-    Entering raises ProblemError 408, 413, 415 or 422, or HTTPException 400 on what is no form.
+    Entering raises ProblemError 413, 415 or 422, or HTTPException 400 on what is no form.
     """
     longest_s, query = settings.max_time_limit_s, fields_of_query(request)
     if check_content_type(request) == FORM_TYPE:
@@ -108,7 +106,7 @@ async def submission(request: Request, settings: Settings) -> AsyncIterator[Subm
             yield Submission(asked, images[0])
     else:
         asked = read_fields(query).asked(longest_s)
-        async with body_as_file(request, settings.max_upload_bytes) as image:
+        async with body_as_file(request) as image:
             yield Submission(asked, image)
 
 
@@ -120,17 +118,14 @@ def new_job(asked: Asked, header: SourceImage, image: bytes, key: str | None, ow
     return NewJob(new_job_id(), asked.request, header, digest.hexdigest(), key, owner, asked.priority)
 
 
-async def read_header(submitted: Submission, work: Work, client: str, max_bytes: int) -> SourceImage:
+async def read_header(submitted: Submission, work: Work, client: str) -> SourceImage:
     """What the image's header says; no pixel is decoded.
 
-    Raises ProblemError 413, 415 for what is none of the formats, 422 for a damaged header or a size beyond the limits,
+    Raises ProblemError 415 for what is none of the formats, 422 for a damaged header or a size beyond the limits,
     429, 503.
     """
-    size = submitted.image.size or 0
-    if size > max_bytes:
-        raise ProblemError(413, f"the image is larger than {max_bytes} bytes", max_bytes=max_bytes)
     try:
-        return await work.read_header(client, submitted.image.file, size)
+        return await work.read_header(client, submitted.image.file, submitted.image.size or 0)
     except RefusedError as error:
         raise await refusal(error, submitted.image) from error
     except HelperError as error:

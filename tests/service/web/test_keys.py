@@ -17,7 +17,7 @@ from service.settings import Settings
 from tests.harness.data import ROOT, golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S
-from tests.harness.service import Service, StartService, assert_problem
+from tests.harness.service import RunCommand, Service, StartService, assert_problem
 
 PICTURE = golden_path("v3-color.sg").read_bytes()
 SECRET = "0123456789abcdef" * 2
@@ -178,7 +178,7 @@ def test_use_is_counted_by_key(start_service: StartService) -> None:
 
 def test_a_body_is_not_read_without_a_key(guarded: Service) -> None:
     answer = guarded.raw(
-        b"POST /encode?bpp=1 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\n"
+        b"POST /encode?bpp=1 HTTP/1.1\r\nHost: localhost\r\nContent-Type: image/png\r\n"
         b"Content-Length: 1000000\r\nExpect: 100-continue\r\n\r\n"
     )
     assert answer.startswith(b"HTTP/1.1 401 ")  # and not "100 Continue" first
@@ -232,9 +232,52 @@ def test_no_links_without_a_secret(web: Service) -> None:
     assert_problem(web.client.post(f"/jobs/{web.published(PICTURE)}/links"), 404, "not enabled")
 
 
+def test_others_are_let_in_by_keys_or_by_name(run_command: RunCommand, tmp_path: Path) -> None:
+    result = run_command("web", host="0.0.0.0", port=0, data_dir=tmp_path)
+    assert (result.status, result.stdout) == (1, "")
+    assert "cannot start: SG_HOST=0.0.0.0: others could" in result.stderr
+
+
 @pytest.mark.thorough
-def test_binding_elsewhere_without_keys_is_said(start_service: StartService) -> None:
-    open_to_all = start_service("web", host="0.0.0.0")
-    assert "SG_API_KEYS" in open_to_all.log.read_text()
-    guarded = start_service("web", host="0.0.0.0", api_keys=KEYS)
-    assert "SG_API_KEYS" not in guarded.log.read_text()
+@pytest.mark.parametrize("settings", [{"api_keys": KEYS}, {"host_names": "pictures.example"}], ids=["keys", "names"])
+def test_others_are_let_in(start_service: StartService, settings: dict[str, str]) -> None:
+    assert start_service("web", host="0.0.0.0", **settings).client.get("/livez").status_code == 200
+
+
+SITES = [  # Host, Origin, the answers to a GET and to a POST
+    ("localhost:8000", None, 200, 422),
+    ("127.0.0.1", None, 200, 422),
+    ("[::1]:8000", None, 200, 422),
+    ("evil.example", None, 421, 421),
+    ("localhost.evil.example", None, 421, 421),
+    ("[", None, 421, 421),
+    ("pictures.example", "https://pictures.example", 200, 422),
+    ("localhost:8000", "http://localhost:8000", 200, 422),
+    ("localhost:8000", "http://localhost:9000", 200, 403),
+    ("localhost:8000", "https://evil.example", 200, 403),
+    ("localhost:8000", "null", 200, 403),
+    ("localhost:8000", "https://friend.example", 200, 422),
+]
+
+
+@pytest.fixture(scope="module")
+def named(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A web process without keys, which has a name and a friend."""
+    settings = {"host_names": "pictures.example", "cors_origins": "https://friend.example"}
+    service = Service(tmp_path_factory.mktemp("named") / "data", "web", **settings)
+    yield service
+    assert service.stop() == 0
+
+
+@pytest.mark.parametrize(("host", "origin", "get", "post"), SITES)
+def test_pages_of_other_sites_are_kept_out(named: Service, host: str, origin: str | None, get: int, post: int) -> None:
+    """A name that leads to this machine is enough to read jobs from elsewhere, and a form to start some."""
+    headers = {"Host": host, **({} if origin is None else {"Origin": origin})}
+    assert named.client.get("/jobs", headers=headers).status_code == get
+    assert named.client.post("/decode", content=b"nothing", headers=headers).status_code == post
+
+
+def test_keys_keep_out_whom_they_do_not_let_in(ann: httpx.Client) -> None:
+    """So any name will do."""
+    assert ann.get("/jobs", headers={"Host": "any.example"}).status_code == 200
+    assert ann.post("/decode", content=b"", headers={"Origin": "https://any.example"}).status_code == 422

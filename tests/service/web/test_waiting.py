@@ -122,13 +122,13 @@ def one_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 def taken(web: Service) -> float:
     """How many wait or watch."""
-    return web.figures()['sgmethod_taken{what="streams"}']
+    return web.figures()["sgmethod_streams"]
 
 
 @pytest.mark.thorough
 def test_too_many_that_wait_get_a_job_at_once(one_place: Service) -> None:
     with one_place.connect() as stream:
-        stream.sendall(f"GET /jobs/{one_place.accepted()}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
+        stream.sendall(f"GET /jobs/{one_place.accepted()}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
         wait_until(lambda: taken(one_place) == 1)
         assert one_place.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
 
@@ -138,10 +138,8 @@ def test_who_goes_leaves_a_job_and_no_place_taken(one_place: Service) -> None:
     web.clear()
     wait_until(lambda: taken(web) == 0)  # the test before has given its place back
     with web.connect() as gone:
-        head = (
-            f"POST /encode?wait=300 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}"
-        )
-        gone.sendall(head.encode() + b"\r\n\r\n" + SMALL)
+        head = f"Host: localhost\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}\r\n\r\n"
+        gone.sendall(b"POST /encode?wait=300 HTTP/1.1\r\n" + head.encode() + SMALL)
         wait_until(lambda: taken(web) == 1)
     assert len(web.client.get("/jobs").json()["jobs"]) == 1
     wait_until(lambda: taken(web) == 0)
