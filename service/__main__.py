@@ -33,7 +33,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
     try:
         settings = Settings()
-        set_up_logging(settings.log_format)
+        set_up_logging()
     except ValidationError as error:
         for fault in error.errors():
             field = str(fault["loc"][0]) if fault["loc"] else ""
@@ -95,7 +95,7 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:
-    from service.web.server import run_web
+    from service.api.server import run_web
 
     if arguments.lifeline is not None:
         lifeline.watch(arguments.lifeline, lambda: os.kill(os.getpid(), signal.SIGTERM))

@@ -134,9 +134,9 @@ def test_the_imports_are_found() -> None:
     assert "sgmethod.bitstream.container" in IMPORTS["sgmethod.decoder"]  # from sgmethod.bitstream import container
     assert "sgmethod.paper.lattice" in IMPORTS["sgmethod.paper.tuning"]
     assert "sgmethod.codec" in IMPORTS["sgmethod.cli.encoding"]  # within a function
-    assert "service.web.guards.problems" in IMPORTS["service.web.routes.jobs"]
-    assert room("service.web.guards.problems") == "web/guards/"
-    assert room("service.web.app") == "web/"
+    assert "service.api.problems" in IMPORTS["service.api.jobs"]
+    assert room("service.web.helpers.work") == "web/helpers/"
+    assert room("service.api.app") == "api/"
 
 
 def test_the_service_leaves_the_encoder_to_confined_processes() -> None:

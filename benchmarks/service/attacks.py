@@ -38,7 +38,6 @@ FILE = ROOT / "service" / "web" / "static" / "samples" / "cat.sg"
 # No worker runs: others' jobs may wait, and that they do is no trouble.
 SETTINGS: dict[str, Any] = {
     "queue_length": 1_000_000,
-    "stall_s": 1_000_000,
     "source_retention_s": 3600,
 }
 WARM_S, LONGER_S, SAMPLE_S, REST_S = 3.0, 3.0, 0.1, 5.0

@@ -57,10 +57,7 @@ CONNECT: dict[str, str | int] = {
 CONNECTIONS = 8
 SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
 CLAIMABLE = f"""
-WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
-SELECT (SELECT count(*) FROM jobs LEFT JOIN busy USING (owner)
-        WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?))
-     + (SELECT count(*) FROM jobs {OVERDUE}) AS jobs
+SELECT (SELECT count(*) FROM jobs WHERE state = 'queued') + (SELECT count(*) FROM jobs {OVERDUE}) AS jobs
 """
 
 
@@ -173,12 +170,12 @@ class PostgresJobTable(JobTable):
 
     def _top_up(self) -> None:
         """As many tokens as there are rows that a worker would find something to do about."""
-        limit, lease_s = self._rules.max_running_per_owner, self._rules.lease_s
+        lease_s = self._rules.lease_s
         try:
             with self._transaction() as db:
                 if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
                     return  # another worker is at it
-                rows = db.execute(CLAIMABLE, (limit, limit, WATCHED * lease_s, lease_s)).fetchone()["jobs"]
+                rows = db.execute(CLAIMABLE, (WATCHED * lease_s, lease_s)).fetchone()["jobs"]
                 tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
                 for _ in range(rows - tokens):
                     self._wake(db)

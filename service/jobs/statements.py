@@ -84,7 +84,7 @@ UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = 
 WHERE state = 'queued' AND number = (
     WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
     SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
-    WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?)
+    WHERE state = 'queued'
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
 ) RETURNING number, id, attempt, request
 """

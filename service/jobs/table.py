@@ -59,13 +59,12 @@ class JobRules:
     """What holds for all jobs.
 
     lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
-    max_running_per_owner: jobs of one owner that run at once, 0 for any number; source_retention_s: for how long the
-    image of a finished job is kept; webhooks: addresses that are told when a job ends.
+    source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
+    ends.
     """
 
     lease_s: float
     max_attempts: int
-    max_running_per_owner: int = 0
     source_retention_s: float = 0.0
     webhooks: tuple[str, ...] = ()
 

@@ -35,7 +35,7 @@ HELPER_START_CPU_S = 1.0  # more than one takes to start
 def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A web process with two keys, whose decodes may take as long as they like."""
     keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann"))
-    settings = {"api_keys": keys, "decode_time_s": NEVER_S, "max_queued_per_key": 0}
+    settings = {"api_keys": keys, "decode_time_s": NEVER_S}
     service = Service(tmp_path_factory.mktemp("abuse") / "data", "web", queue_length=10_000, **settings)
     yield service
     assert service.stop() == 0
@@ -191,7 +191,7 @@ def test_a_decode_has_a_limit_of_time(start_service: StartService, crowded: byte
 
 
 def test_a_decode_has_a_limit_of_memory(start_service: StartService) -> None:
-    web = start_service("web", decode_memory_bytes=2**26)
+    web = start_service("web", job_memory_bytes=2**28)
     large = crowded_bitstream(1)  # 147 MB of pixels
     assert_problem(web.client.post("/decode", content=large), 422, "exceeds the memory limit")
     assert web.client.post("/decode", content=PICTURE).status_code == 200

@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from PIL import Image
 
+from tests.harness.attacks import crowded_bitstream
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.service import Service, StartService, assert_problem
@@ -27,7 +28,6 @@ def strict(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
         tmp_path_factory.mktemp("strict") / "data",
         "web",
         max_pixels=1_000_000,
-        max_decode_gaussians=10,
         queue_length=10_000,
     )
     yield service
@@ -114,15 +114,25 @@ def test_a_host_of_the_clients_choice_is_never_repeated(strict: Service) -> None
 
 
 def test_a_bitstream_of_too_many_gaussians(strict: Service) -> None:
-    """Millions of equal ones take a few bytes each thousand, and minutes to draw. Our own results are not limited."""
-    assert_problem(strict.client.post("/decode", content=PICTURE), 422, "limit of 10")
-    assert strict.client.get(f"/decode/{strict.published(PICTURE)}.png").status_code == 200
+    """Millions of equal ones take a few bytes each thousand, and minutes to draw."""
+    bitstream = crowded_bitstream(1_000_001, 1001)
+    assert_problem(strict.client.post("/decode", content=bitstream), 422, "limit of 1000000")
 
 
 def test_many_decodes_at_once_are_refused_and_not_piled_up(start_service: StartService) -> None:
-    web = start_service("web", max_decodes=1, max_waiting_decodes=0, decode_cache_bytes=0)
+    """One client has half of the 64 places in line."""
+    web = start_service("web", max_decodes=1)
     done = web.published(PICTURE)
-    with ThreadPoolExecutor(16) as clients:
-        url = f"/decode/{done}.png?scale=40"
-        statuses = set(clients.map(lambda _: web.client.get(url).status_code, range(16)))
-    assert statuses == {200, 503}
+    with ThreadPoolExecutor(50) as clients:
+        urls = [f"/decode/{done}.png?width={2500 + number}" for number in range(50)]
+        statuses = set(clients.map(lambda url: web.client.get(url).status_code, urls))
+    assert statuses == {200, 429}
+
+
+def test_simultaneous_requests_for_a_picture_make_it_once(start_service: StartService) -> None:
+    web = start_service("web", max_decodes=1)
+    url = f"/decode/{web.published(PICTURE)}.png?scale=40"
+    with ThreadPoolExecutor(50) as clients:
+        answers = list(clients.map(lambda _: web.client.get(url), range(50)))
+    assert {(answer.status_code, answer.content) for answer in answers} == {(200, answers[0].content)}
+    assert web.figures()["sgmethod_decode_seconds_count"] == 1

@@ -6,9 +6,9 @@ import asyncio
 
 import pytest
 
-from service.web.guards.addresses import UNKNOWN, address_of
-from service.web.guards.problems import ProblemError
-from service.web.guards.turns import Turns
+from service.api.callers import UNKNOWN, address_of
+from service.api.problems import ProblemError
+from service.api.turns import Streams, Turns
 
 
 class Clients:
@@ -173,3 +173,13 @@ def test_as_many_at_once_as_there_are_places(places: int) -> None:
 )
 def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | None, client: str) -> None:
     assert address_of(peer) == client
+
+
+def test_streams_are_counted() -> None:
+    streams = Streams(2)
+    with streams.one(), streams.one():
+        assert streams.full
+        with pytest.raises(ProblemError) as refusal, streams.one():
+            pass
+        assert (refusal.value.status, refusal.value.headers["Retry-After"]) == (503, "5")
+    assert (streams.open, streams.full) == (0, False)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import sgmethod
-from service.web.app import STATIC
+from service.api.app import STATIC
 from sgmethod.bitstream.text import to_text
 from tests.harness.browser import Browser, Chromium
 from tests.harness.data import golden

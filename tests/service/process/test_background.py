@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from service.api import app
 from service.jobs import engine
 from service.jobs.sql import JobTable
 from service.keys import KeyRing, digest
@@ -19,7 +20,6 @@ from service.process.background import failures
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.disk import DiskStorage
-from service.web import app
 from service.worker import heartbeat, notifying, sweeping
 from service.worker.heartbeat import SignsOfLife
 from service.worker.notifying import Notifier

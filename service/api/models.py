@@ -62,14 +62,6 @@ EXAMPLE_PREVIEW = {
     "color": "#644138",
     "dark": True,
 }
-HOST = "http://127.0.0.1:8000"  # in commands
-
-
-def curl(arguments: str) -> dict[str, Any]:
-    """A command to copy, in the OpenAPI document and so at /docs; a test runs it. HOST and ID stand for the service and
-    for a job."""
-    source = f"curl {arguments}".replace("HOST", HOST).replace("ID", EXAMPLE_ID)
-    return {"x-codeSamples": [{"lang": "Shell", "label": "curl", "source": source}]}
 
 
 def _example(value: dict[str, Any]) -> ConfigDict:

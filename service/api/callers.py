@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+import ipaddress
 import re
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
-from ipaddress import ip_address
 from urllib.parse import parse_qs, urlsplit
 
 from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.api.problems import ProblemError, refused
 from service.keys import KeyRing, Link
 from service.settings import Settings
-from service.web.guards.addresses import address_of
-from service.web.guards.headers import joined
-from service.web.guards.problems import ProblemError, refused
 
 # A page must load before a person can give it a key, and probes have none.
-OPEN_PATHS = frozenset({"/", "/docs", "/healthz", "/livez", "/readyz", "/openapi.json"})
+OPEN_PATHS = frozenset({"/", "/docs", "/livez", "/readyz", "/openapi.json"})
 OPEN_PREFIX = "/static/"
+NETWORK_BITS = 64  # of an IPv6 address: one customer has at least as many as the rest can tell apart
+UNKNOWN = "unknown"
 SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
 CHALLENGE = {"WWW-Authenticate": "Bearer"}
 
@@ -40,6 +41,26 @@ class Caller:
     linked_job: str | None = None
 
 
+def address_of(peer: Sequence[object] | None) -> str:
+    """Who a peer (host, port) is: an IPv4 address or an IPv6 network."""
+    try:
+        address = ipaddress.ip_address(str(peer[0])) if peer else None
+    except ValueError:
+        address = None
+    if isinstance(address, ipaddress.IPv6Address):
+        mapped = address.ipv4_mapped
+        address = mapped or ipaddress.ip_network((int(address), NETWORK_BITS), strict=False).network_address
+    return UNKNOWN if address is None else str(address)
+
+
+def header_line(headers: Headers, name: str) -> str | None:
+    """All lines of a header as one (RFC 9110, 5.3); None without any. Where one value alone is allowed, several are
+    none.
+    """
+    lines = headers.getlist(name)
+    return ", ".join(lines) if lines else None
+
+
 def _name_in(host: str) -> str:
     """The name or address in a Host header; empty if it cannot be read."""
     try:
@@ -50,7 +71,7 @@ def _name_in(host: str) -> str:
 
 def _is_address(name: str) -> bool:
     try:
-        ip_address(name)
+        ipaddress.ip_address(name)
     except ValueError:
         return False
     return True
@@ -100,7 +121,7 @@ class Gate:
             self._check_site(Headers(scope=scope), scope["method"])
         if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
             return Caller(address)
-        scheme, _, key = (joined(Headers(scope=scope), "authorization") or "").partition(" ")
+        scheme, _, key = (header_line(Headers(scope=scope), "authorization") or "").partition(" ")
         # A key that comes with a link stands for itself: if it is not known, the link does not help.
         return self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
 

@@ -1,13 +1,13 @@
-"""Fair shares: clients take turns, however much one of them asks for."""
+"""Limits on what runs at once: clients take turns, and few streams stay open."""
 
 from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
-from service.web.guards.problems import ProblemError
+from service.api.problems import ProblemError
 
 RETRY_AFTER = {"Retry-After": "1"}
 
@@ -87,3 +87,29 @@ class Turns:
             self._running[client] += 1
             if line:
                 self._lines[client] = line
+
+
+class Streams:
+    """Responses that stay open: streams of events, and requests that wait for a job. For the event loop alone."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self.open = 0
+
+    @property
+    def full(self) -> bool:
+        """Whether no more may be opened."""
+        return self.open >= self._most
+
+    @contextmanager
+    def one(self) -> Iterator[None]:
+        """Open as long as the context. Raises ProblemError 503 if there are too many."""
+        if self.full:
+            raise ProblemError(
+                503, "too many streams of events are open", reason="streams", headers={"Retry-After": "5"}
+            )
+        self.open += 1
+        try:
+            yield
+        finally:
+            self.open -= 1

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Scope
 
+from service.api.problems import REFUSAL
+from service.api.turns import Streams
 from service.jobs.table import Census
 from service.process.background import failures
-from service.web.guards.problems import REFUSAL
-from service.web.guards.streams import Streams
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
@@ -62,6 +60,19 @@ class Metrics:
         """Show how many are open."""
         self._streams.set_function(lambda: streams.open)
 
+    def note(self, scope: Scope, status: int, seconds: float) -> None:
+        """Count a request whose answer begins, by the route that took it."""
+        # Labels come from fixed sets: what a client makes up must not fill the memory.
+        route = getattr(scope.get("route"), "path", "none")
+        method = scope["method"] if scope["method"] in METHODS else "other"
+        self.requests.labels(method, route, status).inc()
+        self.seconds.labels(route).observe(seconds)
+        state = scope["state"]
+        if REFUSAL in state:
+            self.refusals.labels(state[REFUSAL]).inc()
+        if "caller" in state and state["caller"].owner is not None:
+            self.key_requests.labels(state["caller"].owner).inc()
+
     def accept(self, owner: str | None) -> None:
         """Count a job that was accepted, and whose API key it came with."""
         self.accepted.inc()
@@ -90,33 +101,3 @@ class Metrics:
     def text(self) -> bytes:
         """Everything, in Prometheus's text format."""
         return generate_latest(self._registry)
-
-
-class RequestMetrics:
-    """Middleware: counts and times requests, by the route that took them."""
-
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
-        self._app = app
-        self._metrics = metrics
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        started = time.perf_counter()
-
-        async def note(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                # Labels come from fixed sets: what a client makes up must not fill the memory.
-                route = getattr(scope.get("route"), "path", "none")
-                method = scope["method"] if scope["method"] in METHODS else "other"
-                self._metrics.requests.labels(method, route, message["status"]).inc()
-                self._metrics.seconds.labels(route).observe(time.perf_counter() - started)
-                state = scope.get("state", {})
-                if REFUSAL in state:
-                    self._metrics.refusals.labels(state[REFUSAL]).inc()
-                if "caller" in state and state["caller"].owner is not None:
-                    self._metrics.key_requests.labels(state["caller"].owner).inc()
-            await send(message)
-
-        await self._app(scope, receive, note)

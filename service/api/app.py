@@ -1,4 +1,4 @@
-"""The web application: its parts, its routes, and what stands around them."""
+"""The web application: its context, its routes, and what stands around them."""
 
 from __future__ import annotations
 
@@ -11,41 +11,36 @@ from pathlib import Path
 from typing import Any
 
 from anyio import to_thread
-from fastapi import Depends, FastAPI, Security
+from fastapi import FastAPI, Security
 from fastapi.security import HTTPBearer
 from starlette.middleware.cors import CORSMiddleware
 from starlette.responses import FileResponse, Response
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp
 
+from service.api.callers import Gate
+from service.api.context import Context
+from service.api.health import VERSION
+from service.api.metrics import Metrics
+from service.api.middleware import BodyLimit, RequestLog
+from service.api.problems import install_problem_handlers
+from service.api.routes import add_routes
+from service.api.turns import Streams, Turns
+from service.api.views import PictureCache
 from service.keys import KeyRing
 from service.opening import open_job_table, open_storage
 from service.process.background import survived
 from service.settings import Settings
-from service.web.guards.access import AccessLog
-from service.web.guards.gate import Gate
-from service.web.guards.metrics import Metrics, RequestMetrics
-from service.web.guards.middleware import BodyLimit, HeadAsGet, ResponseHeaders
-from service.web.guards.problems import install_problem_handlers, problems
-from service.web.guards.streams import Streams
-from service.web.guards.turns import Turns
 from service.web.helpers.work import Work
-from service.web.routes import events as event_routes
-from service.web.routes import health as health_routes
-from service.web.routes import jobs as job_routes
-from service.web.routes import pictures as picture_routes
-from service.web.routes import previews as preview_routes
-from service.web.routes.decoding import PictureCache
-from service.web.routes.health import VERSION
-from service.web.routes.parts import Parts, known_query, no_stray_body
 
-STATIC = Path(__file__).with_name("static")
+STATIC = Path(__file__).parents[1] / "web" / "static"
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self';"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
 FILE_POLICY = "default-src 'none'; script-src 'self'"
 UPLOADS_IN_MEMORY = 4
+PICTURE_CACHE_BYTES = 64 << 20
 KEYS_POLL_S = 1.0
 
 log = logging.getLogger(__name__)
@@ -64,20 +59,20 @@ class PageFiles(StaticFiles):
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    parts: Parts = app.state.parts
+    context: Context = app.state.context
     # What is there now stays. Looking through all of it for garbage again and again held the loop for 70 ms each.
     gc.collect()
     gc.freeze()
-    reloading = asyncio.create_task(_reload_keys(parts))
+    reloading = asyncio.create_task(_reload_keys(context))
     yield
     reloading.cancel()
-    parts.work.close()
-    parts.table.close()
+    context.work.close()
+    context.table.close()
 
 
-async def _reload_keys(parts: Parts) -> None:
+async def _reload_keys(context: Context) -> None:
     """Follow the file of keys. What cannot be read leaves the keys as they were: nobody is let in by a mistake."""
-    path = parts.settings.api_keys_file
+    path = context.settings.api_keys_file
     if path is None:
         return
     seen = await to_thread.run_sync(_version_of, path)
@@ -88,7 +83,7 @@ async def _reload_keys(parts: Parts) -> None:
             if version == seen:
                 continue
             try:
-                parts.keys.replace(await to_thread.run_sync(parts.settings.read_keys))
+                context.keys.replace(await to_thread.run_sync(context.settings.read_keys))
                 log.info("reloaded the API keys")
             except ValueError as error:
                 log.error("kept the previous API keys: %s", error)
@@ -119,54 +114,45 @@ def create_app(settings: Settings, stopping: Callable[[], bool]) -> ASGIApp:
         redoc_url=None,
         redirect_slashes=False,  # it would repeat whatever host the client named
     )
-    parts = app.state.parts = Parts(
+    context = app.state.context = Context(
         settings,
         open_job_table(settings),
         open_storage(settings),
         Work(settings),
-        PictureCache(settings.decode_cache_bytes),
+        PictureCache(PICTURE_CACHE_BYTES),
         Turns(UPLOADS_IN_MEMORY, settings.max_streams),
         Streams(settings.max_streams),
         stopping,
         KeyRing(settings.key_names),
         Metrics(),
     )
-    parts.metrics.watch(parts.streams)
+    context.metrics.watch(context.streams)
     install_problem_handlers(app)
     # The gate does the work; this is how the document says so.
-    security = [Security(HTTPBearer(auto_error=False))] if settings.key_names else []
-    refusals = problems(401) if settings.key_names else {}
-    for routes in (job_routes, event_routes, picture_routes, preview_routes):
-        dependencies = [Depends(known_query), Depends(no_stray_body), *security]
-        app.include_router(routes.router, dependencies=dependencies, responses=refusals)
-    app.include_router(health_routes.router, dependencies=[Depends(known_query)])
+    add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])
     app.mount("/static", PageFiles(directory=STATIC))
-
-    @app.get("/", include_in_schema=False)
-    async def page() -> FileResponse:
-        """The page on which a person can try the service."""
-        return FileResponse(STATIC / "index.html", headers={"Content-Security-Policy": PAGE_POLICY})
-
-    @app.get("/docs", include_in_schema=False)
-    async def docs() -> FileResponse:
-        """The OpenAPI document, for people."""
-        return FileResponse(STATIC / "docs.html", headers={"Content-Security-Policy": PAGE_POLICY})
-
-    return _guarded(app, parts)
+    for path, file in (("/", "index.html"), ("/docs", "docs.html")):
+        app.add_api_route(path, _page(STATIC / file), include_in_schema=False)
+    return _with_middleware(app, context)
 
 
-def _guarded(app: FastAPI, parts: Parts) -> ASGIApp:
-    """The application with its middleware around it."""
-    settings = parts.settings
-    # From the inside out. They stand outside FastAPI: its answer to an unexpected error skips its own middleware.
-    gate = Gate(HeadAsGet(app), parts.keys, settings)
-    guarded: ASGIApp = BodyLimit(gate, settings.max_upload_bytes)
+def _page(path: Path) -> Callable[[], FileResponse]:
+    return lambda: FileResponse(path, headers={"Content-Security-Policy": PAGE_POLICY})
+
+
+def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
+    """The middleware, from the inside out. It stands outside FastAPI, whose answer to an unexpected error skips its
+    own.
+    """
+    settings = context.settings
+    app = Gate(app, context.keys, settings)
+    app = BodyLimit(app, settings.max_upload_bytes)
     if settings.cors_origins:
-        guarded = CORSMiddleware(
-            guarded,
+        app = CORSMiddleware(
+            app,
             allow_origins=[origin.strip() for origin in settings.cors_origins.split(",")],
             allow_methods=["GET", "HEAD", "POST", "DELETE"],
-            allow_headers=["Authorization", "Idempotency-Key", "Prefer", "Range", "X-Request-Id"],
-            expose_headers=["ETag", "Location", "Content-Range", "Preference-Applied", "Retry-After", "X-Request-Id"],
+            allow_headers=["Authorization", "Idempotency-Key", "Prefer", "X-Request-Id"],
+            expose_headers=["ETag", "Location", "Preference-Applied", "Retry-After", "X-Request-Id"],
         )
-    return AccessLog(ResponseHeaders(RequestMetrics(guarded, parts.metrics)))
+    return RequestLog(app, context.metrics)

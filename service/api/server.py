@@ -11,9 +11,9 @@ from collections.abc import Callable
 
 import uvicorn
 
+from service.api.app import create_app
 from service.process.listening import BACKLOG
 from service.settings import Settings
-from service.web.app import create_app
 
 KEEP_ALIVE_S = 75  # longer than a proxy keeps its connections: a request must not meet one that closes
 
