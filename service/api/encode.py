@@ -25,6 +25,7 @@ from service.api.views import ViewQuery
 from service.api.waiting import WAIT_PARAMETERS, job_within, wanted_wait_s
 from service.jobs.job import Job, NewJob, SourceImage, new_job_id
 from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.logs import log_seldom
 from service.storage.files import source_key
 
 log = logging.getLogger(__name__)
@@ -133,11 +134,12 @@ def _accept(
     new = _new_job(asked, header, image, key, owner)
     free_bytes = context.storage.free_bytes()
     if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
+        log_seldom(log, "new jobs are refused, since the disk is full: %d bytes are free", free_bytes)
         raise ProblemError(503, "the disk is full", reason="disk", headers=RETRY_AFTER)
     try:
         context.storage.put(source_key(new.id), image)
     except OSError as error:
-        log.error("an image cannot be stored: %s", error)
+        log_seldom(log, "an image cannot be stored: %s", error)
         detail = "the image cannot be stored right now"
         raise ProblemError(503, detail, reason="storage", headers=RETRY_AFTER) from error
     job, accepted = _submit(context, new)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from itertools import accumulate
+
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
 from starlette.types import Scope
 
 from service.api.problems import REFUSAL
 from service.api.turns import Streams
+from service.jobs import totals
 from service.jobs.table import Census
 from service.process.background import failures
 
@@ -14,8 +21,28 @@ METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"}
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
 
 
+class _Totals(Collector):
+    """What the job table counts, of all workers and web processes together."""
+
+    def __init__(self) -> None:
+        self.so_far: Mapping[str, float] = {}
+
+    def collect(self) -> Iterator[Metric]:
+        for ending in totals.ENDINGS:
+            words = f"Jobs {ending}, since the job table was made."
+            yield CounterMetricFamily(f"sgmethod_jobs_{ending}", words, self.so_far.get(ending, 0.0))
+        names = [str(most).replace("inf", "+Inf") for most in totals.BUCKETS_S]
+        numbers = accumulate(self.so_far.get(totals.bucket(most), 0.0) for most in totals.BUCKETS_S)
+        yield HistogramMetricFamily(
+            "sgmethod_encode_seconds",
+            "From the claim of a job to its file.",
+            buckets=[*zip(names, numbers, strict=True)],
+            sum_value=self.so_far.get(totals.SECONDS, 0.0),
+        )
+
+
 class Metrics:
-    """The figures of one web process."""
+    """The figures of one web process, and of the job table."""
 
     def __init__(self) -> None:
         self._registry = registry = CollectorRegistry()
@@ -54,6 +81,8 @@ class Metrics:
         self._notices = Gauge("sgmethod_webhooks_waiting", "Webhooks to be delivered.", registry=registry)
         waits = "Since the job ended whose webhook has been waiting for longest."
         self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
+        self._totals = _Totals()
+        registry.register(self._totals)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
 
     def watch(self, streams: Streams) -> None:
@@ -87,6 +116,7 @@ class Metrics:
             self._failures.labels(process).set(count)
         if census is None:
             return
+        self._totals.so_far = census.totals
         self._workers.clear()
         for worker, seconds in census.workers.items():
             self._workers.labels(worker).set(max(0.0, seconds))

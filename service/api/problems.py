@@ -15,6 +15,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
 from service.jobs.table import JobTableError
+from service.logs import log_seldom
 
 log = logging.getLogger(__name__)
 
@@ -136,13 +137,13 @@ def _in_words(error: Mapping[str, Any]) -> str:
 
 
 async def _on_table_unavailable(request: Request, error: Exception) -> Response:
-    log.error("the job table is unreachable: %s", error)
+    log_seldom(log, "the job table is unreachable: %s", error)
     detail = "the job table is unreachable right now"
     return refused(request, ProblemError(503, detail, reason="table", headers={"Retry-After": RETRY_SOON_S}))
 
 
 async def _on_storage_unavailable(request: Request, error: Exception) -> Response:
-    log.error("the storage is unreachable: %s", error)
+    log_seldom(log, "the storage is unreachable: %s", error)
     detail = "the storage is unreachable right now"
     return refused(request, ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S}))
 

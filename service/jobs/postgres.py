@@ -18,28 +18,19 @@ from psycopg_pool import ConnectionPool
 from service.jobs.engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
 from service.jobs.sql import WATCHED, JobTable
-from service.jobs.statements import NOTICES, OVERDUE, SCHEMA, WORKERS, Cursor, Database
+from service.jobs.statements import OVERDUE, SCHEMA, Cursor, Database
 from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
 # The database's clock: those of several machines differ.
 EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-# From the version of release 0.1.0.
-UPGRADE_FROM_1 = f"""
-ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;
-UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN (result::json -> 'stats' ->> 'bytes')::BIGINT
-    WHEN 'failed' THEN 0 ELSE (image::json ->> 'size_bytes')::BIGINT END, 0);
-ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;
-{WORKERS}{NOTICES}
-"""
-SCRIPTS = {0: f"{EPOCH} {POSTGRES_SCHEMA}", 1: UPGRADE_FROM_1}
 # Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
 # stopped within a transaction must not hold its locks for ever. PgBouncer refuses these as startup parameters.
 SESSION = b"""
@@ -131,10 +122,10 @@ class PostgresJobTable(JobTable):
             db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
             versions = {row["part"]: row["version"] for row in db.execute("SELECT * FROM version").fetchall()}
             written = int(versions.get("jobs", 0))
-            if written not in (*SCRIPTS, SCHEMA_VERSION):
+            if written not in (0, SCHEMA_VERSION):
                 raise JobTableError("the database was written by another version of this service, which can read it")
             if written < SCHEMA_VERSION:
-                db.execute(SCRIPTS[written].encode())
+                db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
             if versions.get("engine") != procrastinate.__version__:
                 # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
                 db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")

@@ -24,8 +24,14 @@ CREATE TABLE notices (
 );
 CREATE INDEX notices_by_time ON notices (address, due_at);
 """
+TOTALS = """
+CREATE TABLE totals (
+    name   TEXT PRIMARY KEY,
+    amount DOUBLE PRECISION NOT NULL
+);
+"""
 # In place of {number} stands how each database counts rows up.
-SCHEMA = f"""{WORKERS}{NOTICES}
+SCHEMA = f"""{WORKERS}{NOTICES}{TOTALS}
 CREATE TABLE jobs (
     number          {{number}},
     id              TEXT NOT NULL UNIQUE,
