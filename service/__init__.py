@@ -2,7 +2,7 @@
 
 The rooms and modules; each imports only from those above it:
 
-    keys            API keys, how often each may ask, links that stand in for one
+    keys            API keys, links that stand in for one
     logs            what the processes write to standard error
     settings        what the operator may set
     process/        the processes of a service, how they end, and what strangers' pictures cannot reach
@@ -10,11 +10,11 @@ The rooms and modules; each imports only from those above it:
     jobs/           the job table, in SQLite or in PostgreSQL
     opening         opens the job table and the storage that the settings name
     worker/         claims a job, has it encoded by an encoder process, publishes the bitstream
-    web/guards/     limits, callers and refusals, before a body is read
+    api/problems    refusals, as problem documents
+    api/turns       how much clients may have run at once
     web/helpers/    what strangers sent is read and drawn by helper processes, by turns
-    web/submitting/ from the body of a request to a job that can succeed
-    web/routes/     what each request is answered with
-    web/            the application and its server
+    web/            the files of the page
+    api/            the routes, what they answer, and the application around them
     checking        whether an installation can work
 
 `python -m service` is the command line. Only worker/encoder.py and, for a preview, a helper import the encoder; only

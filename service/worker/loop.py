@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
+from service.logs import log_seldom
 from service.process import confinement
 from service.process.background import survived
 from service.process.lifeline import Lifeline
@@ -76,7 +77,7 @@ class Worker:
                 # The codec is imported before a job is claimed, not within its lease.
                 return self._encoders.get_ready(self._stop) and self.run_one()
             except (JobTableError, OSError) as error:
-                log.error("worker %s: %s", self._name, error)
+                log_seldom(log, "worker %s: %s", self._name, error)
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)
         return False
 

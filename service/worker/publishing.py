@@ -9,6 +9,7 @@ from collections.abc import Callable
 from service.jobs.job import FINAL_STATES, EncodeResult, JobError
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
+from service.logs import log_seldom
 from service.process.stopping import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.encoder_process import Crashed, Encoded, Outcome, Refused, TimedOut
@@ -72,7 +73,7 @@ class Publisher:
                 self._storage.put(key, data)
                 return
             except OSError as error:
-                log.warning("%s cannot be stored yet: %s", key, error)
+                log_seldom(log, "%s cannot be stored yet: %s", key, error)
             if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
                 raise StoppedError
             heartbeat.beat()

@@ -80,15 +80,17 @@ class Client:
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
         on_progress: Progress | None = None,
+        idempotency_key: str | None = None,
     ) -> RemoteEncoded:
         """Encode an image file (path or bytes) on the server, and remove the job afterwards in any case.
 
         Without on_progress, a single request fetches the bitstream if it is done soon enough. Interrupting that request
-        leaves the job behind.
+        leaves the job behind; the same request with the same idempotency_key finds it again.
         """
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         try:
-            answer = self._submit("/encode", query, _bytes_of(image), wait_s=WAIT_S if on_progress is None else 0)
+            wait_s = WAIT_S if on_progress is None else 0
+            answer = self._submit("/encode", query, bytes_of(image), wait_s, idempotency_key)
         except RefusedError as refusal:
             if "id" not in refusal.problem:
                 raise
@@ -119,7 +121,7 @@ class Client:
     ) -> str:
         """Submit an image file (path or bytes) and return the id of its job. Retries never create a second job."""
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
-        return _id_of(self._submit("/encode", query, _bytes_of(image)))
+        return _id_of(self._submit("/encode", query, bytes_of(image)))
 
     def submit_again(
         self,
@@ -139,8 +141,10 @@ class Client:
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         return _id_of(self._submit(f"/jobs/{job_id}/encode", query))
 
-    def _submit(self, path: str, query: Json, image: bytes = b"", wait_s: int = 0) -> httpx.Response:
-        headers = {"Content-Type": "image/*", "Idempotency-Key": secrets.token_hex(16)}
+    def _submit(
+        self, path: str, query: Json, image: bytes = b"", wait_s: int = 0, key: str | None = None
+    ) -> httpx.Response:
+        headers = {"Content-Type": "image/*", "Idempotency-Key": key or secrets.token_hex(16)}
         if wait_s:
             headers["Prefer"] = f"wait={wait_s}"
         return self._connection.ask("POST", path, params=query, content=image, headers=headers)
@@ -200,7 +204,7 @@ class Client:
 
     def decode(self, bitstream: File, kind: str = "png", **view: float | str) -> bytes:
         """Decode an .sg file (path or bytes) on the server, which does not store it; otherwise like `picture`."""
-        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=_bytes_of(bitstream)).content
+        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=bytes_of(bitstream)).content
 
     def links(self, job_id: str, expires_s: int = 3600) -> Json:
         """Create URLs of a job's picture and bitstream that need no API key for expires_s seconds."""
@@ -223,7 +227,8 @@ def _query(
     return {name: value for name, value in wanted.items() if value is not None}
 
 
-def _bytes_of(file: File) -> bytes:
+def bytes_of(file: File) -> bytes:
+    """Read an image, from a path, bytes or an open file."""
     if isinstance(file, str | os.PathLike):
         return Path(file).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from sgmethod.budget import DEFAULT_BUDGET, checked_integer
-from sgmethod.client.client import Client
+from sgmethod.client.client import Client, bytes_of
 from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
 from sgmethod.many.run import Finished, Make, OnRow, Tally, Task, caught
@@ -31,17 +32,23 @@ def encode_many(
 
     items: paths, or pairs of a name and the path or bytes of an image file; jobs: pictures on the server at a time;
     options: of Client.encode(), such as budget. A busy server is asked again until the client's patience ends: give it
-    hours for a long run.
+    hours for a long run. Jobs of a run that was killed are found again by the next one into the same folder.
     """
     threads = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
     options = {"budget": DEFAULT_BUDGET, "priority": "bulk", **options}
 
-    def make(picture: Any) -> Made:
-        encoded = client.encode(picture, **options)
-        return encoded.data, encoded.figures, encoded.notes
+    def make_row(folder: Path, task: Task[Row]) -> Row:
+        def make(picture: Any) -> Made:
+            image = bytes_of(picture)
+            asked = f"{folder.resolve()} {task.row.name} {sorted(options.items())!r}"
+            key = hashlib.sha256(asked.encode(errors="surrogateescape") + image).hexdigest()
+            encoded = client.encode(image, idempotency_key=key, **options)
+            return encoded.data, encoded.figures, encoded.notes
+
+        return written(make, folder, task)
 
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
-        return _in_threads(partial(caught, partial(written, make, folder)), tasks, threads)
+        return _in_threads(partial(caught, partial(make_row, folder)), tasks, threads)
 
     return into_folder(items, output_dir, options, finish, resume, on_row)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any, BinaryIO
 
+from service.api.turns import Turns
 from service.jobs.job import SourceImage
 from service.settings import Settings
-from service.web.guards.turns import Turns
 from service.web.helpers.drawing import Wish
 from service.web.helpers.helper import Errand
 from service.web.helpers.picture_files import Rival

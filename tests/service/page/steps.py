@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import sgmethod
-from service.web.app import STATIC
+from service.api.app import STATIC
 from tests.harness.browser import Browser
 from tests.harness.data import golden_path
 from tests.harness.processes import wait_until

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from service.web.app import STATIC
+from service.api.app import STATIC
 from tests.harness.browser import Chromium
 from tests.harness.data import golden
 from tests.harness.pictures import SMALL, page_of_text

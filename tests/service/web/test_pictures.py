@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from service.web.app import STATIC
+from service.api.app import STATIC
 from service.web.helpers.picture_files import Rival, as_large
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, golden_path
@@ -104,31 +104,6 @@ def test_rivals_are_as_large(start_service: StartService) -> None:
     assert_problem(web.client.get(f"/jobs/{waiting}/rival.avif"), 409, "queued")
     assert web.client.get(f"/jobs/{job}/rival.png").status_code == 404
     assert_problem(web.client.post(f"/jobs/{waiting}/stop"), 409, "no result to keep")
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("fallback", ["webp", "avif"])
-def test_a_fallback_takes_the_place_of_gaussians(service: Service, fallback: str) -> None:
-    """Of a page of text, and of no photograph."""
-    page, photograph = (
-        service.accepted(image, bpp=2, effort=1, time_limit_s=0.5, fallback=fallback) for image in (TEXT, SMALL)
-    )
-    job = service.wait(page)
-    file = service.client.get(job["bitstream_url"])
-    assert file.headers["content-type"] == f"image/{fallback}"
-    assert file.headers["content-disposition"].endswith(f'.{fallback}"')
-    result = job["result"]
-    assert (result["format"], result["better"], result["bytes"]) == (fallback, "webp", len(file.content))
-    assert (result["gaussians"], result["ssimulacra2"], result["warnings"]) == (None, None, [])
-    whole = pixels_of(service.client.get(job["decode_url"]))
-    np.testing.assert_array_equal(whole, pixels_of(file))
-    error = np.square(whole.astype(float) - np.asarray(Image.open(io.BytesIO(TEXT)))).mean()
-    assert result["psnr"] == (None if fallback == "webp" else pytest.approx(10 * np.log10(255**2 / error)))
-    assert service.client.get(f"/decode/{page}.{fallback}").content == file.content
-    assert_problem(service.client.get(f"/decode/{page}.png?scale=0.5"), 422, fallback.upper(), "at its own size")
-    other = service.wait(photograph)
-    assert (other["result"]["format"], other["result"]["better"]) == ("sg", None)
-    assert sgmethod.info(service.client.get(other["bitstream_url"]).content).gaussians
 
 
 @pytest.mark.thorough
@@ -233,7 +208,7 @@ def test_a_preview_is_answered_at_once_and_decoded_from_its_text(web: Service) -
         ("", PHOTOGRAPH[:-500], 422, "truncated"),
         ("?bytes=11", PHOTOGRAPH, 422, "bytes"),
         ("?bytes=4097", PHOTOGRAPH, 422, "bytes"),
-        ("?size=100", PHOTOGRAPH, 422, "unknown query parameter"),
+        ("?size=100", PHOTOGRAPH, 422, "query.size: unknown query parameter"),
         ("", bytes(200_001), 413, "larger than 200000"),
     ],
 )

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from service.web.app import STATIC
+from service.api.app import STATIC
 from tests.harness.data import JAVASCRIPT
 from tests.harness.pictures import SMALL, png
 from tests.harness.service import SMALL_QUEUE, Service, assert_problem
@@ -280,10 +280,12 @@ def test_the_users_file_name_goes_nowhere(web: Service) -> None:
 
 
 def test_image_larger_than_the_limit(web: Service) -> None:
-    assert assert_problem(web.post(SMALL + b"\0" * 200_000), 413)["max_bytes"] == 200_000
-    padding = 200_000 - len(SMALL)
-    assert web.post(SMALL + b"\0" * padding).status_code == 202
-    assert_problem(web.post(SMALL + b"\0" * (padding + 1)), 413)
+    image = {"Content-Type": "image/png"}
+    for size, status in ((200_000, 202), (200_001, 413)):
+        answer = web.client.post("/encode?bpp=1", content=SMALL.ljust(size, b"\0"), headers=image)
+        assert answer.status_code == status
+    assert assert_problem(answer, 413)["max_bytes"] == 200_000
+    assert_problem(web.post(SMALL.ljust(200_000, b"\0")), 413)
 
 
 @given(

@@ -2,22 +2,47 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Iterator, Mapping
+from itertools import accumulate
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from prometheus_client.core import CounterMetricFamily, HistogramMetricFamily
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
+from starlette.types import Scope
 
+from service.api.problems import REFUSAL
+from service.api.turns import Streams
+from service.jobs import totals
 from service.jobs.table import Census
 from service.process.background import failures
-from service.web.guards.problems import REFUSAL
-from service.web.guards.shares import Shares
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
 
 
+class _Totals(Collector):
+    """What the job table counts, of all workers and web processes together."""
+
+    def __init__(self) -> None:
+        self.so_far: Mapping[str, float] = {}
+
+    def collect(self) -> Iterator[Metric]:
+        for ending in totals.ENDINGS:
+            words = f"Jobs {ending}, since the job table was made."
+            yield CounterMetricFamily(f"sgmethod_jobs_{ending}", words, self.so_far.get(ending, 0.0))
+        names = [str(most).replace("inf", "+Inf") for most in totals.BUCKETS_S]
+        numbers = accumulate(self.so_far.get(totals.bucket(most), 0.0) for most in totals.BUCKETS_S)
+        yield HistogramMetricFamily(
+            "sgmethod_encode_seconds",
+            "From the claim of a job to its file.",
+            buckets=[*zip(names, numbers, strict=True)],
+            sum_value=self.so_far.get(totals.SECONDS, 0.0),
+        )
+
+
 class Metrics:
-    """The figures of one web process."""
+    """The figures of one web process, and of the job table."""
 
     def __init__(self) -> None:
         self._registry = registry = CollectorRegistry()
@@ -32,9 +57,7 @@ class Metrics:
             registry=registry,
         )
         self.refusals = Counter("sgmethod_refusals", "Requests refused.", ("reason",), registry=registry)
-        self._taken = Gauge(
-            "sgmethod_taken", "What clients have now of things that are limited.", ("what",), registry=registry
-        )
+        self._streams = Gauge("sgmethod_streams", "Streams of events and waits that are open.", registry=registry)
         self.accepted = Counter("sgmethod_jobs_accepted", "Jobs accepted.", registry=registry)
         self.key_requests = Counter("sgmethod_key_requests", "Requests of an API key.", ("key",), registry=registry)
         self.key_jobs = Counter("sgmethod_key_jobs", "Jobs accepted of an API key.", ("key",), registry=registry)
@@ -58,11 +81,26 @@ class Metrics:
         self._notices = Gauge("sgmethod_webhooks_waiting", "Webhooks to be delivered.", registry=registry)
         waits = "Since the job ended whose webhook has been waiting for longest."
         self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
+        self._totals = _Totals()
+        registry.register(self._totals)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
 
-    def watch(self, shares: Shares) -> None:
-        """Show how much of a limited thing clients have."""
-        self._taken.labels(shares.reason).set_function(shares.total)
+    def watch(self, streams: Streams) -> None:
+        """Show how many are open."""
+        self._streams.set_function(lambda: streams.open)
+
+    def note(self, scope: Scope, status: int, seconds: float) -> None:
+        """Count a request whose answer begins, by the route that took it."""
+        # Labels come from fixed sets: what a client makes up must not fill the memory.
+        route = getattr(scope.get("route"), "path", "none")
+        method = scope["method"] if scope["method"] in METHODS else "other"
+        self.requests.labels(method, route, status).inc()
+        self.seconds.labels(route).observe(seconds)
+        state = scope["state"]
+        if REFUSAL in state:
+            self.refusals.labels(state[REFUSAL]).inc()
+        if "caller" in state and state["caller"].owner is not None:
+            self.key_requests.labels(state["caller"].owner).inc()
 
     def accept(self, owner: str | None) -> None:
         """Count a job that was accepted, and whose API key it came with."""
@@ -78,6 +116,7 @@ class Metrics:
             self._failures.labels(process).set(count)
         if census is None:
             return
+        self._totals.so_far = census.totals
         self._workers.clear()
         for worker, seconds in census.workers.items():
             self._workers.labels(worker).set(max(0.0, seconds))
@@ -92,33 +131,3 @@ class Metrics:
     def text(self) -> bytes:
         """Everything, in Prometheus's text format."""
         return generate_latest(self._registry)
-
-
-class RequestMetrics:
-    """Middleware: counts and times requests, by the route that took them."""
-
-    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
-        self._app = app
-        self._metrics = metrics
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        started = time.perf_counter()
-
-        async def note(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                # Labels come from fixed sets: what a client makes up must not fill the memory.
-                route = getattr(scope.get("route"), "path", "none")
-                method = scope["method"] if scope["method"] in METHODS else "other"
-                self._metrics.requests.labels(method, route, message["status"]).inc()
-                self._metrics.seconds.labels(route).observe(time.perf_counter() - started)
-                state = scope.get("state", {})
-                if REFUSAL in state:
-                    self._metrics.refusals.labels(state[REFUSAL]).inc()
-                if "caller" in state and state["caller"].owner is not None:
-                    self._metrics.key_requests.labels(state["caller"].owner).inc()
-            await send(message)
-
-        await self._app(scope, receive, note)

@@ -1,11 +1,15 @@
-"""What an encode is asked for beside its image: one model for the form, the query and the OpenAPI document."""
+"""What an encode is asked for beside its image: one model for the form, the query and the OpenAPI document.
+
+Jobs that cannot succeed are refused when they are submitted, not when a worker has loaded the picture. The encoder
+refuses them too; it cannot be asked here, since it loads libraries that a web process does without.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Annotated, Any
 
@@ -13,15 +17,18 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from pydantic.json_schema import SkipJsonSchema
 from starlette.datastructures import UploadFile
 
-from service.jobs.job import FALLBACKS, PRIORITIES, EncodeRequest, Fallback, Priority
-from service.web.guards.problems import ProblemError
-from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget
+from service.api.problems import ProblemError
+from service.jobs.job import PRIORITIES, EncodeRequest, Priority, SourceImage
+from sgmethod.bitstream.smallest import smallest_file
+from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget, default_budget
 from sgmethod.errors import BudgetError
+from sgmethod.metrics.looks import SMALLEST_SIDE
 from sgmethod.profiles import (
     DEFAULT_EFFORT,
     DEFAULT_PROFILE,
     EFFORTS,
     PROFILE_NAMES,
+    PROFILES,
     TUNES,
     checked_effort,
     settings_of,
@@ -30,7 +37,7 @@ from sgmethod.profiles import (
 from sgmethod.settings.rd import RdSettings
 
 IMAGE_FIELD = "image"  # of the form, and none of the model
-CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES, "fallback": FALLBACKS}
+CHOICES: dict[str, Sequence[str]] = {"profile": PROFILE_NAMES, "priority": PRIORITIES}
 # Stricter than float(), which also takes "1_0", "nan" and spaces around.
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
@@ -77,7 +84,7 @@ class Asked:
     has_budget: bool = True
 
 
-class EncodeFields(BaseModel):
+class EncodeOptions(BaseModel):
     """The options. Give at most one budget; the default is 0.3 bits per pixel."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -108,14 +115,9 @@ class EncodeFields(BaseModel):
     priority: Annotated[Priority, BeforeValidator(_choice)] = Field(
         default=PRIORITIES[0], description="interactive jobs run before bulk jobs"
     )
-    fallback: Annotated[Fallback | SkipJsonSchema[None], BeforeValidator(_choice)] = Field(
-        default=None,
-        description="take this format's file where it is clearly better than Gaussians in no more bytes, as for text "
-        "and screenshots (`webp` is lossless)",
-    )
 
     @model_validator(mode="after")
-    def _within_one_budget(self) -> EncodeFields:
+    def _within_one_budget(self) -> EncodeOptions:
         given = [kind for kind in BUDGET_KINDS if getattr(self, kind) is not None]
         if len(given) > 1:
             raise ValueError(f"give one of {', '.join(BUDGET_KINDS)}; got {len(given)}")
@@ -144,18 +146,18 @@ class EncodeFields(BaseModel):
         if not isinstance(settings, RdSettings) and find_spec("torch") is None:
             raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
         budget = self.budget
-        request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort, self.fallback)
+        request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
         return Asked(request, self.priority, budget is not DEFAULT_BUDGET)
 
 
-FIELDS = tuple(EncodeFields.model_fields)
-FIELD_SCHEMAS: dict[str, dict[str, Any]] = {
+OPTIONS = tuple(EncodeOptions.model_fields)
+OPTION_SCHEMAS: dict[str, dict[str, Any]] = {
     name: {word: value for word, value in schema.items() if word != "title" and value is not None}
-    for name, schema in EncodeFields.model_json_schema()["properties"].items()
+    for name, schema in EncodeOptions.model_json_schema()["properties"].items()
 }
 
 
-def read_fields(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeFields:
+def read_options(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeOptions:
     """The fields among what was given, from the query and the form alike. Raises ProblemError 422."""
     texts: dict[str, str] = {}
     for name, value in given:
@@ -163,15 +165,37 @@ def read_fields(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeFields:
             raise ProblemError(422, f"{IMAGE_FIELD} is not accepted here: send it in the body of POST /encode")
         if name in texts:
             raise ProblemError(422, f"the field {name} is given twice")
-        if name in FIELDS and not isinstance(value, str):
+        if name in OPTIONS and not isinstance(value, str):
             raise ProblemError(422, f"the field {name} must be text, not a file")
         texts[name] = str(value)
     try:
-        return EncodeFields.model_validate(texts)
+        return EncodeOptions.model_validate(texts)
     except ValidationError as error:
         first = error.errors()[0]
         if first["type"] == "extra_forbidden":
-            detail = f"unknown field {first['loc'][0]!r}; the fields are {IMAGE_FIELD}, {', '.join(FIELDS)}"
+            detail = f"unknown field {first['loc'][0]!r}; the fields are {IMAGE_FIELD}, {', '.join(OPTIONS)}"
         else:
             detail = str(first["ctx"]["error"])
         raise ProblemError(422, detail) from error
+
+
+def feasible(asked: Asked, image: SourceImage) -> Asked:
+    """The same, with the default budget raised to the smallest file for a tiny image. Raises ProblemError 422 if no
+    file of the image meets the budget."""
+    request, settings = asked.request, PROFILES[asked.request.profile]
+    budget, pixels = Budget(request.budget_kind, request.budget_value), image.width * image.height
+    if not asked.has_budget:
+        budget = default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
+        return replace(asked, request=replace(request, budget_kind=budget.kind, budget_value=budget.value))
+    if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
+        detail = f"profile {request.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
+        raise ProblemError(422, detail)
+    if budget.kind == "looks" and min(image.width, image.height) < SMALLEST_SIDE:
+        raise ProblemError(422, f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
+    if budget.kind == "gaussians" and budget.value > pixels:
+        raise ProblemError(422, f"{budget.value:.0f} Gaussians exceed the image's {pixels} pixels")
+    allowed, least = budget.max_bytes(image.width, image.height), smallest_file(settings)
+    if allowed is not None and allowed < least:
+        detail = f"a file of profile {request.profile} takes at least {least} bytes, the budget is {allowed}"
+        raise ProblemError(422, detail)
+    return asked

@@ -62,14 +62,6 @@ EXAMPLE_PREVIEW = {
     "color": "#644138",
     "dark": True,
 }
-HOST = "http://127.0.0.1:8000"  # in commands
-
-
-def curl(arguments: str) -> dict[str, Any]:
-    """A command to copy, in the OpenAPI document and so at /docs; a test runs it. HOST and ID stand for the service and
-    for a job."""
-    source = f"curl {arguments}".replace("HOST", HOST).replace("ID", EXAMPLE_ID)
-    return {"x-codeSamples": [{"lang": "Shell", "label": "curl", "source": source}]}
 
 
 def _example(value: dict[str, Any]) -> ConfigDict:
@@ -197,9 +189,9 @@ def _time(seconds: float | None) -> datetime | None:
 def urls(job_id: str, settings: Settings) -> dict[str, str]:
     """Where a job's resources are, on this host."""
     return {
-        "status_url": f"{settings.path_prefix}/jobs/{job_id}",
-        "decode_url": f"{settings.path_prefix}/decode/{job_id}.png",
-        "bitstream_url": f"{settings.path_prefix}/bitstreams/{job_id}.sg",
+        "status_url": f"{settings.root_path}/jobs/{job_id}",
+        "decode_url": f"{settings.root_path}/decode/{job_id}.png",
+        "bitstream_url": f"{settings.root_path}/bitstreams/{job_id}.sg",
     }
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections import OrderedDict
-from typing import Annotated
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any
 from urllib.parse import quote
 
-from pydantic import AfterValidator, BaseModel, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from service.web.guards.problems import ProblemError
+from service.api.problems import ProblemError
 from service.web.helpers.drawing import Fit, Wish
 from service.web.helpers.picture_files import PictureFormat
 from sgmethod.errors import ViewError
@@ -34,6 +36,8 @@ def _refusing(pattern: str, detail: str) -> AfterValidator:
 
 class ViewQuery(BaseModel):
     """The query parameters that choose a view, the quality of its file, and a name to save it under."""
+
+    model_config = ConfigDict(extra="forbid")
 
     scale: Annotated[float | None, Field(ge=MIN_SCALE, le=MAX_SCALE, description="output pixels per pixel")] = None
     width: Annotated[Side, Field(description="output size in pixels, instead of scale")] = None
@@ -83,21 +87,49 @@ class ViewQuery(BaseModel):
         return {"Content-Disposition": f'attachment; filename="{plain}"{full}'}
 
 
+class _Making:
+    """A file that is being made. waiting: how many requests it is for."""
+
+    def __init__(self, making: Coroutine[Any, Any, bytes]) -> None:
+        self.task = asyncio.create_task(making)
+        self.waiting = 0
+
+
 class PictureCache:
     """The picture files asked for last, by entity tag, as many as fit into max_bytes. For the event loop alone."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
         self._files: OrderedDict[str, bytes] = OrderedDict()
+        self._making: dict[str, _Making] = {}
         self.bytes = 0
 
-    def get(self, etag: str) -> bytes | None:
-        """The file, which is then the last to go."""
+    def __contains__(self, etag: str) -> bool:
+        return etag in self._files
+
+    async def get_or_make(self, etag: str, make: Callable[[], Coroutine[Any, Any, bytes]]) -> bytes:
+        """The file, from memory or from `make`, which runs once for all who ask for it meanwhile, as long as one of
+        them waits.
+        """
         if etag in self._files:
             self._files.move_to_end(etag)
-        return self._files.get(etag)
+            return self._files[etag]
+        if etag not in self._making:
+            self._making[etag] = _Making(make())
+        making = self._making[etag]
+        making.waiting += 1
+        try:
+            file = await asyncio.shield(making.task)
+        finally:
+            making.waiting -= 1
+            if making.task.done() or not making.waiting:
+                making.task.cancel()
+                if self._making.get(etag) is making:
+                    del self._making[etag]
+        self._put(etag, file)
+        return file
 
-    def put(self, etag: str, file: bytes) -> None:
+    def _put(self, etag: str, file: bytes) -> None:
         """Keep the file if it fits at all; others go to make room."""
         if etag in self._files or len(file) > self._max_bytes:
             return

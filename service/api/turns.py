@@ -1,15 +1,13 @@
-"""Fair shares: clients take turns, however much one of them asks for."""
+"""Limits on what runs at once: clients take turns, and few streams stay open."""
 
 from __future__ import annotations
 
 import asyncio
-import math
-import sys
 from collections import Counter, deque
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
-from service.web.guards.problems import ProblemError
+from service.api.problems import ProblemError
 
 RETRY_AFTER = {"Retry-After": "1"}
 
@@ -20,9 +18,6 @@ class Turns:
     places: errands at once, of which one client never has the last; max_waiting: errands in line, of which one client
     has half at most. For the event loop alone.
     """
-
-    what, reason = "pictures", "turns"  # errands in words, and the word for a refusal in figures and logs
-    moment_s = math.inf  # after which another may have the place, though the errand goes on
 
     def __init__(self, places: int, max_waiting: int) -> None:
         self._places = places
@@ -43,19 +38,10 @@ class Turns:
         or the client's part of it.
         """
         await self._enter(client)
-        held = [client]
-
-        def leave() -> None:
-            if held:
-                self._leave(held.pop())
-
-        timer = asyncio.get_running_loop().call_later(self.moment_s, leave) if self.moment_s < math.inf else None
         try:
             yield
         finally:
-            if timer is not None:
-                timer.cancel()
-            leave()
+            self._leave(client)
 
     async def _enter(self, client: str) -> None:
         place = asyncio.get_running_loop().create_future()
@@ -64,12 +50,12 @@ class Turns:
         if not place.done():
             if self.waiting > self._max_waiting:
                 self._forget(client, place)
-                detail = f"too many {self.what} are being processed"
-                raise ProblemError(503, detail, reason=self.reason, headers=RETRY_AFTER)
+                detail = "too many pictures are being processed"
+                raise ProblemError(503, detail, reason="turns", headers=RETRY_AFTER)
             if len(self._lines[client]) > self._own_waiting:
                 self._forget(client, place)
-                detail = f"too many of your {self.what} are already waiting"
-                raise ProblemError(429, detail, reason=f"own_{self.reason}", headers=RETRY_AFTER)
+                detail = "too many of your pictures are already waiting"
+                raise ProblemError(429, detail, reason="own_turns", headers=RETRY_AFTER)
         try:
             await place
         except asyncio.CancelledError:
@@ -103,15 +89,27 @@ class Turns:
                 self._lines[client] = line
 
 
-class Pace(Turns):
-    """Turns in which requests begin. The next one of a client begins when one of its has been answered, or after a
-    moment: what takes longer than that waits for something else than the loop. Clients do not wait for each other.
+class Streams:
+    """Responses that stay open: streams of events, and requests that wait for a job. For the event loop alone."""
 
-    at_once: of one client; most_waiting: of one client.
-    """
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self.open = 0
 
-    what, reason = "requests", "requests"
+    @property
+    def full(self) -> bool:
+        """Whether no more may be opened."""
+        return self.open >= self._most
 
-    def __init__(self, at_once: int, moment_s: float, most_waiting: int) -> None:
-        super().__init__(places=sys.maxsize, max_waiting=sys.maxsize)
-        self._own_places, self._own_waiting, self.moment_s = at_once, most_waiting, moment_s
+    @contextmanager
+    def one(self) -> Iterator[None]:
+        """Open as long as the context. Raises ProblemError 503 if there are too many."""
+        if self.full:
+            raise ProblemError(
+                503, "too many streams of events are open", reason="streams", headers={"Retry-After": "5"}
+            )
+        self.open += 1
+        try:
+            yield
+        finally:
+            self.open -= 1

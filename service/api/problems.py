@@ -15,6 +15,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
 from service.jobs.table import JobTableError
+from service.logs import log_seldom
 
 log = logging.getLogger(__name__)
 
@@ -37,8 +38,8 @@ RETRY_SOON_S = "5"
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
     **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
-    **{409: "state", 410: "gone", 412: "condition", 413: "large", 415: "type", 416: "range", 422: "invalid"},
-    **{431: "head", 500: "fault"},
+    **{409: "state", 410: "gone", 413: "large", 415: "type", 421: "host"},
+    **{422: "invalid", 500: "fault"},
 }
 REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
 
@@ -124,20 +125,25 @@ async def _on_invalid_parameters(request: Request, error: Exception) -> Response
     assert isinstance(error, RequestValidationError)
     if any(e["loc"][0] == "path" for e in error.errors()):
         return refused(request, ProblemError(404, "there is nothing at this address"))
-    found = [(".".join(map(str, e["loc"])), e["msg"].removeprefix("Value error, ")) for e in error.errors()]
-    errors = [{"where": where, "detail": detail} for where, detail in found]
+    errors = [{"where": ".".join(map(str, e["loc"])), "detail": _in_words(e)} for e in error.errors()]
     detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
     return refused(request, ProblemError(422, detail, errors=errors))
 
 
+def _in_words(error: Mapping[str, Any]) -> str:
+    if error["type"] == "extra_forbidden":
+        return "unknown query parameter"
+    return str(error["msg"]).removeprefix("Value error, ")
+
+
 async def _on_table_unavailable(request: Request, error: Exception) -> Response:
-    log.error("the job table is unreachable: %s", error)
+    log_seldom(log, "the job table is unreachable: %s", error)
     detail = "the job table is unreachable right now"
     return refused(request, ProblemError(503, detail, reason="table", headers={"Retry-After": RETRY_SOON_S}))
 
 
 async def _on_storage_unavailable(request: Request, error: Exception) -> Response:
-    log.error("the storage is unreachable: %s", error)
+    log_seldom(log, "the storage is unreachable: %s", error)
     detail = "the storage is unreachable right now"
     return refused(request, ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S}))
 
