@@ -228,7 +228,7 @@ def _query(
 
 
 def bytes_of(file: File) -> bytes:
-    """Read an image, from a path, bytes or an open file."""
+    """Return the bytes of an image file, given its path or themselves."""
     if isinstance(file, str | os.PathLike):
         return Path(file).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
