@@ -27,9 +27,13 @@ RUN groupadd --gid 10001 sgmethod \
     && useradd --uid 10001 --gid 10001 --no-create-home --shell /usr/sbin/nologin sgmethod \
     && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
 COPY --from=build /opt/sgmethod /opt/sgmethod
+# Outside of the container only those reach it to whom its port is published. Without API keys it answers to localhost
+# and to addresses; SG_HOST_NAMES names others.
 ENV PATH=/opt/sgmethod/bin:$PATH \
     PYTHONUNBUFFERED=1 \
+    PYTHONSAFEPATH=1 \
     SG_HOST=0.0.0.0 \
+    SG_HOST_NAMES=localhost \
     SG_PORT=8000 \
     SG_DATA_DIR=/data
 USER 10001:10001
