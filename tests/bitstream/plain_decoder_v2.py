@@ -674,9 +674,9 @@ class File:
 
     # A part of the payload
 
-    def part(self, part: float) -> list[Gaussian]:
-        """The Gaussians in a part, above 0 and below 1, of the payload."""
-        coder = coder_of(self.header, self.payload[: math.ceil(part * len(self.payload))])
+    def part(self, k: int) -> list[Gaussian]:
+        """The Gaussians in the first k bytes of the payload."""
+        coder = coder_of(self.header, self.payload[:k])
         found = []
         try:
             for integers in read_payload(self.header, coder, is_part=True):
@@ -734,20 +734,32 @@ def resized(
     return shown
 
 
+def view_gaussians(gaussians: list[Gaussian], region: Region, scale: float) -> list[Gaussian]:
+    """Gaussians in a view, on the samples of the whole."""
+    return resized(gaussians, region, scale, origin=origin_of(region, scale))
+
+
+def origin_of(region: Region, scale: float) -> tuple[int, int]:
+    """OX and OY."""
+    sizes = zip(region[:2], region[2:], view_size(region, scale), strict=True)
+    ox, oy = (math.floor(corner * (size / side)) % 65536 for corner, side, size in sizes)
+    return ox, oy
+
+
 def view(data: bytes, scale: float = 1, region: Region | None = None) -> tuple[int, int, bytes]:
     """Width, height and the samples of a view: rows of pixels of red, green and blue, and alpha if there is any."""
     file = read(data)
     region = region or (0, 0, file.header.width, file.header.height)
     width, height = view_size(region, scale)
     sx, sy = width / region[2], height / region[3]
-    ox, oy = math.floor(region[0] * sx) % 65536, math.floor(region[1] * sy) % 65536
+    ox, oy = origin_of(region, scale)
     part = range(ox, ox + width), range(oy, oy + height)
     noise = Noise(file.codes, (sx, sy), (ox - region[0] * sx, oy - region[1] * sy))
-    shown = resized(file.gaussians(), region, scale, origin=(ox, oy))
+    shown = view_gaussians(file.gaussians(), region, scale)
     pixels = draw(shown, noise, *part, file.header.background)
     if file.alpha is None:
         return width, height, pixels
-    shown = resized(file.alpha_gaussians(), region, scale, origin=(ox, oy))
+    shown = view_gaussians(file.alpha_gaussians(), region, scale)
     alpha = draw(shown, Noise([]), *part, file.alpha[0].background)
     samples = bytearray()
     for at in range(0, len(pixels), 3):
