@@ -29,7 +29,7 @@ ORDER = {
     "integers": ["class", "column", "row", "y", "a", "b", "u", "v", "r", "px", "py", "X", "Y"],
     "gaussians": ["x", "y", "l1", "l2", "l3", "red", "green", "blue", "level"],
     "pixels": "hexadecimal, a string for each row: red, green and blue, and alpha if there is any",
-    "texture": "codes by octave, row and column of tiles",
+    "texture": "codes by octave, row and column of patches",
     "parts": ["bytes of the payload, at most all", "how many of the first Gaussians they hold"],
     "notes": "column and row: as in the file, with the margin; gaussians: binary32, to be met exactly",
 }
@@ -118,7 +118,7 @@ def file_of(
 
 
 def with_texture(stream: StreamV2) -> StreamV2:
-    """The stream with a different strength in each cell."""
+    """The stream with a different strength in each patch."""
     shape = native.TEXTURE_OCTAVES, *cells(stream.width, stream.height)
     codes = (3 + 5 * np.arange(np.prod(shape))) % native.TEXTURE_STRENGTHS
     return replace(stream, texture=codes.reshape(shape).astype(np.uint8))
@@ -160,7 +160,7 @@ FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
         lambda: file_of(needles(10, (40, 32)), (40, 32), 0.0),
     ),
     "texture": (
-        "two columns of cells, so that strengths change across the picture",
+        "two columns of patches, so that strengths change across the picture",
         lambda: file_of(some_gaussians(8, (72, 20), 6), (72, 20), 0.1, more=with_texture),
     ),
     "alpha": (
@@ -179,8 +179,8 @@ FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
         "more columns than a cell's number holds, more raw bits than a distance takes; not to be drawn",
         lambda: file_of(far_apart(), FAR, 0.2, is_short=True),
     ),
-    "tiles": (
-        "two rows and two columns of texture's tiles",
+    "patches": (
+        "two rows and two columns of texture's patches",
         lambda: file_of(some_gaussians(0, (68, 66), 9), (68, 66), 0.1, is_short=True, more=with_texture),
     ),
     "long alpha": (
