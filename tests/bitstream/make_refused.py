@@ -1,10 +1,11 @@
 """Files of version 2 that a decoder must refuse, most of them for one reason alone: without that check, they decode.
 
-All hold one grey Gaussian in a short file. The writer codes what no encoder would.
+Most hold one grey Gaussian in a short file. The writer codes what no encoder would.
 """
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass, replace
 
 from sgmethod.bitstream.container import with_checksum
@@ -74,10 +75,10 @@ class Writer:
 
 @dataclass(frozen=True)
 class One:
-    """A Gaussian in class 0 of a picture, and what is odd about its file."""
+    """A Gaussian in each class from 0, or from -4, to the last, and what is odd about its file."""
 
     side: int = 4  # of the picture
-    count: int = 1
+    count: int = 1  # equal Gaussians in place of the one
     last_class: int = 0
     cell: int = 12
     y: int = 1
@@ -97,21 +98,19 @@ class One:
 
     @property
     def payload(self) -> bytes:
-        """As many equal Gaussians as `count`, from the first class down."""
         writer, models = Writer(), plain.Models()
-        first = min(self.last_class + 1, 0) if self.last_class < -4 else 0
+        first = 0 if self.last_class >= -4 else -4
         for value in (28 - first, first - self.last_class):
             writer.fetch(6)
             writer.bits(value, 6)
         header = plain.Header(True, False, True, self.side, self.side, 0.5, (123,) * 3)
         for k in range(first, self.last_class - 1, -1):
-            n = self.count if k == first else 0
-            rest = writer.number(models.count, n)
+            rest = writer.number(models.count, self.count)
             writer.fetch(rest[1])
             writer.bits(*rest)
-            of_class = plain.size_class(header, k, n)
-            for i in range(n + 1 if n else 0):
-                self._turn(writer, models, of_class, i < n, i > 0)
+            of_class = plain.size_class(header, k, self.count)
+            for i in range(self.count + 1):
+                self._turn(writer, models, of_class, i < self.count, i > 0)
         writer.bits(self.left, 8)
         return writer.finish(self.last_state, self.low_start)
 
@@ -147,6 +146,13 @@ class One:
 MANY = One(side=40, count=1200)
 
 
+def refused_early() -> tuple[bytes, int]:
+    """A file, and how many bytes of its payload are enough to refuse it."""
+    odd = One(v=9)
+    stream = replace(odd.stream, payload=odd.payload + b"\0")
+    return with_body(stream.body()), len(odd.payload)
+
+
 def with_body(body: bytes) -> bytes:
     return with_checksum(b"\xd3\xc2" + body)
 
@@ -159,12 +165,13 @@ def refused() -> dict[str, bytes]:
     body, payload = good[2 : 2 + header], fine.payload
     assert payload[-1] == 0
     textured = bytes([body[0] | 4 << 3]) + body[1:]
-    with_alpha = StreamV2(4, 4, 0.5, (123,) * 3, True, False, b"", is_short=True, alpha=plainest.stream)
+    alpha = replace(plainest.stream, payload=plainest.payload + b"\0")
+    with_alpha = replace(plainest.stream, payload=b"", alpha=alpha)
     return {
         "signature": b"\xd4" + good[1:],
         "version": with_checksum(b"\xd3\xc3" + good[2:-1]),
         "checksum": good[:-1] + bytes([good[-1] ^ 1]),
-        "nothing between signature and checksum": b"\xd3\xc2\0\0\0\0",
+        "nothing between signature and checksum": b"\xd3\xc2" + zlib.crc32(b"\xd3\xc2").to_bytes(4, "big")[-1:],
         "the header does not end": with_body(body[:-1]),
         "a one bit fills the header": with_body(body[:-1] + bytes([body[-1] | 1]) + plainest.payload),
         "the texture does not end": with_body(textured + b"\xff"),
@@ -175,6 +182,7 @@ def refused() -> dict[str, bytes]:
         "a state below 65536": One(low_start=True).file,
         "last class below -4": One(last_class=-5).file,
         "more Gaussians than pixels": One(side=1, count=2).file,
+        "more Gaussians than pixels, but not in one class": One(side=1, last_class=-1).file,
         "more Gaussians than 8 for each byte and 64 more": MANY.file,
         "|v| above its limit": One(v=9).file,
         "|r| above its limit": One(r=2049).file,

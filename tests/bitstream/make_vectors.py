@@ -21,7 +21,7 @@ from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.bitstream import plain_decoder_v2 as plain
 from tests.bitstream.make_golden import FloatArray, colors_of, slanted
-from tests.bitstream.make_refused import MANY, refused
+from tests.bitstream.make_refused import MANY, refused, refused_early
 from tests.harness.data import ROOT
 
 VECTORS = ROOT / "docs" / "format" / "vectors.json"
@@ -30,7 +30,7 @@ ORDER = {
     "gaussians": ["x", "y", "l1", "l2", "l3", "red", "green", "blue", "level"],
     "pixels": "hexadecimal, a string for each row: red, green and blue, and alpha if there is any",
     "texture": "codes by octave, row and column of patches",
-    "parts": ["bytes of the payload, at most all", "how many of the first Gaussians they hold"],
+    "parts": ["bytes of the payload, at most all", "how many of the first Gaussians they hold; null: refuse"],
     "notes": "column and row: as in the file, with the margin; gaussians: binary32, to be met exactly",
 }
 Size = tuple[int, int]
@@ -261,23 +261,25 @@ def parts_of(data: bytes) -> dict[str, Any]:
     file = plain.read(data)
     whole = len(file.payload)
     bytes_read = [*range(0, 14, 2), *(whole * part // 8 for part in range(1, 8)), whole - 2, whole - 1, whole]
-    parts = [[k, len(file.part(k))] for k in sorted({k for k in bytes_read if k <= whole})]
-    return {"bytes": data.hex(), "parts": parts}
+    return {"bytes": data.hex(), "parts": [[k, len(file.part(k))] for k in sorted({*bytes_read})]}
 
 
 def text() -> str:
     """All vectors as JSON, a list of plain values in a line."""
     many = replace(MANY.stream, payload=MANY.payload.ljust(MANY.count // 8, b"\0"))
-    files = [vector(name) for name in FILES]
+    early, enough = refused_early()
     partly = [*(FILES[name][1]() for name in ("short", "long", "grey")), serialise(many)]
-    vectors = {
+    vectors: dict[str, Any] = {
         "version": 2,
         "order": ORDER,
-        "files": files,
-        "parts": [parts_of(data) for data in partly],
+        "files": [vector(name) for name in FILES],
+        "parts": [
+            *(parts_of(data) for data in partly),
+            {"bytes": early.hex(), "parts": [[enough - 2, 0], [enough, None]]},
+        ],
         "refuse": [{"reason": reason, "bytes": data.hex()} for reason, data in refused().items()],
     }
-    assert all(serialise(parse(bytes.fromhex(one["bytes"]))).hex() == one["bytes"] for one in files)
+    assert all(serialise(parse(bytes.fromhex(one["bytes"]))).hex() == one["bytes"] for one in vectors["files"])
     return indented(vectors) + "\n"
 
 

@@ -68,12 +68,20 @@ def pixels_of(rows: list[str], channels: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("of", VECTORS["parts"])
-def test_our_decoder_finds_as_many_in_parts(of: dict[str, Any]) -> None:
-    stream = container.parse(bytes.fromhex(of["bytes"]))
+def test_our_decoder_and_the_plain_one_find_as_many_in_parts(of: dict[str, Any]) -> None:
+    data = bytes.fromhex(of["bytes"])
+    stream, plain = container.parse(data), plain_decoder_v2.read(data)
     assert isinstance(stream, StreamV2)
     whole = len(stream.payload)
     for k, n in of["parts"]:
-        assert len(stream.gaussians(max(k - 0.5, 0) / whole if k < whole else 1)) == n
+        prefix = max(k - 0.5, 0) / whole if k < whole else 1
+        if n is None:
+            with pytest.raises(BitstreamError):
+                stream.gaussians(prefix)
+            with pytest.raises(plain_decoder_v2.RefusedError):
+                plain.part(k)
+        else:
+            assert len(stream.gaussians(prefix)) == len(plain.part(k)) == n
 
 
 @pytest.mark.parametrize("of", VECTORS["refuse"], ids=lambda of: of["reason"])
@@ -135,13 +143,14 @@ def test_the_decoder_in_javascript_does_the_same() -> None:
         [of["bytes"], [{key: one[key] for key in one.keys() & {"scale", "region"}} for one in drawn(of)]]
         for of in FILES.values()
     ]
-    parts, refuse = json.dumps(VECTORS["parts"]), json.dumps(VECTORS["refuse"])
+    parted = [of for of in VECTORS["parts"] if all(n is not None for _, n in of["parts"])]
+    parts, refuse = json.dumps(parted), json.dumps(VECTORS["refuse"])
     script = SCRIPT.format(folder=JAVASCRIPT.as_uri(), files=json.dumps(asked), parts=parts, refuse=refuse)
     command = ["node", "--input-type=module", "--no-warnings"]
     done = subprocess.run(command, input=script, capture_output=True, text=True, check=True, timeout=60)
     answers = json.loads(done.stdout)
     assert answers["accepted"] == []
-    assert answers["parts"] == [of["parts"] for of in VECTORS["parts"]]
+    assert answers["parts"] == [of["parts"] for of in parted]
     for answer, of in zip(answers["files"], FILES.values(), strict=True):
         assert_same_answer(answer, of)
 
