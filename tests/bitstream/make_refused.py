@@ -168,7 +168,7 @@ def refused() -> dict[str, bytes]:
     alpha = replace(plainest.stream, payload=plainest.payload + b"\0")
     with_alpha = replace(plainest.stream, payload=b"", alpha=alpha)
     return {
-        "signature": b"\xd4" + good[1:],
+        "signature": with_checksum(b"\xd4" + good[1:-1]),
         "version": with_checksum(b"\xd3\xc3" + good[2:-1]),
         "checksum": good[:-1] + bytes([good[-1] ^ 1]),
         "nothing between signature and checksum": b"\xd3\xc2" + zlib.crc32(b"\xd3\xc2").to_bytes(4, "big")[-1:],

@@ -724,8 +724,8 @@ def resized(
     width, height = view_size(region, scale)
     sx, sy = width / w, height / h
     floor = math.exp(-cutoff)
-    k = (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
-    vx, vy = max(1 - sx * sx, 0) / (12 * k), max(1 - sy * sy, 0) / (12 * k)
+    kept = (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
+    vx, vy = max(1 - sx * sx, 0) / (12 * kept), max(1 - sy * sy, 0) / (12 * kept)
     shown = []
     for x, y, l1, l2, l3, colour in gaussians:
         p1, p2, p3 = sx * l1, sy * l2, sy * l3

@@ -95,11 +95,11 @@ def test_the_version_and_the_views_in_the_text() -> None:
     text = " ".join(TEXT.split())
     assert f"# Version {StreamV2.VERSION} " in text
     assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
-    assert f"/ ({1 / PIXEL_VARIANCE:g} k)" in text
+    assert f"/ ({1 / PIXEL_VARIANCE:g} kept)" in text
     assert f"OX = floor(left * sx) mod {MAX_COORDINATE} " in text
     assert MAX_COORDINATE % 2**plain_decoder_v2.TOP_LEVEL == 0
-    assert f"C = 3: k = {variance(native.CUTOFF_V2):.4f}" in text
-    assert f"C = 5.5: k = {variance(native.CUTOFF_V1):.4f}" in text
+    assert f"C = 3: kept = {variance(native.CUTOFF_V2):.4f}" in text
+    assert f"C = 5.5: kept = {variance(native.CUTOFF_V1):.4f}" in text
 
 
 def test_start_tables() -> None:
