@@ -13,7 +13,7 @@ import sgmethod
 from service.api.app import STATIC
 from tests.harness.browser import Chromium
 from tests.harness.data import golden
-from tests.harness.pictures import SMALL, page_of_text
+from tests.harness.pictures import page_of_text
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService
 from tests.service.page.steps import (
@@ -148,16 +148,6 @@ def test_the_better_file_is_offered(page: Chromium, start_service: StartService)
     wait_until(lambda: page.run("return window.saved") == "words.webp")
     assert page.run("return window.size") == len(web.client.get(f"/jobs/{job}/rival.webp").content)
     assert complaints(page) == []
-
-
-def test_a_job_whose_file_is_no_sg(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "drop", SMALL, "disc.png")
-    says(page, "in the queue")
-    job = page.run("return location.hash").removeprefix("#")
-    web.publish(job, b"RIFF", format="webp", width=64, height=48)
-    says(page, f"Its file is webp, as was asked for: /bitstreams/{job}.sg")
-    says(page, "No Gaussians", "#work h2")
 
 
 def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:

@@ -4,7 +4,7 @@ import { $, element, refill } from "./parts.js";
 import { drawTrace } from "./watching.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
 
-export const TITLES = { failed: "That did not work", cancelled: "Cancelled", other: "No Gaussians" };
+export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
 
 /** For screen readers, and not more often than something really is new. */
 function say(words) {
@@ -77,7 +77,7 @@ function figuresOf({ sg, file, size: [width, height], originalBytes, job, measur
 function stateInShort({ state, sg, done }) {
   if (state === "done") return size(sg.length);
   if (state === "running") return `${Math.round(100 * (done ?? 0))} %`;
-  const short = { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled", other: "no Gaussians" };
+  const short = { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled" };
   return short[state] ?? "";
 }
 
