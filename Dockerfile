@@ -27,8 +27,8 @@ RUN groupadd --gid 10001 sgmethod \
     && useradd --uid 10001 --gid 10001 --no-create-home --shell /usr/sbin/nologin sgmethod \
     && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
 COPY --from=build /opt/sgmethod /opt/sgmethod
-# Outside of the container only those reach it to whom its port is published. Without API keys it answers to localhost
-# and to addresses; SG_HOST_NAMES names others.
+# Whoever publishes the port decides who reaches it. Without API keys the service answers under localhost and addresses
+# alone; SG_HOST_NAMES lists other names.
 ENV PATH=/opt/sgmethod/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONSAFEPATH=1 \

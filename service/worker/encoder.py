@@ -146,7 +146,7 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
                 on_preview=_now_and_then(lambda file: send(pipe, PREVIEW, file)),
                 measure=True,
             )
-            figures, data = _with_advice(encoded, pixels, request)
+            figures = _figures(encoded, pixels)
     except SgError as error:
         send(pipe, REFUSED, str(error).encode())
         return
@@ -160,27 +160,15 @@ def encode_to(pipe: BinaryIO, request: EncodeRequest, source: bytes) -> None:
         else:  # for the worker's log
             warnings.showwarning(warning.message, warning.category, warning.filename, warning.lineno)
     send(pipe, STATS, to_json({**figures, "source_bytes": len(source), **({"notes": notes} if notes else {})}))
-    send(pipe, BITSTREAM, data)
+    send(pipe, BITSTREAM, encoded.data)
 
 
-def _with_advice(encoded: Any, pixels: Any, request: EncodeRequest) -> tuple[dict[str, Any], bytes]:
-    """The figures with advice, and the job's file: the better one, if the client wants it in place of Gaussians."""
+def _figures(encoded: Any, pixels: Any) -> dict[str, Any]:
+    """The codec's figures, with advice where another format suits the picture better."""
     from sgmethod.advice import advice, better_file
 
     size, db = len(encoded.data), encoded.stats.psnr
-    better = better_file(pixels, size, db)
-    figures = {**encoded.stats.to_dict(), "format": "sg", **advice(better, size, db)}
-    if request.fallback is None:
-        return figures, encoded.data
-    if better is None or better.kind != request.fallback:
-        better = better_file(pixels, size, db, (request.fallback,))
-    if better is None:
-        return figures, encoded.data
-    size = len(better.data)
-    unknown = dict.fromkeys(("ms_ssim", "ssimulacra2", "psnr_missed_db", "looks_missed", "gaussians"))
-    bpp = 8 * size / (figures["width"] * figures["height"])
-    own = {"format": better.kind, "bytes": size, "bpp": bpp, "psnr": better.psnr, "warnings": []}
-    return {**figures, **unknown, **own}, better.data
+    return {**encoded.stats.to_dict(), "format": "sg", **advice(better_file(pixels, size, db), size, db)}
 
 
 def encode_one(spec: Spec, source: int, frames: int, complaints: int) -> NoReturn:

@@ -23,7 +23,7 @@ from typing import Any
 
 import sgmethod
 from service.web.helpers.drawing import Drawing, Wish
-from service.web.helpers.picture_files import Rival, encode_picture
+from service.web.helpers.picture_files import Rival
 from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
@@ -46,8 +46,8 @@ class Errand:
     """What to do with a file, and what it may take.
 
     memory_bytes, cpu_s: more than the process has already, and seconds of one core; max_pixels, max_gaussians: of what
-    is read or drawn; wish: the picture file to make of a bitstream, or with is_image of an image; rival: the one to
-    make of an image; preview_bytes: of the preview to make of an image. Without any of them, an image's header is read.
+    is read or drawn; wish: the picture file to make of a bitstream; rival: the one to make of an image;
+    preview_bytes: of the preview to make of an image. Without any of them, an image's header is read.
     """
 
     memory_bytes: int
@@ -55,7 +55,6 @@ class Errand:
     max_pixels: int
     max_gaussians: int | None = None
     wish: Wish | None = None
-    is_image: bool = False
     rival: Rival | None = None
     preview_bytes: int | None = None
 
@@ -82,9 +81,6 @@ def perform(errand: Errand, file: bytes) -> tuple[dict[str, Any], bytes]:
         return _preview(file, errand.preview_bytes, limits), b""
     if errand.rival is not None:
         return {}, _rival(errand.rival, file, limits)
-    if errand.wish is not None and errand.is_image:
-        pixels = read_image_8_bit(file, limits, keep_alpha=True)
-        return {}, encode_picture(pixels, errand.wish.kind, errand.wish.quality)
     if errand.wish is None:
         header = read_header(file, limits)
         if not header.still:

@@ -36,12 +36,8 @@ class Work:
             header, _ = await self._helpers.ask(errand, file)
         return SourceImage(header["format"], header["width"], header["height"], size_bytes)
 
-    async def draw(
-        self, client: str, file: BinaryIO, wish: Wish, max_gaussians: int | None = None, *, is_image: bool = False
-    ) -> bytes:
-        """The picture file of a bitstream, or of an image as a whole. Raises HelperError, ProblemError 429 or 503,
-        OSError.
-        """
+    async def draw(self, client: str, file: BinaryIO, wish: Wish, max_gaussians: int | None = None) -> bytes:
+        """The picture file of a bitstream. Raises HelperError, ProblemError 429 or 503, OSError."""
         limits = self._settings
         errand = Errand(
             limits.decode_memory_bytes,
@@ -49,7 +45,6 @@ class Work:
             limits.max_pixels,
             max_gaussians=max_gaussians,
             wish=wish,
-            is_image=is_image,
         )
         return await self._picture(client, file, errand)
 
