@@ -2,9 +2,8 @@
 
 import { newCoder } from "./coder.js";
 import { refuseUnless } from "./header.js";
+import { floor, fround, max, min } from "./math.js";
 import { A, B, COLOUR_SIGNS, COUNT, DISTANCE, LUMA, R, SHAPE_SIGNS, V } from "./models.js";
-
-const { floor, fround, max, min } = Math;
 
 const COLOUR = 0; // the states
 const SHAPE = 1;

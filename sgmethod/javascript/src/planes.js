@@ -1,6 +1,6 @@
 // Gaussians to the samples of a pyramid: docs/format.md, "Gaussians to pixels" and "Views".
 
-const { ceil, exp, floor, fround, max, min, sqrt } = Math;
+import { ceil, exp, floor, fround, max, min, sqrt } from "./math.js";
 
 const CUTOFF = 3;
 const EDGE = exp(-CUTOFF);
