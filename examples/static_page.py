@@ -1,0 +1,60 @@
+"""Write a page of photographs that shows something at once: python static_page.py PHOTOS SITE
+
+SITE needs no server: any host of files serves it. Each photograph is a WebP that loads lazily, and until then a
+preview of 200 bytes, which is part of the page itself.
+"""
+
+import html
+import shutil
+import sys
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from PIL import Image, ImageOps
+
+import sgmethod
+
+PAGE = """<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>Photographs</title>
+<link rel="stylesheet" href="style.css">
+<script type="module" src="sgmethod/sg-img.js"></script>
+{pictures}
+</html>
+"""
+STYLE = """
+body { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(100%, 30em), 1fr)); gap: 1em; margin: 1em; }
+sg-img { display: block; }
+sg-img img { display: block; width: 100%; height: 100%; object-fit: cover; }
+"""
+
+
+def write_site(photos: Path, site: Path) -> None:
+    """Write a page of every photograph in a folder."""
+    (site / "photos").mkdir(parents=True, exist_ok=True)
+    pictures = []
+    for path in sorted(photos.iterdir()):
+        with Image.open(path) as photo:
+            upright = ImageOps.exif_transpose(photo)
+        upright.thumbnail((1600, 1600))
+        target = site / "photos" / f"{path.stem}.webp"
+        upright.save(target)
+        preview = sgmethod.preview(upright, bytes=200)
+        pictures.append(preview_element(preview, f"photos/{target.name}", path.stem))
+    (site / "index.html").write_text(PAGE.format(pictures="\n".join(pictures)))
+    (site / "style.css").write_text(STYLE)
+    with as_file(files("sgmethod") / "javascript" / "src") as modules:  # or sg-img.js of the npm package
+        shutil.copytree(modules, site / "sgmethod", dirs_exist_ok=True)
+
+
+def preview_element(preview: sgmethod.Preview, url: str, alt: str) -> str:
+    """HTML of one photograph. It reserves the photograph's space before anything has loaded."""
+    size = f'width="{preview.width}" height="{preview.height}"'
+    img = f'<img src="{html.escape(url)}" alt="{html.escape(alt)}" {size} loading="lazy" decoding="async">'
+    return f'<sg-img preview="{preview.text}">{img}</sg-img>'
+
+
+if __name__ == "__main__":
+    write_site(Path(sys.argv[1]), Path(sys.argv[2]))

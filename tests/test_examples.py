@@ -1,0 +1,76 @@
+"""The examples run as a reader runs them: each in a process, from a folder of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import sgmethod
+from tests.harness.data import PHOTOGRAPHS, ROOT
+from tests.harness.service import Service
+
+NAMES = sorted(path.stem for path in PHOTOGRAPHS.iterdir())
+
+pytestmark = pytest.mark.thorough  # each imports and encodes in a process of its own
+
+
+def run(folder: Path, name: str, *arguments: object) -> str:
+    """What an example prints."""
+    command = [sys.executable, str(ROOT / "examples" / name), *map(str, arguments)]
+    ended = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stderr == ""
+    return ended.stdout
+
+
+def test_contact_sheet(tmp_path: Path) -> None:
+    run(tmp_path, "contact_sheet.py", PHOTOGRAPHS, "sheet.png")
+    assert sorted(path.stem for path in (tmp_path / "sheet").glob("*.sg")) == NAMES
+    assert all(path.stat().st_size <= 6000 for path in (tmp_path / "sheet").glob("*.sg"))
+    with Image.open(tmp_path / "sheet.png") as sheet:
+        assert len(sheet.convert("L").crop((12, 12, 252, 252)).getcolors() or ()) > 50
+    assert run(tmp_path, "contact_sheet.py", PHOTOGRAPHS, "sheet.png") == ""  # all are there
+
+
+def test_thumbnails(tmp_path: Path) -> None:
+    assert len(run(tmp_path, "thumbnails.py", PHOTOGRAPHS, "small").splitlines()) == len(NAMES)
+    for name in NAMES:
+        info = sgmethod.info(tmp_path / "small" / f"{name}.sg")
+        assert max(info.width, info.height) <= 320
+
+
+def test_static_page(tmp_path: Path) -> None:
+    run(tmp_path, "static_page.py", PHOTOGRAPHS, "site")
+    html = (tmp_path / "site" / "index.html").read_text()
+    assert html.count("<sg-img preview=") == len(NAMES)
+    assert (tmp_path / "site" / "sgmethod" / "sg-img.js").exists()
+    assert all((tmp_path / "site" / "photos" / f"{name}.webp").exists() for name in NAMES)
+
+
+def test_django(tmp_path: Path) -> None:
+    pytest.importorskip("django")
+    photographs = sorted(PHOTOGRAPHS.iterdir())
+    assert run(tmp_path, "django_photos.py", "data", *photographs).count("preview") == len(NAMES)
+    ask = f"""
+        import runpy, sys
+        sys.argv = ["django_photos.py", "data"]
+        site = runpy.run_path({str(ROOT / "examples" / "django_photos.py")!r}, run_name="site")
+        print(site["index"](None).content.decode())
+    """
+    program = "\n".join(line.strip() for line in ask.splitlines())
+    ended = subprocess.run([sys.executable, "-c", program], check=False, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.stdout.count("<sg-img preview=") == len(NAMES), ended.stderr
+
+
+def test_bulk_client(tmp_path: Path) -> None:
+    service = Service(tmp_path / "data")
+    try:
+        for said in ("3 encoded, 0 there already, 0 failed", "0 encoded, 3 there already, 0 failed"):
+            assert said in run(tmp_path, "bulk_client.py", service.url, PHOTOGRAPHS, "out")
+    finally:
+        service.stop()
+    assert sorted(path.stem for path in (tmp_path / "out").glob("*.sg")) == NAMES
