@@ -115,6 +115,10 @@ class Settings(BaseSettings):
     )
     log_format: LogFormat = Field(default="text", description="log format: `text` or `json`")
 
+    require_sandbox: bool = Field(
+        default=False, description="refuse to start where the system cannot confine what reads uploads"
+    )
+
     # What is kept.
     source_retention_s: float = Field(
         default=3600.0,

@@ -141,7 +141,7 @@ def test_the_imports_are_found() -> None:
 
 def test_the_service_leaves_the_encoder_to_confined_processes() -> None:
     importing = {name for name, path in modules("service").items() if re.search(ENCODER, path.read_text())}
-    assert importing == {"service.worker.encoder", "service.web.helpers.helper"}
+    assert importing == {"service.sandbox.tasks"}
 
 
 def test_the_reference_is_for_tests() -> None:

@@ -20,6 +20,7 @@ from starlette.types import ASGIApp
 from service.keys import KeyRing
 from service.opening import open_job_table, open_storage
 from service.process.background import survived
+from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.web.guards.access import AccessLog
 from service.web.guards.gate import Gate
@@ -35,8 +36,8 @@ from service.web.guards.middleware import (
 )
 from service.web.guards.problems import install_problem_handlers, problems
 from service.web.guards.shares import Shares
+from service.web.guards.tasks import ClientTasks
 from service.web.guards.turns import Turns
-from service.web.helpers.work import Work
 from service.web.routes import events as event_routes
 from service.web.routes import health as health_routes
 from service.web.routes import jobs as job_routes
@@ -77,7 +78,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     reloading = asyncio.create_task(_reload_keys(parts))
     yield
     reloading.cancel()
-    parts.work.close()
     parts.table.close()
 
 
@@ -120,7 +120,7 @@ def _body_limits(settings: Settings) -> BodyLimits:
     )
 
 
-def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) -> ASGIApp:
+def create_app(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping: asyncio.Event) -> ASGIApp:
     """The application with its middleware, ready for a server; stopping tells it that the server is to stop.
 
     Raises JobTableError, MissingPackagesError, OSError.
@@ -139,7 +139,7 @@ def create_app(settings: Settings, metrics: Metrics, stopping: asyncio.Event) ->
         settings,
         open_job_table(settings),
         open_storage(settings),
-        Work(settings),
+        ClientTasks(settings, sandbox),
         PictureCache(settings.decode_cache_bytes),
         Turns(UPLOADS_IN_MEMORY, settings.max_streams),
         Shares(settings.max_streams, "streams", "streams of events are open"),

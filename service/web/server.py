@@ -7,12 +7,13 @@ import gc
 import resource
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from types import FrameType
 
 import uvicorn
 
 from service.process.listening import BACKLOG
+from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.web.app import create_app
 from service.web.guards.addresses import networks
@@ -24,10 +25,11 @@ MAX_HEAD_BYTES = 32_768  # of a request line and headers
 ACCEPTED_AT_ONCE = 16  # connections, in one turn of the event loop
 
 
-def run_web(settings: Settings, listen: Callable[[], socket.socket]) -> None:
+def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], listen: Callable[[], socket.socket]) -> None:
     """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
 
-    listen is asked for the socket once the application has all that it needs: so its callers can rely on that.
+    absent: layers of the sandbox that the system does not offer; listen is asked for the socket once the application
+    has all that it needs: so its callers can rely on that.
     Raises JobTableError, MissingPackagesError, OSError.
     """
     limits = ConnectionLimits(
@@ -39,8 +41,9 @@ def run_web(settings: Settings, listen: Callable[[], socket.socket]) -> None:
         settings.send_timeout_s,
     )
     stopping, metrics = asyncio.Event(), Metrics()
+    metrics.show_layers(absent)
     config = uvicorn.Config(
-        create_app(settings, metrics, stopping),
+        create_app(settings, sandbox, metrics, stopping),
         http=limited_connections(limits, metrics),
         ws="none",
         log_config=None,

@@ -5,16 +5,48 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from service.jobs.job import FINAL_STATES, EncodeResult, JobError
+from service.jobs.job import FINAL_STATES, EncodeResult, JobError, JsonObject
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
 from service.process.stopping import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
-from service.worker.encoder_process import Crashed, Encoded, Outcome, Refused, TimedOut
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The codec refused the image or the budget, with one sentence."""
+
+    detail: str
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """The encode is done."""
+
+    stats: JsonObject
+    bitstream: bytes
+
+
+@dataclass(frozen=True)
+class Crashed:
+    """The encode ended without an outcome, or its source image was gone; one sentence."""
+
+    detail: str
+
+
+@dataclass(frozen=True)
+class TimedOut:
+    """The encode ran for longer than limit_s, the limit of the settings."""
+
+    limit_s: float
+
+
+Outcome = Encoded | Refused | Crashed | TimedOut
 
 
 class StoppedError(Exception):

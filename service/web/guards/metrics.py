@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.jobs.table import Census
 from service.process.background import failures
+from service.sandbox.confinement import LAYERS
 from service.web.guards.problems import REFUSAL
 from service.web.guards.shares import Shares
 
@@ -58,7 +60,14 @@ class Metrics:
         self._notices = Gauge("sgmethod_webhooks_waiting", "Webhooks to be delivered.", registry=registry)
         waits = "Since the job ended whose webhook has been waiting for longest."
         self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
+        layer = "Whether a layer of the sandbox holds."
+        self._layers = Gauge("sgmethod_sandbox_layer_up", layer, ("layer",), registry=registry)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
+
+    def show_layers(self, absent: Collection[str]) -> None:
+        """Show which layers of the sandbox the system does not offer."""
+        for layer in LAYERS:
+            self._layers.labels(layer).set(layer not in absent)
 
     def watch(self, shares: Shares) -> None:
         """Show how much of a limited thing clients have."""

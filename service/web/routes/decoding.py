@@ -9,9 +9,9 @@ from urllib.parse import quote
 
 from pydantic import AfterValidator, BaseModel, Field
 
+from service.sandbox.drawing import Fit, Wish
+from service.sandbox.picture_files import PictureFormat
 from service.web.guards.problems import ProblemError
-from service.web.helpers.drawing import Fit, Wish
-from service.web.helpers.picture_files import PictureFormat
 from sgmethod.errors import ViewError
 from sgmethod.view import MAX_SCALE, MIN_SCALE
 

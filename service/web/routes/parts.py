@@ -19,8 +19,8 @@ from service.web.guards.gate import Caller
 from service.web.guards.metrics import Metrics
 from service.web.guards.problems import ProblemError
 from service.web.guards.shares import Shares
+from service.web.guards.tasks import ClientTasks
 from service.web.guards.turns import Turns
-from service.web.helpers.work import Work
 from service.web.routes.decoding import PictureCache
 from service.web.submitting.bodies import refuse_body
 
@@ -32,15 +32,15 @@ JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", exampl
 class Parts:
     """The pieces of the running service.
 
-    work: what helpers do; accepting: turns in which an upload is held in memory, which bounds what all of them take
-    together; streams: of events; outflow: bytes that clients have yet to take; stopping: set when the service is to
-    stop; watching: threads of probes, which must not queue behind work.
+    work: tasks of the sandbox; accepting: turns in which an upload is held in memory, which bounds what all of them
+    take together; streams: of events; outflow: bytes that clients have yet to take; stopping: set when the service is
+    to stop; watching: threads of probes, which must not queue behind work.
     """
 
     settings: Settings
     table: JobTable
     storage: Storage
-    work: Work
+    work: ClientTasks
     pictures: PictureCache
     accepting: Turns
     streams: Shares

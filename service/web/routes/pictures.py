@@ -15,11 +15,11 @@ from anyio import to_thread
 from fastapi import APIRouter, Query, Request, Response
 
 from service.jobs.job import EncodeResult, Job
+from service.sandbox.client import RefusedError, TaskError
+from service.sandbox.drawing import Drawing, Wish
+from service.sandbox.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
 from service.storage.files import bitstream_key, source_key
 from service.web.guards.problems import RETRY_SOON_S, ProblemError, problems
-from service.web.helpers.drawing import Drawing, Wish
-from service.web.helpers.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
-from service.web.helpers.pool import HelperError, RefusedError
 from service.web.routes import answers
 from service.web.routes.answers import curl
 from service.web.routes.decoding import ViewQuery
@@ -166,7 +166,7 @@ async def _drawn(
         if error.kind is BitstreamError:
             raise BitstreamError(str(error)) from error
         raise ProblemError(422, str(error)) from error
-    except HelperError as error:
+    except TaskError as error:
         raise ProblemError(422, str(error)) from error
 
 
@@ -341,7 +341,7 @@ async def rival(job: KnownJob, kind: RivalFormat, parts: UseParts, request: Requ
             making = parts.work.make_rival(request.state.caller.client, image, Rival(kind, size))
             try:
                 return await while_client_waits(request, making)
-            except HelperError as error:
+            except TaskError as error:
                 raise ProblemError(422, str(error)) from error
 
     return file_answer(request, await _remembered(request, parts, etag, made), MEDIA_TYPES[kind], headers)

@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 
+from service.sandbox.client import RefusedError, TaskError
 from service.web.guards.problems import ProblemError, problems
-from service.web.helpers.pool import HelperError, RefusedError
 from service.web.routes import answers
 from service.web.routes.answers import curl
 from service.web.routes.file_answers import NEVER_STORED
@@ -49,7 +49,7 @@ async def preview(
             made = await while_client_waits(request, parts.work.preview(caller.client, image.file, most_bytes))
         except RefusedError as error:
             raise await refusal(error, image) from error
-        except HelperError as error:
+        except TaskError as error:
             raise ProblemError(422, f"the image cannot be encoded: {error}") from error
     response.headers.update(NEVER_STORED)
     return answers.PreviewView(**made)

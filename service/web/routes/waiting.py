@@ -11,9 +11,9 @@ from anyio import to_thread
 from fastapi import Request, Response
 
 from service.jobs.job import FINAL_STATES, Job
+from service.sandbox.picture_files import MEDIA_TYPES
 from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError
-from service.web.helpers.picture_files import MEDIA_TYPES
 from service.web.routes.decoding import ViewQuery
 from service.web.routes.file_answers import VARIES, accepted_format
 from service.web.routes.gone import set_within, while_client_waits

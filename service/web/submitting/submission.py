@@ -13,11 +13,11 @@ from starlette.datastructures import UploadFile
 from starlette.requests import Request
 
 from service.jobs.job import NewJob, SourceImage, new_job_id
+from service.sandbox.client import RefusedError, TaskError
 from service.settings import Settings
 from service.web.guards.headers import joined
 from service.web.guards.problems import ProblemError
-from service.web.helpers.pool import HelperError, RefusedError
-from service.web.helpers.work import Work
+from service.web.guards.tasks import ClientTasks
 from service.web.submitting.bodies import body_as_file, has_body, refuse_body
 from service.web.submitting.fields import FIELDS, IMAGE_FIELD, Asked, EncodeFields, read_fields
 from sgmethod.io.formats import is_read
@@ -120,7 +120,7 @@ def new_job(asked: Asked, header: SourceImage, image: bytes, key: str | None, ow
     return NewJob(new_job_id(), asked.request, header, digest.hexdigest(), key, owner, asked.priority)
 
 
-async def read_header(submitted: Submission, work: Work, client: str, max_bytes: int) -> SourceImage:
+async def read_header(submitted: Submission, work: ClientTasks, client: str, max_bytes: int) -> SourceImage:
     """What the image's header says; no pixel is decoded.
 
     Raises ProblemError 413, 415 for what is none of the formats, 422 for a damaged header or a size beyond the limits,
@@ -133,7 +133,7 @@ async def read_header(submitted: Submission, work: Work, client: str, max_bytes:
         return await work.read_header(client, submitted.image.file, size)
     except RefusedError as error:
         raise await refusal(error, submitted.image) from error
-    except HelperError as error:
+    except TaskError as error:
         raise ProblemError(422, f"the image's header cannot be read: {error}") from error
 
 

@@ -32,7 +32,7 @@ def verdicts(result: Outcome) -> dict[str, str]:
 
 def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
     result = run_command("check", data_dir=tmp_path / "data", database_url=database_url)
-    names = ("settings", "database", "storage", "free disk", "kernels", "confinement")
+    names = ("settings", "database", "storage", "free disk", "kernels", "sandbox")
     assert verdicts(result) == dict.fromkeys(names, "ok"), result
     assert result.status == 0
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
@@ -67,7 +67,7 @@ def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> N
         "storage": "ok",
         "free disk": "FAILED",
         "kernels": "ok",
-        "confinement": "ok",
+        "sandbox": "ok",
     }
     assert result.status == 1
     assert "secret" not in result.stdout + result.stderr

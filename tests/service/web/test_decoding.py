@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +10,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from service.sandbox.drawing import Drawing, Wish
+from service.sandbox.picture_files import MEDIA_TYPES, encode_picture
 from service.web.guards.problems import ProblemError
-from service.web.helpers.drawing import Drawing, Wish
-from service.web.helpers.helper import Errand, perform
-from service.web.helpers.picture_files import MEDIA_TYPES, encode_picture
 from service.web.routes.decoding import PictureCache, ViewQuery
-from sgmethod.errors import BitstreamError, ViewError
+from sgmethod.errors import ViewError
 from sgmethod.view import View
 from tests.harness.data import golden_path
 
@@ -28,21 +26,6 @@ NO_LIMIT = 10**9
 
 def pixels_of(file: bytes) -> NDArray[np.uint8]:
     return np.asarray(Image.open(io.BytesIO(file)))
-
-
-def test_what_is_no_bitstream() -> None:
-    with pytest.raises(BitstreamError):
-        perform(Errand(0, 1, NO_LIMIT, wish=Wish()), b"not a bitstream")
-
-
-@pytest.mark.parametrize("name", ["v1-paper.sg", "v3-color.sg"])
-def test_gaussians_of_a_bitstream_are_limited(name: str) -> None:
-    data = golden_path(name).read_bytes()
-    count = sgmethod.info(data).gaussians
-    errand = Errand(0, 1, NO_LIMIT, max_gaussians=count, wish=Wish())
-    assert perform(errand, data) == ({}, encode_picture(sgmethod.decode(data), "png"))
-    with pytest.raises(BitstreamError, match=f"limit of {count - 1} "):
-        perform(replace(errand, max_gaussians=count - 1), data)
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 7), (7, 1), (64, 48), (333, 3)])

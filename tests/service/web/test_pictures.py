@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from service.sandbox.picture_files import Rival, as_large
 from service.web.app import STATIC
-from service.web.helpers.picture_files import Rival, as_large
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, golden_path
 from tests.harness.pictures import SMALL, page_of_text

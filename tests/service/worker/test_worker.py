@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -15,15 +16,15 @@ from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import Claim, JobRules, JobTableError, Room
 from service.process.background import failures
 from service.process.stopping import StopSignal
+from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.storage.disk import DiskStorage
 from service.storage.files import bitstream_key, source_key
 from service.worker import heartbeat as heartbeat_module
 from service.worker import loop, publishing
-from service.worker.encoder_process import Encoded, Refused
 from service.worker.heartbeat import ClaimLostError, Heartbeat
 from service.worker.loop import Worker
-from service.worker.publishing import Publisher, StoppedError
+from service.worker.publishing import Encoded, Publisher, Refused, StoppedError
 
 LONG_S = 60.0
 
@@ -79,8 +80,10 @@ def stop() -> StopSignal:
 
 
 @pytest.fixture
-def worker(table: Unsteady, storage: Full, stop: StopSignal) -> Worker:
-    return Worker(Settings(), table, storage, stop)
+def worker(table: Unsteady, storage: Full, stop: StopSignal) -> Iterator[Worker]:
+    requests, silent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with requests, silent:
+        yield Worker(Settings(), table, storage, Sandbox(requests), stop)
 
 
 @pytest.fixture
@@ -253,7 +256,7 @@ def test_what_nobody_foresaw_does_not_end_a_worker(
 ) -> None:
     """On PostgreSQL the engine swallowed it without a word."""
     failed = failures.total()
-    monkeypatch.setattr(worker._encoders, "get_ready", lambda _stop: 1 / 0)
+    monkeypatch.setattr(worker, "run_one", lambda: 1 / 0)
     stop.request()
     assert not worker._run_next()
     assert failures.total() == failed + 1

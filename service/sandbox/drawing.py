@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 import sgmethod
-from service.web.helpers.picture_files import DEFAULT_QUALITY, MAX_SIDES, PictureFormat, Pixels, encode_picture
+from service.sandbox.picture_files import DEFAULT_QUALITY, MAX_SIDES, PictureFormat, Pixels, encode_picture
 from sgmethod.errors import ViewError
 from sgmethod.view import View
 
