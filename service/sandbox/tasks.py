@@ -26,6 +26,7 @@ from sgmethod.io.formats import READERS
 from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
 from sgmethod.io.laying import WHITE, laid_over
+from sgmethod.profiles import DEFAULT_EFFORT
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
 WORDS_LENGTH = 300  # characters of an error that a client gets to read
@@ -131,7 +132,10 @@ def tiny_encode(profile: str, tune: str | None = None) -> bytes:
     """The tiny picture as a bitstream."""
     from sgmethod.codec import encode
 
-    return encode(TINY_PICTURE, Budget("bpp", 8.0), profile, tune=tune, effort=1, time_limit_s=0.1).data
+    # The others have no effort, and no smaller files.
+    effort, size = (1, 64) if profile == "rd" else (DEFAULT_EFFORT, 512)
+    budget = Budget("bytes", size)
+    return encode(TINY_PICTURE, budget, profile, tune=tune, effort=effort, time_limit_s=0.1).data
 
 
 def perform(task: frames.Task, file: bytes, answer: Answer) -> None:

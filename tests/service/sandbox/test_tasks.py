@@ -123,13 +123,10 @@ def test_rivals(real: Sandbox, kind: Any) -> None:
         ("psnr", 25.0, {"tune": "psnr"}),
         ("quality", 50, {"tune": "visual"}),
         ("gaussians", 20, {"tune": "visual"}),
-        pytest.param("bpp", 2.0, {"profile": "paper"}, marks=pytest.mark.thorough),
     ],
 )
 def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, more: dict[str, Any]) -> None:
     """As the command line makes them, whatever the picture asks of libraries that are imported late."""
-    if more.get("profile") == "paper":
-        pytest.importorskip("torch")
     for image in (picture(), picture(alpha=True), picture(drawn=True)):
         request = EncodeRequest(
             **{"profile": "rd", "budget_kind": kind, "budget_value": value, "time_limit_s": 60, **more}
@@ -150,6 +147,17 @@ def test_encodes_are_those_of_the_codec(real: Sandbox, kind: Any, value: float, 
         )
         assert result.file == same.data
         assert result.figures.psnr == same.stats.to_dict()["psnr"]
+
+
+@pytest.mark.thorough
+def test_a_profile_that_brings_torch(real: Sandbox) -> None:
+    """It is imported before the task is confined, and starts its threads afterwards."""
+    pytest.importorskip("torch")
+    request = EncodeRequest("bpp", 2.0, "paper", time_limit_s=2)
+    what = Encode(**LIMITS, job_id=new_job_id(), request=request, threads=2)
+    *_, result = messages_of(real, what, saved(picture()))
+    assert isinstance(result, Result), result
+    assert sgmethod.decode(result.file).shape == (48, 64, 3)
 
 
 @pytest.mark.parametrize(
