@@ -9,7 +9,7 @@ export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
 # Each worker of pytest has a core of its own, and threads that share one wait for each other.
 PYTEST = SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 
-.PHONY: help serve test thorough sanitize versions fuzz cross wheel npm bench
+.PHONY: help serve test thorough coverage sanitize versions fuzz cross wheel npm bench
 
 help:
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -25,6 +25,9 @@ test: $(VENV)/.test ## set up, then check lint, format and types, and run the te
 
 thorough: $(VENV)/.test sanitize versions ## what a release needs beside `make test`: the slow tests, sanitizers, Python 3.12 to 3.14
 	$(PYTEST) -m "thorough or hypothesis" --hypothesis-profile thorough
+
+coverage: $(VENV)/.test ## report which lines and branches the tests of `make test` run
+	$(PYTEST) -m "not thorough" --cov
 
 MUTATIONS ?= 2000
 sanitize: $(VENV)/.test ## run the kernels under sanitizers: their own tests, every golden file, MUTATIONS=n damaged ones
@@ -47,8 +50,8 @@ wheel: $(VENV)/.test ## build the source archive and wheels in dist, and decode 
 
 npm: ## build the package for browsers in dist; needs npm
 	mkdir -p build/npm dist
-	cp -r service/npm/. LICENSE build/npm/
-	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && node build.mjs ../../service/web/static \
+	cp -r sgmethod/javascript/. LICENSE build/npm/
+	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent build \
 	  && npm pack --silent --pack-destination ../../dist
 
 bench: $(VENV)/.benchmark ## a small set of all measurements in ten minutes, or FULL=yes [IMAGES=folder WEIGHTS=folder]

@@ -31,7 +31,7 @@ NO_RIVALS = "--methods 'rd,rd visual,paper,baseline,plain Adam,siren'"
 SMALL = {
     "rd/kodak": f"rd {KODAK} --bpp 0.5",
     "convergence/kodak": f"convergence {KODAK} {FEW} --megapixels 0.1 --seconds 6 --limits 0.5 --paper-limits 2 --few",
-    "version4/stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
+    "stiff": "robustness stiff --pictures text,row-300x1,pixel-1x1 --seeds 1 --only bpp",
     "stability": "robustness extremes --seeds 3 --generations 4",
     "speed": f"speed {KODAK} --megapixels 0.1,0.4 --gaussians 1000,5000 --repeats 1 --steps 100 --rounds 10",
     "growth": f"speed growth {KODAK} --most 1 --megapixels 0.01 --at-megapixels 0.01 --at-bytes 300 --bytes 150,300",
@@ -56,7 +56,7 @@ FULL = {
     "convergence/codecs": f"convergence {SEEN} --megapixels 2,12 --settings ',effort 1,10,9,8,7,6,5,4,3,2,1,0' "
     "--methods 'rd,rd visual,jpeg,jpeg2000,webp,avif,jpegxl,avif visual'",
     "perceptual/kodak": f"perceptual {SEEN} --bpp 0.1,0.25,0.4 --kinds {SEEN_KINDS}",
-    "version4/stiff": "robustness stiff --seeds 1 --only bpp,psnr",
+    "stiff": "robustness stiff --seeds 1 --only bpp,psnr",
     "stability": "robustness extremes",
     "speed": f"speed {KODAK}",
     "representation": f"ablation representation {SEEN} --most 24 --gaussians 30000,70000",  # as the paper's tables

@@ -2,7 +2,7 @@
 
 The rooms and modules; each imports only from those above it:
 
-    keys            API keys, how often each may ask, links that stand in for one
+    keys            API keys, links that stand in for one
     logs            what the processes write to standard error
     settings        what the operator may set
     process/        the processes of a service, and how they end
@@ -11,10 +11,8 @@ The rooms and modules; each imports only from those above it:
     sandbox/        reads what strangers sent, in confined processes, one for each task
     opening         opens the job table and the storage that the settings name
     worker/         claims a job, has it encoded in the sandbox, publishes the bitstream
-    web/guards/     limits, callers and refusals, before a body is read
-    web/submitting/ from the body of a request to a job that can succeed
-    web/routes/     what each request is answered with
-    web/            the application and its server
+    web/            the files of the page
+    api/            the routes, what they answer, and the application around them
     checking        whether an installation can work
 
 `python -m service` is the command line. Only sandbox/tasks.py imports the encoder, and with two of its profiles torch.

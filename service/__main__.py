@@ -37,7 +37,7 @@ def main() -> int:
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit())  # until a command has its own way to stop
     try:
         settings = Settings()
-        set_up_logging(settings.log_format)
+        set_up_logging()
     except ValidationError as error:
         for fault in error.errors():
             field = str(fault["loc"][0]) if fault["loc"] else ""
@@ -108,7 +108,7 @@ def _before_start(settings: Settings) -> list[str]:
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:
-    from service.web.server import run_web
+    from service.api.server import run_web
 
     absent = absent_layers()  # before there is a second thread
     if arguments.supervisor is not None:
@@ -166,11 +166,15 @@ def _sweep(settings: Settings, arguments: argparse.Namespace) -> None:
 
 
 def _announce(settings: Settings) -> socket.socket:
-    """Listen, and say where."""
+    """Listen, and say where. Raises OSError, also for an address that others can reach while nobody needs a key."""
     listener = listen(settings)
+    if not (is_loopback(listener) or settings.key_names or settings.host_names):
+        listener.close()
+        raise OSError(
+            f"SG_HOST={settings.host}: others could post, list and delete jobs without a key; set SG_API_KEYS_FILE, or "
+            "SG_HOST_NAMES to the names under which everyone may"
+        )
     print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings)}", flush=True)
-    if not is_loopback(listener) and not settings.key_names:
-        _warn(["anyone who reaches this address can post, list and delete jobs: set SG_API_KEYS"])
     return listener
 
 

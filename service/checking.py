@@ -14,12 +14,11 @@ from pathlib import Path
 from service.jobs.table import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.sandbox.confinement import LAYERS, absent_layers
-from service.settings import Settings
+from service.settings import UPLOADS_OF_ROOM, Settings
 from service.storage.files import PROBE_FOLDER
 from sgmethod.errors import SgError
 
 ISA_NAMES = ("x86-64", "AVX2", "AVX-512")
-UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
 
 
 class CheckError(Exception):
@@ -80,7 +79,7 @@ def _free_disk(settings: Settings) -> str:
     uses_data_dir = not (settings.uses_postgres and settings.storage_url)
     folder = settings.data_dir if uses_data_dir else Path(tempfile.gettempdir())
     free = shutil.disk_usage(folder).free
-    if free < UPLOADS_OF_ROOM * settings.max_upload_bytes:
+    if free < settings.min_free_bytes:
         raise CheckError(f"{folder}: only {free:,} bytes free, less than {UPLOADS_OF_ROOM} of the largest uploads")
     return f"{folder}: {free:,} bytes"
 

@@ -3,7 +3,7 @@
 A key is 192 random bits, so a plain SHA-256 of it is all that has to be kept: it can be neither guessed nor
 turned back. A key's name owns the jobs that come with it.
 
-    python -m service.keys NAME     prints a new key, and SG_API_KEYS with what the service has to know of it
+    python -m service.keys NAME     prints a new key, and the line for SG_API_KEYS_FILE by which the service knows it
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def main() -> int:
     if _LINE.fullmatch(line) is None:
         print("usage: python -m service.keys NAME (1 to 64 letters, digits, or _ . -)", file=sys.stderr)
         return 2
-    print(f"key: {key}\nSG_API_KEYS={line}")
+    print(f"key: {key}\nline for SG_API_KEYS_FILE: {line}")
     return 0
 
 

@@ -1,44 +1,35 @@
-"""What the processes of the service write to standard error: lines of text, or of JSON for machines."""
+"""What the processes of the service write to standard error."""
 
 from __future__ import annotations
 
-import json
 import logging
+import time
 from contextvars import ContextVar
-from datetime import UTC, datetime
-from typing import Literal
 
-LogFormat = Literal["text", "json"]
-TEXT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
-FIGURES = "figures"  # of a record: a dictionary that becomes members of its JSON
+FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
+SELDOM_S = 60.0
 
 # Of the request that is being answered. Tasks and threads that are started for it inherit it.
 request_id: ContextVar[str] = ContextVar("request_id", default="")
+_said: dict[str, float] = {}  # when, by message (monotonic seconds)
 
 
-def set_up_logging(form: LogFormat) -> None:
+def set_up_logging() -> None:
     """Log to standard error from now on."""
     handler = logging.StreamHandler()
-    handler.setFormatter(_JsonLines() if form == "json" else _TextLines(TEXT))
+    handler.setFormatter(_Lines(FORMAT))
     logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
-class _TextLines(logging.Formatter):
+def log_seldom(log: logging.Logger, message: str, *values: object) -> None:
+    """Log an error that may come again and again, such as a full disk: the same message once a minute."""
+    now = time.monotonic()
+    if now - _said.get(message, -SELDOM_S) >= SELDOM_S:
+        _said[message] = now
+        log.error(message, *values)
+
+
+class _Lines(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         text = super().format(record)
         return f"{text} [{request_id.get()}]" if request_id.get() else text
-
-
-class _JsonLines(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        line = {
-            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
-            "level": record.levelname,
-            "logger": record.name,
-            "message": record.getMessage(),
-            **({"request_id": request_id.get()} if request_id.get() else {}),
-            **getattr(record, FIGURES, {}),
-        }
-        if record.exc_info:
-            line["exception"] = self.formatException(record.exc_info)
-        return json.dumps(line)

@@ -21,7 +21,6 @@ def open_job_table(settings: Settings) -> JobTable:
     rules = JobRules(
         lease_s=settings.lease_s,
         max_attempts=MAX_ATTEMPTS,
-        max_running_per_owner=settings.max_running_per_key,
         source_retention_s=settings.source_retention_s,
         webhooks=settings.webhook_addresses,
     )

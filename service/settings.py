@@ -11,13 +11,13 @@ from collections.abc import Iterable
 from functools import cached_property
 from ipaddress import ip_network
 from pathlib import Path
+from typing import ClassVar
 from urllib.parse import urlsplit
 
 from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.keys import parse_keys
-from service.logs import LogFormat
 from sgmethod import MAX_THREADS
 from sgmethod.io.image import ImageLimits
 from sgmethod.native import native
@@ -26,8 +26,9 @@ MIN_SECRET_LENGTH = 32
 MIN_WEBHOOK_KEY_BYTES = 24  # as Standard Webhooks has it
 LONGEST_S = 86_400.0  # what the system and both databases can surely count
 LONGEST_KEPT_S = 100 * 365 * 86_400.0  # so that the end is a date
-MOST = 10**9
-OTHER_NAMES = frozenset({"SG_API_KEY"})  # the client's
+UPLOADS_OF_ROOM = 4  # below that many of the largest uploads, the disk counts as full
+STALLED_LEASES = 4
+OTHER_NAMES = frozenset({"SG_API_KEY", "SG_THREADS"})  # the client's, and the kernels'
 
 
 def available_cores() -> int:
@@ -46,15 +47,12 @@ def unknown_settings(names: Iterable[str]) -> list[str]:
     return sorted(name for name in names if name.startswith("SG_") and name not in known)
 
 
-def _named_keys(setting: str, text: str) -> dict[str, str]:
-    try:
-        return parse_keys(text)
-    except ValueError as error:
-        raise ValueError(f"{setting}: {error}") from error
-
-
 class Settings(BaseSettings):
     """What the operator may set; every value is checked once, at start."""
+
+    # No operator has reason to change these.
+    max_streams: ClassVar[int] = 100
+    max_waiting_decodes: ClassVar[int] = 64
 
     model_config = SettingsConfigDict(env_prefix="SG_", env_ignore_empty=True, frozen=True, allow_inf_nan=False)
 
@@ -68,7 +66,7 @@ class Settings(BaseSettings):
     )
     trusted_proxies: str = Field(
         default="",
-        description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted; exempt from limits",
+        description="addresses and networks, separated by commas, whose X-Forwarded-For is trusted",
     )
     retention_s: float = Field(
         default=30 * 86_400, ge=0, le=LONGEST_KEPT_S, description="seconds until finished jobs are removed; 0 for never"
@@ -89,10 +87,9 @@ class Settings(BaseSettings):
     )
 
     # Jobs and encodes.
-    threads: int = Field(
-        default=0, ge=0, le=MAX_THREADS, description="threads per encode; 0 divides the cores among the workers"
+    queue_length: int = Field(
+        default=1000, ge=1, description="queued jobs before new ones get 429; one API key may have half of them"
     )
-    queue_length: int = Field(default=1000, ge=1, description="queued jobs before new ones get 429")
     max_time_limit_s: float = Field(
         default=300.0,
         gt=0,
@@ -100,20 +97,18 @@ class Settings(BaseSettings):
         description="seconds, the longest and default time limit of an encode; one that takes twice as long is killed",
     )
     job_memory_bytes: int = Field(
-        default=8 * 2**30, ge=2**28, le=2**62, description="maximum bytes of memory per encode"
+        default=8 * 2**30, ge=2**28, le=2**62, description="maximum bytes of memory per encode; a decode has a quarter"
     )
     lease_s: float = Field(
-        default=15.0, ge=1, le=LONGEST_S, description="seconds until the job of a lost worker goes to another"
-    )
-    stall_s: float = Field(
-        default=60.0,
-        gt=0,
-        description="seconds that jobs wait without a sign of life from any worker before /readyz fails",
+        default=15.0,
+        ge=1,
+        le=LONGEST_S,
+        description="seconds until the job of a lost worker goes to another; jobs that wait for four times as long "
+        "without a sign of life from any worker make /readyz fail",
     )
     stop_grace_s: float = Field(
         default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for stopping before processes are killed"
     )
-    log_format: LogFormat = Field(default="text", description="log format: `text` or `json`")
 
     require_sandbox: bool = Field(
         default=False, description="refuse to start where the system cannot confine what reads uploads"
@@ -126,22 +121,9 @@ class Settings(BaseSettings):
         le=LONGEST_KEPT_S,
         description="seconds to keep the image of a finished job for re-encoding; 0 to delete it at once",
     )
-    min_free_bytes: int = Field(
-        default=2**28, ge=0, description="bytes of free disk below which new jobs get 503 and /readyz fails"
-    )
     quota_bytes_per_key: int = Field(default=0, ge=0, description="the same per API key; 0 for no limit")
 
-    # Keys, links and webhooks.
-    api_keys: str = Field(default="", description="further API keys, separated by commas")
-    max_queued_per_key: int = Field(
-        default=500, ge=0, description="queued jobs per API key before new ones get 429; 0 for no limit"
-    )
-    max_running_per_key: int = Field(
-        default=0, ge=0, le=MOST, description="concurrent jobs per API key; 0 for no limit"
-    )
-    metrics_key: str = Field(
-        default="", description="name of the only API key that may read /metrics; empty for any key"
-    )
+    # Links and webhooks.
     link_secret: SecretStr = Field(
         default=SecretStr(""), description="at least 32 characters that sign links; empty disables links"
     )
@@ -156,10 +138,16 @@ class Settings(BaseSettings):
     )
 
     # Proxies and browsers.
-    path_prefix: str = Field(
+    host_names: str = Field(
+        default="",
+        pattern=r"^(|\*|[A-Za-z0-9.-]+(,\s*[A-Za-z0-9.-]+)*)$",
+        description="without API keys: names, separated by commas, that the service answers to beside localhost and "
+        "addresses, and without which it listens on this machine only; `*` for all",
+    )
+    root_path: str = Field(
         default="",
         pattern=r"^(|(/[A-Za-z0-9._~-]+)+)$",
-        description="path under which a proxy serves this, such as /sg, whether or not it strips it",
+        description="path under which a proxy serves this, and which it strips, such as /sg",
     )
     cors_origins: str = Field(
         default="",
@@ -167,55 +155,21 @@ class Settings(BaseSettings):
         description="origins, separated by commas, whose pages may call the API from a browser; `*` for all",
     )
 
-    # Clients: connections, uploads, responses.
-    max_connections: int = Field(
-        default=1000, ge=1, description="concurrent connections before the slowest is closed, or new ones get 503"
-    )
-    max_connections_per_address: int = Field(default=200, ge=1, description="the same per client address, with 429")
-    max_streams: int = Field(
-        default=100,
+    # Requests.
+    max_upload_bytes: int = Field(
+        default=64 * 2**20,
         ge=1,
-        description="concurrent uploads, and as many event streams and waits, before new ones get 503; one client may "
-        "use half",
+        description="maximum bytes of a request's body: an image, a form with one, or a bitstream; with less free disk "
+        "than four of them, new jobs get 503 and /readyz fails",
     )
-    max_upload_bytes: int = Field(default=64 * 2**20, ge=1, description="maximum bytes of an image file or bitstream")
     max_pixels: int = Field(
         default=50_000_000,
         ge=1,
         description="maximum pixels (width x height) of an image, and of a decoded picture or view",
     )
-    header_timeout_s: float = Field(
-        default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for the request line and headers"
-    )
-    body_chunk_timeout_s: float = Field(
-        default=5.0, gt=0, le=LONGEST_S, description="seconds without data during an upload before 408"
-    )
-    body_timeout_s: float = Field(
-        default=120.0, gt=0, le=LONGEST_S, description="seconds for a whole upload before 408"
-    )
-    send_timeout_s: float = Field(
-        default=60.0,
-        ge=1,
-        le=LONGEST_S,
-        description="seconds a client may take to read 256 KiB of a response before it is disconnected",
-    )
-    max_answer_bytes: int = Field(
-        default=512 * 2**20,
-        ge=1,
-        description="bytes of responses not yet read by clients before new pictures get 503; one client may use half",
-    )
 
-    # Decodes.
     max_decodes: int = Field(default=3, ge=1, description="concurrent decodes; one client may use all but one")
-    max_waiting_decodes: int = Field(default=64, ge=0, description="decodes waiting before new ones get 503")
     decode_time_s: float = Field(default=10.0, gt=0, le=LONGEST_S, description="maximum CPU seconds per decode")
-    decode_memory_bytes: int = Field(
-        default=2 * 2**30, ge=2**26, le=2**62, description="maximum bytes of memory per decode"
-    )
-    decode_cache_bytes: int = Field(
-        default=64 * 2**20, ge=0, description="bytes of decoded picture files cached in memory"
-    )
-    max_decode_gaussians: int = Field(default=1_000_000, ge=1, description="maximum Gaussians of an uploaded bitstream")
 
     @field_validator("*", mode="before")
     @classmethod
@@ -271,19 +225,40 @@ class Settings(BaseSettings):
         return self.read_keys()
 
     def read_keys(self) -> dict[str, str]:
-        """The settings with the keys of today's file."""
-        keys = _named_keys("SG_API_KEYS", self.api_keys)
-        if self.api_keys_file is not None:
-            try:
-                text = self.api_keys_file.read_text()
-            except OSError as error:
-                raise ValueError(f"SG_API_KEYS_FILE cannot be read: {error.strerror}") from error
-            except UnicodeDecodeError as error:
-                raise ValueError("SG_API_KEYS_FILE is not a text file") from error
-            keys |= _named_keys("SG_API_KEYS_FILE", text)
-        if not keys and (self.api_keys or self.api_keys_file):
-            raise ValueError("SG_API_KEYS and SG_API_KEYS_FILE contain no key, which would leave the service open")
+        """The keys of today's file. Raises ValueError."""
+        if self.api_keys_file is None:
+            return {}
+        try:
+            keys = parse_keys(self.api_keys_file.read_text())
+        except OSError as error:
+            raise ValueError(f"SG_API_KEYS_FILE cannot be read: {error.strerror}") from error
+        except UnicodeDecodeError as error:
+            raise ValueError("SG_API_KEYS_FILE is not a text file") from error
+        except ValueError as error:
+            raise ValueError(f"SG_API_KEYS_FILE: {error}") from error
+        if not keys:
+            raise ValueError("SG_API_KEYS_FILE contains no key, which would leave the service open")
         return keys
+
+    @property
+    def max_queued_per_key(self) -> int:
+        """Queued jobs of one API key before its new ones get 429."""
+        return -(-self.queue_length // 2)
+
+    @property
+    def min_free_bytes(self) -> int:
+        """Bytes of free disk below which new jobs are refused."""
+        return UPLOADS_OF_ROOM * self.max_upload_bytes
+
+    @property
+    def stall_s(self) -> float:
+        """Seconds that jobs wait without a sign of life from any worker before the service is not ready."""
+        return STALLED_LEASES * self.lease_s
+
+    @property
+    def decode_memory_bytes(self) -> int:
+        """Maximum bytes of memory per decode."""
+        return self.job_memory_bytes // 4
 
     @property
     def job_timeout_s(self) -> float:
@@ -307,7 +282,7 @@ class Settings(BaseSettings):
     @property
     def encode_threads(self) -> int:
         """Threads of one encode, such that all workers together stay within the cores."""
-        return self.threads or min(max(1, available_cores() // self.workers), MAX_THREADS)
+        return min(max(1, available_cores() // self.workers), MAX_THREADS)
 
     @property
     def uses_postgres(self) -> bool:

@@ -7,30 +7,33 @@ The rooms and modules, in the order of the pipeline; each imports only from thos
 
     errors      the tree of errors
     budget      what an encode may spend; conversion of numbers
-    trace       what an encode reports while it runs
+    trace       progress of an encode
     scene       the set of Gaussians
     settings/   every number of the method
     profiles    names of profiles, tunings and efforts
     native/     compiled kernels: drawing, gradients, entropy coding
     backend/    the protocol through which the encoder draws, differentiates and refines
-    threads     what numpy and OpenCV compute, on as many threads as the kernels have
+    threads     NumPy and OpenCV on as many threads as the kernels use
     io/         image files -> arrays; arrays -> image files; whole files
     bitstream/  Gaussians <-> bytes, one module for each version of the format
-    view        any size, any part
+    view        drawing any part at any size
     decoder     bytes -> Gaussians -> pixels
-    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; LPIPS, DISTS; local statistics
-    start/      structure of the picture -> Gaussians to start from
+    metrics/    PSNR, MS-SSIM, SSIMULACRA 2; LPIPS, DISTS
+    advice      pictures that Gaussians do not suit, and the formats that suit them better
+    start/      structure of the picture -> initial Gaussians
     fitting/    the picture at every size, the objective, the deadline
     paper/      profiles paper and baseline
     rd/         profile rd
-    codec       encode(): a profile's pipeline, then the decoded result measured
-    previews/   a picture -> a text of some hundred characters, for pages
+    codec       encode(): runs a profile's pipeline and measures the decoded result
+    previews/   a picture -> a text of a few hundred characters, for web pages
     many/       any number of pictures, in several processes, with a manifest
     exchange/   a caller's Gaussians -> an .sg file; PLY and npz files
     torch/      tensors: the differentiable renderer, files, data sets
     pillow/     .sg files for Pillow
-    client/     encoding by a service
+    client/     client of an encoding service
     cli/        the command line
+
+javascript/ holds the decoder for browsers, `<sg-img>`, and the npm package of both.
 
 Decoding needs only NumPy, Pillow and the compiled kernels; profiles paper and baseline, sgmethod.torch and encodes on
 another device import PyTorch. Importing this package lets Pillow open and save .sg files.
@@ -111,7 +114,7 @@ __all__ = [
     "write_ply",
 ]
 
-# Each is imported once it is asked for: numpy takes 0.1 s, torch more.
+# Imported on first use: numpy takes 0.1 s, torch more.
 _HOMES = {
     "bitstream.stream": ("Info",),
     "bitstream.text": ("from_text", "to_text"),
@@ -146,10 +149,10 @@ def set_threads(count: int) -> None:
     The default is SG_THREADS, or else the number of cores that the process and its control group may use. Raises
     SgError.
     """
-    from sgmethod.budget import whole
+    from sgmethod.budget import checked_integer
     from sgmethod.native import native
 
-    native.set_thread_count(whole(count, "the number of threads", 1, MAX_THREADS))
+    native.set_thread_count(checked_integer(count, "the number of threads", 1, MAX_THREADS))
 
 
 def __getattr__(name: str) -> Any:

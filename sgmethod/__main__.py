@@ -1,8 +1,8 @@
-"""python -m sgmethod: the command line."""
+"""The command line, as python -m sgmethod."""
 
 import sys
 
 from sgmethod.cli.main import main
 
-if __name__ == "__main__":  # encodes in processes of their own import it under another name
+if __name__ == "__main__":  # spawned worker processes import this module under another name
     sys.exit(main())

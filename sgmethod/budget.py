@@ -1,7 +1,6 @@
-"""What an encode may spend: one number and its unit.
+"""The budget of an encode: one number and its unit.
 
-Numbers from callers are converted to Python's own here, because NumPy's small integers would overflow in sums and
-products.
+Callers' numbers are converted to Python's types here, because NumPy's small integers overflow in sums and products.
 """
 
 from __future__ import annotations
@@ -16,15 +15,15 @@ from sgmethod.errors import BudgetError, SgError
 BudgetKind = Literal["bpp", "bytes", "looks", "psnr", "quality", "gaussians"]
 BUDGET_KINDS: tuple[BudgetKind, ...] = get_args(BudgetKind)
 
-MAX_PSNR_DB = 60.0  # 8-bit rounding alone leaves 58.9 dB; asking for more has no meaning
+MAX_PSNR_DB = 60.0  # 8-bit rounding alone limits the PSNR to 58.9 dB
 
 MAX_QUALITY = 100.0
 
 LOOKS = {"preview": 40.0, "web": 60.0, "archive": 80.0}
 
 
-def looks_of(asked: float | str) -> float:
-    """What a name in LOOKS stands for; a number is left as it is. Raises BudgetError for another text."""
+def looks_value(asked: float | str) -> float:
+    """Return the value of a name in LOOKS; numbers pass unchanged. Raises BudgetError for an unknown name."""
     if not isinstance(asked, str):
         return asked
     if asked not in LOOKS:
@@ -32,21 +31,21 @@ def looks_of(asked: float | str) -> float:
     return LOOKS[asked]
 
 
-def own_number(value: object) -> int | float | None:
-    """A number as a Python int or float; None if it is not a finite number."""
+def finite_number(value: object) -> int | float | None:
+    """Convert a number to a Python int or float; None if it is not a finite number."""
     if isinstance(value, Integral):
         return int(value)
     if not isinstance(value, Real):
         return None
     try:
         number = float(value)
-    except OverflowError:  # of a fraction
+    except OverflowError:  # a Fraction may exceed every float
         return None
-    return number if -math.inf < number < math.inf else None  # torch.compile does not take math.isfinite
+    return number if -math.inf < number < math.inf else None  # torch.compile does not support math.isfinite
 
 
-def whole(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
-    """A whole number from least to most as a Python int. Raises error for anything else."""
+def checked_integer(value: object, name: str, least: int, most: int, error: type[SgError] = SgError) -> int:
+    """Return a whole number from least to most as a Python int. Raises `error` for anything else."""
     if not isinstance(value, Integral) or not least <= int(value) <= most:
         raise error(f"{name} must be a whole number from {least} to {most}, got {value!r}")
     return int(value)
@@ -71,7 +70,7 @@ class Budget:
     def __post_init__(self) -> None:
         if self.kind not in BUDGET_KINDS:
             raise BudgetError(f"unknown budget {self.kind!r}; use one of {', '.join(BUDGET_KINDS)}")
-        value = own_number(looks_of(self.value) if self.kind == "looks" else self.value)
+        value = finite_number(looks_value(self.value) if self.kind == "looks" else self.value)
         if value is None or value <= 0:
             raise BudgetError(f"{self.kind} must be a positive number, got {self.value!r}")
         object.__setattr__(self, "value", value)
@@ -83,15 +82,15 @@ class Budget:
             raise BudgetError(f"psnr must be at most {MAX_PSNR_DB:g} dB, got {value}")
 
     def max_bytes(self, width: int, height: int) -> int | None:
-        """The largest file size in bytes that this budget allows, or None if it does not limit the size."""
+        """Return the largest file size in bytes allowed, or None if this kind of budget does not limit the size."""
         if self.kind == "bytes":
-            return int(min(self.value, 1e15))  # no file is as large; a whole number of 300 digits fits no float
+            return int(min(self.value, 1e15))  # far beyond any file, so that later arithmetic in floats cannot overflow
         if self.kind == "bpp":
             return int(min(self.value, 1e6) * width * height / 8)
         return None
 
     def max_gaussians(self, width: int, height: int) -> int:
-        """The requested number of Gaussians. Raises BudgetError if it exceeds the number of pixels."""
+        """Return the requested number of Gaussians. Raises BudgetError if it exceeds the number of pixels."""
         if self.value > width * height:
             raise BudgetError(f"{int(self.value)} Gaussians exceed the image's {width * height} pixels")
         return int(self.value)
@@ -100,7 +99,7 @@ class Budget:
 DEFAULT_BUDGET = Budget("bpp", 0.3)
 
 
-def unasked(width: int, height: int, least: int) -> Budget:
-    """The default budget of a picture: DEFAULT_BUDGET, or least bytes if the smallest file is larger."""
+def default_budget(width: int, height: int, least: int) -> Budget:
+    """Return a picture's default budget: DEFAULT_BUDGET, or `least` bytes if no file is that small."""
     asked = DEFAULT_BUDGET.max_bytes(width, height) or 0
     return DEFAULT_BUDGET if asked >= least else Budget("bytes", least)

@@ -1,6 +1,6 @@
-"""Encoding: a request, the pipeline of its profile (rd/encode.py, paper/encode.py), and the file measured.
+"""Encoding: run a profile's pipeline (rd/encode.py or paper/encode.py) and measure the file.
 
-After encoding, the file is decoded once, so the reported figures are those of the actual bytes.
+The file is decoded once, so the reported figures are those of the actual bytes.
 """
 
 from __future__ import annotations
@@ -21,45 +21,54 @@ from sgmethod.backend.devices import backend_on
 from sgmethod.backend.protocol import Backend
 from sgmethod.bitstream import container
 from sgmethod.bitstream.smallest import smallest_file
-from sgmethod.budget import DEFAULT_BUDGET, Budget, BudgetKind, looks_of, own_number, unasked, whole
+from sgmethod.budget import (
+    DEFAULT_BUDGET,
+    Budget,
+    BudgetKind,
+    checked_integer,
+    default_budget,
+    finite_number,
+    looks_value,
+)
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Histogram
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.io.files import own_path, write_atomically
+from sgmethod.io.compositing import on_backgrounds
+from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.io.inputs import Input, read_input
-from sgmethod.io.laying import on_backgrounds
 from sgmethod.metrics import ms_ssim, psnr, ssimulacra2
 from sgmethod.profiles import DEFAULT_PROFILE, checked_effort, checked_profile, settings_of, tuning
 from sgmethod.rd import alpha
 from sgmethod.rd import encode as rd
-from sgmethod.rd.rate_control import RateControl
+from sgmethod.rd.budgets import rate_of
+from sgmethod.rd.byte_limit import ByteBudget
 from sgmethod.rd.request import Request
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import DEFAULT_EFFORT, RdSettings
 from sgmethod.settings.shared import Tune
-from sgmethod.trace import Preview, Progress, Stop, TracePoint, shown_to_nobody
+from sgmethod.trace import Preview, Progress, Stop, TracePoint
 
 Pixels = NDArray[np.uint8]
-Measure = Callable[[Pixels, Pixels], float | None]  # of a picture and its source
+Measure = Callable[[Pixels, Pixels], float | None]  # (picture, source) -> figure
 
-SEEN_DB = 0.005  # a smaller miss is none in two decimals
-SEEN_LOOKS = 1.0  # points of SSIMULACRA 2, within which looks are met
+REPORTED_MISS_DB = 0.005  # a smaller miss rounds to 0.00 dB
+REPORTED_MISS_LOOKS = 1.0  # points of SSIMULACRA 2; a smaller miss counts as met
 
-MAX_SEED = 2**63 - 1  # what torch takes, less the stages of a codebook
+MAX_SEED = 2**63 - 1  # a seed of torch is below 2^64, and each stage of a codebook adds to it
 
 
 @dataclass(frozen=True)
 class Stats:
     """The figures of an encode.
 
-    psnr (dB), ms_ssim and ssimulacra2 (up to 100) are of the decoded file. The latter two are None unless encode() was
-    asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured where looks were asked
-    for. With alpha, they are means over the picture on black and on white. source_bytes: size of the
-    image file, None for arrays; psnr_missed_db, looks_missed: how far the file is below the requested PSNR, or
-    SSIMULACRA 2, None if none was requested.
+    psnr (dB), ms_ssim and ssimulacra2 (up to 100) describe the decoded file. ms_ssim and ssimulacra2 are None unless
+    encode() was asked to measure them, and for sides below 161 and 8 pixels; ssimulacra2 is also measured for a budget
+    of looks. With alpha, all three compare the picture over black and over white. source_bytes: size of the image file,
+    None for arrays; psnr_missed_db, looks_missed: how far the file is below the requested PSNR or SSIMULACRA 2, None if
+    none was requested.
     """
 
     bytes: int
@@ -81,12 +90,12 @@ class Stats:
 
     @property
     def warnings(self) -> list[str]:
-        """Ways in which the file may disappoint, one sentence each."""
+        """Possible disappointments, one sentence each."""
         found = []
-        if self.psnr_missed_db is not None and self.psnr_missed_db >= SEEN_DB:
+        if self.psnr_missed_db is not None and self.psnr_missed_db >= REPORTED_MISS_DB:
             missed = f"{self.psnr_missed_db:.2f} dB: the file has {self.psnr:.2f} dB"
             found.append(f"the requested PSNR is missed by {missed}")
-        if self.looks_missed is not None and self.looks_missed >= SEEN_LOOKS:
+        if self.looks_missed is not None and self.looks_missed >= REPORTED_MISS_LOOKS:
             found.append(
                 f"the requested looks are missed by {self.looks_missed:.1f}: the file has {self.ssimulacra2:.1f}"
             )
@@ -102,7 +111,7 @@ class Stats:
         return found
 
     def to_dict(self) -> dict[str, object]:
-        """Plain JSON types, warnings included; a lossless result has psnr None."""
+        """Return plain JSON types, warnings included; psnr is None for a lossless result."""
         psnr = self.psnr if math.isfinite(self.psnr) else None
         return {**asdict(self), "psnr": psnr, "warnings": self.warnings}
 
@@ -116,8 +125,8 @@ class Encoded:
     trace: list[TracePoint] = field(repr=False)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the file, completely or, after an OSError, not at all."""
-        write_atomically(own_path(path), self.data)
+        """Write the file completely, or raise OSError and leave the path as it was."""
+        write_atomically(checked_path(path), self.data)
 
 
 def encode(
@@ -170,16 +179,16 @@ def encode(
     3 s.
     on_preview: called from time to time by profile rd with a file of its current state, which may exceed the budget.
     device: a PyTorch device for the fit, such as "cuda"; None and "cpu" mean the compiled kernels.
-    measure: also measure MS-SSIM and SSIMULACRA 2 of the file, which takes as long as much of a small file's encode.
+    measure: also measure MS-SSIM and SSIMULACRA 2, which takes a large part of the time of a small encode.
 
     Anything dropped from the input raises an ImageWarning. Raises ImageError for anything that is not a picture,
     BudgetError for a budget that no file can meet, SgError for a device that is missing, OSError for a path that cannot
     be read, and MemoryError.
     """
-    clock, limit_s = Clock(stop), _own_time_limit(time_limit_s)
-    seed = whole(seed, "the seed", 0, MAX_SEED, BudgetError)
+    clock, limit_s = Clock(stop), _checked_time_limit(time_limit_s)
+    seed = checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError)
     kinds: dict[BudgetKind, float | None] = {"bpp": bpp, "bytes": bytes, "psnr": psnr, "quality": quality}
-    kinds |= {"looks": None if looks is None else looks_of(looks), "gaussians": gaussians}
+    kinds |= {"looks": None if looks is None else looks_value(looks), "gaussians": gaussians}
     budget = _only_budget(budget, kinds)
     tuned_for = tuning(tune, checked_profile(profile), budget)
     effort, backend = checked_effort(effort), backend_on(device)
@@ -187,14 +196,14 @@ def encode(
     pixels = read_input(image, keep_alpha=isinstance(settings, RdSettings))
     height, width, channels = pixels.shape
     if budget is DEFAULT_BUDGET:
-        budget = unasked(width, height, smallest_file(settings, has_alpha=channels == 4))
+        budget = default_budget(width, height, smallest_file(settings, has_alpha=channels == 4))
     deadline_settings = settings.deadline if isinstance(settings, RdSettings) else None
     deadline = Deadline(clock, limit_s, width * height, deadline_settings)
-    recorder = Recorder(clock, on_progress, on_preview or shown_to_nobody)
+    recorder = Recorder(clock, on_progress, on_preview)
     if isinstance(settings, RdSettings):
         data, steps = _rd(pixels, budget, tuned_for, settings, deadline, recorder, seed, backend)
     else:
-        from sgmethod.paper import encode as paper  # and torch with it
+        from sgmethod.paper import encode as paper  # imports torch
 
         request = paper.Request(pixels, budget, profile, settings, deadline, recorder, backend, seed)
         data, steps = paper.encode(request)
@@ -208,7 +217,7 @@ def encode(
 
 
 def _missed(budget: Budget, stats: Stats) -> tuple[float | None, float | None]:
-    """By how much a file misses a PSNR and looks, None for what was not asked for."""
+    """Shortfall from the requested PSNR (dB) and looks; None where not requested."""
     psnr_missed = max(budget.value - stats.psnr, 0.0) if budget.kind == "psnr" else None
     if budget.kind != "looks" or stats.ssimulacra2 is None:
         return psnr_missed, None
@@ -216,9 +225,9 @@ def _missed(budget: Budget, stats: Stats) -> tuple[float | None, float | None]:
 
 
 def _file_bytes(image: Input) -> int | None:
-    """The size of the image file, if there is one."""
+    """Size of the image file; None for Pillow images and arrays."""
     if isinstance(image, str | os.PathLike):
-        return Path(image).stat().st_size or None  # a pipe has none
+        return Path(image).stat().st_size or None  # 0 for a pipe
     return memoryview(image).nbytes if isinstance(image, bytes | bytearray | memoryview) else None
 
 
@@ -232,11 +241,11 @@ def _rd(
     seed: int,
     backend: Backend,
 ) -> tuple[builtins.bytes, int]:
-    """The file of profile rd for pixels [H, W, 3 or 4], and the steps it took."""
+    """Encode pixels [H, W, 3 or 4] with profile rd; return the file and its number of steps."""
     height, width, channels = pixels.shape
     objective = Objective.of(np.ascontiguousarray(pixels[..., :3]), tune, settings.objective)
-    rate = RateControl.of(budget, (width, height), settings, has_alpha=channels == 4)
-    if rate.is_short and Histogram(objective.pixels).is_most:
+    rate = rate_of(budget, (width, height), settings, has_alpha=channels == 4)
+    if isinstance(rate, ByteBudget) and rate.is_short and Histogram(objective.pixels).has_majority:
         rate = rate.for_exact_background()
     request = Request(objective, rate, deadline, backend, settings, recorder, seed)
     if channels == 4:
@@ -247,7 +256,7 @@ def _rd(
 
 
 def _only_budget(budget: Budget | None, kinds: dict[BudgetKind, float | None]) -> Budget:
-    """The budget given, or the default. Raises BudgetError for more than one."""
+    """Return the budget given, or the default. Raises BudgetError for more than one."""
     given = [Budget(kind, value) for kind, value in kinds.items() if value is not None]
     if budget is not None:
         if not isinstance(budget, Budget):
@@ -266,8 +275,7 @@ def _measured(
     asked: tuple[str, Tune, int],
     measures: Sequence[Measure],
 ) -> Encoded:
-    """Decode the file and measure it against pixels [H, W, 3 or 4]. asked: profile, tuning, effort; measures: besides
-    PSNR."""
+    """Decode a file and measure it against pixels. asked: profile, tuning, effort; measures: in addition to PSNR."""
     file = SgFile(data)
     decoded, source = on_backgrounds(file.pixels()), on_backgrounds(pixels)
     height, width = pixels.shape[:2]
@@ -293,15 +301,15 @@ def _measured(
 
 
 def _mean(figures: Iterable[float | None]) -> float | None:
-    """None where there are none."""
+    """Mean of the figures that are not None; None if all are."""
     found = [one for one in figures if one is not None]
     return statistics.fmean(found) if found else None
 
 
-def _own_time_limit(seconds: float | None) -> float | None:
+def _checked_time_limit(seconds: float | None) -> float | None:
     if seconds is None:
         return None
-    number = own_number(seconds)
+    number = finite_number(seconds)
     if number is None or not 0 < number <= sys.float_info.max:
         raise BudgetError(f"the time limit must be a positive number of seconds, got {seconds!r}")
     return float(number)

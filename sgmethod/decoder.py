@@ -11,19 +11,17 @@ from numpy.typing import NDArray
 from sgmethod.bitstream import container
 from sgmethod.bitstream.stream import OVERLAP, Info, Limits, Stream
 from sgmethod.bitstream.text import file_of
-from sgmethod.budget import whole
+from sgmethod.budget import checked_integer
 from sgmethod.errors import BitstreamError, ViewError
-from sgmethod.io.files import own_path
+from sgmethod.io.files import checked_path
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians, Scene
 from sgmethod.view import View, recut
 
 File = str | os.PathLike[str] | bytes
 WHOLE = View()
-MOST = 2**63 - 1  # of a limit
-MAX_PIXELS = (
-    100_000_000  # 300 MB of output, and what ImageLimits lets in; a header can claim any size, memory cannot follow any
-)
+MAX_LIMIT = 2**63 - 1
+MAX_PIXELS = 100_000_000  # 300 MB of output, as many as ImageLimits reads: a damaged header may claim any size
 
 
 def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, texture: bool = True) -> NDArray[np.uint8]:
@@ -42,7 +40,7 @@ def decode(data: File, max_pixels: int = MAX_PIXELS, view: View = WHOLE, *, text
 
 
 def info(data: File, max_gaussians: int | None = None) -> Info:
-    """The header of an .sg file, and how its bits are spent.
+    """Read the header of an .sg file, and how its bits are spent.
 
     >>> sgmethod.info("photo.sg").width
     128
@@ -52,7 +50,7 @@ def info(data: File, max_gaussians: int | None = None) -> Info:
     OSError.
     """
     if max_gaussians is not None:
-        max_gaussians = whole(max_gaussians, "max_gaussians", 0, MOST)
+        max_gaussians = checked_integer(max_gaussians, "max_gaussians", 0, MAX_LIMIT)
     return container.info(_bytes_of(data), Limits(max_gaussians=max_gaussians))
 
 
@@ -72,11 +70,12 @@ class SgFile:
     """
 
     def __init__(self, data: File, max_pixels: int = MAX_PIXELS) -> None:
-        """data: the path or bytes of a file, or of its text; max_pixels: limit for the picture and each view.
+        """Open and check a file.
 
+        data: the path or bytes of a file, or of its text; max_pixels: limit for the picture and each view.
         Raises BitstreamError and OSError.
         """
-        self._limits = Limits(whole(max_pixels, "max_pixels", 0, MOST))
+        self._limits = Limits(checked_integer(max_pixels, "max_pixels", 0, MAX_LIMIT))
         self._data = _bytes_of(data)
         self._stream = container.parse(self._data, self._limits)
 
@@ -92,22 +91,22 @@ class SgFile:
 
     @property
     def info(self) -> Info:
-        """The header, and how the bits are spent."""
+        """Header fields, and how the bits are spent."""
         return self._stream.info(len(self._data), container.checksum(self._data))
 
     @property
     def background(self) -> tuple[float, float, float]:
-        """What lies below the Gaussians: red, green and blue, 1 being full white."""
+        """Colour below the Gaussians: red, green and blue in [0, 1]."""
         red, green, blue = self._stream.background
         return red / 255, green / 255, blue / 255
 
     def gaussians(self) -> Gaussians:
-        """The Gaussians, the largest first from version 3 on. Those of alpha, and texture, are not among them.
+        """Return the Gaussians, the largest first in version 2, without those of alpha and without texture.
 
         >>> sgmethod.open("photo.sg").gaussians().means.dtype
         dtype('float32')
 
-        Gaussians of version 1, which extend farther, are converted to the nearest of later versions. Raises
+        Gaussians of version 1 extend farther, and are converted to the closest ones of version 2. Raises
         BitstreamError and MemoryError.
         """
         scene = self._stream.scene()
@@ -123,10 +122,10 @@ class SgFile:
         width: int | None = None,
         height: int | None = None,
     ) -> NDArray[np.uint8]:
-        """The picture or a view of it, 8-bit sRGB [height, width, 3 or 4].
+        """Draw the picture or a view of it: 8-bit sRGB [height, width, 3 or 4].
 
-        scale, region, prefix, texture: as sgmethod.View documents them; width, height: in place of a scale, pixels
-        within which the picture is as large as possible.
+        scale, region, prefix, texture: see sgmethod.View; width, height: instead of a scale, pixels into which the
+        picture is fitted.
         Raises ViewError for an invalid view, BitstreamError for one with too many pixels, and MemoryError.
         """
         return self._draw(View(scale, region, prefix, texture).within(self.size, width, height))
@@ -145,14 +144,14 @@ class SgFile:
 
 def _bytes_of(file: File) -> bytes:
     if isinstance(file, str | os.PathLike):
-        file = own_path(file, BitstreamError).read_bytes()
+        file = checked_path(file, BitstreamError).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
         return file_of(bytes(file))
     raise BitstreamError(f"an .sg file must be a path or bytes, not {type(file).__name__}")
 
 
 def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDArray[np.uint8]:
-    """What draw() makes of the stream's scene, in less time. Raises as scene() and draw() do."""
+    """Return draw(stream.scene(prefix)), in less time. Raises the same errors."""
     laid_out = stream.lay_out(prefix, texture)
     if laid_out is None:
         return draw(stream.scene(prefix))
@@ -161,9 +160,9 @@ def draw_whole(stream: Stream, prefix: float = 1.0, texture: bool = True) -> NDA
 
 
 def draw(scene: Scene) -> NDArray[np.uint8]:
-    """Pixels [height, width, 3 or 4]. They are the same on every instruction set and for every number of threads.
+    """Draw pixels [height, width, 3 or 4], identical on every instruction set and for every number of threads.
 
-    Raises BitstreamError where the Gaussians overlap so much that drawing them would take unbounded time.
+    Raises BitstreamError if the Gaussians overlap so much that drawing them would take unbounded time.
     """
     pixels = _drawn(scene)
     return pixels if scene.alpha is None else _with_alpha(pixels, _drawn(scene.alpha))
@@ -182,7 +181,7 @@ def _drawn(scene: Scene) -> NDArray[np.uint8]:
             pyramid=scene.pyramid,
             x=x,
             y=y,
-            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift, t.is_banded),
+            texture=None if t is None else native.Texture(t.codes, *t.cell, *t.corner, t.shift),
         )
     except OverflowError as error:
         raise BitstreamError(OVERLAP) from error
@@ -197,5 +196,5 @@ def _picture(raster: native.Rasterization, colors: FloatArray, background: tuple
 
 
 def _with_alpha(colours: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """[height, width, 4] from two pictures, of which the second is grey."""
+    """Combine colours [height, width, 3] and a grey picture of alpha to [height, width, 4]."""
     return np.concatenate([colours, alpha[..., :1]], axis=2)

@@ -1,4 +1,4 @@
-"""The errors a caller can expect.
+"""Errors and warnings that a caller can expect.
 
 SgError                 base of all errors that this package raises, with one clear sentence
 ├── ImageError          the input is not an image that can be read, or exceeds the limits
@@ -8,7 +8,7 @@ SgError                 base of all errors that this package raises, with one cl
 ├── BudgetError         the budget is invalid, or too small for any file
 ├── ServerError         the service cannot be reached, refuses, or fails to encode
 ├── NativeModuleError   the compiled kernels are missing; the message says how to build them
-└── MissingPackageError a package is missing, and is an ImportError too; the message says how to install it
+└── MissingPackageError a package is missing (also an ImportError); the message says how to install it
 
 ImageWarning            something was dropped from the image, and the rest is used
 """
@@ -57,7 +57,7 @@ class MissingPackageError(SgError, ImportError):
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
-    """Raise MissingPackageError for imports that fail for want of this extra."""
+    """Raise MissingPackageError if an import fails because the extra `name` is not installed."""
     try:
         yield
     except ImportError as error:

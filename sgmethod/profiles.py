@@ -1,4 +1,4 @@
-"""Profiles, tunings and efforts by name. No PyTorch here, because the service validates with this module."""
+"""Profiles, tunings and efforts by name, without PyTorch, because the service validates with this module."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ __all__ = [
 PROFILES: dict[str, PaperSettings | RdSettings] = {"rd": RD, "baseline": BASELINE, "paper": PAPER}
 PROFILE_NAMES = tuple(PROFILES)
 DEFAULT_PROFILE = "rd"
-DEFAULT_TUNE: Tune = "visual"  # where profile and budget leave the choice
+DEFAULT_TUNE: Tune = "visual"  # if profile and budget allow both
 
 
 def checked_profile(profile: str) -> str:
-    """One of PROFILE_NAMES. Raises BudgetError for anything else."""
+    """Return `profile` if it is one of PROFILE_NAMES. Raises BudgetError for anything else."""
     if not isinstance(profile, str) or profile not in PROFILES:
         raise BudgetError(f"unknown profile {profile!r}; use one of {', '.join(PROFILES)}")
     return profile
 
 
 def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
-    """The requested tuning, or the default for this profile and budget.
+    """Return the requested tuning, or the default for this profile and budget.
 
     Raises BudgetError for an unknown one, and for "visual" with a budget in dB or a profile other than rd.
     """
@@ -56,15 +56,14 @@ def tuning(tune: str | None, profile: str, budget: Budget) -> Tune:
 
 
 def checked_effort(effort: object) -> int:
-    """One of EFFORTS. Raises BudgetError for anything else."""
+    """Return `effort` as an int if it is one of EFFORTS. Raises BudgetError for anything else."""
     if isinstance(effort, bool) or not isinstance(effort, Integral) or effort not in EFFORTS:
         raise BudgetError(f"effort must be a whole number from {min(EFFORTS)} to {max(EFFORTS)}, got {effort!r}")
     return int(effort)
 
 
 def settings_of(profile: str, effort: int) -> PaperSettings | RdSettings:
-    """The settings of a profile with an effort. Raises BudgetError for a non-default effort of profiles other than
-    rd."""
+    """Return a profile's settings. Raises BudgetError for a non-default effort of profiles other than rd."""
     settings = PROFILES[profile]
     if isinstance(settings, RdSettings):
         return settings if effort == DEFAULT_EFFORT else replace(settings, effort=EFFORTS[effort])

@@ -1,4 +1,4 @@
-"""What a decoder draws: a set of Gaussians, and the picture that they make."""
+"""Scenes: a set of Gaussians, and everything else that drawing them needs."""
 
 from __future__ import annotations
 
@@ -29,13 +29,12 @@ class Gaussians:
 
     @classmethod
     def empty(cls, n: int) -> Gaussians:
-        """n Gaussians whose values are not set."""
+        """Allocate n Gaussians with uninitialised values."""
         return cls(*(np.empty((n, width), np.float32) for width in (2, 3, 3)))
 
     @classmethod
     def from_covariances(cls, means: Floats, covariances: Floats, colors: Floats) -> Gaussians:
-        """The same from covariances [N, 2, 2] in pixels squared. Those that are not positive
-        definite give factors of nan."""
+        """Build Gaussians from covariances [N, 2, 2] in pixels squared; factors are NaN unless positive definite."""
         (xx, xy), (_, yy) = np.moveaxis(np.asarray(covariances, np.float64), 0, -1)
         with np.errstate(invalid="ignore", divide="ignore"):
             l1 = np.sqrt(xx)
@@ -44,53 +43,51 @@ class Gaussians:
 
     @property
     def covariances(self) -> FloatArray:
-        """[N, 2, 2] in pixels squared."""
+        """Covariances [N, 2, 2] in pixels squared."""
         l1, l2, l3 = self.factors.T
         return np.stack([l1 * l1, l1 * l2, l1 * l2, l2 * l2 + l3 * l3], 1).reshape(-1, 2, 2)
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(means, factors, colors)."""
+        """The tuple (means, factors, colors)."""
         return self.means, self.factors, self.colors
 
     def copy(self) -> Gaussians:
-        """The same values in memory of their own."""
+        """Return a deep copy."""
         return Gaussians(*(values.copy() for values in self.arrays))
 
     def rows(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> Gaussians:
-        """The Gaussians of these rows, in their order."""
+        """Return the Gaussians at `index`, in its order."""
         return Gaussians(*(values[index] for values in self.arrays))
 
     def with_more(self, new: Gaussians) -> Gaussians:
-        """These Gaussians, followed by new ones."""
+        """Return these Gaussians followed by new ones."""
         return Gaussians(*(np.concatenate(pair) for pair in zip(self.arrays, new.arrays, strict=True)))
 
 
 @dataclass(frozen=True)
 class Texture:
-    """Noise from a seed, which is drawn with the Gaussians (docs/format.md, versions 4 and 5).
+    """Noise from a seed, drawn together with the Gaussians (docs/format.md, version 2).
 
-    codes [octaves, rows, columns]: its strengths in the middles of the picture's cells, 0 for none;
-    cell: sides (x, y) of a cell; corner: that of the picture (x, y), in the coordinates of the means;
-    shift: octave o is drawn on level o + shift of the pyramid, and not at all below level 0;
-    is_banded: whether the noise of an octave leaves lower frequencies alone, as since version 5, or is white.
+    codes [octaves, rows, columns]: strengths at the centres of the picture's cells, 0 for none;
+    cell: sides (x, y) of a cell; corner: the picture's corner (x, y), in the coordinates of the means;
+    shift: octave o is drawn on level o + shift of the pyramid, or not at all below level 0.
     """
 
     codes: NDArray[np.uint8]
     cell: tuple[float, float]
     corner: tuple[float, float] = (0.0, 0.0)
     shift: int = 0
-    is_banded: bool = True
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that drawing a picture needs. Every version of the file format gives one.
+    """Everything needed to draw a picture, the same for every version of the file format.
 
     width, height: pixels; background: 8-bit RGB, below all Gaussians; cutoff: sigma at which a Gaussian ends;
-    pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 4); origin: the first pixel
-    (x, y) that is drawn, in the coordinates of the means; texture: in a pyramid alone; alpha: a grey scene of the same
-    pixels, white where the picture is opaque.
+    pyramid: whether wide Gaussians are drawn on coarser levels (docs/format.md, version 2); origin: the first pixel
+    (x, y) drawn, in the coordinates of the means; texture: only with a pyramid; alpha: a grey scene of the same size,
+    white where the picture is opaque.
     """
 
     gaussians: Gaussians

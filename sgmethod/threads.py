@@ -1,4 +1,4 @@
-"""What numpy and OpenCV compute, on as many threads as the kernels have: both let go of Python's lock meanwhile."""
+"""A thread pool for NumPy and OpenCV, which release Python's lock while they compute."""
 
 from __future__ import annotations
 
@@ -15,13 +15,16 @@ Result = TypeVar("Result")
 
 
 def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """The result for each item, in their order. The first error is raised; a function must not call this itself."""
+    """Map a function over items on as many threads as the kernels use; results in order.
+
+    The first error is raised. The function must not call in_parallel() itself.
+    """
     threads, items = native.thread_count(), list(items)
     if threads > 1:
         pool = _pool(threads)
         try:
             return list(pool.map(function, items))
-        except RuntimeError:  # the system allows no more threads, or the error is the function's, which raises it again
+        except RuntimeError:  # no more threads allowed; an error of the function itself is raised again below
             _pool.cache_clear()
             pool.shutdown()
     return [function(item) for item in items]
@@ -29,9 +32,9 @@ def in_parallel(function: Callable[[Item], Result], items: Iterable[Item]) -> li
 
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    """Kept, since to start threads takes as long as a small picture."""
+    """Thread pool, kept because starting threads takes as long as computing a small picture."""
     return ThreadPoolExecutor(threads, "sgmethod")
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows
-    os.register_at_fork(after_in_child=_pool.cache_clear)  # which has none of its threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked child has none of the pool's threads

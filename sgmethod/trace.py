@@ -1,4 +1,4 @@
-"""What an encode reports while it runs: error against time."""
+"""Progress of an encode: error against time."""
 
 from __future__ import annotations
 
@@ -25,14 +25,10 @@ class TracePoint:
     phase: str
 
     def to_dict(self) -> dict[str, float | int | str]:
-        """The point as plain JSON types."""
+        """Return the point as plain JSON types."""
         return asdict(self)
 
 
 Progress = Callable[[TracePoint], None]
 Stop = Callable[[], bool]
 Preview = Callable[[bytes], None]
-
-
-def shown_to_nobody(_: bytes) -> None:
-    """The default preview callback."""

@@ -1,8 +1,8 @@
-"""Any size, any part: Gaussians have no pixels, so a picture is drawn directly at the requested size.
+"""Views: a picture, or part of it, drawn directly at the requested size, since Gaussians have no pixels.
 
-Enlarging draws the same functions on a finer grid. Reducing needs a low-pass filter against aliasing: each Gaussian is
-widened by the variance that is missing, (1 - s^2) PIXEL_VARIANCE output pixels squared at scale s, with the same total
-weight (docs/format.md).
+Enlarging draws the same functions on a finer grid. Reducing needs a low-pass filter against aliasing: at scale s, each
+Gaussian's variance grows by (1 - s^2) PIXEL_VARIANCE output pixels squared, with the same total weight
+(docs/format.md).
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ from numbers import Integral
 
 import numpy as np
 
-from sgmethod.budget import own_number, whole
+from sgmethod.budget import checked_integer, finite_number
 from sgmethod.errors import ViewError
 from sgmethod.native import native
 from sgmethod.scene import Gaussians, Scene, Texture
 
-PIXEL_VARIANCE = 1 / 12  # of a box one pixel wide
+PIXEL_VARIANCE = 1 / 12  # variance of a box one pixel wide
 MIN_SCALE, MAX_SCALE = 1 / 64, 64.0
-FAR = 1 << 16  # output pixels; coordinates stay below, for single precision. A multiple of every level's samples.
-WHOLE = 50.0  # sigma at which nothing is left of a Gaussian that has no end
+# Output pixels; coordinates stay below, for single precision. A multiple of the width of every level's samples.
+MAX_COORDINATE = 1 << 16
+NO_CUTOFF = 50.0  # sigma at which nothing is left of a Gaussian without cut-off
 
 
 @dataclass(frozen=True)
@@ -30,8 +31,8 @@ class View:
     """The part of a picture to draw, and its size.
 
     scale: output pixels per pixel of the picture; region: (x, y, width, height) in pixels of the picture, None for all
-    of it; prefix: fraction of the file to decode, above 0 and up to 1 (profile rd, whose files begin with the largest
-    Gaussians); texture: whether to draw the file's texture, if it has any.
+    of it; prefix: fraction of the file to decode, above 0 and up to 1 (profile rd only: its files begin with the
+    largest Gaussians); texture: whether to draw the file's texture, if it has any.
     Raises ViewError for values out of range.
     """
 
@@ -41,36 +42,36 @@ class View:
     texture: bool = True
 
     def __post_init__(self) -> None:
-        scale, prefix = own_number(self.scale), own_number(self.prefix)
+        scale, prefix = finite_number(self.scale), finite_number(self.prefix)
         if scale is None or not MIN_SCALE <= scale <= MAX_SCALE:
             raise ViewError(f"scale must be between {MIN_SCALE} and {MAX_SCALE:g}, got {self.scale!r}")
         if prefix is None or not 0 < prefix <= 1:
             raise ViewError(f"prefix must be above 0 and at most 1, got {self.prefix!r}")
-        own = {"scale": scale, "region": _own_region(self.region), "prefix": prefix, "texture": bool(self.texture)}
+        own = {"scale": scale, "region": _checked_region(self.region), "prefix": prefix, "texture": bool(self.texture)}
         for name, value in own.items():
             object.__setattr__(self, name, value)
 
     @property
     def is_whole(self) -> bool:
-        """Whether this is the whole picture at its own size."""
+        """Whether the view is the whole picture at its own size."""
         return self.scale == 1 and self.region is None
 
     def area(self, width: int, height: int) -> tuple[int, int, int, int]:
-        """x, y, width, height of the part drawn. Raises ViewError unless it lies within the picture."""
+        """Return (x, y, width, height) of the part drawn. Raises ViewError unless it lies within the picture."""
         x, y, w, h = self.region or (0, 0, width, height)
         if x < 0 or y < 0 or w < 1 or h < 1 or x + w > width or y + h > height:
             raise ViewError(f"the region {x},{y},{w},{h} is not inside the picture of {width} x {height} pixels")
         return x, y, w, h
 
     def size(self, width: int, height: int) -> tuple[int, int]:
-        """Width and height of the output in pixels, each at least 1."""
+        """Return width and height of the output in pixels, each at least 1."""
         _, _, w, h = self.area(width, height)
         return max(round(w * self.scale), 1), max(round(h * self.scale), 1)
 
     def within(self, size: tuple[int, int], width: int | None, height: int | None) -> View:
-        """The same part, as large as it may be within this width and height; None is no limit.
+        """Scale the same part to fit into width and height; None is no limit.
 
-        size: of the picture. Raises ViewError, as for a view that has a scale already.
+        size: width and height of the picture. Raises ViewError, also if the view already has a scale.
         """
         _, _, *part = self.area(*size)
         limits = [(limit, side) for limit, side in zip((width, height), part, strict=True) if limit is not None]
@@ -78,20 +79,22 @@ class View:
             return self
         if self.scale != 1:
             raise ViewError("scale cannot be combined with width or height")
-        scales = [whole(limit, "a width or height", 1, FAR, ViewError) / side for limit, side in limits]
+        scales = [
+            checked_integer(limit, "a width or height", 1, MAX_COORDINATE, ViewError) / side for limit, side in limits
+        ]
         return replace(self, scale=min(scales))
 
     def apply(self, scene: Scene) -> Scene:
-        """The scene in output pixels, low-passed where that is a reduction. Raises ViewError as area() does."""
+        """Convert a scene to output pixels, low-passed if that reduces it. Raises ViewError like area()."""
         texture = scene.texture if self.texture else None
         if self.is_whole:
             return scene if texture is scene.texture else replace(scene, texture=None)
         x, y, w, h = self.area(scene.width, scene.height)
         width, height = self.size(scene.width, scene.height)
-        # The two may differ by rounding, so that the output's edges are the region's edges.
+        # Rounding makes the two differ slightly, so that the output's edges are exactly the region's.
         scale = width / w, height / h
-        # In a pyramid a part keeps its place, so that it is what it would be in the whole picture.
-        origin = (int(x * scale[0]) % FAR, int(y * scale[1]) % FAR) if scene.pyramid else (0, 0)
+        # Samples of a pyramid's levels depend on coordinates: a part keeps its own, to look as in the whole picture.
+        origin = (int(x * scale[0]) % MAX_COORDINATE, int(y * scale[1]) % MAX_COORDINATE) if scene.pyramid else (0, 0)
         widening = PIXEL_VARIANCE / variance(scene.cutoff)
         gaussians = _resized(scene.gaussians, (x, y), origin, scale, widening)
         if texture is not None:
@@ -101,7 +104,7 @@ class View:
         return replace(drawn, texture=texture, alpha=alpha)
 
 
-def _own_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | None:
+def _checked_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | None:
     if region is None:
         return None
     numbers = list(region) if isinstance(region, Iterable) else []
@@ -112,7 +115,7 @@ def _own_region(region: Iterable[int] | None) -> tuple[int, int, int, int] | Non
 
 
 def variance(cutoff: float) -> float:
-    """Of a weight exp(-sigma) - exp(-cutoff), in those of a whole Gaussian: its second moment over its integral."""
+    """Variance of the weight exp(-sigma) - exp(-cutoff), relative to the Gaussian without cut-off."""
     floor = math.exp(-cutoff)
     return (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
 
@@ -120,7 +123,7 @@ def variance(cutoff: float) -> float:
 def _resized_texture(
     texture: Texture, part: tuple[int, int], origin: tuple[int, int], scale: tuple[float, float]
 ) -> Texture:
-    """In output pixels, like _resized. Octaves go to the levels where they are about as large as in the picture."""
+    """Convert a texture to output pixels, each octave on the level where it is about as large as in the picture."""
     sx, sy = scale
     corner = origin[0] - part[0] * sx, origin[1] - part[1] * sy
     shift = (math.frexp(2 * sx * sy)[1] - 1) // 2  # the largest whole number with 4^shift <= 2 sx sy
@@ -130,9 +133,9 @@ def _resized_texture(
 def _resized(
     gaussians: Gaussians, part: tuple[int, int], origin: tuple[int, int], scale: tuple[float, float], widening: float
 ) -> Gaussians:
-    """In output pixels; the corner of the part comes to the origin."""
+    """Convert Gaussians to output pixels; the corner of the part moves to the origin."""
     l1, _, l3 = gaussians.factors.T
-    drawn = (l1 > 0) & (l3 > 0)  # the others add nothing, and must not after they are widened
+    drawn = (l1 > 0) & (l3 > 0)  # the others are invisible, but widening would show them
     sx, sy = scale
     means = (gaussians.means[drawn].astype(np.float64) - part) * scale + origin
     l1, l2, l3 = (gaussians.factors[drawn].astype(np.float64) * (sx, sy, sy)).T
@@ -147,19 +150,21 @@ def _resized(
 
 
 def recut(gaussians: Gaussians, cutoff: float, new_cutoff: float | None = None) -> Gaussians:
-    """The nearest Gaussians that end at sigma = new_cutoff, by default that of files from version 3 on, of ones that
-    end at sigma = cutoff. Both are cut-offs of a version, or WHOLE."""
-    new_cutoff = native.CUTOFF_V3 if new_cutoff is None else new_cutoff
+    """Convert Gaussians cut off at sigma = cutoff to the closest ones cut off at new_cutoff.
+
+    Both are the cut-off of a file version, or NO_CUTOFF. The default is that of version 2.
+    """
+    new_cutoff = native.CUTOFF_V2 if new_cutoff is None else new_cutoff
     if cutoff == new_cutoff:
         return gaussians
-    # How much wider the nearest one is that ends at CUTOFF_V3, of all with the same integral, by least squares. The
-    # root mean square of the difference is 5 % and 6 % of the Gaussian's.
-    wider_by = {native.CUTOFF_V3: 1.0, native.CUTOFF_V1: 1.094, WHOLE: 1.108}
+    # Least-squares widening for cut-off CUTOFF_V2 at the same integral. The root mean square of the difference is 5 %
+    # and 6 % of the Gaussian's.
+    wider_by = {native.CUTOFF_V2: 1.0, native.CUTOFF_V1: 1.094, NO_CUTOFF: 1.108}
     wider = wider_by[cutoff] / wider_by[new_cutoff]
     gain = _integral(cutoff) / (_integral(new_cutoff) * wider**2)
     return Gaussians(gaussians.means, gaussians.factors * np.float32(wider), gaussians.colors * np.float32(gain))
 
 
 def _integral(cutoff: float) -> float:
-    """Of a weight exp(-sigma) - exp(-cutoff), in those of a whole Gaussian."""
+    """Integral of the weight exp(-sigma) - exp(-cutoff), relative to the Gaussian without cut-off."""
     return 1 - math.exp(-cutoff) * (1 + cutoff)

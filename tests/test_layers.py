@@ -18,30 +18,6 @@ import sgmethod
 from tests.harness.data import PHOTOGRAPHS, ROOT, golden_path
 
 FACES = {"sgmethod": sgmethod.__doc__ or "", "service": service.__doc__ or ""}
-OUTSIDE = {"__init__", "__main__"}  # a package's face and its command: they import what they hand on
-
-ENCODER = (
-    r"sgmethod\.(codec|rd|paper|fitting|start|previews)\b|from sgmethod import .*\b(codec|encode|preview)\b"
-    r"|(import|from) torch"
-)
-
-EXPORTED = {
-    *(
-        "BitstreamError",
-        "Budget",
-        "BudgetError",
-        "Encoded",
-        "Gaussians",
-        "GaussiansError",
-        "ImageError",
-        "ImageWarning",
-    ),
-    *("Info", "MissingPackageError", "NativeModuleError"),
-    *("ServerError", "SgError", "SgFile", "Stats", "TracePoint", "View", "ViewError"),
-    *("Row", "Tally", "decode", "encode", "encode_many", "info", "open", "pack", "set_threads"),
-    *("read_npz", "read_ply", "write_npz", "write_ply"),
-    *("Preview", "from_text", "preview", "to_text"),
-}
 
 
 def listed(package: str) -> list[str]:
@@ -94,8 +70,10 @@ def test_every_room_is_listed_and_exists(package: str) -> None:
     assert set(listed(package)) == found
 
 
-def test_imports_come_from_above() -> None:
+def test_imports_come_from_above_and_in_no_circle() -> None:
     """Modules of one room may import each other, but nobody a package's face instead of a module."""
+    assert "sgmethod.codec" in IMPORTS["sgmethod.cli.encoding"]  # within a function
+    assert set(IMPORTS) <= set(TopologicalSorter(IMPORTS).static_order())  # raises CycleError
     order = {name: [*listed(name)].index for name in FACES}
     wrong = [
         f"{module} imports {other}"
@@ -105,11 +83,6 @@ def test_imports_come_from_above() -> None:
         if other in FACES or place(room(other)) > place(room(module))
     ]
     assert wrong == []
-
-
-def test_modules_do_not_import_in_a_circle() -> None:
-    order = list(TopologicalSorter(IMPORTS).static_order())  # raises CycleError
-    assert set(IMPORTS) <= set(order)
 
 
 def test_native_rooms_include_from_above() -> None:
@@ -128,63 +101,63 @@ def test_native_rooms_include_from_above() -> None:
     assert included > 50
 
 
-def test_the_imports_are_found() -> None:
-    assert "sgmethod.errors" in IMPORTS["sgmethod.decoder"]
-    assert "sgmethod.native._native" in IMPORTS["sgmethod.native"]
-    assert "sgmethod.bitstream.container" in IMPORTS["sgmethod.decoder"]  # from sgmethod.bitstream import container
-    assert "sgmethod.paper.lattice" in IMPORTS["sgmethod.paper.tuning"]
-    assert "sgmethod.codec" in IMPORTS["sgmethod.cli.encoding"]  # within a function
-    assert "service.web.guards.problems" in IMPORTS["service.web.routes.jobs"]
-    assert room("service.web.guards.problems") == "web/guards/"
-    assert room("service.web.app") == "web/"
+def sources(*places: str) -> dict[str, str]:
+    """The text of each Python file below these folders, or of these files."""
+    found = {}
+    for place in places:
+        paths = [ROOT / place] if place.endswith(".py") else sorted((ROOT / place).rglob("*.py"))
+        assert paths, place
+        found |= {str(path.relative_to(ROOT)): path.read_text() for path in paths}
+    return found
 
 
-def test_the_service_leaves_the_encoder_to_confined_processes() -> None:
-    importing = {name for name, path in modules("service").items() if re.search(ENCODER, path.read_text())}
-    assert importing == {"service.sandbox.tasks"}
+IMPORT = r"^\s*(from|import) "
+# Where it is looked for, what, and the only files that may have it.
+RULES = {
+    "the service leaves the encoder to confined processes": (
+        "service",
+        r"sgmethod\.(codec|rd|paper|fitting|start|previews)\b|from sgmethod import .*\b(codec|encode|preview)\b"
+        rf"|{IMPORT}torch",
+        "service/sandbox/tasks.py",
+    ),
+    "the reference, which is slow, is for tests": ("sgmethod service", IMPORT + r"sgmethod\.backend\.reference", ""),
+    "the encoder computes through its backend": (
+        "sgmethod/rd sgmethod/fitting sgmethod/paper",
+        IMPORT + r"sgmethod\.native",
+        "",
+    ),
+    "profile rd needs no torch": (
+        "sgmethod/rd sgmethod/fitting sgmethod/codec.py sgmethod/backend/protocol.py sgmethod/backend/kernels.py",
+        IMPORT + "torch",
+        "",
+    ),
+    "few know what a file is tuned for": (
+        "sgmethod/rd sgmethod/fitting sgmethod/codec.py",
+        r"\btune\b",
+        "sgmethod/codec.py sgmethod/fitting/objective.py",
+    ),
+    "only a test of measures imports a benchmark": (
+        "tests",
+        IMPORT + "benchmarks",
+        "tests/benchmarks/test_measures.py",
+    ),
+    "the harness imports no test": ("tests/harness", IMPORT + r"tests\.(?!harness)", ""),
+}
 
 
-def test_the_reference_is_for_tests() -> None:
-    """It brings torch, and is slow."""
-    assert [name for name, imports in IMPORTS.items() if "sgmethod.backend.reference" in imports] == []
-
-
-def in_rooms(*rooms: str) -> dict[str, ast.Module]:
-    """Modules of these rooms by name, parsed."""
-    names = [name for name in MODULES if name.split(".")[0] == "sgmethod" and room(name) in rooms]
-    assert {room(name) for name in names} == set(rooms)
-    return {name: ast.parse(MODULES[name].read_text()) for name in names}
-
-
-def test_the_encoder_computes_through_its_backend() -> None:
-    for name in in_rooms("rd/", "fitting/", "paper/"):
-        assert not [other for other in IMPORTS[name] if other.startswith("sgmethod.native")], name
-
-
-def test_only_profile_paper_imports_torch() -> None:
-    names = [*in_rooms("rd/", "fitting/", "codec"), "sgmethod.backend.protocol", "sgmethod.backend.kernels"]
-    imports_torch = re.compile(r"^\s*(import|from) torch\b", re.MULTILINE)
-    assert [name for name in names if imports_torch.search(MODULES[name].read_text())] == []
-
-
-def asks_for_tuning(node: ast.AST) -> bool:
-    """Whether a name, an argument or a string speaks of how a file is tuned."""
-    called = (getattr(node, field, None) for field in ("id", "arg", "attr"))
-    return "tune" in called or (isinstance(node, ast.Constant) and node.value == "visual")
-
-
-def test_few_know_how_a_file_is_tuned() -> None:
-    trees = in_rooms("rd/", "fitting/", "paper/", "codec")
-    asking = {name for name, tree in trees.items() if any(map(asks_for_tuning, ast.walk(tree)))}
-    assert asking == {"sgmethod.codec", "sgmethod.fitting.objective"}
+@pytest.mark.parametrize("rule", RULES)
+def test_only_some_files_have_it(rule: str) -> None:
+    places, pattern, allowed = RULES[rule]
+    found = {name for name, text in sources(*places.split()).items() if re.search(pattern, text, re.MULTILINE)}
+    assert found == set(allowed.split())
 
 
 def test_dataclasses_are_frozen() -> None:
     """So a step changes nothing that another owns."""
     made = {
-        f"{name}.{node.name}": ast.unparse(mark)
-        for name, tree in in_rooms("rd/", "fitting/", "settings/").items()
-        for node in ast.walk(tree)
+        f"{name}: {node.name}": ast.unparse(mark)
+        for name, text in sources("sgmethod/rd", "sgmethod/fitting", "sgmethod/settings").items()
+        for node in ast.walk(ast.parse(text))
         if isinstance(node, ast.ClassDef)
         for mark in node.decorator_list
         if "dataclass" in ast.unparse(mark)
@@ -193,26 +166,16 @@ def test_dataclasses_are_frozen() -> None:
     assert [name for name, mark in made.items() if not re.search(r"\bfrozen=True\b", mark)] == []
 
 
-def test_no_test_imports_a_benchmark() -> None:
-    for path in sorted((ROOT / "tests").rglob("*.py")):
-        assert re.search(r"^\s*(from|import) benchmarks", path.read_text(), re.MULTILINE) is None, path
-
-
-def test_the_harness_imports_no_test() -> None:
-    for path in sorted((ROOT / "tests" / "harness").rglob("*.py")):
-        assert re.search(r"^\s*(from|import) tests\.(?!harness)", path.read_text(), re.MULTILINE) is None, path
-
-
 def test_the_exported_names() -> None:
-    assert sgmethod.__all__ == sorted(EXPORTED)
-    for name in sgmethod.__all__:
-        assert getattr(sgmethod, name) is not None
+    """Those of docs/python.md have a test beside that page's examples (tests/gaussians/test_python_page.py)."""
+    assert sgmethod.__all__ == sorted(sgmethod.__all__)
     own = {
         name
         for name, value in vars(sgmethod).items()
         if not name.startswith("_") and getattr(value, "__module__", "").startswith("sgmethod")
     }
-    assert {name for name in own if not isinstance(getattr(sgmethod, name), ModuleType)} <= EXPORTED
+    assert {name for name in own if not isinstance(getattr(sgmethod, name), ModuleType)} <= set(sgmethod.__all__)
+    assert all(getattr(sgmethod, name) is not None for name in sgmethod.__all__)
     assert sgmethod.__version__ == version("sgmethod")
     with pytest.raises(AttributeError, match="no attribute 'transmogrify'"):
         _ = sgmethod.transmogrify
@@ -221,16 +184,21 @@ def test_the_exported_names() -> None:
 DECODE = """
 import sys
 import sgmethod, sgmethod.cli.main, sgmethod.io.image, sgmethod.profiles
-pixels = sgmethod.decode(sys.stdin.buffer.read())
+path = sys.argv[1]
+assert sgmethod.cli.main.main(["decode", path, path + ".png", "--quiet"]) == 0
+assert sgmethod.info(path).version == 1
+pixels = sgmethod.decode(path)
 sgmethod.set_threads(1)
 print(pixels.shape, pixels.sum())
 print(*sorted({name.split(".")[0] for name in sys.modules}))
 """
 
 
-def test_decoding_imports_neither_torch_nor_the_encoders_libraries() -> None:
+def test_decoding_imports_neither_torch_nor_the_encoders_libraries(tmp_path: Path) -> None:
     data = golden_path("v1-paper.sg").read_bytes()
-    done = subprocess.run([sys.executable, "-c", DECODE], input=data, capture_output=True, check=True, timeout=60)
+    (tmp_path / "picture.sg").write_bytes(data)
+    command = [sys.executable, "-c", DECODE, tmp_path / "picture.sg"]
+    done = subprocess.run(command, capture_output=True, check=True, timeout=60)
     result, imported = done.stdout.decode().splitlines()
     pixels = sgmethod.decode(data)
     assert pixels.any()

@@ -18,7 +18,6 @@ from PIL import Image
 import sgmethod
 from sgmethod.io import formats
 from sgmethod.io.image import read_header
-from sgmethod.native import native
 from sgmethod.profiles import DEFAULT_EFFORT, PROFILES
 from sgmethod.threads import in_parallel
 from tests.rd.short import shortened
@@ -58,40 +57,27 @@ def in_child(function: Callable[[], bytes]) -> bytes:
     raise AssertionError("the child waits for ever")
 
 
-@contextmanager
-def threads(count: int) -> Iterator[None]:
-    before = native.thread_count()
-    sgmethod.set_threads(count)
+@pytest.mark.parametrize(
+    "more", [{}, {"profile": "paper", "bytes": 300, "effort": DEFAULT_EFFORT}], ids=["rd", "torch"]
+)
+def test_a_forked_child_encodes_as_its_parent_did(more: dict[str, object], set_threads: Callable[[int], None]) -> None:
+    set_threads(2)
+    expected = encoded(**more)
+    assert in_child(lambda: encoded(**more)) == expected
+    assert in_child(lambda: in_child(lambda: encoded(**more))) == expected
+
+
+def test_a_child_forked_during_work_of_other_threads_has_threads_of_its_own(set_threads: Callable[[int], None]) -> None:
+    set_threads(2)
+    begun, end = threading.Barrier(3), threading.Event()
+    work = threading.Thread(target=in_parallel, args=(lambda _: (begun.wait(), end.wait()), range(2)))
+    work.start()
+    begun.wait(PATIENCE_S)
     try:
-        yield
+        assert in_child(lambda: bytes(in_parallel(lambda n: n * n, range(9)))) == bytes(n * n for n in range(9))
     finally:
-        sgmethod.set_threads(before)
-
-
-def test_a_forked_child_encodes_as_its_parent_did() -> None:
-    with threads(2):
-        expected = encoded()
-        assert in_child(encoded) == expected
-        assert in_child(lambda: in_child(encoded)) == expected
-
-
-def test_a_forked_child_fits_with_torch() -> None:
-    paper = {"profile": "paper", "bytes": 300, "effort": DEFAULT_EFFORT}
-    expected = encoded(**paper)
-    assert in_child(lambda: encoded(**paper)) == expected
-
-
-def test_a_child_forked_during_work_of_other_threads_has_threads_of_its_own() -> None:
-    with threads(2):
-        begun, end = threading.Barrier(3), threading.Event()
-        work = threading.Thread(target=in_parallel, args=(lambda _: (begun.wait(), end.wait()), range(2)))
-        work.start()
-        begun.wait(PATIENCE_S)
-        try:
-            assert in_child(lambda: bytes(in_parallel(lambda n: n * n, range(9)))) == bytes(n * n for n in range(9))
-        finally:
-            end.set()
-            work.join()
+        end.set()
+        work.join()
 
 
 @pytest.mark.filterwarnings("always::sgmethod.ImageWarning")

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -18,10 +18,9 @@ import pytest
 from PIL import Image, UnidentifiedImageError
 
 import sgmethod
-from service.web.routes.pictures import BITSTREAM_TYPE
+from service.api.files import BITSTREAM_TYPE
 from sgmethod import Budget, BudgetError, ImageError, SgError, SgFile, View, ViewError
-from sgmethod.io import encode_png
-from sgmethod.native import native
+from sgmethod.io.png import encode_png
 from sgmethod.profiles import PROFILES
 from sgmethod.threads import in_parallel
 from tests.harness import profiles
@@ -31,7 +30,7 @@ from tests.rd.short import short
 
 PHOTO = Image.open(PHOTOGRAPHS / "kodim23-crop.png").convert("RGB")  # 128 x 96
 PIXELS = np.asarray(PHOTO)
-GOLDEN = golden_path("v5-color.sg").read_bytes()  # 48 x 40
+GOLDEN = golden_path("v2-color.sg").read_bytes()  # 48 x 40
 
 
 @pytest.fixture(autouse=True)
@@ -88,21 +87,15 @@ def test_pictures_of_pillow_are_taken_as_they_are_seen() -> None:
     [
         (lambda: sgmethod.encode(None), ImageError, "numpy array, not NoneType"),
         (lambda: sgmethod.encode([[1]]), ImageError, "not list"),
-        (lambda: sgmethod.encode(b""), ImageError, "empty"),
-        (lambda: sgmethod.encode(PIXELS.astype(int)), ImageError, "uint8, uint16 or floating-point"),
-        (lambda: sgmethod.encode(Image.new("F", (4, 4))), ImageError, "floats"),
         (lambda: sgmethod.encode(Image.new("RGB", (0, 4))), ImageError, "empty"),
         (lambda: sgmethod.encode(PIXELS, 0.3), BudgetError, "bpp=0.3"),
         (lambda: sgmethod.encode(PIXELS, bpp="0.3"), BudgetError, "positive number, got '0.3'"),
         (lambda: sgmethod.encode(PIXELS, bpp=0.3, psnr=30), BudgetError, "give one budget, not 2: bpp, psnr"),
         (lambda: sgmethod.encode(PIXELS, Budget("bpp", 1), bpp=0.3), BudgetError, "not 2"),
-        (lambda: sgmethod.encode(PIXELS, profile="best"), BudgetError, "unknown profile 'best'"),
-        (lambda: sgmethod.encode(PIXELS, time_limit_s="soon"), BudgetError, "time limit"),
         (lambda: sgmethod.decode(5), SgError, "a path or bytes, not int"),
         (lambda: sgmethod.info(None), SgError, "not NoneType"),
         (lambda: sgmethod.open(b"\xd3"), SgError, "too short"),
         (lambda: sgmethod.open(GOLDEN).pixels(scale="big"), ViewError, "got 'big'"),
-        (lambda: sgmethod.open(GOLDEN).pixels(region=(1, 2, 3)), ViewError, "four whole numbers"),
         (lambda: sgmethod.open(GOLDEN).pixels(region=(0.5, 0, 3, 3)), ViewError, "four whole numbers"),
         (lambda: sgmethod.open(GOLDEN).pixels(prefix=None), ViewError, "got None"),
         (lambda: sgmethod.encode("missing.jpg"), FileNotFoundError, "missing.jpg"),
@@ -115,25 +108,19 @@ def test_what_is_wrong_is_said_in_one_sentence(call: Callable[[], object], error
     assert words in str(caught.value)
 
 
-def test_the_budget_is_the_command_lines() -> None:
+def test_budgets() -> None:
     assert sgmethod.encode(PIXELS).data == sgmethod.encode(PIXELS, bpp=0.3).data
     assert sgmethod.encode(PIXELS, Budget("bytes", 500)).data == encoded(PIXELS)
-    assert sgmethod.encode(PIXELS, gaussians=9).stats.gaussians <= 9
 
 
-def test_paths_and_bytes_are_decoded_alike() -> None:
+def test_files_by_path_and_bytes() -> None:
     pixels = sgmethod.decode(GOLDEN)
     for file in ("picture.sg", Path("picture.sg"), bytearray(GOLDEN), memoryview(GOLDEN)):
         assert np.array_equal(sgmethod.decode(file), pixels)
         assert sgmethod.info(file) == sgmethod.info(GOLDEN)
-
-
-def test_an_open_file() -> None:
     picture = sgmethod.open("picture.sg")
-    assert isinstance(picture, SgFile)
-    assert picture.size == (48, 40)
-    assert picture.info == sgmethod.info(GOLDEN)
-    assert np.array_equal(picture.pixels(), sgmethod.decode(GOLDEN))
+    assert (picture.size, picture.info) == ((48, 40), sgmethod.info(GOLDEN))
+    assert np.array_equal(picture.pixels(), pixels)
     view = View(0.5, (3, 5, 20, 11), 0.7)
     assert np.array_equal(picture.pixels(0.5, (3, 5, 20, 11), 0.7), sgmethod.decode(GOLDEN, view=view))
     assert repr(picture) == f"<SgFile 48 x 40 pixels, {len(GOLDEN)} bytes>"
@@ -202,6 +189,12 @@ def test_pillow_opens_and_saves() -> None:
     with pytest.raises(BudgetError):
         PHOTO.save("none.sg", bpp=-1)
     assert not Path("none.sg").exists()
+    clear = PHOTO.resize((32, 24)).convert("RGBA")
+    clear.putalpha(100)
+    clear.save("clear.sg", bytes=100)
+    with Image.open("clear.sg") as image:
+        assert image.mode == "RGBA"
+        assert np.array_equal(np.asarray(image), sgmethod.decode("clear.sg"))
 
 
 def test_pillow_draws_small_pictures_small(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,11 +218,10 @@ def test_pillow_draws_small_pictures_small(monkeypatch: pytest.MonkeyPatch) -> N
     assert again.size == (48, 40)
 
 
-@pytest.mark.parametrize("damage", ["cut", "changed", "unknown version"])
-def test_pillow_is_told_what_is_wrong(damage: str) -> None:
-    data = {"cut": GOLDEN[:-9], "changed": GOLDEN[:-1] + b"x", "unknown version": b"SGM\x63" + GOLDEN[4:]}[damage]
-    with pytest.raises(UnidentifiedImageError, match=r"checksum|version 99"):
-        Image.open(io.BytesIO(data))
+def test_pillow_is_told_what_is_wrong() -> None:
+    for data in (GOLDEN[:-9], GOLDEN[:-1] + b"x", b"\xd3\xc9" + GOLDEN[2:]):
+        with pytest.raises(UnidentifiedImageError, match=r"checksum|version 9 "):
+            Image.open(io.BytesIO(data))
 
 
 # --- Examples
@@ -248,33 +240,21 @@ def test_examples_in_docstrings(module: str) -> None:
 # --- threads
 
 
-@pytest.fixture
-def threads_as_before() -> Iterator[None]:
-    before = native.thread_count()
-    yield
-    sgmethod.set_threads(before)
-
-
-@pytest.mark.usefixtures("threads_as_before")
+@pytest.mark.usefixtures("set_threads")
 def test_results_are_in_order_and_made_by_as_many_threads_as_told() -> None:
     sgmethod.set_threads(2)
     both = threading.Barrier(2)
     names = in_parallel(lambda _: (both.wait(60), threading.current_thread().name)[1], range(2))
     assert len(set(names)) == 2
-    assert in_parallel(lambda n: n * n, range(50)) == [n * n for n in range(50)]
-    sgmethod.set_threads(1)
+    for threads in (2, 1):
+        sgmethod.set_threads(threads)
+        assert in_parallel(lambda n: n * n, range(50)) == [n * n for n in range(50)]
+        with pytest.raises(ZeroDivisionError):
+            in_parallel(lambda n: 1 // n, [1, 0, 2])
     assert in_parallel(lambda _: threading.current_thread(), range(3)) == [threading.current_thread()] * 3
 
 
-@pytest.mark.usefixtures("threads_as_before")
-@pytest.mark.parametrize("threads", [1, 2])
-def test_the_first_error_is_raised(threads: int) -> None:
-    sgmethod.set_threads(threads)
-    with pytest.raises(ZeroDivisionError):
-        in_parallel(lambda n: 1 // n, [1, 0, 2])
-
-
-@pytest.mark.usefixtures("threads_as_before")
+@pytest.mark.usefixtures("set_threads")
 def test_threads_that_the_system_refuses_are_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
     refused = Mock(side_effect=RuntimeError("can't start new thread"))
     with monkeypatch.context() as patch:

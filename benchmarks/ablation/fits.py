@@ -18,7 +18,7 @@ from benchmarks.ablation.report import REPRESENTATIONS
 from benchmarks.pictures import Pixels
 from benchmarks.speed.sizes import peak_mib
 from sgmethod.backend.kernels import Kernels
-from sgmethod.bitstream.payload import MIN_QUANTUM
+from sgmethod.bitstream.v2 import MIN_QUANTUM
 from sgmethod.budget import Budget
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
@@ -27,11 +27,12 @@ from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.paper import fit as paper
+from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.densify import densify, prune
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.rate_control import RateControl
-from sgmethod.rd.request import Plan, Request, stages
+from sgmethod.rd.plan import Plan, stages
+from sgmethod.rd.request import Request
 from sgmethod.rd.steer import steer
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
@@ -89,7 +90,7 @@ def by_rd(pixels: Pixels, gaussians: int, settings: RdSettings) -> Scene:
     """Profile rd's fit. While Gaussians come and go, bits have their price, which decides well which of them stay; at
     the end bits are free."""
     height, width = pixels.shape[:2]
-    rate = RateControl.of(Budget("gaussians", gaussians), (width, height), settings)
+    rate = rate_of(Budget("gaussians", gaussians), (width, height), settings)
     quantum = 0.8 * settings.rate.gaussians_per_pixel * width * height / gaussians  # leaves a few more to choose from
     objective, clock = Objective.of(pixels, "psnr", settings.objective), Clock()
     rate = replace(rate, quantum=quantum)

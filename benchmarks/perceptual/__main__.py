@@ -18,16 +18,16 @@ import numpy as np
 
 from benchmarks.arguments import numbers
 from benchmarks.machine import RUNS, Record, in_words
+from benchmarks.perceptual.local import local_statistics
 from benchmarks.perceptual.means import KINDS, RIVALS, TITLES, lines
+from benchmarks.perceptual.wasserstein import Wasserstein
 from benchmarks.pictures import Pixels, pictures_in
 from benchmarks.rd import rivals
 from benchmarks.tables import table
 from sgmethod import decode, encode, info
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import MIN_SIDE, ms_ssim, psnr, ssimulacra2
-from sgmethod.metrics.local import local_statistics
 from sgmethod.metrics.perceptual import Networks
-from sgmethod.metrics.wasserstein import Wasserstein
 
 
 def decoded(pixels: Pixels, bpp: float, kinds: Sequence[str]) -> Iterator[tuple[str, int, float, Pixels]]:

@@ -6,9 +6,9 @@ import statistics
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from benchmarks.perceptual import local
 from benchmarks.rd.report import TITLES as NAMES
 from benchmarks.tables import number
-from sgmethod.metrics import local
 
 NAMES = NAMES | {"wasserstein": "Wasserstein"} | {name: name.replace("_", ", ") for name in local.FIGURES}
 WHOLE = ("psnr", "ms_ssim", "ssimulacra2", "lpips", "dists", "wasserstein")

@@ -30,11 +30,11 @@ MAKERS: tuple[tuple[Callable[[Mapping[str, Content]], Page], tuple[str, ...], tu
     ),
     (previews.page, ("previews/kodak",), ()),
     (seen.page, ("perceptual/kodak",), ("perceptual/photographs",)),
-    (stability.page, (), ("version4/stiff", "stability")),
+    (stability.page, (), ("stiff", "stability")),
     (paper.page, (), ("representation", "ablation", "rd/paper", "rd/kodak", "others")),
     (service.page, (), ("service/load", "service/attacks", "service/chaos-sqlite", "service/chaos-postgresql")),
 )
-APART = {"version4/stiff": "picture", "speed": "gaussians"}  # of the CSV, besides the usual
+APART = {"stiff": "picture", "speed": "gaussians"}  # of the CSV, besides the usual
 HEAD = """# Results
 
 Each page answers one question. `python -m benchmarks.report` generates them from the JSON in

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from benchmarks.perceptual import local
 from benchmarks.perceptual.means import BETTER_IF_LOWER, WHOLE, means, rates, worse
 from benchmarks.rd.report import TITLES
 from benchmarks.report.plots import style
 from benchmarks.report.section import Content, Draw, Page, number, several, table
-from sgmethod.metrics import local
 
 SETS = {"perceptual/kodak": "Kodak", "perceptual/photographs": "other photographs"}
 KINDS = {

@@ -24,8 +24,8 @@ VALUE, GRADIENT = (next(key for key in SHORT if word in key) for word in ("pixel
 
 
 def page(contents: Mapping[str, Content]) -> Page:
-    """From version4/stiff.json and stability.json, as far as there are."""
-    stiff, extremes = (contents.get(name) for name in ("version4/stiff", "stability"))
+    """From stiff.json and stability.json, as far as there are."""
+    stiff, extremes = (contents.get(name) for name in ("stiff", "stability"))
     rows = [row for row in extremes["rows"] if row["set"] in SETS] if extremes else []
     lines = [*(stiff_lines(stiff) if stiff else []), *extreme_lines(rows)]
     panels: list[Draw] = [partial(draw, rows=rows, rule=rule) for rule in (VALUE, GRADIENT)] if rows else []
@@ -81,7 +81,7 @@ def extreme_lines(rows: Sequence[dict[str, Any]]) -> list[list[Any]]:
 def draw(axes: Any, rows: Sequence[dict[str, Any]], rule: str) -> None:
     """The error of kernels by the ratio of axes, and its limit."""
     mine = [row for row in rows if row["rule"].startswith(rule) and row["worst"]]
-    for k, version in enumerate(("version 1", "version 4")):
+    for k, version in enumerate(("version 1", "version 2")):
         found = [(re.match(rf"aspect ratio (\S+), {version}", row["case"]), row["worst"]) for row in mine]
         points = [(float(match[1]), worst) for match, worst in found if match]
         axes.plot(*zip(*points, strict=True), **style(k) | {"label": f"files of {version}"})

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.robustness.case import Case, Cases, Found
-from sgmethod.bitstream.payload import MAX_QUANTUM
+from sgmethod.bitstream.v2 import MAX_QUANTUM
 from sgmethod.native import native, reference
 from sgmethod.scene import FloatArray, Gaussians
 
@@ -37,7 +37,7 @@ class Model:
     pyramid: bool
 
 
-MODELS = (Model("version 1", native.CUTOFF_V1, False), Model("version 4", native.CUTOFF_V3, True))
+MODELS = (Model("version 1", native.CUTOFF_V1, False), Model("version 2", native.CUTOFF_V2, True))
 
 
 def cases() -> Cases:

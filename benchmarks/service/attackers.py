@@ -24,6 +24,7 @@ from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_o
 from tests.harness.pictures import SMALL
 
 NICENESS = 19
+HOST = "Host: localhost\r\n"
 PATIENCE_S = 60.0
 PAUSE_S = 0.05  # after a connection that was refused: this machine has few ports
 UPLOAD_BYTES = 64 << 20
@@ -89,7 +90,7 @@ class Crowd:
         """Status and text of the answer."""
         async with self.connection(source) as (reader, writer):
             length = f"Content-Length: {len(body)}\r\n" if body else ""
-            writer.write(f"{head} HTTP/1.1\r\nHost: x\r\nContent-Type: image/*\r\nConnection: close\r\n".encode())
+            writer.write(f"{head} HTTP/1.1\r\n{HOST}Content-Type: image/*\r\nConnection: close\r\n".encode())
             writer.write(length.encode() + b"\r\n")
             with contextlib.suppress(ConnectionError):  # refused before the body was read: the answer is there
                 writer.write(body)
@@ -164,9 +165,7 @@ def slow_uploads() -> Request:
 
     async def drip(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
-            head = (
-                f"POST /encode HTTP/1.1\r\nHost: x\r\nContent-Type: image/*\r\nContent-Length: {UPLOAD_BYTES}\r\n\r\n"
-            )
+            head = f"POST /encode HTTP/1.1\r\n{HOST}Content-Type: image/*\r\nContent-Length: {UPLOAD_BYTES}\r\n\r\n"
             writer.write(head.encode())
             answer = asyncio.ensure_future(reader.readline())
             while not answer.done():
@@ -182,7 +181,7 @@ def streams() -> Request:
 
     async def watch(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
-            writer.write(f"GET /jobs/{crowd.job}/events HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            writer.write(f"GET /jobs/{crowd.job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             status = (await reader.readline()).split()[1].decode()
             if status == "200":
                 while await reader.readline():
@@ -198,7 +197,7 @@ def untaken() -> Request:
     async def ask(crowd: Crowd, source: str) -> str:
         async with crowd.connection(source) as (reader, writer):
             writer.transport.pause_reading()  # type: ignore[attr-defined]
-            writer.write(f"GET /decode/{crowd.job}.png?scale=8 HTTP/1.1\r\nHost: x\r\n\r\n".encode())
+            writer.write(f"GET /decode/{crowd.job}.png?scale=8 HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             await asyncio.sleep(PATIENCE_S / 2)
             writer.transport.resume_reading()  # type: ignore[attr-defined]
             return (await reader.readline()).split()[1].decode()

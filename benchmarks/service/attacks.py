@@ -3,9 +3,9 @@
     python -m benchmarks.service attacks [--seconds 60] [--only tiff,decode] [--out FILE]
 
 Each attack meets a fresh `python -m service web` with default settings but a long queue, in which others' jobs may
-wait. The attackers (benchmarks.service.attackers) ask as fast as they are answered, each from an address of its own
-or together from one; somebody else, from another address, asks for seven things at fixed moments. Ten times as many at
-once as tests/service/limits has, or as large as an upload may be.
+wait, behind the nginx of docs/nginx.conf (without TLS). The attackers (benchmarks.service.attackers) ask as fast as
+they are answered, each from an address of its own or together from one; somebody else, from another address, asks for
+seven things at fixed moments. Ten times as many at once as tests/service/limits has, or as large as an upload may be.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from benchmarks.service.attackers import ATTACKS
 from benchmarks.service.generator import generated
 from benchmarks.service.measured import made_picture, png, resident_bytes
 from tests.harness.data import ROOT
+from tests.harness.nginx import Nginx, make_certificate
 from tests.harness.processes import processes
 from tests.harness.service import Service
 
@@ -35,7 +36,10 @@ VICTIM = "127.0.0.2"
 AT_MOST = {"p99_ms": 1000, "web_mb": 400}
 FILE = ROOT / "service" / "web" / "static" / "samples" / "cat.sg"
 # No worker runs: others' jobs may wait, and that they do is no trouble.
-SETTINGS: dict[str, Any] = {"queue_length": 1_000_000, "stall_s": 1_000_000, "source_retention_s": 3600}
+SETTINGS: dict[str, Any] = {
+    "queue_length": 1_000_000,
+    "source_retention_s": 3600,
+}
 WARM_S, LONGER_S, SAMPLE_S, REST_S = 3.0, 3.0, 0.1, 5.0
 
 
@@ -83,25 +87,27 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
     """The row of one attack."""
     attack = ATTACKS[name]
     with tempfile.TemporaryDirectory(prefix="sg-attack-") as temporary:
-        service = Service(Path(temporary) / "data", "web", **SETTINGS)
+        service = Service(Path(temporary) / "data", "web", trusted_proxies="127.0.0.1", **SETTINGS)
+        proxy = Nginx(Path(temporary), make_certificate(Path(temporary)), [service.url], tls=False)
         try:
             job, waiting = service.published(FILE.read_bytes()), service.accepted()
             wanted = asked_for(job, waiting, Path(temporary))
-            generated(service.url, WARM_S, *wanted.values(), source=VICTIM)
+            generated(proxy.url, WARM_S, *wanted.values(), source=VICTIM)
             memory = Memory(service.process.pid)
             start = memory.sample()
             memory.start()
             attacked = job if name == "untaken" else waiting
-            with _attackers(name, service.url, seconds + LONGER_S, attacked) as attackers:
+            with _attackers(name, proxy.url, seconds + LONGER_S, attacked) as attackers:
                 assert attackers.stdout is not None
                 assert attackers.stdout.readline() == "ready\n"
                 time.sleep(1)
-                spreads = generated(service.url, seconds, *wanted.values(), source=VICTIM)
+                spreads = generated(proxy.url, seconds, *wanted.values(), source=VICTIM)
                 answers = json.loads(attackers.communicate()[0])
             time.sleep(REST_S)
             after = memory.sample()
             peak = _peak_bytes(service.process.pid)
         finally:
+            proxy.stop()
             status = service.stop()
         log = service.log.read_text()
     others = dict(zip(wanted, spreads, strict=True))

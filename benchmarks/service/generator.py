@@ -16,7 +16,7 @@ import subprocess
 import sys
 import time
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 @dataclass(frozen=True)
 class Wanted:
-    """One kind of request, and how often a second it is made."""
+    """One kind of request, and how often a second it is made; {} in its path stands for how often it was before."""
 
     rate: float
     method: str
@@ -90,10 +90,11 @@ async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, ob
     latencies: list[float] = []
     failures: Counter[str] = Counter()
 
-    async def one(due: float) -> None:
+    async def one(due: float, number: int) -> None:
+        numbered = replace(wanted, path=wanted.path.replace("{}", f"{number:06}"))
         try:
             async with asyncio.timeout(TIMEOUT_S):
-                status = await client.ask(wanted)
+                status = await client.ask(numbered)
             if status >= 400:
                 failures[str(status)] += 1
         except (OSError, TimeoutError, asyncio.IncompleteReadError) as error:
@@ -105,7 +106,7 @@ async def series(client: Client, wanted: Wanted, seconds: float) -> dict[str, ob
         for number in range(int(wanted.rate * seconds)):
             due = began + number / wanted.rate
             await asyncio.sleep(max(0.0, due - time.perf_counter()))
-            tasks.create_task(one(due))
+            tasks.create_task(one(due, number))
     if failures:
         print(f"{wanted.method} {wanted.path}: {dict(failures)}", file=sys.stderr)
     return {"ms": latencies, "failed": failures.total()}

@@ -21,7 +21,7 @@ from tests.harness.processes import PATIENCE_S, Kind, Process, processes
 from tests.harness.service import ServiceProcess
 
 SETTINGS: dict[str, Any] = {
-    **{"workers": 3, "threads": 1, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},
+    **{"workers": 3, "lease_s": 2, "queue_length": 20, "stop_grace_s": 10},
     "source_retention_s": 0,  # what is left over shows at once
 }
 

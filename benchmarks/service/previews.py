@@ -15,12 +15,11 @@ from typing import Any
 
 from sgmethod.previews.preview import preview
 from tests.harness.browser import Chromium, find_driver
-from tests.harness.data import PHOTOGRAPHS, ROOT
+from tests.harness.data import JAVASCRIPT, PHOTOGRAPHS
 
-STATIC = ROOT / "service" / "web" / "static"
 BYTES, ELEMENTS, ROUNDS = 200, 40, 50
 DECODE = """
-    return import("/decoder/preview.js").then(({{ decodePreview }}) => {{
+    return import("/preview.js").then(({{ decodePreview }}) => {{
         for (let i = 0; i < {rounds}; i++) for (const text of {texts}) decodePreview(text);
     }});
 """
@@ -32,7 +31,7 @@ PAGE = """
         new PerformanceObserver((list) => tasks.push(...list.getEntries().map((one) => one.duration)))
             .observe({{ type: "longtask" }});
         const drawn = (one) => one.shadowRoot?.querySelector("canvas");
-        import("/preview/sg-img.js");
+        import("/sg-img.js");
         const timer = setInterval(() => {{
             if (![...document.querySelectorAll("sg-img")].every(drawn)) return;
             clearInterval(timer);
@@ -67,11 +66,11 @@ def main() -> None:
     assert driver, "needs chromium and chromedriver"
     texts = [preview(path, BYTES).text for path in sorted(Path(PHOTOGRAPHS).glob("*.png"))]
     said = json.dumps(texts)
-    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Files, directory=str(STATIC)))
+    server = ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Files, directory=str(JAVASCRIPT)))
     threading.Thread(target=server.serve_forever, daemon=True).start()
     browser = Chromium(driver)
     try:
-        browser.open(f"http://127.0.0.1:{server.server_port}/docs.html")
+        browser.open(f"http://127.0.0.1:{server.server_port}/")
         browser.tell("Performance.enable", timeDomain="threadTicks")
         page, tasks = spent(browser, PAGE.format(texts=said, elements=ELEMENTS, kinds=len(texts)))
         decode = [spent(browser, DECODE.format(texts=said, rounds=ROUNDS))[0] / ROUNDS / len(texts) for _ in range(8)]

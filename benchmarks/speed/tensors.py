@@ -63,7 +63,7 @@ def reference(means: Tensor, factors: Tensor, colors: Tensor) -> Tensor:
 
 def pairs(means: Tensor, factors: Tensor, colors: Tensor, target: Tensor) -> tuple[Tensor, ...]:
     """The gradient by lists of pairs on the tensors' device, also where render() would take the kernels."""
-    laid = Pairs(means, factors, SIZE, native.CUTOFF_V3, pyramid=True)
+    laid = Pairs(means, factors, SIZE, native.CUTOFF_V2, pyramid=True)
     by_image = 2 * (laid.draw(colors) - target) / target.numel()
     return laid.gradients(colors, by_image)
 

@@ -16,8 +16,6 @@ JOB_STATES: tuple[JobState, ...] = ("queued", "running", "done", "failed")
 FINAL_STATES: tuple[JobState, ...] = ("done", "failed")
 Priority = Literal["interactive", "bulk"]
 PRIORITIES: tuple[Priority, ...] = ("interactive", "bulk")
-Fallback = Literal["avif", "webp"]
-FALLBACKS: tuple[Fallback, ...] = ("avif", "webp")
 JsonObject = Mapping[str, Any]
 
 _JOB_ID = re.compile(r"[0-9a-f]{32}")
@@ -35,9 +33,7 @@ def is_job_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's. fallback: the format that may take the place of Gaussians
-    where it is clearly better. Jobs of releases that had no choice were tuned for PSNR, at the usual effort.
-    """
+    """What the client asked for; the names are sgmethod's. fallback: None for a new job."""
 
     budget_kind: BudgetKind
     budget_value: float
@@ -45,7 +41,7 @@ class EncodeRequest:
     time_limit_s: float
     tune: Tune = "psnr"
     effort: int = DEFAULT_EFFORT
-    fallback: Fallback | None = None
+    fallback: Literal["avif", "webp"] | None = None
 
 
 @dataclass(frozen=True)
@@ -90,11 +86,6 @@ class EncodeResult:
     bitstream_key: str
     sha256: str
     stats: JsonObject
-
-    @property
-    def format(self) -> str:
-        """ "sg", or the fallback that took its place."""
-        return str(self.stats.get("format", "sg"))  # older workers name none
 
 
 @dataclass(frozen=True)

@@ -18,28 +18,19 @@ from psycopg_pool import ConnectionPool
 from service.jobs.engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
 from service.jobs.sql import WATCHED, JobTable
-from service.jobs.statements import NOTICES, OVERDUE, SCHEMA, WORKERS, Cursor, Database
+from service.jobs.statements import OVERDUE, SCHEMA, Cursor, Database
 from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
 
 log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
 # The database's clock: those of several machines differ.
 EPOCH = """
 CREATE FUNCTION epoch() RETURNS DOUBLE PRECISION LANGUAGE sql VOLATILE
 AS 'SELECT extract(epoch FROM clock_timestamp())::DOUBLE PRECISION';
 """
-# From the version of release 0.1.0.
-UPGRADE_FROM_1 = f"""
-ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;
-UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN (result::json -> 'stats' ->> 'bytes')::BIGINT
-    WHEN 'failed' THEN 0 ELSE (image::json ->> 'size_bytes')::BIGINT END, 0);
-ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;
-{WORKERS}{NOTICES}
-"""
-SCRIPTS = {0: f"{EPOCH} {POSTGRES_SCHEMA}", 1: UPGRADE_FROM_1}
 # Our tables and the engine's have schemas of their own, whatever else lies in the database. A worker that is
 # stopped within a transaction must not hold its locks for ever. PgBouncer refuses these as startup parameters.
 SESSION = b"""
@@ -57,10 +48,7 @@ CONNECT: dict[str, str | int] = {
 CONNECTIONS = 8
 SET_UP_LOCK, QUEUE_LOCK, TOP_UP_LOCK = 0x5367_0001, 0x5367_0002, 0x5367_0003
 CLAIMABLE = f"""
-WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
-SELECT (SELECT count(*) FROM jobs LEFT JOIN busy USING (owner)
-        WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?))
-     + (SELECT count(*) FROM jobs {OVERDUE}) AS jobs
+SELECT (SELECT count(*) FROM jobs WHERE state = 'queued') + (SELECT count(*) FROM jobs {OVERDUE}) AS jobs
 """
 
 
@@ -134,10 +122,10 @@ class PostgresJobTable(JobTable):
             db.execute("CREATE TABLE IF NOT EXISTS version (part TEXT PRIMARY KEY, version TEXT NOT NULL)")
             versions = {row["part"]: row["version"] for row in db.execute("SELECT * FROM version").fetchall()}
             written = int(versions.get("jobs", 0))
-            if written not in (*SCRIPTS, SCHEMA_VERSION):
+            if written not in (0, SCHEMA_VERSION):
                 raise JobTableError("the database was written by another version of this service, which can read it")
             if written < SCHEMA_VERSION:
-                db.execute(SCRIPTS[written].encode())
+                db.execute(f"{EPOCH} {POSTGRES_SCHEMA}".encode())
             if versions.get("engine") != procrastinate.__version__:
                 # Tokens are made anew from the table, so the engine's upgrade is to start afresh.
                 db.execute("DROP SCHEMA IF EXISTS sgmethod_engine CASCADE")
@@ -173,12 +161,12 @@ class PostgresJobTable(JobTable):
 
     def _top_up(self) -> None:
         """As many tokens as there are rows that a worker would find something to do about."""
-        limit, lease_s = self._rules.max_running_per_owner, self._rules.lease_s
+        lease_s = self._rules.lease_s
         try:
             with self._transaction() as db:
                 if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
                     return  # another worker is at it
-                rows = db.execute(CLAIMABLE, (limit, limit, WATCHED * lease_s, lease_s)).fetchone()["jobs"]
+                rows = db.execute(CLAIMABLE, (WATCHED * lease_s, lease_s)).fetchone()["jobs"]
                 tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
                 for _ in range(rows - tokens):
                     self._wake(db)

@@ -13,8 +13,9 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from service.jobs import notices
+from service.jobs import notices, totals
 from service.jobs.job import (
+    FINAL_STATES,
     JOB_STATES,
     EncodeRequest,
     EncodeResult,
@@ -154,6 +155,7 @@ class JobTable(ABC):
             seen = db.execute("SELECT name, epoch() - seen_at AS seconds, failures FROM workers").fetchall()
             query = "SELECT count(*) AS notices, coalesce(epoch() - min(ended_at), 0) AS waits FROM notices"
             untold = db.execute(query).fetchone()
+            so_far = totals.read(db)
         counts = {row["state"]: row["jobs"] for row in rows}
         jobs = {state: counts.get(state, 0) for state in JOB_STATES}
         # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
@@ -163,7 +165,15 @@ class JobTable(ABC):
         workers = {row["name"]: row["seconds"] for row in seen}
         failures = {row["name"]: row["failures"] for row in seen}
         return Census(
-            jobs, ages["waiting"], silent_s, kept_bytes, workers, failures, untold["notices"], untold["waits"]
+            jobs=jobs,
+            waiting_s=ages["waiting"],
+            silent_s=silent_s,
+            stored_bytes=kept_bytes,
+            workers=workers,
+            failures=failures,
+            notices=untold["notices"],
+            notice_waits_s=untold["waits"],
+            totals=so_far,
         )
 
     def page(
@@ -189,6 +199,8 @@ class JobTable(ABC):
         """Forget a job in whatever state, and return it. A worker that runs it loses its claim."""
         with self._transaction() as db:
             row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *, NULL AS position", (job_id,)).fetchone()
+            if row is not None and row["state"] not in FINAL_STATES:
+                totals.count(db, "cancelled")
         return None if row is None else job_of(row)
 
     def reconcile(self) -> list[Job]:
@@ -207,6 +219,7 @@ class JobTable(ABC):
             jobs = [job_of(row) for row in rows if row is not None]
             for job in jobs:
                 notices.note(db, job, self._rules.webhooks)
+                totals.count(db, "retried" if job.state == "queued" else "failed")
                 if job.state == "queued":
                     self._wake(db)
         return [job for job in jobs if job.state == "failed"]
@@ -230,14 +243,13 @@ class JobTable(ABC):
         """Take the next queued job for a worker (a name for operators), or None if none may run.
 
         Interactive jobs come before bulk ones; among equals the owner with the fewest running jobs, then
-        the owner served longest ago, then the oldest job. An owner at the limit of running jobs waits.
+        the owner served longest ago, then the oldest job.
         """
         if self.queued() == 0:  # asked several times a second: look before taking a lock
             return None
-        limit = self._rules.max_running_per_owner
         with self._transaction() as db:
             self._alone(db)
-            row = db.execute(CLAIM, (worker, self._rules.lease_s, limit, limit)).fetchone()
+            row = db.execute(CLAIM, (worker, self._rules.lease_s)).fetchone()
             if row is None:
                 return None
             db.execute(SERVED, (row["number"],))
@@ -295,6 +307,7 @@ class JobTable(ABC):
             )
             if self._change(db, claim, done, text, bytes_of(result), self._keeps_sources):
                 self._note_end(db, claim.job_id)
+                totals.count_finished(db, claim.job_id)
                 return True
             # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
@@ -311,16 +324,19 @@ class JobTable(ABC):
                 mine = self._change(db, claim, failed, to_json(error), self._keeps_sources)
                 if mine:
                     self._note_end(db, claim.job_id)
+                    totals.count(db, "failed")
                 return mine
             return self._crash(db, claim.job_id, claim.attempt, error)
 
     def _crash(self, db: Database, job_id: str, attempt: int, error: JobError) -> bool:
         values = self._crash_values(error)
-        mine = db.execute(f"UPDATE jobs SET {CRASH} {MINE}", (*values, job_id, attempt)).rowcount == 1
-        if mine:
-            self._note_end(db, job_id)
-            self._wake(db)  # in vain if the job has failed, which does no harm
-        return mine
+        row = db.execute(f"UPDATE jobs SET {CRASH} {MINE} RETURNING state", (*values, job_id, attempt)).fetchone()
+        if row is None:
+            return False
+        totals.count(db, "retried" if row["state"] == "queued" else "failed")
+        self._note_end(db, job_id)
+        self._wake(db)  # in vain if the job has failed, which does no harm
+        return True
 
     def _note_end(self, db: Database, job_id: str) -> None:
         """Let the operator's addresses hear of it, if the job has ended."""

@@ -10,23 +10,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.jobs.sql import JobTable
-from service.jobs.statements import NOTICES, SCHEMA, WORKERS, Database
+from service.jobs.statements import SCHEMA, Database
 from service.jobs.table import JobRules, JobTableError
 from service.process.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
-# From the version of release 0.1.0.
-UPGRADE_FROM_2 = f"""
-ALTER TABLE jobs ADD COLUMN stored_bytes BIGINT NOT NULL DEFAULT 0;
-UPDATE jobs SET stored_bytes = coalesce(CASE state WHEN 'done' THEN json_extract(result, '$.stats.bytes')
-    WHEN 'failed' THEN 0 ELSE json_extract(image, '$.size_bytes') END, 0);
-ALTER TABLE jobs ADD COLUMN stopped INTEGER NOT NULL DEFAULT 0;
-{WORKERS}{NOTICES}
-"""
-SCRIPTS = {0: SQLITE_SCHEMA, 2: UPGRADE_FROM_2}
 
 
 class SqliteJobTable(JobTable):
@@ -45,13 +36,13 @@ class SqliteJobTable(JobTable):
             raise
 
     def _set_up(self) -> None:
-        """Make the tables if there are none, or bring them up to date."""
+        """Make the tables if there are none."""
         with self._transaction() as db:
             version = db.execute("PRAGMA user_version").fetchone()[0]
-            if version not in (*SCRIPTS, SCHEMA_VERSION):
+            if version not in (0, SCHEMA_VERSION):
                 raise JobTableError(f"{self._path} was written by another version of this service, which can read it")
             if version < SCHEMA_VERSION:
-                for statement in SCRIPTS[version].split(";")[:-1]:
+                for statement in SQLITE_SCHEMA.split(";")[:-1]:
                     db.execute(statement)
                 db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
 

@@ -24,8 +24,14 @@ CREATE TABLE notices (
 );
 CREATE INDEX notices_by_time ON notices (address, due_at);
 """
+TOTALS = """
+CREATE TABLE totals (
+    name   TEXT PRIMARY KEY,
+    amount DOUBLE PRECISION NOT NULL
+);
+"""
 # In place of {number} stands how each database counts rows up.
-SCHEMA = f"""{WORKERS}{NOTICES}
+SCHEMA = f"""{WORKERS}{NOTICES}{TOTALS}
 CREATE TABLE jobs (
     number          {{number}},
     id              TEXT NOT NULL UNIQUE,
@@ -84,7 +90,7 @@ UPDATE jobs SET state = 'running', attempt = attempt + 1, stopped = 0, worker = 
 WHERE state = 'queued' AND number = (
     WITH busy AS (SELECT owner, count(*) AS jobs FROM jobs WHERE state = 'running' GROUP BY owner)
     SELECT number FROM jobs LEFT JOIN busy ON busy.owner = jobs.owner LEFT JOIN served ON served.owner = jobs.owner
-    WHERE state = 'queued' AND (? = 0 OR coalesce(busy.jobs, 0) < ?)
+    WHERE state = 'queued'
     ORDER BY priority = 'bulk', coalesce(busy.jobs, 0), coalesce(served.at, 0), number LIMIT 1
 ) RETURNING number, id, attempt, request
 """

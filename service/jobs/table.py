@@ -59,13 +59,12 @@ class JobRules:
     """What holds for all jobs.
 
     lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
-    max_running_per_owner: jobs of one owner that run at once, 0 for any number; source_retention_s: for how long the
-    image of a finished job is kept; webhooks: addresses that are told when a job ends.
+    source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
+    ends.
     """
 
     lease_s: float
     max_attempts: int
-    max_running_per_owner: int = 0
     source_retention_s: float = 0.0
     webhooks: tuple[str, ...] = ()
 
@@ -86,7 +85,7 @@ class Census:
     jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
     any worker was last heard from, None if none ever was. Seconds, by the table's own clock. stored_bytes: of images
     and bitstreams; workers: seconds since the last sign of life of each, by name; failures: of the background work of
-    each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them.
+    each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them; totals: of totals.py.
     """
 
     jobs: Mapping[JobState, int]
@@ -97,3 +96,4 @@ class Census:
     failures: Mapping[str, int] = field(default_factory=dict)
     notices: int = 0
     notice_waits_s: float = 0.0
+    totals: Mapping[str, float] = field(default_factory=dict)

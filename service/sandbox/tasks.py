@@ -22,10 +22,10 @@ from service.sandbox.drawing import Drawing, Wish
 from service.sandbox.picture_files import MEDIA_TYPES, encode_picture
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, ImageWarning, SgError
+from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.formats import READERS
 from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
 from sgmethod.io.inputs import read_input
-from sgmethod.io.laying import WHITE, laid_over
 from sgmethod.profiles import DEFAULT_EFFORT
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
@@ -172,14 +172,14 @@ def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
 
 
 def _make_rival(task: frames.MakeRival, file: bytes, answer: Answer) -> None:
-    from sgmethod.start.advice import better_file, is_drawn
+    from sgmethod.advice import better_file, is_drawn
 
     rival = task.rival
     pixels = read_image_8_bit(file, ImageLimits(task.max_pixels), keep_alpha=True)
     if rival.kind == "webp" and (lossless := better_file(pixels, rival.size, 0.0, ("webp",))):
         answer.send(frames.FILE, lossless.data)
         return
-    opaque = pixels if pixels.shape[2] == 3 else laid_over(pixels, WHITE)
+    opaque = pixels if pixels.shape[2] == 3 else composited(pixels, WHITE)
     answer.send(frames.FILE, rival.made_of(opaque, drawn=is_drawn(pixels)))
 
 
@@ -218,7 +218,7 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
 
 def _with_advice(encoded: Any, pixels: Any, task: frames.Encode) -> tuple[dict[str, Any], bytes]:
     """The figures with advice, and the job's file: the better one, if the client wants it in place of Gaussians."""
-    from sgmethod.start.advice import advice, better_file
+    from sgmethod.advice import advice, better_file
 
     size, db, wanted = len(encoded.data), encoded.stats.psnr, task.request.fallback
     better = better_file(pixels, size, db)

@@ -1,4 +1,4 @@
-"""The worker: it claims a job, has it encoded by an encoder process, ends the attempt, and claims the next."""
+"""The worker: it claims a job, has it encoded in the sandbox, ends the attempt, and claims the next."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import BinaryIO
 
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
+from service.logs import log_seldom
 from service.process.background import survived
 from service.process.stopping import StopSignal
 from service.sandbox import frames
@@ -68,7 +69,7 @@ class Worker:
             try:
                 return self.run_one()
             except (JobTableError, OSError) as error:
-                log.error("worker %s: %s", self._name, error)
+                log_seldom(log, "worker %s: %s", self._name, error)
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)
         return False
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from service.jobs.job import FINAL_STATES, EncodeResult, JobError, JsonObject
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
+from service.logs import log_seldom
 from service.process.stopping import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
@@ -104,7 +105,7 @@ class Publisher:
                 self._storage.put(key, data)
                 return
             except OSError as error:
-                log.warning("%s cannot be stored yet: %s", key, error)
+                log_seldom(log, "%s cannot be stored yet: %s", key, error)
             if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
                 raise StoppedError
             heartbeat.beat()

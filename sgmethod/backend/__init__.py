@@ -1,6 +1,7 @@
-"""The door to whatever draws, differentiates, steps and refines for the encoder.
+"""Backends: the computations of the encoder that depend on the device.
 
-Gaussians, a frame of pixels and a target come in; errors, gradients, rounded Gaussians and payloads leave.
-protocol.py says what a backend has to offer; kernels.py is the compiled one, tensors.py that for other devices, by the
-lists of pairs.py, and reference.py the slow one in float64 that defines them. devices.py chooses.
+A backend takes Gaussians, a frame of pixels and a target, and returns errors, gradients, rounded Gaussians and
+payloads. protocol.py defines the interface; kernels.py implements it by the compiled kernels, tensors.py by PyTorch on
+other devices (drawing in pairs.py), and reference.py, slow and in float64, is the definition that the two are tested
+against. devices.py chooses.
 """

@@ -1,4 +1,4 @@
-"""Which devices there are, and which backend computes on each."""
+"""Choice of a backend for a device."""
 
 from __future__ import annotations
 
@@ -13,26 +13,27 @@ if TYPE_CHECKING:
     import torch
 
 
-def own_device(device: object) -> torch.device:
-    """A device of torch, from its name or a torch.device; the CPU for None. Raises SgError for one that is not there or
-    holds no values, and MissingPackageError without torch."""
+def checked_device(device: object) -> torch.device:
+    """Return a torch.device, from its name or a torch.device; the CPU for None.
+
+    Raises SgError for a device that is missing or holds no values, and MissingPackageError without torch.
+    """
     name = "cpu" if device is None else str(device)
     with extra("torch"):
         import torch
     try:
         torch.zeros(1, device=name).item()
-    except (RuntimeError, AssertionError) as error:  # of torch, for devices that it is not made for
-        reason = re.split(r"\.\s|\n", str(error))[0]  # sentences about torch's own code follow
+    except (RuntimeError, AssertionError) as error:  # torch raises either for a device it was not built for
+        reason = re.split(r"\.\s|\n", str(error))[0]  # the rest is about torch's own code
         raise SgError(f"there is no device {name!r} here: {reason}") from error
     return torch.device(name)
 
 
 def backend_on(device: object) -> Backend:
-    """The compiled kernels for None and "cpu"; for any other device, operations on tensors. Raises SgError as
-    own_device() does."""
+    """Return the compiled kernels for None and "cpu", else a backend of tensors. Raises like checked_device()."""
     if device is None or str(device) == "cpu":
         return Kernels()
-    found = own_device(device)
+    found = checked_device(device)
     from sgmethod.backend.tensors import Tensors
 
     return Tensors(found)

@@ -11,17 +11,15 @@ from sgmethod.settings.shared import OptimiserSettings
 
 
 class Kernels:
-    """A Backend on all threads of the CPU. Results are the same for every number of threads."""
+    """A Backend on all threads of the CPU, with the same results for every number of threads."""
 
     def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        """As Backend.residual."""
         missing = np.empty(target.shape, np.float32)
         raster = _raster(gaussians, frame, target.shape[1], first_row)
         raster.missing(gaussians.colors, np.ascontiguousarray(target), missing)
         return missing
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
-        """As Backend.error."""
         if visibility is not None:
             return self.gradients(gaussians, frame, target, visibility)[0]
         return _raster(gaussians, frame).error(gaussians.colors, target)
@@ -29,13 +27,11 @@ class Kernels:
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
-        """As Backend.gradients."""
         out = Gaussians.empty(len(gaussians))
         mse = _raster(gaussians, frame).squared_error(gaussians.colors, target, *out.arrays, *_seen(visibility))
         return mse, _by_whole_pixels(out, frame)
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
-        """As Backend.regularised."""
         loss = native.ReconstructionLoss(image, lambda_g)
         drawn, by_image = np.empty_like(image), np.empty_like(image)
 
@@ -49,7 +45,6 @@ class Kernels:
         return evaluate
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
-        """As Backend.gram."""
         product = np.empty_like(gaussians.colors)
         _raster(gaussians, frame).gram(gaussians.colors, product, None if visibility is None else visibility.values)
         return product
@@ -63,7 +58,6 @@ class Kernels:
         rate: float,
         values: int,
     ) -> None:
-        """As Backend.step."""
         s = settings
         rates = s.mean_rate, s.factor_rate, s.color_rate
         adam = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px, s.newton_steps, values)
@@ -71,16 +65,13 @@ class Kernels:
         native.frame_adam(adam, rate, *gaussians.arrays, *gradient.arrays, *averages)
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
-        """As Backend.add_rate_gradient."""
         values = gaussians.factors, gaussians.colors, gradient.factors, gradient.colors
         native.rd_rate_gradient(quantum, weight, *values)
 
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
-        """As Backend.keep_in_range."""
         native.keep_in_range(GRID_REACH, width, height, *gaussians.arrays)
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
-        """As Backend.rounded."""
         out = Gaussians.empty(len(gaussians))
         native.rd_quantise(coding.parameters, *gaussians.arrays, *out.arrays)
         return out
@@ -88,13 +79,12 @@ class Kernels:
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
-        """As Backend.refine."""
         values, by_eye = (None, False) if visibility is None else (visibility.values, visibility.by_eye)
         return native.rd_refine(
             coding.parameters,
             *gaussians.arrays,
             target,
-            native.CUTOFF_V3,
+            native.CUTOFF_V2,
             limits.price,
             limits.sweeps,
             limits.seconds,

@@ -1,9 +1,9 @@
-"""Drawing and its gradients by plain operations on tensors, on whatever device of torch they are.
+"""Drawing and its gradients by plain operations on tensors, on any device of PyTorch.
 
-Each Gaussian's ellipse is cut into rows, and each row into samples. So there are two lists of pairs, (Gaussian, row)
-and (Gaussian, sample), each Gaussian on its own level of the pyramid, and every step is one operation on a whole list.
-Values are those of sgmethod/native/reference.py, in the precision of the tensors. On devices that add in any order, the
-last bits of a sum vary from run to run.
+Each Gaussian's ellipse is cut into rows, and each row into samples. This gives two lists of pairs, (Gaussian, row) and
+(Gaussian, sample), with each Gaussian on its own level of the pyramid; every step is one operation on a whole list.
+Values are those of sgmethod/native/reference.py, in the precision of the tensors. On devices without a fixed order of
+summation, the last bits vary from run to run.
 """
 
 from __future__ import annotations
@@ -15,14 +15,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-MAX_LEVEL, NARROWEST = 12, 1.4  # docs/format.md, version 4
-MOST_PAIRS = 1 << 22  # of Gaussian and sample at a time: some 300 MB
+MAX_LEVEL, NARROWEST = 12, 1.4  # docs/format.md, version 2
+MOST_PAIRS = 1 << 22  # pairs of Gaussian and sample at a time: about 300 MB
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """Some pairs of Gaussian and sample [P]. z1, z2: the sample's place in the Gaussian's frame; e: exp(-sigma);
-    weight: what of the colour the sample gets."""
+    """Some pairs [P] of Gaussian and sample.
+
+    z1, z2: the sample's position in the Gaussian's frame; e: exp(-sigma); weight: the sample's share of the colour.
+    """
 
     gaussian: Tensor
     sample: Tensor
@@ -33,7 +35,7 @@ class _Samples:
 
 
 class Pairs:
-    """Gaussians [N] laid over a picture of size (width, height). Those that are not drawn have no gradient."""
+    """The samples that N Gaussians cover in a picture of size (width, height). Those not drawn have no gradient."""
 
     def __init__(self, means: Tensor, factors: Tensor, size: tuple[int, int], cutoff: float, pyramid: bool) -> None:
         drawn = is_drawn(means, factors)
@@ -44,7 +46,7 @@ class Pairs:
         self._shrink = torch.exp2(-level.to(means.dtype))
         self._p = p1, p2, p3 = (factors * self._shrink[:, None]).unbind(1)
         self._blur = blur = (1 - self._shrink**2).sqrt() / 2
-        # In ratios throughout: squares of sizes, and products of two, may overflow or vanish.
+        # Computed in ratios: squares of sizes, and products of two sizes, may overflow or vanish.
         ratio1 = (1 - (blur / p1) ** 2).sqrt()
         q1 = p1 * ratio1
         ratio3 = (1 - (blur / p3) ** 2 - (blur / p3 * (p2 / q1)) ** 2).sqrt()
@@ -61,11 +63,11 @@ class Pairs:
         self._find_rows(level, drawn)
 
     def _widened(self) -> list[tuple[int, int]]:
-        """The sizes of the levels with their borders, of one sample but on the picture itself."""
+        """Sizes of the levels, including a border of one sample on all but the picture itself."""
         return [(width + 2 * min(i, 1), height + 2 * min(i, 1)) for i, (width, height) in enumerate(self._sizes)]
 
     def _find_rows(self, level: Tensor, drawn: Tensor) -> None:
-        """The pairs of Gaussian and row, each with the samples in it."""
+        """List the pairs of Gaussian and row, each with its range of samples."""
         (q1, q2, q3), (x, y), border = self._q, self._mean, level.clamp_max(1)
         width, height = torch.tensor(self._sizes, device=level.device).T[:, level]
         spread = torch.hypot(q2, q3)
@@ -80,7 +82,7 @@ class Pairs:
         self._line = starts + (row + border[g]) * (width[g] + 2 * border[g]) + border[g]  # sample of column 0
 
     def _samples(self) -> Iterator[_Samples]:
-        """All pairs of Gaussian and sample, part by part."""
+        """Yield all pairs of Gaussian and sample in parts of bounded size."""
         ends, begin = self._count.cumsum(0), 0
         (q1, q2, q3), x = self._q, self._mean[0]
         while begin < len(ends):
@@ -96,10 +98,10 @@ class Pairs:
             begin = end
 
     def draw(self, colors: Tensor) -> Tensor:
-        """The picture [3, height, width] of Gaussians of these colours [N, 3]."""
+        """Draw the Gaussians with these colours [N, 3]: a picture [3, height, width]."""
         planes, strong = colors.new_zeros(3, self._starts[-1]), (colors * self._gain[:, None]).T.contiguous()
         for some in self._samples():
-            for i, color in enumerate(strong):  # planes[i], as torch differentiates no view of several at once
+            for i, color in enumerate(strong):  # planes[i], because torch cannot differentiate several views at once
                 planes[i].index_add_(0, some.sample, color.index_select(0, some.gaussian) * some.weight)
         image: Tensor | None = None
         for level in reversed(range(len(self._sizes))):
@@ -109,12 +111,12 @@ class Pairs:
         return image
 
     def gradients(self, colors: Tensor, by_image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """By means [N, 2], factors [N, 3] and colours [N, 3], given that by the picture [3, height, width]."""
+        """Backpropagate a gradient by the picture [3, height, width] to means, factors and colours [N, 2 or 3]."""
         planes, strong = by_image.new_zeros(3, self._starts[-1]), (colors * self._gain[:, None]).T.contiguous()
         for level in range(len(self._sizes)):
             by_image = self._reduced(by_image, level - 1) if level else by_image
             self._level(planes, level)[:] = by_image
-        sums = planes.new_zeros(8, len(colors))  # of a colour, z and z z^T, by what each sample's gradient is
+        sums = planes.new_zeros(8, len(colors))  # over samples: gradient times weight (3), z (2) and z z^T (3)
         for some in self._samples():
             by_weight = torch.zeros_like(some.weight)
             for total, plane, color in zip(sums, planes, strong, strict=False):
@@ -129,8 +131,11 @@ class Pairs:
         return self._by_parameters(colors, sums)
 
     def _by_parameters(self, colors: Tensor, sums: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """From sums over samples to gradients: by z = L^-1 (p - mean), then by the narrowing on a level, where
-        q1^2 = p1^2 - blur^2, q2 = p1 p2 / q1, q3^2 = p3^2 - blur^2 (1 + p2^2 / q1^2); the gain is p1 p3 / (q1 q3)."""
+        """Turn sums over samples into gradients.
+
+        The chain rule goes through z = L^-1 (p - mean), then through the narrowing on a level, where
+        q1^2 = p1^2 - blur^2, q2 = p1 p2 / q1, q3^2 = p3^2 - blur^2 (1 + p2^2 / q1^2); the gain is p1 p3 / (q1 q3).
+        """
         (p1, p2, p3), (q1, q2, q3), blur = self._p, self._q, self._blur
         a1, a2, b11, b12, b22 = sums[3:]
         by_means = torch.stack([a1 / q1 - q2 / q1 * (a2 / q3), a2 / q3], 1) * self._shrink[:, None]
@@ -144,19 +149,19 @@ class Pairs:
         return by_means, by_factors, (sums[:3] * self._gain).T.contiguous()
 
     def _level(self, planes: Tensor, level: int) -> Tensor:
-        """A level's samples [3, height, width], borders included, of those of all levels."""
+        """View of one level's samples [3, height, width], borders included, in `planes` of all levels."""
         width, height = self._widened()[level]
         return planes[:, self._starts[level] : self._starts[level + 1]].view(3, height, width)
 
     def _enlarged(self, image: Tensor, level: int) -> Tensor:
-        """A level's samples from those of the next, by docs/format.md."""
+        """Enlarge the next level's samples to a level's (docs/format.md)."""
         for axis, (near, far) in zip((2, 1), self._places[level], strict=True):
             near, far = near.to(image.device), far.to(image.device)
             image = 0.75 * image.index_select(axis, near) + 0.25 * image.index_select(axis, far)
         return image
 
     def _reduced(self, image: Tensor, level: int) -> Tensor:
-        """Enlarging, transposed: the gradient by the next level's samples, from that by a level's."""
+        """Transpose of enlarging: backpropagate a gradient by a level's samples to the next level's."""
         for axis, side, (near, far) in zip((2, 1), self._widened()[level + 1], self._places[level], strict=True):
             shape = [*image.shape]
             shape[axis] = side
@@ -166,8 +171,7 @@ class Pairs:
 
 
 def is_drawn(means: Tensor, factors: Tensor) -> Tensor:
-    """Which Gaussians [..., N] are drawn: those with l1 and l3 above 0 whose means, covariance and its inverse the
-    precision of the tensors can hold."""
+    """Mask [..., N] of Gaussians with positive l1 and l3, and with values that the tensors' precision can hold."""
     l1, l2, l3 = factors.unbind(-1)
     squares = torch.stack([l1 * l1, l3 * l3, l2 * l2 + l3 * l3], -1)
     normal = (squares >= torch.finfo(factors.dtype).tiny) & (squares < math.inf)
@@ -176,7 +180,7 @@ def is_drawn(means: Tensor, factors: Tensor) -> Tensor:
 
 
 def _levels(factors: Tensor) -> Tensor:
-    """The highest level [N] on which a Gaussian's minor axis is still NARROWEST samples long."""
+    """Highest level [N] on which each Gaussian's minor axis is at least NARROWEST samples long."""
     l1, l2, l3 = factors.unbind(1)
     a, c = l1 * l1, l2 * l2 + l3 * l3
     minor = 2 * a * l3 * l3 / (a + c + ((a - c) ** 2 + 4 * a * l2 * l2).sqrt())
@@ -185,21 +189,21 @@ def _levels(factors: Tensor) -> Tensor:
 
 
 def _within(center: Tensor, half: Tensor, side: Tensor, border: Tensor) -> tuple[Tensor, Tensor]:
-    """The first of the samples -border to before side + border that lie within half of a center, and how many do."""
+    """First sample within `half` of a center, and their number, among samples -border to side + border - 1."""
     first = torch.minimum(torch.maximum((center - half - 0.5).ceil(), -border), side + border)
     last = torch.minimum(torch.maximum((center + half - 0.5).floor(), -border - 1), side + border - 1)
     return first.long(), (last - first + 1).clamp_min(0).long()
 
 
 def _spread(first: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
-    """A list of pairs: each index [N] count times, with first, first + 1 and so on."""
+    """Pair each index i with first[i], first[i] + 1, ..., count[i] numbers in all."""
     index = torch.repeat_interleave(count)
     start = count.cumsum(0) - count
     return index, torch.arange(len(index), device=count.device) + (first - start).index_select(0, index)
 
 
 def _places(size: tuple[int, ...], border: int) -> list[tuple[Tensor, Tensor]]:
-    """Along x and y: from which two samples of the next level, counted from its border, each sample is enlarged."""
+    """Indices, along x and y, of the two samples of the next level (border included) that enlarge to each sample."""
     axes = [torch.arange(-border, side + border) for side in size]
     near = [axis.div(2, rounding_mode="floor") for axis in axes]
     return [(n + 1, n + 1 + torch.where(axis % 2 == 1, 1, -1)) for n, axis in zip(near, axes, strict=True)]

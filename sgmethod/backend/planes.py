@@ -1,4 +1,4 @@
-"""Planes of samples at half the size."""
+"""Planes of samples, reduced to half the size."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Beyond = Literal["edge", "constant"]
 
 
 def even(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
-    """A plane [H, W] with both sides even: where one is odd, its last sample counts twice, or zeros follow it."""
+    """Pad a plane [H, W] to even sides, by repeating the last sample or by zeros."""
     height, width = plane.shape
     return np.pad(plane, ((0, height % 2), (0, width % 2)), mode=beyond) if height % 2 or width % 2 else plane
 
 
 def halved(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
-    """A plane [H, W] at half the size, in its own type: means of four. beyond: as even() takes it."""
+    """Reduce a plane [H, W] to half the size, by means of four samples in its own type. beyond: see even()."""
     whole = even(plane, beyond)
     height, width = whole.shape
     return np.asarray(cv2.resize(whole, (width // 2, height // 2), interpolation=cv2.INTER_AREA))

@@ -1,4 +1,4 @@
-"""What the encoder asks of a backend, and the plain data that goes in and out.
+"""The interface of a backend, and the plain data passed in and out.
 
 Means and factors are always in pixels of the whole picture, whatever the frame's own size.
 """
@@ -17,17 +17,15 @@ from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.shared import OptimiserSettings
 
-Target = NDArray[np.int16]  # [3, H, W], what Gaussians should add up to; TARGET_WHITE is white
+Target = NDArray[np.int16]  # [3, H, W], the sum that Gaussians should reach; TARGET_WHITE is white
 TARGET_WHITE = native.TARGET_WHITE
 VISIBLE = native.VISIBLE  # a visibility of 1
-CUTOFF_V1, CUTOFF = native.CUTOFF_V1, native.CUTOFF_V3  # sigma at which a Gaussian ends, in version 1 and later ones
-GRID_REACH = 1.6  # scales of a Gaussian beyond the picture; a centre may lie two cells out, which are at least 1.68
+CUTOFF_V1, CUTOFF = native.CUTOFF_V1, native.CUTOFF_V2  # sigma at which a Gaussian ends, in versions 1 and 2
+# Distance of a centre beyond the picture, in scales of the Gaussian. Files allow two cells of the grid, at least 1.68.
+GRID_REACH = 1.6
 TILE_HEIGHT = native.TILE_HEIGHT
-TEXTURE_OCTAVES, TEXTURE_CELL, TEXTURE_STRENGTHS = (
-    native.TEXTURE_OCTAVES,
-    native.TEXTURE_CELL,
-    native.TEXTURE_STRENGTHS,
-)
+TEXTURE_OCTAVES, TEXTURE_CELL = native.TEXTURE_OCTAVES, native.TEXTURE_CELL
+TEXTURE_STRENGTHS = native.TEXTURE_STRENGTHS
 SEEN_COLOR, SEEN_LUMA = native.SEEN_COLOR, native.SEEN_LUMA
 NO_LIMIT = 1 << 40  # bytes
 thread_count, release_memory = native.thread_count, native.release_memory
@@ -37,10 +35,10 @@ Loss = Callable[[Gaussians], tuple[float, Gaussians]]
 
 @dataclass(frozen=True)
 class Frame:
-    """Pixels that Gaussians are drawn on.
+    """The grid of pixels to draw on.
 
     width, height: of the frame; cutoff: sigma at which a Gaussian ends; pyramid: wide Gaussians are drawn on coarser
-    levels; spacing: pixels of the whole picture along a side of one of the frame's.
+    levels; spacing: side of one of the frame's pixels, in pixels of the whole picture.
     """
 
     width: int
@@ -52,19 +50,22 @@ class Frame:
 
 @dataclass(frozen=True)
 class Visibility:
-    """What each pixel's error counts: int16 [H, W], VISIBLE for 1; by_eye: luma counts more than colour (an error e of
-    red, green and blue as e^T color e), or else all three channels alike."""
+    """Weights of the pixels' errors.
+
+    values: int16 [H, W], VISIBLE for 1; by_eye: an error e in red, green and blue counts e^T color e, so that luma
+    counts more than colour; otherwise all three channels count alike.
+    """
 
     values: NDArray[np.int16]
     by_eye: bool = True
 
     @property
     def color(self) -> NDArray[np.float64]:
-        """[3, 3]."""
+        """Weights [3, 3] of products of two channels' errors."""
         return SEEN_COLOR * np.eye(3) + np.outer(SEEN_LUMA, SEEN_LUMA) if self.by_eye else np.eye(3)
 
     def halved(self) -> Visibility:
-        """At half the size: means of four."""
+        """Return the visibility at half the size, by means of four."""
         return Visibility(halved(self.values), self.by_eye)
 
 
@@ -78,19 +79,19 @@ class Moments:
 
     @classmethod
     def none(cls, n: int) -> Moments:
-        """Of Gaussians that have not moved yet."""
+        """Initial moments of n Gaussians."""
         return cls(np.zeros((n, 8), np.float32), np.zeros((n, 8), np.float32), np.ones((n, 2), np.float32))
 
     def copy(self) -> Moments:
-        """The same values in memory of their own."""
+        """Return a deep copy."""
         return Moments(self.first.copy(), self.second.copy(), self.bias.copy())
 
     def rows(self, index: NDArray[np.intp]) -> Moments:
-        """Those of some Gaussians, in the order of index."""
+        """Return the moments at `index`, in its order."""
         return Moments(self.first[index], self.second[index], self.bias[index])
 
     def with_more(self, count: int) -> Moments:
-        """These, and those of `count` new Gaussians."""
+        """Return these moments followed by those of `count` new Gaussians."""
         new = Moments.none(count)
         pairs = (self.first, new.first), (self.second, new.second), (self.bias, new.bias)
         return Moments(*(np.concatenate(pair) for pair in pairs))
@@ -98,8 +99,10 @@ class Moments:
 
 @dataclass(frozen=True)
 class Coding:
-    """How integers of a file stand for Gaussians: picture size, quantum, whether chroma and shear are left out, and
-    whether the file is a short one."""
+    """Parameters of the quantisation of Gaussians to a file's integers.
+
+    width, height: of the picture; grey, upright: chroma or shear is left out; is_short: the file is a short one.
+    """
 
     width: int
     height: int
@@ -110,15 +113,18 @@ class Coding:
 
     @property
     def parameters(self) -> native.RdParameters:
-        """For the entropy coder."""
+        """The same parameters for the kernels."""
         size = self.width, self.height
         return native.RdParameters(*size, self.quantum, self.grey, self.upright, is_short=self.is_short)
 
 
 @dataclass(frozen=True)
 class RefineLimits:
-    """price: squared error, summed over the target, that a bit must be worth; sweeps: over all Gaussians, at most;
-    seconds: after which no sweep begins; max_bytes: of the payload; spacing: of the target's frame."""
+    """Limits of a search over a file's integers.
+
+    price: squared error, summed over the target, that a bit must be worth; sweeps: most passes over all Gaussians;
+    seconds: no sweep begins later; max_bytes: of the payload; spacing: of the target's frame.
+    """
 
     price: float
     sweeps: int
@@ -128,10 +134,10 @@ class RefineLimits:
 
 
 class Backend(Protocol):
-    """Ten functions. Errors are squared and in units of white; visibility weighs them where it is given."""
+    """The ten functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
 
     def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        """[3, rows, W]: the target's rows, of which first_row is the first, less the Gaussians drawn there."""
+        """Target minus drawn Gaussians, [3, rows, W], for the rows of a target that begin at first_row."""
         ...
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
@@ -141,16 +147,18 @@ class Backend(Protocol):
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
-        """The same error, and its gradient by every parameter."""
+        """Mean squared error, and its gradient by every parameter."""
         ...
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
-        """MSE + lambda_g L_g (paper, section III-D) against image [3, H, W] as a function of Gaussians: the MSE, and
-        the gradient of the sum."""
+        """Build the loss MSE + lambda_g L_g (paper, section III-D) against image [3, H, W].
+
+        The returned function of Gaussians gives the MSE and the gradient of the sum.
+        """
         ...
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
-        """[N, 3]: each Gaussian's inner product, weighed by the visibility alone, with the picture that all draw."""
+        """Inner product [N, 3] of each Gaussian with the picture of all, weighted by visibility.values only."""
         ...
 
     def step(
@@ -162,31 +170,37 @@ class Backend(Protocol):
         rate: float,
         values: int,
     ) -> None:
-        """Move Gaussians, in place, by one step of Adam in each one's own frame, and update the moments.
+        """Move Gaussians in place by one step of Adam in each one's own frame, and update the moments.
 
         A mean moves by L d and a factor by L S with S lower triangular, so a rate is the same relative change for a
-        speck and for a wide ellipse. Steps are at most settings.newton_steps of Gauss-Newton's, whose matrix is taken
-        for diagonal. rate: times all rates of the settings; values: samples of the picture whose mean is the loss.
+        speck and for a wide ellipse. Steps are at most settings.newton_steps times those of Gauss-Newton with a
+        diagonal matrix. rate: factor on all rates of the settings; values: samples of the picture, over which the loss
+        is a mean.
         """
         ...
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
-        """Add, in place, the gradient of weight times a smooth estimate of all Gaussians' bits: log2(1 + |value| /
-        step) of each coded value, and log2(1 + m) for the size and both coordinates, with m the colour's length in
-        steps."""
+        """Add, in place, the gradient of `weight` times a smooth estimate of all Gaussians' bits.
+
+        The estimate is log2(1 + |value| / step) of each coded value, and log2(1 + m) for the size and for both
+        coordinates, where m is the colour's length in steps.
+        """
         ...
 
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
-        """Move Gaussians, in place, to where every file of a picture of this size can say them."""
+        """Clamp Gaussians, in place, to values that every file of a picture of this size can represent."""
         ...
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
-        """What a decoder will see of them; colour 0 where nothing is left."""
+        """Gaussians as a decoder will see them, with colour 0 if they round to nothing."""
         ...
 
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
-        """The payload of the rounded Gaussians, integers changed one Gaussian at a time where that lowers squared error
-        plus price times bits; then without those that gain least for their bits, until it fits."""
+        """Search for a payload that minimises squared error plus price times bits.
+
+        The rounded integers change one Gaussian at a time where that lowers the sum. Then the Gaussians that gain least
+        for their bits are dropped until the payload fits.
+        """
         ...

@@ -1,5 +1,4 @@
-"""The backend that defines the others, slow on purpose: in float64, with derivatives by torch, and with searches that
-try one change after another."""
+"""The backend that defines the others, slow on purpose: in float64, with torch's derivatives and naive searches."""
 
 from __future__ import annotations
 
@@ -28,17 +27,17 @@ from sgmethod.native.reference import render, render_pyramid
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.shared import OptimiserSettings
 
-MAX_SCALE, MAX_SLANT, MAX_AMPLITUDE = 8192.0, 2048.0, 32.0  # that a fit keeps to; a slant is |l2| / l3
-FAINT = 0.03  # a fainter Gaussian counts as one of this amplitude: its shape would jump
+MAX_SCALE, MAX_SLANT, MAX_AMPLITUDE = 8192.0, 2048.0, 32.0  # limits during a fit; a slant is |l2| / l3
+FAINT = 0.03  # least amplitude in the limit on steps: without it, shapes of faint Gaussians would jump
 SOBEL = torch.tensor([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], dtype=torch.float64) / 8
 
-# Half the second derivative of the squared error by the frame's d and S and by the colour, for a Gaussian that lies
-# alone: times pi l1 l3, and those of d and S times |colour|^2.
+# Half the second derivative of the squared error by the frame's d and S and by the colour, for an isolated Gaussian:
+# to be multiplied by pi l1 l3, and for d and S by |colour|^2.
 CURVATURE = np.array([1 / 2, 1 / 2, 3 / 4, 1 / 4, 3 / 4, 1, 1, 1])
 
 
 def squared(errors: Tensor, visibility: Visibility | None) -> Tensor:
-    """The sum of errors [..., 3, H, W], squared and as they count."""
+    """Weighted sum of squared errors [..., 3, H, W]."""
     if visibility is None:
         return errors.square().sum((-3, -2, -1))
     weights = torch.from_numpy(visibility.values.astype(np.float64) / VISIBLE)
@@ -47,8 +46,11 @@ def squared(errors: Tensor, visibility: Visibility | None) -> Tensor:
 
 
 def geometry_loss(image: Tensor, target: Tensor) -> Tensor:
-    """L_g (paper, section III-D) of images [3, H, W]: the mean of |Gx| (G'x - Gx)^2 + |Gy| (G'y - Gy)^2 over all pixels
-    and channels. Pixels without a whole 3 x 3 neighbourhood add nothing."""
+    """Loss L_g of images [3, H, W] (paper, section III-D).
+
+    The mean of |Gx| (G'x - Gx)^2 + |Gy| (G'y - Gy)^2 over all pixels and channels; pixels without a whole 3 x 3
+    neighbourhood add nothing.
+    """
     if min(target.shape[1:]) < 3:
         return image.new_zeros(())
     kernels = torch.stack([SOBEL, SOBEL.T])[:, None]
@@ -57,8 +59,7 @@ def geometry_loss(image: Tensor, target: Tensor) -> Tensor:
 
 
 def bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
-    """[N]: a smooth estimate of each Gaussian's bits: log2(1 + |value| / step) of each coded value, and log2(1 + m) of
-    the size and both coordinates; m is the length of the colour in steps."""
+    """Smooth estimate [N] of each Gaussian's bits (Backend.add_rate_gradient)."""
     l1, l2, l3 = factors.unbind(1)
     step = quantum / (native.COLOR_SCALE * (l1 * l3).sqrt())
     axes = colors @ torch.tensor(native.COLOR_BASIS, dtype=torch.float64).T / step[:, None]
@@ -69,28 +70,24 @@ def bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
 
 
 class Reference:
-    """A Backend by these definitions, with torch's derivatives."""
+    """A Backend by these definitions, with derivatives by torch."""
 
     def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        """As Backend.residual."""
         rows = _drawn(_tensors(gaussians), frame)[:, first_row : first_row + target.shape[1]]
         return _single(_image(target) - rows)
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
-        """As Backend.error."""
         errors = _drawn(_tensors(gaussians), frame) - _image(target)
         return squared(errors, visibility).item() / target.size
 
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
-        """As Backend.gradients."""
         leaves = _tensors(gaussians)
         error = squared(_drawn(leaves, frame) - _image(target), visibility) / target.size
         return error.item(), _gradient(error, leaves)
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
-        """As Backend.regularised."""
         target = torch.from_numpy(image.astype(np.float64))
 
         def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:
@@ -102,7 +99,7 @@ class Reference:
         return evaluate
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
-        """As Backend.gram: the derivative of half the picture's energy by each colour."""
+        """Differentiate half the picture's energy by each colour."""
         leaves = _tensors(gaussians)
         alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
         return _gradient(squared(_drawn(leaves, frame), alike) / 2, leaves).colors
@@ -116,7 +113,6 @@ class Reference:
         rate: float,
         values: int,
     ) -> None:
-        """As Backend.step."""
         s = settings
         means, factors, colors, gm, gf, gc = (a.astype(np.float64) for a in (*gaussians.arrays, *gradient.arrays))
         l1, l2, l3 = factors.T
@@ -139,7 +135,6 @@ class Reference:
         moments.first[:], moments.second[:], moments.bias[:] = first, second, bias
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
-        """As Backend.add_rate_gradient."""
         _, factors, colors = _tensors(gaussians)
         total = weight * bits(factors, colors, quantum).sum()
         by_factors, by_colors = torch.autograd.grad(total, (factors, colors))
@@ -147,7 +142,6 @@ class Reference:
         gradient.colors[:] += by_colors.numpy()
 
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
-        """As Backend.keep_in_range."""
         means, factors, colors = (values.astype(np.float64) for values in gaussians.arrays)
         l1, l3 = np.minimum(factors[:, ::2], MAX_SCALE).T
         slanted = np.clip(factors[:, 1], -MAX_SLANT * l3, MAX_SLANT * l3)
@@ -157,7 +151,7 @@ class Reference:
         gaussians.colors[:] = np.clip(colors, -MAX_AMPLITUDE, MAX_AMPLITUDE)
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
-        """As Backend.rounded: each Gaussian is coded and decoded alone."""
+        """Encode and decode each Gaussian alone."""
         out = Gaussians(gaussians.means.copy(), gaussians.factors.copy(), np.zeros_like(gaussians.colors))
         for i in range(len(out)):
             payload = native.rd_encode(coding.parameters, *gaussians.rows(np.array([i])).arrays)
@@ -169,7 +163,6 @@ class Reference:
     def refine(
         self, gaussians: Gaussians, coding: Coding, target: Target, limits: RefineLimits, visibility: Visibility | None
     ) -> bytes:
-        """As Backend.refine."""
         end_s = time.monotonic() + limits.seconds
         descent = _Descent(self, gaussians, coding, target, limits.price, visibility)
         for _ in range(limits.sweeps):
@@ -179,9 +172,9 @@ class Reference:
 
 
 class _Descent:
-    """Gaussians over a target, which change one after another wherever that lowers squared error plus price times bits.
+    """Coordinate descent on squared error plus price times bits, one Gaussian after another.
 
-    They are kept as they are before rounding: a decoded one that was too small for the file would round to another.
+    Gaussians are kept unrounded, because a decoded one that was too small for the file would round to another.
     """
 
     def __init__(
@@ -198,7 +191,7 @@ class _Descent:
         self._left = _image(target) - self._drawn(self._rounded(self._gaussians)).sum(0)
 
     def sweep(self) -> bool:
-        """Visit every Gaussian once. Returns whether any has changed."""
+        """Visit every Gaussian once; return whether any has changed."""
         changed = [self._visit(i) for i in range(len(self._gaussians))]
         self._gaussians = self._coded(self._gaussians)
         return any(changed)
@@ -216,7 +209,7 @@ class _Descent:
         return best != 0
 
     def payload(self, max_bytes: int) -> bytes:
-        """Of the Gaussians, without those that gain least for their bits, one by one, until it fits."""
+        """Encode, dropping one by one the Gaussians that gain least for their bits until the payload fits."""
         while len(payload := native.rd_encode(self._coding.parameters, *self._gaussians.arrays)) > max_bytes:
             rounded = self._rounded(self._gaussians)
             drawn = self._drawn(rounded)
@@ -230,14 +223,14 @@ class _Descent:
         return self._backend.rounded(gaussians, self._coding)
 
     def _coded(self, gaussians: Gaussians) -> Gaussians:
-        """Those of which a file has something left."""
+        """Keep the Gaussians that do not round to nothing."""
         return gaussians.rows(np.flatnonzero(self._rounded(gaussians).colors.any(1)))
 
     def _drawn(self, gaussians: Gaussians) -> Tensor:
-        """[N, 3, H, W]: each Gaussian alone."""
+        """Pictures [N, 3, H, W] of each Gaussian alone."""
         means, factors, colors = _tensors(gaussians)
         frame, each = Frame(self._coding.width, self._coding.height), torch.eye(len(means), dtype=torch.float64)
-        weights = _drawn((means, factors, each), frame)  # a channel for each
+        weights = _drawn((means, factors, each), frame)  # one channel per Gaussian
         return (colors[:, :, None, None] * weights[:, None]).detach()
 
     def _bits(self, gaussians: Gaussians) -> Tensor:
@@ -246,7 +239,7 @@ class _Descent:
 
 
 def _neighbours(one: Gaussians, quantum: float) -> Gaussians:
-    """A Gaussian with each of its coded values moved by about a step up or down; and it in black, which is without it.
+    """A Gaussian with each coded value moved by about a step up or down, and last a black one, which stands for none.
 
     A step is a change of the picture by a given energy (native/rd/symbols.h).
     """

@@ -1,5 +1,8 @@
-"""A backend on another device of torch: what reads all pixels is done there, by operations on tensors. What is done for
-each Gaussian alone, and the integers of the end, stay with the kernels on the CPU."""
+"""The backend for devices of PyTorch other than the CPU.
+
+Whatever reads all pixels runs on the device, by operations on tensors. Work on each Gaussian alone, and the final
+search over integers, stay with the kernels on the CPU.
+"""
 
 from __future__ import annotations
 
@@ -15,39 +18,35 @@ from sgmethod.scene import FloatArray, Gaussians
 
 
 class Tensors(Kernels):
-    """A Backend on a device, in single precision. Where the device adds in any order, files vary from run to run."""
+    """A Backend on a device, in single precision. Files vary from run to run if the device's sums do."""
 
     def __init__(self, device: torch.device) -> None:
         self._device = device
 
     def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        """As Backend.residual."""
         drawn = self._drawn(gaussians, frame)[1][:, first_row : first_row + target.shape[1]]
         return _numpy(self._image(target) - drawn)
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
-        """As Backend.error."""
         left = self._drawn(gaussians, frame)[1] - self._image(target)
         return _mean(left * self._seen(left, visibility))
 
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None
     ) -> tuple[float, Gaussians]:
-        """As Backend.gradients."""
         pairs, drawn = self._drawn(gaussians, frame)
         left = drawn - self._image(target)
         seen = self._seen(left, visibility)
         return _mean(left * seen), self._gradient(pairs, gaussians, frame, seen * (2 / left.numel()))
 
     def regularised(self, frame: Frame, image: FloatArray, lambda_g: float) -> Loss:
-        """As Backend.regularised."""
         target = self._tensor(image)
         along_x = self._tensor(np.array([[-1, 0, 1], [-2, 0, 2], [-1, 0, 1]], np.float32) / 8)
         kernels = torch.stack([along_x, along_x.T])[:, None]
 
         def evaluate(gaussians: Gaussians) -> tuple[float, Gaussians]:
             pairs, drawn = self._drawn(gaussians, frame)
-            with torch.enable_grad():  # whatever the caller has
+            with torch.enable_grad():  # even if the caller has disabled gradients
                 drawn.requires_grad_()
                 mse = loss = (drawn - target).square().mean()
                 if min(target.shape[1:]) >= 3:
@@ -59,7 +58,6 @@ class Tensors(Kernels):
         return evaluate
 
     def gram(self, gaussians: Gaussians, frame: Frame, visibility: Visibility | None = None) -> FloatArray:
-        """As Backend.gram."""
         pairs, drawn = self._drawn(gaussians, frame)
         alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
         return self._gradient(pairs, gaussians, frame, self._seen(drawn, alike)).colors
@@ -74,7 +72,7 @@ class Tensors(Kernels):
         return Gaussians(_numpy(means / frame.spacing), _numpy(factors / frame.spacing), _numpy(colors))
 
     def _seen(self, errors: Tensor, visibility: Visibility | None) -> Tensor:
-        """Errors [3, H, W] times what each counts: the product with the errors is their squares as they count."""
+        """Errors [3, H, W] times their weights; multiplied by the errors, this gives weighted squares."""
         if visibility is None:
             return errors
         color = self._tensor(visibility.color.astype(np.float32))
@@ -89,7 +87,7 @@ class Tensors(Kernels):
 
 
 def _mean(values: Tensor) -> float:
-    """Of rows on the device, and of these in double precision, which not every device has."""
+    """Mean, of rows on the device and over them in double precision on the CPU, since not every device has it."""
     return float(values.mean(2).cpu().double().mean())
 
 

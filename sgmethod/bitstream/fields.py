@@ -1,7 +1,6 @@
-"""A header as a table of its fields, from which it is read and written.
+"""Headers as tables of fields, which define both reading and writing.
 
-docs/format.md, sgmethod/native/file/ and the page's decoder have the same tables; tests/native/decoder/test_fields.py
-compares them.
+docs/format.md and sgmethod/javascript/src/header.js have the same tables; tests/bitstream/test_fields.py compares them.
 """
 
 from __future__ import annotations
@@ -14,37 +13,36 @@ from sgmethod.errors import BitstreamError
 
 @dataclass(frozen=True)
 class Field:
-    """A number without sign, its first byte the most significant: low to high, or one value besides."""
+    """An unsigned big-endian integer between low and high."""
 
     name: str
     bytes: int
     low: int
     high: int
-    also: int | None = None
 
     def allows(self, value: int) -> bool:
         """Whether a file may hold the value."""
-        return self.low <= value <= self.high or value == self.also
+        return self.low <= value <= self.high
 
     @property
     def range(self) -> str:
-        """As docs/format.md writes it."""
-        return ("" if self.also is None else f"{self.also}, ") + f"{self.low}..{self.high}"
+        """Format the range as docs/format.md does."""
+        return f"{self.low}..{self.high}"
 
 
 @dataclass(frozen=True)
 class Header:
-    """Fields one after the other."""
+    """A header of consecutive fields."""
 
     fields: tuple[Field, ...]
 
     @property
     def size(self) -> int:
-        """In bytes."""
+        """Size in bytes."""
         return sum(f.bytes for f in self.fields)
 
     def read(self, data: memoryview | bytes) -> dict[str, int]:
-        """The value of each field. Raises BitstreamError for one outside of its range, and where the data are short."""
+        """Read each field. Raises BitstreamError for a value out of range and for truncated data."""
         values, at = {}, 0
         for f in self.fields:
             if len(data) < at + f.bytes:
@@ -57,7 +55,7 @@ class Header:
         return values
 
     def write(self, values: dict[str, int]) -> bytes:
-        """The bytes of a value for each field. Raises ValueError for one outside of its range."""
+        """Write a value for each field. Raises ValueError for a value out of range."""
         for f in self.fields:
             if not f.allows(values[f.name]):
                 raise ValueError(f"{f.name} = {values[f.name]} is outside {f.range}")
@@ -66,7 +64,7 @@ class Header:
 
 @dataclass(frozen=True)
 class BitField:
-    """A number without sign in so many bits, the most significant first.
+    """An unsigned integer of so many bits, most significant first.
 
     short_bits: of them in a short file, at least half, which has the upper ones alone: the lower ones are the upper
     ones again. grows: the bits are a number n, n bits follow, and the value is 2^n plus these.
@@ -79,16 +77,16 @@ class BitField:
 
     @property
     def low(self) -> int:
-        """The least value."""
+        """Least value."""
         return int(self.grows)
 
     @property
     def high(self) -> int:
-        """The greatest value."""
+        """Greatest value."""
         return int(2 ** (2**self.bits if self.grows else self.bits)) - 1
 
     def value(self, upper: int) -> int:
-        """That which a short file says by these upper bits."""
+        """Value that these upper bits stand for in a short file."""
         return upper << (self.bits - self.short_bits) | upper >> (2 * self.short_bits - self.bits)
 
     def allows(self, value: int, is_short: bool) -> bool:
@@ -98,7 +96,7 @@ class BitField:
 
 
 class BitReader:
-    """Reads fields one after the other from data, up to a whole byte."""
+    """A reader of consecutive fields, which end at a whole byte."""
 
     def __init__(self, data: memoryview | bytes) -> None:
         self._data, self._at = data, 0
@@ -111,7 +109,7 @@ class BitReader:
         return int.from_bytes(self._data[begin:end], "big") >> (8 * end - self._at) & ((1 << count) - 1)
 
     def read(self, fields: Iterable[BitField], is_short: bool) -> Iterator[int]:
-        """The value of each field. Raises BitstreamError where the data are short."""
+        """Read each field. Raises BitstreamError for truncated data."""
         for f in fields:
             bits = f.short_bits if is_short else f.bits
             value = self._take(bits)
@@ -120,14 +118,14 @@ class BitReader:
             yield f.value(value) if is_short and not f.grows else value
 
     def end(self) -> int:
-        """The bytes that were read. Raises BitstreamError for a bit behind the last field that is not 0."""
+        """Return the number of bytes read. Raises BitstreamError unless the bits after the last field are 0."""
         if self._take(-self._at % 8):
             raise BitstreamError("the padding of the file's header is not zero")
         return self._at // 8
 
 
 def write_bits(values: Iterable[tuple[BitField, int]], is_short: bool) -> bytes:
-    """What BitReader reads. Raises ValueError for a value that a file cannot hold."""
+    """Write fields for BitReader. Raises ValueError for a value that a file cannot hold."""
     bits = ""
     for f, value in values:
         if not f.allows(value, is_short):

@@ -1,6 +1,6 @@
-"""A file as text that an attribute or a JSON string can hold: base64url of all its bytes but the first.
+"""Files as text for an attribute or a JSON string: base64url of all bytes but the first.
 
-The first byte says no more than that this is a file; the second has the version, so that later ones can be told apart.
+The first byte is the same in every file; the second has the version, so texts of later versions can be recognised.
 """
 
 from __future__ import annotations
@@ -8,25 +8,23 @@ from __future__ import annotations
 import base64
 import binascii
 
-from sgmethod.bitstream.container import LAST_WITH_MAGIC, parse, version_of
+from sgmethod.bitstream.container import parse, version_of
 from sgmethod.bitstream.stream import NO_LIMITS, SIGNATURE, Limits
 from sgmethod.errors import BitstreamError
 
-FIRST = b"x"  # character of a text of version 5, and of no other file
+FIRST = b"w"  # first character of every text, and of no file
 
 
 def to_text(data: bytes) -> str:
-    """The text of a file of version 5: 4 characters for 3 bytes, of A-Z a-z 0-9 - _ alone. Raises BitstreamError for an
-    older one."""
-    if version_of(data) <= LAST_WITH_MAGIC:
-        raise BitstreamError("only files of version 5 have a text: encode the picture again")
+    """Convert a file to text, 4 characters of A-Z a-z 0-9 - _ for 3 bytes. Raises BitstreamError if it is no file."""
+    version_of(data)
     return base64.urlsafe_b64encode(data[1:]).rstrip(b"=").decode()
 
 
 def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
-    """The file of a text. Raises BitstreamError for anything but the whole text of an intact file within the limits."""
+    """Convert text to a file. Raises BitstreamError unless it is the whole text of an intact file within the limits."""
     try:
-        data = bytes([SIGNATURE[0]]) + base64.b64decode(text.encode() + b"=" * (-len(text) % 4), b"-_", validate=True)
+        data = bytes([SIGNATURE]) + base64.b64decode(text.encode() + b"=" * (-len(text) % 4), b"-_", validate=True)
     except (binascii.Error, UnicodeEncodeError) as error:
         raise BitstreamError("this is not the text of an .sg file") from error
     parse(data, limits)
@@ -36,5 +34,5 @@ def from_text(text: str, limits: Limits = NO_LIMITS) -> bytes:
 
 
 def file_of(data: bytes) -> bytes:
-    """The file, where data are its text, as in a file with a line end. Raises BitstreamError as from_text() does."""
+    """Convert a file's text, perhaps with a line end, to the file, and return other data. Raises BitstreamError."""
     return from_text(data.decode("latin-1").strip()) if data[:1] == FIRST else data

@@ -1,4 +1,4 @@
-"""The texture part of a version 4 file: codes of strengths <-> bits (docs/format.md).
+"""The texture part of a version 2 file: codes of strengths <-> bits (docs/format.md).
 
 A code is told by how it differs from its neighbour on the left, the first of a row from that above. The smaller a
 difference is, the likelier: 0, -1, 1, -2, ... are as many ones and a zero.
@@ -16,12 +16,12 @@ Codes = NDArray[np.uint8]  # [octaves, rows, columns]
 
 
 def cells(width: int, height: int) -> tuple[int, int]:
-    """Rows and columns of the cells of a picture, given in pixels."""
+    """Count the rows and columns of cells in a picture of this size in pixels."""
     return -(-height // native.TEXTURE_CELL), -(-width // native.TEXTURE_CELL)
 
 
 def pack(codes: Codes) -> bytes:
-    """The part's bytes."""
+    """Write the texture part."""
     told = codes.astype(np.int64)
     told[1:] -= told[:-1].copy()  # a finer octave tells much of the next
     first = np.diff(told[:, :, :1], axis=1, prepend=0)
@@ -33,7 +33,7 @@ def pack(codes: Codes) -> bytes:
 
 
 def unpack(data: bytes, width: int, height: int) -> tuple[Codes, int]:
-    """The codes of a picture, given in pixels, and how many bytes they took. Raises BitstreamError."""
+    """Read the codes for a picture of this size in pixels; also return the bytes read. Raises BitstreamError."""
     try:
         return native.unpack_texture(data, width, height)
     except RuntimeError as error:

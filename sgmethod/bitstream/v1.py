@@ -1,6 +1,6 @@
 """Version 1 of the file (profiles paper and baseline): integer codes <-> bytes, in fields of fixed length.
 
-docs/format.md describes it in words. Behind the checksum stand
+docs/format.md describes it in words. Between signature and checksum stand
 
 header   profile, picture size, bits per coordinate, groups                        (HEADER)
 tables   ranges of positions and factors, colour codebooks                         (only if there are Gaussians)
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.bitstream.fields import Field, Header
-from sgmethod.bitstream.stream import NO_LIMITS, PREFIX_BYTES, Info, Limits
+from sgmethod.bitstream.stream import LONG_CHECKSUM, NO_LIMITS, SIGNATURE_BYTES, Info, Limits
 from sgmethod.errors import BitstreamError, ViewError
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians, Scene
@@ -37,11 +37,12 @@ HEADER = Header(
     )
 )
 GROUP = Header((Field("bitwidth", 1, MIN_BITWIDTH, MAX_BITWIDTH), Field("gaussians", 3, 1, 2**24 - 1)))
-HEADER_BYTES = PREFIX_BYTES + HEADER.size
+HEADER_BYTES = SIGNATURE_BYTES + HEADER.size
 POSITION_TABLE_BYTES, FACTOR_TABLE_BYTES = 2 * 2 * 4, 3 * 2 * 4
 CODEBOOK_BYTES = CODEBOOK_STAGES * CODEBOOK_ENTRIES * 3 * 2
 TABLE_BYTES = POSITION_TABLE_BYTES + FACTOR_TABLE_BYTES + CODEBOOK_BYTES
 GROUP_BYTES = GROUP.size
+FIXED_BYTES = HEADER_BYTES + LONG_CHECKSUM  # of every file
 BLOCK_RECORDS = 1 << 16  # unpacked at a time: a bit takes a byte then
 
 
@@ -78,7 +79,7 @@ class StreamV1:
     """
 
     VERSION: ClassVar[int] = 1
-    MIN_BYTES: ClassVar[int] = HEADER_BYTES
+    MIN_BYTES: ClassVar[int] = FIXED_BYTES
     background: ClassVar[tuple[int, int, int]] = (0, 0, 0)
     alpha: ClassVar[None] = None
 
@@ -93,7 +94,7 @@ class StreamV1:
 
     @classmethod
     def parse(cls, body: memoryview, limits: Limits = NO_LIMITS) -> StreamV1:
-        """From what follows the checksum.
+        """Read the bytes between signature and checksum.
 
         Raises BitstreamError for anything but a whole body, and beyond the limits before the records are read.
         """
@@ -118,7 +119,7 @@ class StreamV1:
         return cls(profile, *size, *tables, _read_groups(body[at:], header["position_bits"], counts))
 
     def body(self) -> bytes:
-        """What follows the checksum."""
+        """Write the bytes between signature and checksum."""
         values = {
             "profile": PROFILE_CODES[self.profile],
             "width": self.width,
@@ -143,7 +144,7 @@ class StreamV1:
         return sum(len(g.positions) for g in self.groups)
 
     def dequantised(self) -> Gaussians:
-        """The Gaussians, exactly as every decoder must see them (docs/format.md)."""
+        """Dequantise the Gaussians, exactly as every decoder must (docs/format.md)."""
         if not self.groups:
             return Gaussians(np.zeros((0, 2), np.float32), np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
         means = [_levels(g.positions, self.position_range, self.position_bits) for g in self.groups]
@@ -154,16 +155,16 @@ class StreamV1:
         return Gaussians(np.concatenate(means), np.concatenate(factors), colors)
 
     def lay_out(self, prefix: float = 1.0, texture: bool = True) -> None:
-        """Only scene() is drawn."""
+        """Return None: only scene() can be drawn."""
 
     def scene(self, prefix: float = 1.0) -> Scene:
-        """What is to be drawn. Raises ViewError for a prefix below 1."""
+        """Return the scene to draw. Raises ViewError for a prefix below 1."""
         if prefix < 1:
             raise ViewError(f"a file of profile {self.profile} cannot be decoded from a prefix")
         return Scene(self.dequantised(), self.width, self.height, self.background, native.CUTOFF_V1)
 
     def info(self, file_bytes: int, checksum: str, limits: Limits = NO_LIMITS) -> InfoV1:
-        """The description of the file."""
+        """Describe the file."""
         del limits  # parse() has seen to them
         return InfoV1(
             bytes=file_bytes,
@@ -183,15 +184,14 @@ class StreamV1:
         )
 
     def size_bits(self) -> dict[str, int]:
-        """Bits spent on headers (with tables of ranges and groups, checksum and padding), positions,
-        covariances and colours; their sum is the file's size."""
+        """Bits spent on headers (all that is not below), positions, covariances and colours; in sum the whole file."""
         n = self.gaussians
         parts = {
             "positions": 2 * self.position_bits * n,
             "covariances": sum(3 * g.bitwidth * len(g.positions) for g in self.groups),
             "colors": CODEBOOK_STAGES * COLOR_INDEX_BITS * n + (8 * CODEBOOK_BYTES if n else 0),
         }
-        fixed = HEADER_BYTES + (TABLE_BYTES + GROUP_BYTES * len(self.groups) if n else 0)
+        fixed = FIXED_BYTES + (TABLE_BYTES + GROUP_BYTES * len(self.groups) if n else 0)
         records = sum(_record_bits(self.position_bits, g.bitwidth) * len(g.positions) for g in self.groups)
         total = 8 * (fixed + -(-records // 8))
         return {"headers": total - sum(parts.values()), **parts}
@@ -199,12 +199,12 @@ class StreamV1:
 
 def record_budget_bits(max_bytes: int, groups: int) -> int:
     """Bits left for records in a file of max_bytes with this many groups; negative if even headers do not fit."""
-    return 8 * (max_bytes - HEADER_BYTES - TABLE_BYTES - GROUP_BYTES * groups)
+    return 8 * (max_bytes - FIXED_BYTES - TABLE_BYTES - GROUP_BYTES * groups)
 
 
 def file_bytes(record_bits: int, groups: int) -> int:
     """Size of a file with this many bits of records and groups, at least one."""
-    return HEADER_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-record_bits // 8)
+    return FIXED_BYTES + TABLE_BYTES + GROUP_BYTES * groups + -(-record_bits // 8)
 
 
 def _record_bits(position_bits: int, bitwidth: int) -> int:
@@ -223,7 +223,7 @@ def _check_count(gaussians: int, pixels: int, limits: Limits) -> None:
 
 
 def _levels(codes: NDArray[Any], value_range: FloatArray, bits: int) -> FloatArray:
-    """low + code (high - low) / (2^bits - 1), computed in float64 and rounded once to float32."""
+    """Decode: low + code (high - low) / (2^bits - 1), computed in float64 and rounded once to float32."""
     low, high = value_range.astype(np.float64).T
     values: FloatArray = (low + codes * ((high - low) / (2**bits - 1))).astype(np.float32)
     return values

@@ -1,5 +1,4 @@
-"""The command line: sgmethod encode, decode, info, compare and plot.
+"""The command line: sgmethod encode, preview, decode, info, compare and plot.
 
-Arguments and files come in.
-Files, one summary or one line of error, and an exit status leave.
+A command reads arguments and files; it writes files, a summary or one line of error, and returns an exit status.
 """

@@ -1,4 +1,4 @@
-"""The arguments of the command line."""
+"""Parsing of the command line."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAX_SIDE = 1 << 16
 SIZE = re.compile(r"(.+?)\s*(|k|m|ki|mi)b?", re.IGNORECASE)
 UNITS = {"": 1, "k": 1000, "m": 1000**2, "ki": 1024, "mi": 1024**2}
 
-# argparse would write pairs of names.
+# argparse's own usage would not show inputs and outputs as separate names.
 USAGES = {
     "encode": "%(prog)s [OPTIONS] IN [OUT.sg]\n       %(prog)s [OPTIONS] IN... --output-dir DIR",
     "decode": "%(prog)s [OPTIONS] IN.sg OUT\n       %(prog)s [OPTIONS] IN.sg... --output-dir DIR",
@@ -102,12 +102,12 @@ examples:
 
 
 def one_line(message: str) -> str:
-    """The message without its line breaks."""
+    """Join a message into one line."""
     return " ".join(message.split())
 
 
 class _Parser(argparse.ArgumentParser):
-    """Report wrong usage as one line on stderr, like every other error."""
+    """A parser that reports wrong usage as one line on stderr, like every other error."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         named |= {"allow_abbrev": False, "formatter_class": argparse.RawDescriptionHelpFormatter}
@@ -118,7 +118,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Version(argparse.Action):
-    """Look up the version only on request, since that takes longer than the whole parser."""
+    """The action of --version, which looks up the version only on request: that takes longer than parsing."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
         from importlib.metadata import version
@@ -128,9 +128,9 @@ class _Version(argparse.Action):
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
-    """Parse a command, as `run`, and its arguments. Wrong usage ends the process.
+    """Parse arguments; the result names the command as `run`. Wrong usage ends the process.
 
-    File names may appear anywhere, although argparse only takes those before the next option.
+    File names may appear anywhere, although argparse only accepts those before the next option.
     """
     whole = parser(argv)
     arguments, more = whole.parse_known_args(argv)
@@ -142,9 +142,9 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def parser(argv: Sequence[str]) -> argparse.ArgumentParser:
-    """The parser. Its result names the command as `run`.
+    """Build the parser; its result names the command as `run`.
 
-    Only commands named in argv get arguments: those of encode import every profile, which a decode does not need.
+    Only commands named in argv get arguments: a decode need not import every profile for the arguments of encode.
     """
     whole = _Parser(prog="sgmethod", description="An image codec of 2D Gaussians.", epilog=EXAMPLES)
     whole.add_argument("--version", action=_Version, nargs=0, help="show the version")
@@ -217,7 +217,7 @@ def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
         flags = ["-q", "--quality"] if kind == "quality" else [f"--{kind}"]
-        # Whole numbers are read as floats too: Budget says what is wrong with 1.5 bytes.
+        # Whole numbers are read as floats too, so that Budget reports what is wrong with 1.5 bytes.
         read = {"bytes": _size, "looks": _looks}.get(kind, float)
         budget.add_argument(*flags, type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
 
@@ -312,10 +312,10 @@ def _path(text: str) -> str:
 
 
 def _size(text: str) -> float:
-    """Bytes, or thousands and millions of them: 20000, 20k, 20kB, 1.5MB, and by 1024 KiB, MiB."""
+    """Parse a size in bytes: 20000, 20k, 20kB, 1.5MB, 20KiB or 1MiB."""
     if parts := SIZE.fullmatch(text):
         with suppress(InvalidOperation):
-            return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, in which 1.001k is whole
+            return float(Decimal(parts[1]) * UNITS[parts[2].lower()])  # in decimals, so that 1.001k is whole
     raise argparse.ArgumentTypeError(f"a size is a number of bytes, such as 20000, 20k or 1.5MB, not {text!r}")
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sgmethod.cli import files
 from sgmethod.cli.files import CommandError
 from sgmethod.decoder import decode, info
-from sgmethod.io.laying import WHITE, laid_over
+from sgmethod.io.compositing import WHITE, composited
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,7 +23,7 @@ SMALL = "undefined for sides below {} pixels"
 
 
 def run_info(arguments: argparse.Namespace) -> int:
-    """sgmethod info"""
+    """Run sgmethod info."""
     fields = info(files.read(arguments.input)).to_dict()
     if arguments.json:
         print(json.dumps(fields, allow_nan=False))
@@ -34,8 +34,8 @@ def run_info(arguments: argparse.Namespace) -> int:
 
 
 def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """The main facts first, then every field that fits on a line."""
-    told = {"width", "height", "bytes", "bpp", "version", "checksum", "profile", "gaussians", "bits"}
+    """Yield labels and texts: the main facts, then every other field that fits on a line."""
+    main = {"width", "height", "bytes", "bpp", "version", "checksum", "profile", "gaussians", "bits"}
     bits = fields["bits"]
     whole = sum(bits.values())
     yield "picture", f"{fields['width']} x {fields['height']} pixels"
@@ -44,7 +44,7 @@ def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "Gaussians", f"{fields['gaussians']:,}"
     yield "bits", ", ".join(f"{name} {part:,} ({part / whole:.1%})" for name, part in bits.items())
     for name, value in fields.items():
-        if name in told or isinstance(value, dict):
+        if name in main or isinstance(value, dict):
             continue
         if isinstance(value, list):
             if all(isinstance(item, int | float) for item in value):
@@ -56,7 +56,7 @@ def _lines(fields: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def run_compare(arguments: argparse.Namespace) -> int:
-    """sgmethod compare"""
+    """Run sgmethod compare."""
     from sgmethod.metrics import psnr
 
     first, second = _picture(arguments.first), _picture(arguments.second)
@@ -64,7 +64,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     if sizes[0] != sizes[1]:
         raise CommandError(f"the pictures differ in size: {sizes[0]} and {sizes[1]} pixels")
     db = psnr(first, second)
-    others = {**_similarity(first, second), **_seen(first, second, arguments.weights)}
+    others = {**_similarity(first, second), **_perceptual(first, second, arguments.weights)}
     if arguments.json:
         found = {key: value if isinstance(value, float) else None for key, value in others.items()}
         print(json.dumps({"psnr": None if db == float("inf") else db, **found}, allow_nan=False))
@@ -75,11 +75,10 @@ def run_compare(arguments: argparse.Namespace) -> int:
     return 0
 
 
-Measured = float | str  # or why there is no figure
+Measured = float | str  # a figure, or the reason why there is none
 
 
 def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[str, Measured]:
-    """MS-SSIM and SSIMULACRA 2."""
     from sgmethod.metrics import MIN_SIDE, looks, ms_ssim
 
     found = {"ms_ssim": ms_ssim(picture, source), "ssimulacra2": looks.ssimulacra2(picture, source)}
@@ -87,8 +86,7 @@ def _similarity(source: NDArray[np.uint8], picture: NDArray[np.uint8]) -> dict[s
     return {key: SMALL.format(smallest[key]) if one is None else one for key, one in found.items()}
 
 
-def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | None) -> dict[str, Measured]:
-    """LPIPS and DISTS."""
+def _perceptual(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | None) -> dict[str, Measured]:
     try:
         from sgmethod.metrics import perceptual
     except ImportError:
@@ -105,7 +103,7 @@ def _seen(source: NDArray[np.uint8], picture: NDArray[np.uint8], weights: str | 
 
 
 def _picture(path: str) -> NDArray[np.uint8]:
-    """The pixels of an image file or an .sg file."""
+    """Read the pixels of an image file or an .sg file."""
     from sgmethod.bitstream.stream import BEGINNINGS
     from sgmethod.errors import ImageError
 
@@ -115,7 +113,7 @@ def _picture(path: str) -> NDArray[np.uint8]:
         if pixels.shape[2] == 3:
             return pixels
         files.print_lines("note", path, ["transparency is composited over white"])
-        return laid_over(pixels, WHITE)
+        return composited(pixels, WHITE)
     try:
         pixels, notes = files.read_pixels(data)
     except ImageError as error:

@@ -1,4 +1,4 @@
-"""sgmethod decode: .sg files to pictures, without importing PyTorch."""
+"""The command decode: .sg files to pictures, without importing PyTorch."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from sgmethod.view import View
 
 
 def run_decode(arguments: argparse.Namespace) -> int:
-    """sgmethod decode"""
+    """Run sgmethod decode."""
     if arguments.scale is not None and (arguments.width, arguments.height) != (None, None):
         raise CommandError("--scale cannot be combined with --width or --height")
-    _view(arguments)  # or every picture would be refused
+    _view(arguments)  # fail once, not for each picture
     conversions = naming.decodes(arguments)
     files.check_outputs([one.source for one in conversions], [one.target for one in conversions])
     if arguments.output_dir is not None:
@@ -37,7 +37,6 @@ def run_decode(arguments: argparse.Namespace) -> int:
 
 
 def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
-    """Read, decode, write."""
     file = SgFile(files.read(conversion.source))
     sides = {"width": arguments.width, "height": arguments.height}
     pixels = file.pixels(**asdict(_view(arguments)), **sides)
@@ -49,11 +48,11 @@ def _decode(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     files.write(conversion.target, data)
     height, width = pixels.shape[:2]
     said = f"{width} x {height} pixels, {kind}, {len(data):,} bytes"
-    return Outcome(conversion, len(data), said, notes=notes)
+    return Outcome.of(conversion, bytes=len(data), said=said, notes=notes)
 
 
 def _kind(target: str) -> str:
-    """The format for a file name."""
+    """Format for a file name. Raises CommandError for an unknown extension."""
     kind = "PNG" if files.is_device(target) else SUFFIXES.get(Path(target).suffix.lower())
     if kind is None:
         raise CommandError(f"cannot write {target}: its name must end in one of {', '.join(SUFFIXES)}")
@@ -61,6 +60,6 @@ def _kind(target: str) -> str:
 
 
 def _view(arguments: argparse.Namespace) -> View:
-    """The view without --width and --height. Raises ViewError."""
+    """View for the arguments, apart from --width and --height. Raises ViewError."""
     scale = 1.0 if arguments.scale is None else arguments.scale
     return View(scale, arguments.region, arguments.prefix, not arguments.no_texture)

@@ -1,4 +1,4 @@
-"""sgmethod encode: pictures to .sg files, here or on a server."""
+"""The command encode: pictures to .sg files, here or on a server."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     from sgmethod.client.client import Priority
 
 OLD_QUALITY = "this scale is kept for old scripts; --looks is one that can be measured"
-PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # with a server that is busy or restarts
+PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # time to wait for a server that is busy or restarts
 
 
 def run_encode(arguments: argparse.Namespace) -> int:
-    """sgmethod encode"""
+    """Run sgmethod encode."""
     conversions = naming.encodes(arguments)
     traces = [] if arguments.trace is None else [files.output(arguments.trace)]
     files.check_outputs([one.source for one in conversions], [*(one.target for one in conversions), *traces])
@@ -42,9 +42,9 @@ def run_encode(arguments: argparse.Namespace) -> int:
     if arguments.server is not None:
         if arguments.seed != 0:
             raise CommandError("--seed cannot be combined with --server")
-        _client_for(arguments)  # or every picture would be refused
+        _client_for(arguments)  # fail once, not for each picture
     elif arguments.profile != "rd":
-        import_module("sgmethod.paper")  # or every picture would be refused for want of its packages
+        import_module("sgmethod.paper")  # fail once, not for each picture, if its packages are missing
     if arguments.output_dir is not None:
         options = {"budget": budget, **_choices(arguments)}
         options |= {name: getattr(arguments, name) for name in ("profile", "seed", "server")}
@@ -70,8 +70,7 @@ def _only_budget(arguments: argparse.Namespace) -> Budget:
 def _summary(figures: Figures) -> str:
     psnr = "no error" if figures["psnr"] is None else f"{figures['psnr']:.2f} dB"
     ssim = "" if figures["ms_ssim"] is None else f", MS-SSIM {figures['ms_ssim']:.4f}"
-    looks = figures.get("ssimulacra2")  # older servers have none
-    ssim += "" if looks is None else f", SSIMULACRA 2 {looks:.1f}"
+    ssim += "" if figures["ssimulacra2"] is None else f", SSIMULACRA 2 {figures['ssimulacra2']:.1f}"
     size = "{width} x {height}: {bytes:,} bytes, {bpp:.4f} bpp".format(**figures)
     return f"{size}, {psnr}{ssim}, " + "{gaussians:,} Gaussians, {steps:,} steps, {seconds:.1f} s".format(**figures)
 
@@ -81,31 +80,32 @@ def _encode_one_of_several(conversion: Conversion, arguments: argparse.Namespace
 
 
 def _encode(conversion: Conversion, arguments: argparse.Namespace, began: float, shown: bool) -> Outcome:
-    """Read, encode, write. began: the perf_counter at which the wait began."""
+    """Read, encode and write one picture. began: value of perf_counter when the user's wait began."""
     image = files.read(conversion.source)
     encode = _encode_here if arguments.server is None else _encode_there
     with progress_line(shown, began) as show:
         data, figures, trace, notes = encode(arguments, _only_budget(arguments), image, show)
-    figures["seconds"] = round(time.perf_counter() - began, 4)  # with what was loaded, and sent to a server and back
+    figures["seconds"] = round(time.perf_counter() - began, 4)  # including imports and transfers
     if arguments.trace is not None:
         points = {"stats": figures, "trace": [point.to_dict() for point in trace]}
         files.write(files.output(arguments.trace), (json.dumps(points, allow_nan=False) + "\n").encode())
     files.write(conversion.target, data)
-    return Outcome(conversion, len(data), "" if arguments.json else _summary(figures), figures, notes)
+    said = "" if arguments.json else _summary(figures)
+    return Outcome.of(conversion, bytes=len(data), said=said, figures=figures, notes=notes)
 
 
-Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # the file, its figures, the trace, what was left out
+Result = tuple[bytes, Figures, list[TracePoint], list[str]]  # file, figures, trace, notes on anything dropped
 Show = Callable[[TracePoint], None] | None
 
 
 def _choices(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Options besides budget and profile, here and on a server."""
+    """Options other than budget and profile, the same here and on a server."""
     return {"tune": arguments.tune, "effort": arguments.effort, "time_limit_s": arguments.time_limit}
 
 
 def _encode_here(arguments: argparse.Namespace, budget: Budget, image: bytes, show: Show) -> Result:
+    from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
-    from sgmethod.start.advice import advice, better_file
 
     pixels, notes = files.read_pixels(image, keep_alpha=arguments.profile == "rd")
     encoded = encode(
@@ -130,14 +130,14 @@ def _encode_there(arguments: argparse.Namespace, budget: Budget, image: bytes, s
 
 
 def _client_for(arguments: argparse.Namespace) -> Client:
-    """Raises SgError."""
+    """Return the client for --server. Raises SgError."""
     patience_s = PATIENCE_S if arguments.output_dir is None else MANY_PATIENCE_S
     return _client(arguments.server, arguments.quiet, patience_s)
 
 
 @cache
 def _client(server: str, quiet: bool, patience_s: float) -> Client:
-    """One client for all pictures: once answered, it can tell a restarting server from a wrong address."""
+    """Create one client for all pictures: after a first answer, it can tell a restart from a wrong address."""
     from sgmethod.client import Client
 
     def say(message: str) -> None:

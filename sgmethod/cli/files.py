@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.terminal import silent_stderr
-from sgmethod.errors import ImageWarning
+from sgmethod.errors import ImageWarning, SgError
 from sgmethod.io.files import write_atomically
 
 if TYPE_CHECKING:
@@ -27,14 +27,14 @@ STDOUT_NAMES = ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1")
 MAX_INPUT_BYTES = 1 << 30  # the largest picture that is read takes 800 MB uncompressed; a device never ends
 
 
-class CommandError(Exception):
+class CommandError(SgError):
     """The reason why a command failed, in one sentence."""
 
 
 def read(path: str) -> bytes:
-    """The bytes of a file, or of standard input, of at most MAX_INPUT_BYTES."""
+    """Read a file or standard input, of at most MAX_INPUT_BYTES."""
     data = bytearray()
-    with _saying("read", path), _opened(path) as file:
+    with _command_errors("read", path), _opened(path) as file:
         while block := file.read(1 << 20):
             data += block
             if len(data) > MAX_INPUT_BYTES:
@@ -43,8 +43,7 @@ def read(path: str) -> bytes:
 
 
 def read_pixels(image: bytes, *, keep_alpha: bool = False) -> tuple[NDArray[np.uint8], list[str]]:
-    """Pixels of an image file, [H, W, 3], or [H, W, 4] if alpha is to be kept and there is any; and what is left out of
-    it. Raises ImageError."""
+    """Decode an image file to pixels [H, W, 3 or 4]; also return notes on anything dropped. Raises ImageError."""
     from sgmethod.io.image import read_image_8_bit
 
     with silent_stderr(), warnings.catch_warnings(record=True) as caught:  # libtiff prints lines of its own
@@ -71,8 +70,8 @@ def _opened(path: str) -> Iterator[BinaryIO]:
 
 
 def write(path: str, data: bytes) -> None:
-    """Write a file, completely or not at all, or standard output."""
-    with _saying("write", path):
+    """Write to standard output, or to a file, completely or not at all."""
+    with _command_errors("write", path):
         if path == STREAM:
             sys.stdout.buffer.write(data)
             sys.stdout.buffer.flush()
@@ -81,31 +80,30 @@ def write(path: str, data: bytes) -> None:
 
 
 def output(path: str) -> str:
-    """The path, or STREAM where it is a name of standard output: that must not be opened a second time, or what is
-    written would replace what stands there already, and get our own lines in between."""
+    """Return STREAM for a name of standard output, any other path unchanged.
+
+    Opened a second time, standard output would be overwritten from its start, and mixed with our own messages.
+    """
     return STREAM if path in STDOUT_NAMES else path
 
 
 def listed(folder: str) -> list[Path]:
-    """The files of a folder, by name, and links that lead nowhere. Raises CommandError.
-
-    To open a pipe would wait for its writer for ever.
-    """
-    with _saying("read", folder):
+    """List a folder's files and broken links by name, without pipes, which might block. Raises CommandError."""
+    with _command_errors("read", folder):
         return sorted(path for path in Path(folder).iterdir() if path.is_file() or not path.exists())
 
 
 def name_of(path: str, stream: str = "standard input") -> str:
-    """The path, as named in a message."""
+    """Name a path in a message."""
     return stream if path == STREAM else path
 
 
 @contextmanager
-def _saying(verb: str, path: str) -> Iterator[None]:
+def _command_errors(verb: str, path: str) -> Iterator[None]:
     """Turn OSError into a CommandError with the path as given."""
     try:
         yield
-    except BrokenPipeError:  # nobody reads any more, which is no error
+    except BrokenPipeError:  # the reader has gone, which main() does not treat as an error
         raise
     except OSError as error:
         stream = "standard input" if verb == "read" else "standard output"
@@ -119,7 +117,7 @@ def check_outputs(sources: Sequence[str], outputs: Sequence[str]) -> None:
             if sys.stdout is None or sys.stdout.isatty():
                 raise CommandError("standard output is a terminal: name a file, or redirect it with > or |")
         else:
-            with _saying("write", path):
+            with _command_errors("write", path):
                 _check_writable(Path(path))
     taken: dict[str, str] = {os.path.realpath(path): path for path in sources if not is_device(path)}
     for path in outputs:
@@ -137,12 +135,12 @@ def is_device(path: str) -> bool:
 
 def make_folder(path: str) -> None:
     """Create a folder and its parents. Raises CommandError."""
-    with _saying("write", path):
+    with _command_errors("write", path):
         Path(path).mkdir(parents=True, exist_ok=True)
 
 
 def _check_writable(target: Path) -> None:
-    """Raise OSError as writing would. The system follows links: a pipe named by one has no path."""
+    """Raise the OSError that writing would. Links are left to the system: one to a pipe has no path."""
     mode = None
     with suppress(FileNotFoundError):
         mode = target.stat().st_mode

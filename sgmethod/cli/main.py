@@ -17,22 +17,21 @@ from contextlib import suppress
 
 from sgmethod.errors import SgError
 
-INTERRUPTED, NO_READER = 130, 141  # 128 and the number of SIGINT, and of SIGPIPE, which not every system has
+INTERRUPTED, NO_READER = 130, 141  # 128 + SIGINT, 128 + SIGPIPE (not defined on every system)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit status. --help, --version and wrong usage exit instead."""
-    began = time.perf_counter()  # all that takes long is imported later
-    ends_here = argv is None  # and not in somebody's process
+    began = time.perf_counter()  # before the slow imports
+    ends_here = argv is None  # the process ends after this command
     argv = sys.argv[1:] if argv is None else argv
-    # Threads for numpy's linear algebra, of which only encodes have much, take a third of a short command's time.
+    # Starting threads for numpy's linear algebra, which only encodes need, takes a third of a short command's time.
     threads = os.environ.get("SG_THREADS") if {"encode", "preview"}.intersection(argv[:1]) else "1"
     if threads:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", threads)
     from sgmethod.cli.arguments import parse
-    from sgmethod.cli.files import CommandError
 
-    with suppress(AttributeError):  # names need not be valid text; stderr writes those so already
+    with suppress(AttributeError):  # file names need not be valid text; stderr already escapes those
         sys.stdout.reconfigure(errors="backslashreplace")  # type: ignore[union-attr]
     arguments = parse(argv)
     arguments.began = began
@@ -47,18 +46,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except MemoryError:
         return _fail("out of memory")
-    except (SgError, CommandError) as error:
+    except SgError as error:
         return _fail(str(error))
     except OSError as error:
         _abandon_stdout()
         return _fail(str(error))
     if ends_here:
-        gc.freeze()  # or Python would look through all that it has imported once more, which takes longer than a decode
+        gc.freeze()  # saves a collection of all imported objects at exit, which takes longer than a decode
     return status
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    """Import only what the command needs: imports take most of a short command's time."""
+    """Import only what a command needs, because imports take most of a short command's time."""
     if arguments.run == "encode":
         from sgmethod.cli.encoding import run_encode
 
@@ -82,7 +81,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _check_threads() -> None:
-    """Raises CommandError for an invalid SG_THREADS, which the kernels would silently replace."""
+    """Raise CommandError for an invalid SG_THREADS, which the kernels would silently ignore."""
     from sgmethod.cli.arguments import MAX_THREADS
     from sgmethod.cli.files import CommandError
 
@@ -92,7 +91,7 @@ def _check_threads() -> None:
 
 
 def _abandon_stdout() -> None:
-    """Discard what is left in stdout's buffer, or the interpreter would fail on it again at exit."""
+    """Discard the rest of stdout's buffer, on which the interpreter would fail again at exit."""
     with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -18,19 +18,19 @@ PICTURES |= {".pbm", ".pgm", ".pnm", ".qoi", ".avifs", ".dib"}
 
 @dataclass(frozen=True)
 class Conversion:
-    """An input and its output."""
+    """Names of an input and its output."""
 
     source: str
     target: str
 
 
 def sg_beside(source: str) -> str:
-    """photo.jpg -> photo.sg in the same folder; unknown extensions are kept."""
+    """Name photo.jpg photo.sg, in the same folder; unknown extensions are kept."""
     return _renamed(source, {*PICTURES, SUFFIX}, SUFFIX)
 
 
 def png_beside(source: str) -> str:
-    """photo.sg -> photo.png in the same folder."""
+    """Name photo.sg photo.png, in the same folder."""
     return _renamed(source, {SUFFIX}, ".png")
 
 
@@ -40,7 +40,7 @@ def _renamed(source: str, known: set[str], suffix: str) -> str:
 
 
 def encodes(arguments: argparse.Namespace) -> list[Conversion]:
-    """Pictures to .sg files. Raises CommandError."""
+    """List the conversions of encode, pictures to .sg files. Raises CommandError."""
     if arguments.output_dir is not None:
         if arguments.trace is not None:
             raise CommandError("--trace cannot be combined with --output-dir")
@@ -60,7 +60,7 @@ def encodes(arguments: argparse.Namespace) -> list[Conversion]:
 
 
 def decodes(arguments: argparse.Namespace) -> list[Conversion]:
-    """.sg files to pictures. Raises CommandError."""
+    """List the conversions of decode, .sg files to pictures. Raises CommandError."""
     if arguments.output_dir is not None:
         return into_folder(arguments, {SUFFIX}, png_beside)
     source, target = _pair(arguments, "out.png")
@@ -70,7 +70,6 @@ def decodes(arguments: argparse.Namespace) -> list[Conversion]:
 
 
 def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]:
-    """The input and the optional output."""
     names = [*arguments.names, *([] if arguments.output is None else [arguments.output])]
     if len(names) > 2:
         raise CommandError(
@@ -81,7 +80,7 @@ def _pair(arguments: argparse.Namespace, example: str) -> tuple[str, str | None]
 
 
 def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callable[[str], str]) -> list[Conversion]:
-    """Each file, and each file with a known extension in a folder, to its name in the output folder."""
+    """List conversions of files, and of folders' files with a known extension, into the output folder."""
     if arguments.output is not None:
         raise CommandError("--output cannot be combined with --output-dir")
     if STREAM in arguments.names:
@@ -97,7 +96,7 @@ def into_folder(arguments: argparse.Namespace, known: set[str], renamed: Callabl
 
 
 def files_of(name: str, known: set[str]) -> Iterator[str]:
-    """The name itself; for a folder, its files with a known extension, without hidden ones, by name."""
+    """Yield a file's name, or a folder's files with a known extension, without hidden ones, by name."""
     if not Path(name).is_dir():
         yield name
         return

@@ -1,4 +1,4 @@
-"""The command plot: the trace of an encode as a picture, with Matplotlib."""
+"""The command plot: the trace of an encode, drawn by Matplotlib."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Point = dict[str, Any]
 
 
 def run_plot(arguments: argparse.Namespace) -> int:
-    """sgmethod plot"""
+    """Run sgmethod plot."""
     source, target = arguments.input, files.output(arguments.output)
     kind = "svg" if files.is_device(target) else KINDS.get(Path(target).suffix.lower())
     files.check_outputs([source], [target])
@@ -40,7 +40,7 @@ def run_plot(arguments: argparse.Namespace) -> int:
 
 
 def _points(data: bytes, name: str) -> list[Point]:
-    """The trace from a file written by encode --trace. Raises CommandError."""
+    """Parse a trace written by encode --trace. Raises CommandError."""
     try:
         points: list[Point] = json.loads(data)["trace"]
         for point in points:
@@ -55,7 +55,7 @@ def _points(data: bytes, name: str) -> list[Point]:
 
 
 def _drawn(points: list[Point], kind: str) -> bytes:
-    """PSNR above, size and Gaussians below, against time; dashes tell phases apart without colour."""
+    """Draw PSNR above, size and Gaussians below, against time; dashes distinguish phases without colour."""
     try:
         with extra("plot"):
             import matplotlib as mpl
@@ -82,7 +82,7 @@ def _drawn(points: list[Point], kind: str) -> bytes:
 
 
 def _draw_errors(axes: Any, points: list[Point]) -> None:
-    """A line per phase, and a mark for the file at the end."""
+    """Draw a line per phase, and a mark for the file at the end."""
     dashes = cycle(DASHES)
     before: list[Point] = []
     for phase, group in groupby(points[:-1], key=lambda point: point["phase"]):

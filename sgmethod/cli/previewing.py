@@ -1,4 +1,4 @@
-"""sgmethod preview: pictures as short texts, printed or in a folder's manifest."""
+"""The command preview: pictures as short texts, printed or in a folder's manifest."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import argparse
 import json
 import sys
 import warnings
-from collections.abc import Iterable
-from contextlib import closing
+from functools import partial
 from typing import TYPE_CHECKING
 
 from sgmethod.budget import Budget
@@ -15,18 +14,19 @@ from sgmethod.cli import files, naming
 from sgmethod.cli.arguments import one_line
 from sgmethod.cli.files import STREAM, CommandError
 from sgmethod.cli.naming import PICTURES, Conversion
-from sgmethod.cli.several import SOME_FAILED, Outcome, convert_all, outcomes, say_notes
+from sgmethod.cli.several import SOME_FAILED, Outcome, convert_all, outcomes, say_notes, tasks_of
 from sgmethod.cli.terminal import silent_stderr
 from sgmethod.errors import ImageWarning
 from sgmethod.many.manifest import Manifest
+from sgmethod.many.run import Run, Tally
 
 if TYPE_CHECKING:
     from sgmethod.previews.preview import Preview
 
 
 def run_preview(arguments: argparse.Namespace) -> int:
-    """sgmethod preview"""
-    Budget("bytes", arguments.bytes)  # or every picture would be refused
+    """Run sgmethod preview."""
+    Budget("bytes", arguments.bytes)  # fail once, not for each picture
     if (arguments.html or arguments.element) and (STREAM in arguments.names or arguments.output_dir is not None):
         raise CommandError("--html and --element name each picture, and print: they take no - and no --output-dir")
     if arguments.alt is not None and not (arguments.html or arguments.element):
@@ -43,34 +43,29 @@ def run_preview(arguments: argparse.Namespace) -> int:
     if len(wanted) > 1:
         if arguments.alt is not None:
             raise CommandError(f"--alt describes one picture, and {len(wanted)} were given")
-        with closing(outcomes(wanted, _preview, arguments)) as finished:
-            return _print_each(finished, arguments)
+        tally = Run[Outcome]().finish(outcomes(tasks_of(wanted), _preview, arguments), partial(_print, arguments))
+        return SOME_FAILED if tally.failed else 0
     outcome = _preview(wanted[0], arguments)
     say_notes(outcome, arguments)
     print(json.dumps(outcome.figures) if arguments.json else outcome.said)
     return 0
 
 
-def _print_each(finished: Iterable[Outcome], arguments: argparse.Namespace) -> int:
-    """A line for each picture, with its name, and the failures on stderr."""
-    status = 0
-    for outcome in finished:
-        source = outcome.conversion.source
-        say_notes(outcome, arguments)
-        if outcome.error:
-            print(f"sgmethod: {one_line(source)}: {one_line(outcome.error)}", file=sys.stderr)
-            status = SOME_FAILED
-        elif arguments.json:
-            print(json.dumps({"input": source, **outcome.figures}), flush=True)
-        elif arguments.html or arguments.element:
-            print(outcome.said, flush=True)
-        else:
-            print(f"{one_line(source)}\t{outcome.said}", flush=True)
-    return status
+def _print(arguments: argparse.Namespace, outcome: Outcome, _tally: Tally) -> None:
+    """Print a line for one of several pictures, with its name; a failure on stderr."""
+    say_notes(outcome, arguments)
+    if outcome.error:
+        print(f"sgmethod: {one_line(outcome.input)}: {one_line(outcome.error)}", file=sys.stderr)
+    elif arguments.json:
+        print(json.dumps({"input": outcome.input, **outcome.figures}), flush=True)
+    elif arguments.html or arguments.element:
+        print(outcome.said, flush=True)
+    else:
+        print(f"{one_line(outcome.input)}\t{outcome.said}", flush=True)
 
 
 def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
-    """Read, encode, and write where there is a folder for it."""
+    """Read and encode one picture; write the file if there is an output folder."""
     from sgmethod.previews.preview import preview
 
     image = files.read(conversion.source)
@@ -80,7 +75,8 @@ def _preview(conversion: Conversion, arguments: argparse.Namespace) -> Outcome:
     if conversion.target != STREAM:
         files.write(conversion.target, made.data)
     notes = [str(warning.message) for warning in caught]
-    return Outcome(conversion, len(made.data), _said(made, conversion, arguments), made.to_dict(), notes)
+    said = _said(made, conversion, arguments)
+    return Outcome.of(conversion, bytes=len(made.data), said=said, figures=made.to_dict(), notes=notes)
 
 
 def _said(made: Preview, conversion: Conversion, arguments: argparse.Namespace) -> str:

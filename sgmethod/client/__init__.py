@@ -1,8 +1,4 @@
-"""A client of the service: the same encode, on another machine.
-
-An image file and a budget come in and go to a server.
-The .sg file leaves, with its figures and its trace; every failure is a ServerError.
-"""
+"""A client of the service: the same encode, on another machine."""
 
 from sgmethod.errors import extra
 

@@ -32,13 +32,12 @@ PAGE = 200  # jobs in one answer
 Priority = Literal["interactive", "bulk"]
 JobState = Literal["queued", "running", "done", "failed"]
 File = str | os.PathLike[str] | bytes
-WAIT_S = 50  # of one request: less than what proxies, and this client, take for a connection that has died
+WAIT_S = 50  # per request: less than the timeouts of proxies and of this client
 
 
 @dataclass(frozen=True)
 class RemoteEncoded:
-    """An .sg file, its figures (sgmethod.Stats as a dictionary), its trace, and notes on anything dropped from the
-    image."""
+    """An .sg file from a service; figures: sgmethod.Stats as a dictionary; notes: on what was dropped."""
 
     data: bytes
     figures: Json
@@ -49,8 +48,8 @@ class RemoteEncoded:
 class Client:
     """A client of one service.
 
-    patience_s: how many seconds to keep trying while the service is busy or, once it has answered, unreachable;
-    on_retry: called with a sentence before each new attempt, logs a warning by default.
+    patience_s: time to keep trying while the service is busy or, once it has answered, unreachable; on_retry: called
+    with a sentence before each new attempt; logs a warning by default.
     """
 
     def __init__(
@@ -81,15 +80,17 @@ class Client:
         time_limit_s: float | None = None,
         priority: Priority = "interactive",
         on_progress: Progress | None = None,
+        idempotency_key: str | None = None,
     ) -> RemoteEncoded:
         """Encode an image file (path or bytes) on the server, and remove the job afterwards in any case.
 
         Without on_progress, a single request fetches the bitstream if it is done soon enough. Interrupting that request
-        leaves the job behind.
+        leaves the job behind; the same request with the same idempotency_key finds it again.
         """
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         try:
-            answer = self._submit("/encode", query, _bytes_of(image), wait_s=WAIT_S if on_progress is None else 0)
+            wait_s = WAIT_S if on_progress is None else 0
+            answer = self._submit("/encode", query, bytes_of(image), wait_s, idempotency_key)
         except RefusedError as refusal:
             if "id" not in refusal.problem:
                 raise
@@ -103,7 +104,7 @@ class Client:
                 job = self.wait(job_id, on_progress)
                 data = self.bitstream(job_id)
             trace = [_point(point) for point in job["trace"]]
-            return RemoteEncoded(data, job["result"], trace, job.get("notes", []))  # older servers have none
+            return RemoteEncoded(data, job["result"], trace, job["notes"])
         finally:
             self._remove_if_there(job_id)
 
@@ -120,7 +121,7 @@ class Client:
     ) -> str:
         """Submit an image file (path or bytes) and return the id of its job. Retries never create a second job."""
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
-        return _id_of(self._submit("/encode", query, _bytes_of(image)))
+        return _id_of(self._submit("/encode", query, bytes_of(image)))
 
     def submit_again(
         self,
@@ -140,23 +141,25 @@ class Client:
         query = _query(budget, profile, tune, effort, time_limit_s, priority)
         return _id_of(self._submit(f"/jobs/{job_id}/encode", query))
 
-    def _submit(self, path: str, query: Json, image: bytes = b"", wait_s: int = 0) -> httpx.Response:
-        headers = {"Content-Type": "image/*", "Idempotency-Key": secrets.token_hex(16)}
+    def _submit(
+        self, path: str, query: Json, image: bytes = b"", wait_s: int = 0, key: str | None = None
+    ) -> httpx.Response:
+        headers = {"Content-Type": "image/*", "Idempotency-Key": key or secrets.token_hex(16)}
         if wait_s:
-            headers["Prefer"] = f"wait={wait_s}"  # which a server that does not know it ignores
+            headers["Prefer"] = f"wait={wait_s}"
         return self._connection.ask("POST", path, params=query, content=image, headers=headers)
 
     def job(self, job_id: str) -> Json:
-        """A job's state, progress, trace, result and error."""
+        """Return a job's state, progress, trace, result and error."""
         return self._connection.ask_json("GET", f"/jobs/{job_id}")
 
     def jobs(self, state: JobState | None = None) -> Iterator[Json]:
-        """All jobs visible to this client, newest first, without traces; optionally only those in one state."""
+        """Yield all jobs visible to this client, newest first, without traces; optionally only those in one state."""
         path: str | None = f"/jobs?limit={PAGE}" + ("" if state is None else f"&state={state}")
         while path is not None:
             page: Json = self._connection.ask_json("GET", path)
             yield from page["jobs"]
-            # Its path may have a prefix of a proxy's, which the client's address has already.
+            # Only the query is used: the path may have a proxy's prefix, which the client's address has already.
             path = page["next"] and f"/jobs?{urlsplit(page['next']).query}"
 
     def wait(self, job_id: str, on_progress: Progress | None = None) -> Json:
@@ -185,11 +188,11 @@ class Client:
             patience.pause(why, least_s)
 
     def bitstream(self, job_id: str) -> bytes:
-        """The .sg file of a finished job."""
+        """Fetch the .sg file of a finished job."""
         return self._connection.ask("GET", f"/bitstreams/{job_id}.sg").content
 
     def picture(self, job_id: str, kind: str = "png", **view: float | str) -> bytes:
-        """The picture of a finished job, as "png", "jpg", "webp" or "avif".
+        """Fetch the picture of a finished job, as "png", "jpg", "webp" or "avif".
 
         view: parameters of the request, such as width=320, height=240, fit="crop" or region="x,y,w,h".
         """
@@ -201,10 +204,10 @@ class Client:
 
     def decode(self, bitstream: File, kind: str = "png", **view: float | str) -> bytes:
         """Decode an .sg file (path or bytes) on the server, which does not store it; otherwise like `picture`."""
-        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=_bytes_of(bitstream)).content
+        return self._connection.ask("POST", f"/decode.{kind}", params=view, content=bytes_of(bitstream)).content
 
     def links(self, job_id: str, expires_s: int = 3600) -> Json:
-        """URLs of a job's picture and bitstream that need no API key for expires_s seconds."""
+        """Create URLs of a job's picture and bitstream that need no API key for expires_s seconds."""
         return self._connection.ask_json("POST", f"/jobs/{job_id}/links", params={"expires_s": expires_s})
 
     def remove(self, job_id: str) -> None:
@@ -219,14 +222,13 @@ class Client:
 def _query(
     budget: Budget, profile: str, tune: str | None, effort: int, time_limit_s: float | None, priority: Priority
 ) -> Json:
-    """The options of an encode."""
     wanted = {budget.kind: budget.value, "profile": profile, "tune": tune}
-    wanted |= {"priority": priority, "time_limit_s": time_limit_s}
-    wanted |= {"effort": None if effort == DEFAULT_EFFORT else effort}  # which older servers do not know
+    wanted |= {"priority": priority, "time_limit_s": time_limit_s, "effort": effort}
     return {name: value for name, value in wanted.items() if value is not None}
 
 
-def _bytes_of(file: File) -> bytes:
+def bytes_of(file: File) -> bytes:
+    """Return the bytes of an image file, given its path or themselves."""
     if isinstance(file, str | os.PathLike):
         return Path(file).read_bytes()
     if isinstance(file, bytes | bytearray | memoryview):
@@ -235,7 +237,7 @@ def _bytes_of(file: File) -> bytes:
 
 
 def _id_of(answer: httpx.Response) -> str:
-    """The id of the job that a request has created."""
+    """Return the id of the job that a request has created. Raises ServerError if there is none."""
     if "Location" not in answer.headers:
         raise ServerError(f"{answer.url.copy_with(path='/', query=None)} is not an sgmethod service: it created no job")
     return str(answer.headers["Location"].rpartition("/")[2])

@@ -26,8 +26,7 @@ log = logging.getLogger("sgmethod.client")
 
 
 class RefusedError(ServerError):
-    """The server refused. problem: its problem document (RFC 9457), empty if it sent none; again_s: seconds after which
-    to retry, None for never."""
+    """The server refused. problem: its document (RFC 9457) or {}; again_s: seconds until a retry, None for never."""
 
     def __init__(self, detail: str, problem: Json, again_s: float | None) -> None:
         super().__init__(detail)
@@ -35,7 +34,7 @@ class RefusedError(ServerError):
 
 
 class Patience:
-    """Retries until a deadline, with growing pauses."""
+    """Pauses between retries, growing, until a deadline."""
 
     def __init__(self, seconds: float, say: Say) -> None:
         self._seconds, self._say = seconds, say
@@ -57,7 +56,7 @@ class Patience:
 
 
 class Connection:
-    """patience_s: how many seconds to keep trying; on_retry: called before each new attempt."""
+    """HTTP connections to one service. patience_s: time to keep trying; on_retry: called before each new attempt."""
 
     def __init__(self, server: str, api_key: str | None, patience_s: float, on_retry: Say) -> None:
         if api_key and not (api_key.isascii() and api_key.isprintable()):
@@ -79,11 +78,11 @@ class Connection:
         self._http.close()
 
     def patience(self) -> Patience:
-        """For one request."""
+        """Start the patience of one request."""
         return Patience(self._patience_s, self._on_retry)
 
     def ask(self, method: str, path: str, **request: Any) -> httpx.Response:
-        """The successful response, after retries if they may help."""
+        """Send a request and return the successful response, after retries if they may help."""
         patience = self.patience()
         while True:
             try:
@@ -100,7 +99,7 @@ class Connection:
             patience.pause(refusal, refusal.again_s)
 
     def ask_json(self, method: str, path: str, **request: Any) -> Json:
-        """The JSON of a successful response."""
+        """Send a request and return the JSON of the successful response."""
         try:
             found: Json = self.ask(method, path, **request).json()
         except ValueError as error:
@@ -108,7 +107,7 @@ class Connection:
         return found
 
     def events(self, job_id: str) -> Iterator[tuple[str, Json]]:
-        """Names and data of the job's events until the stream ends. Raises RefusedError, httpx.RequestError."""
+        """Yield names and data of a job's events until the stream ends. Raises RefusedError, httpx.RequestError."""
         with self._http.stream("GET", f"/jobs/{job_id}/events") as answer:
             self._has_answered = True
             if not answer.is_success:
@@ -118,11 +117,11 @@ class Connection:
                 yield event.event, event.json()
 
     def out_of_reach(self, error: httpx.RequestError) -> ServerError:
-        """The error to report if it may pass; raised at once if it will not."""
+        """Return the error to report if it may be temporary; else raise it."""
         said = ServerError(f"{self._server} cannot be reached: {error or type(error).__name__}")
         if "CERTIFICATE_VERIFY_FAILED" in str(error):
             said = ServerError(f"the certificate of {self._server} is not trusted; SSL_CERT_FILE may name one: {error}")
-        # Where nothing has ever answered, it is more likely the wrong address than a server that restarts.
+        # If nothing has ever answered, a wrong address is more likely than a restarting server.
         never = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout) and not self._has_answered
         if never or not isinstance(error, PASSING):
             raise said from error

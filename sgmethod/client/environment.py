@@ -1,7 +1,7 @@
-"""What the environment says of proxies and certificates, checked before anything is sent.
+"""Environment variables for proxies and certificates, checked before anything is sent.
 
-httpx reads it too, but fails with errors of many kinds, some only at the first request. Messages do not repeat the
-values: the URL of a proxy may hold a password.
+httpx reads them too, but raises errors of many kinds, some only at the first request. Messages do not repeat the
+values, because the URL of a proxy may contain a password.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ import httpx
 
 from sgmethod.errors import ServerError
 
-PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")  # or in small letters
+PROXIES = ("HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY")  # or in lower case
 
 
 def http_client(url: httpx.URL, headers: dict[str, str], timeout_s: float) -> httpx.Client:
-    """A client of this address, as the environment wants it. Raises ServerError."""
+    """Create an HTTP client with the environment's proxies and certificates. Raises ServerError."""
     context = _certificates()
     for name, value in os.environ.items():
         if name.upper() in PROXIES and value:
             _check_proxy(name, value if "://" in value else f"http://{value}", context)
     try:
         return httpx.Client(base_url=url, headers=headers, timeout=timeout_s, verify=context)
-    except httpx.InvalidURL as error:  # all others have been tried
+    except httpx.InvalidURL as error:  # the other variables have been checked above
         raise ServerError(f"NO_PROXY must be a list of hosts, separated by commas: {error}") from error
 
 
 def check_host(url: httpx.URL) -> None:
-    """Raises ValueError for a host that is missing, or no name that could be looked up."""
+    """Raise ValueError if the host is missing, or not a name that can be looked up."""
     if not url.host:
         raise ValueError("there is no host")
     url.host.encode("idna")
@@ -42,7 +42,7 @@ def _certificates() -> ssl.SSLContext:
     try:
         return httpx.create_ssl_context()
     except OSError as error:
-        # ssl tells the name of the file for keys alone.
+        # ssl sets the file's name only for errors with the key log.
         name, kind = ("SSL_CERT_FILE", "certificates") if error.filename is None else ("SSLKEYLOGFILE", "keys")
         raise ServerError(f"{name} must be a file of {kind}: {error.strerror or error}") from error
 

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from sgmethod.budget import DEFAULT_BUDGET, whole
-from sgmethod.client.client import Client
+from sgmethod.budget import DEFAULT_BUDGET, checked_integer
+from sgmethod.client.client import Client, bytes_of
+from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
-from sgmethod.many.run import Item, Made, OnRow, Picture, Tally, made, run
-
-MAX_JOBS = 256
+from sgmethod.many.run import Finished, Make, OnRow, Tally, Task, caught
 
 
 def encode_many(
@@ -25,35 +25,40 @@ def encode_many(
     *,
     jobs: int = 4,
     resume: bool = False,
-    on_row: OnRow | None = None,
+    on_row: OnRow[Row] | None = None,
     **options: Any,
 ) -> Tally:
-    """sgmethod.encode_many() by a server. items: paths, or pairs of a name and the path or bytes of an image file;
-    jobs: pictures that the server has at a time; options: of Client.encode(), such as budget.
+    """Encode many pictures as sgmethod.encode_many() does, on a server.
 
-    A server that is busy is asked again for as long as the client has patience: give it hours for a long run.
+    items: paths, or pairs of a name and the path or bytes of an image file; jobs: pictures on the server at a time;
+    options: of Client.encode(), such as budget. A busy server is asked again until the client's patience ends: give it
+    hours for a long run. Jobs of a run that was killed are found again by the next one into the same folder.
     """
-    threads = whole(jobs, "the number of jobs", 1, MAX_JOBS)
+    threads = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
     options = {"budget": DEFAULT_BUDGET, "priority": "bulk", **options}
 
-    def make(picture: Any) -> Made:
-        encoded = client.encode(picture, **options)
-        return encoded.data, encoded.figures, encoded.notes
+    def make_row(folder: Path, task: Task[Row]) -> Row:
+        def make(picture: Any) -> Made:
+            image = bytes_of(picture)
+            asked = f"{folder.resolve()} {task.row.name} {sorted(options.items())!r}"
+            key = hashlib.sha256(asked.encode(errors="surrogateescape") + image).hexdigest()
+            encoded = client.encode(image, idempotency_key=key, **options)
+            return encoded.data, encoded.figures, encoded.notes
 
-    def finish(folder: Path, pictures: Iterator[Picture]) -> Generator[Row, None, None]:
-        yield from _in_threads(partial(made, make, folder), pictures, threads)
+        return written(make, folder, task)
 
-    return run(items, output_dir, options, finish, resume, on_row)
+    def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
+        return _in_threads(partial(caught, partial(make_row, folder)), tasks, threads)
+
+    return into_folder(items, output_dir, options, finish, resume, on_row)
 
 
-def _in_threads(
-    make_row: Callable[[Picture], Row], pictures: Iterator[Picture], threads: int
-) -> Generator[Row, None, None]:
-    running: set[Future[Row]] = set()
+def _in_threads(make: Make[Row], tasks: Iterator[Task[Row]], threads: int) -> Finished[Row]:
+    running: dict[Future[Row], Task[Row]] = {}
     with ThreadPoolExecutor(threads, "sgmethod") as pool:
         while True:
-            running |= {pool.submit(make_row, one) for one in islice(pictures, threads - len(running))}
+            running |= {pool.submit(make, task): task for task in islice(tasks, threads - len(running))}
             if not running:
                 return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            yield from (future.result() for future in done)
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                yield running.pop(future), future.result()

@@ -14,7 +14,7 @@ Number = TypeVar("Number", np.float32, np.float64)
 
 
 def own_gaussians(gaussians: Gaussians) -> Gaussians:
-    """The same as C-contiguous float32 arrays, from those of numpy, tensors of any device, or nested lists.
+    """Convert NumPy arrays, tensors of any device or nested lists to C-contiguous float32 arrays.
 
     Raises GaussiansError for other shapes than [N, 2], [N, 3] and [N, 3], values that are not finite, and shapes that
     are no ellipses.
@@ -35,7 +35,7 @@ def own_gaussians(gaussians: Gaussians) -> Gaussians:
 
 
 def own_array(values: Any, kind: type[Number]) -> NDArray[Number]:
-    """C-contiguous, of numpy's arrays, a tensor of any device, or nested lists. Raises GaussiansError."""
+    """Convert a NumPy array, a tensor of any device or nested lists to a C-contiguous array. Raises GaussiansError."""
     if hasattr(values, "detach"):  # a tensor
         values = values.detach().cpu()
     try:

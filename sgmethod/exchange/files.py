@@ -1,4 +1,4 @@
-"""Gaussians <-> PLY files, as programs for 3D Gaussian splatting have them, and .npz files of numpy.
+"""Gaussians <-> PLY files of programs for 3D Gaussian splatting, and NumPy's .npz files.
 
 |                    | npz                     | PLY, written                   | PLY, read                       |
 |--------------------|-------------------------|--------------------------------|---------------------------------|
@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from sgmethod.errors import GaussiansError
 from sgmethod.exchange.arrays import own_gaussians
-from sgmethod.io.files import own_path, write_atomically
+from sgmethod.io.files import checked_path, write_atomically
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
-from sgmethod.view import WHOLE, recut
+from sgmethod.view import NO_CUTOFF, recut
 
 PathLike = str | os.PathLike[str]
 C0 = 0.28209479177387814  # the first spherical harmonic, in units of which f_dc is
@@ -49,13 +49,13 @@ def write_npz(path: PathLike, gaussians: Gaussians) -> None:
     """Write arrays means [N, 2], factors [N, 3] and colors [N, 3]. Raises GaussiansError and OSError."""
     own, file = own_gaussians(gaussians), io.BytesIO()
     np.savez(file, means=own.means, factors=own.factors, colors=own.colors)
-    write_atomically(own_path(path), file.getvalue())
+    write_atomically(checked_path(path), file.getvalue())
 
 
 def read_npz(path: PathLike) -> Gaussians:
-    """Gaussians from what write_npz() wrote. Raises GaussiansError and OSError."""
+    """Read Gaussians from a file of write_npz(). Raises GaussiansError and OSError."""
     try:
-        with np.load(io.BytesIO(own_path(path).read_bytes()), allow_pickle=False) as file:
+        with np.load(io.BytesIO(checked_path(path).read_bytes()), allow_pickle=False) as file:
             arrays = [file[name] for name in ("means", "factors", "colors")]
     except (ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
         raise GaussiansError(f"{path} is no .npz file with means, factors and colors") from error
@@ -64,7 +64,7 @@ def read_npz(path: PathLike) -> Gaussians:
 
 def write_ply(path: PathLike, gaussians: Gaussians) -> None:
     """Write a binary PLY file in the format of 3D Gaussian splatting. Raises GaussiansError and OSError."""
-    whole = recut(own_gaussians(gaussians), native.CUTOFF_V3, WHOLE)
+    whole = recut(own_gaussians(gaussians), native.CUTOFF_V2, NO_CUTOFF)
     l1, l2, l3 = whole.factors.astype(np.float64).T
     axes, scales, _ = np.linalg.svd(np.stack([l1, 0 * l1, l2, l3], 1).reshape(-1, 2, 2))
     half = np.arctan2(axes[:, 1, 0], axes[:, 0, 0]) / 2  # of the angle of the major axis
@@ -73,12 +73,12 @@ def write_ply(path: PathLike, gaussians: Gaussians) -> None:
     columns += [*np.log(scales).T, zero + FLAT, np.cos(half), zero, zero, np.sin(half)]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(half)}"]
     lines = [*header, *(f"property float {name}" for name in WRITTEN), "end_header", ""]
-    write_atomically(own_path(path), "\n".join(lines).encode() + np.stack(columns, 1).astype("<f4").tobytes())
+    write_atomically(checked_path(path), "\n".join(lines).encode() + np.stack(columns, 1).astype("<f4").tobytes())
 
 
 def read_ply(path: PathLike) -> Gaussians:
-    """Gaussians from a PLY file of 2D or 3D Gaussian splatting. Raises GaussiansError and OSError."""
-    vertices = _vertices(own_path(path).read_bytes(), str(path))
+    """Read Gaussians from a PLY file of 2D or 3D Gaussian splatting. Raises GaussiansError and OSError."""
+    vertices = _vertices(checked_path(path).read_bytes(), str(path))
 
     def columns(names: str) -> NDArray[np.float64]:
         return np.stack([vertices[name] for name in names.split()], 1).astype(np.float64)
@@ -93,11 +93,11 @@ def read_ply(path: PathLike) -> Gaussians:
         axes = np.stack([np.stack(rows, 1)[:, : scales.shape[1]] * scales for rows in (along_x, along_y)], 1)
         colors = (0.5 + C0 * columns("f_dc_0 f_dc_1 f_dc_2")) / (1 + np.exp(-columns("opacity")))
     flat = Gaussians.from_covariances(columns("x y"), axes @ axes.mT, colors)
-    return recut(own_gaussians(flat), WHOLE)
+    return recut(own_gaussians(flat), NO_CUTOFF)
 
 
 def _vertices(data: bytes, name: str) -> NDArray[np.void]:
-    """The vertices of a PLY file, which are its first element, with a field for each property."""
+    """Read the vertices of a PLY file, its first element, with a field for each property."""
     head = re.match(rb"ply\r?\nformat (\w+) 1\.0\r?\n(.*?)end_header\r?\n", data, re.DOTALL)
     lines = head[2].decode("latin1") if head else ""
     vertex = re.match(r"(?:(?:comment|obj_info) .*\n)*element vertex (\d+)\s*\n((?:(?:property|comment) .*\n)*)", lines)

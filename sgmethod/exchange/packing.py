@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,8 @@ from numpy.typing import NDArray
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, Coding, RefineLimits
 from sgmethod.bitstream import container
-from sgmethod.bitstream.payload import MAX_QUANTUM, MIN_QUANTUM, is_upright
-from sgmethod.bitstream.v5 import StreamV5
-from sgmethod.budget import Budget, own_number, whole
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, StreamV2, is_upright
+from sgmethod.budget import Budget, checked_integer, finite_number
 from sgmethod.errors import BudgetError, GaussiansError, ImageError
 from sgmethod.exchange.arrays import own_array, own_gaussians
 from sgmethod.fitting.level import target_of
@@ -36,7 +36,7 @@ def pack(
     background: Any = (0.0, 0.0, 0.0),
     image: Input | None = None,
 ) -> bytes:
-    """The .sg file of Gaussians over a picture of width x height pixels.
+    """Write Gaussians over a picture of width x height pixels to an .sg file.
 
     >>> file = sgmethod.open("photo.sg")
     >>> again = sgmethod.pack(file.gaussians(), *file.size, quantum=0.2, background=file.background)
@@ -52,7 +52,7 @@ def pack(
 
     Raises GaussiansError for what no file can hold, BudgetError, and ImageError for a picture of another size.
     """
-    width, height = (whole(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
+    width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, GaussiansError) for side in (width, height))
     own = seen(own_gaussians(gaussians), (width, height))
     if len(own) > min(width * height, MOST_GAUSSIANS):
         raise GaussiansError(f"{len(own)} Gaussians are more than a file of {width} x {height} pixels can hold")
@@ -63,14 +63,14 @@ def pack(
         raise BudgetError("one of bpp and quantum is needed")
     if bpp is not None:
         return container.serialise(packed.within(Budget("bpp", bpp).max_bytes(width, height) or 0))
-    number = own_number(quantum)
+    number = finite_number(quantum)
     if number is None or not MIN_QUANTUM <= number <= MAX_QUANTUM:
         raise BudgetError(f"the quantum must be from {MIN_QUANTUM} to {MAX_QUANTUM:g}, got {quantum!r}")
     return container.serialise(packed.stream(number))
 
 
 class _Packing:
-    """Gaussians over a picture of size (width, height), with the target to refine them on, if there is one."""
+    """Coding of Gaussians over a picture of size (width, height), refined on a target if there is one."""
 
     def __init__(
         self,
@@ -82,44 +82,46 @@ class _Packing:
         self._gaussians, self._size, self._background, self._target = gaussians, size, background, target
         self._grey = len(set(background)) == 1 and bool((gaussians.colors == gaussians.colors[:, :1]).all())
 
-    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV5:
-        """With this quantum; refined, with at most so many bytes of payload, if there is a target."""
-        quantum = StreamV5.coded_quantum(quantum)
+    def stream(self, quantum: float, max_bytes: int = NO_LIMIT) -> StreamV2:
+        """Code Gaussians with this quantum; if there is a target, refine them to at most max_bytes of payload."""
+        quantum = StreamV2.coded_quantum(quantum)
         self._check_range(quantum)
-        rounded = StreamV5.of(self._gaussians, self._size, quantum, self._background, self._grey)
+        rounded = self._coded(self._gaussians, quantum)
         if self._target is None:
             return rounded
         limits = RefineLimits(error_per_bit(quantum), SWEEPS, math.inf, max_bytes)
         coding = Coding(*self._size, quantum, self._grey, rounded.upright)
         payload = Kernels().refine(self._gaussians, coding, self._target, limits, None)
-        return StreamV5(*self._size, quantum, self._background, self._grey, rounded.upright, payload)
+        return replace(rounded, payload=payload)
 
-    def within(self, max_bytes: int) -> StreamV5:
-        """With the finest quantum for a file of at most so many bytes."""
-        empty = StreamV5.of(Gaussians.empty(0), self._size, MAX_QUANTUM, self._background, self._grey)
-        room = max_bytes - empty.file_bytes
-        found = self.stream(self._quantum(room, max_bytes), room)
+    def _coded(self, gaussians: Gaussians, quantum: float) -> StreamV2:
+        return StreamV2.of(gaussians, self._size, quantum, self._background, self._grey)
+
+    def within(self, max_bytes: int) -> StreamV2:
+        """Code Gaussians with the finest quantum for a file of at most max_bytes."""
+        limit = max_bytes - self._coded(Gaussians.empty(0), MAX_QUANTUM).file_bytes
+        found = self.stream(self._quantum(limit, max_bytes), limit)
         if self._target is None or not found.payload:
             return found
-        spared = room * room // len(found.payload)  # refining saves bytes, which buy a finer quantum
-        return self.stream(self._quantum(spared, max_bytes), room)
+        spared = limit * limit // len(found.payload)  # refining saves bytes, which buy a finer quantum
+        return self.stream(self._quantum(spared, max_bytes), limit)
 
-    def _quantum(self, room: int, max_bytes: int) -> float:
-        """The finest, about, of which the payload has at most `room` bytes before refining."""
+    def _quantum(self, limit: int, max_bytes: int) -> float:
+        """Find about the finest quantum whose payload has at most `limit` bytes before refining."""
 
         def payload(quantum: float) -> int:
-            return len(StreamV5.of(self._gaussians, self._size, quantum, self._background, self._grey).payload)
+            return len(self._coded(self._gaussians, quantum).payload)
 
-        if payload(MAX_QUANTUM) > room:
+        if payload(MAX_QUANTUM) > limit:
             raise BudgetError(f"no file of these Gaussians fits into {max_bytes} bytes: take fewer, or more bpp")
         fine, coarse = MIN_QUANTUM, MAX_QUANTUM
         while coarse > 1.004 * fine:  # about a step of the quantum's code
             middle = math.sqrt(fine * coarse)
-            fine, coarse = (fine, middle) if payload(middle) <= room else (middle, coarse)
+            fine, coarse = (fine, middle) if payload(middle) <= limit else (middle, coarse)
         return coarse
 
     def _check_range(self, quantum: float) -> None:
-        """Raise GaussiansError for the first of which a value would be clipped."""
+        """Raise GaussiansError for the first Gaussian with a value that would be clipped."""
         parameters = Coding(*self._size, quantum, self._grey, is_upright(self._gaussians.factors, False)).parameters
 
         def clipped(some: Gaussians) -> bool:
@@ -140,15 +142,15 @@ class _Packing:
 
 
 def seen(gaussians: Gaussians, size: tuple[int, int]) -> Gaussians:
-    """Those that reach into a picture of this size."""
+    """Return the Gaussians that reach into a picture of this size."""
     l1, l2, l3 = gaussians.factors.T
-    reach = math.sqrt(2 * native.CUTOFF_V3) * np.stack([l1, np.hypot(l2, l3)], 1)
+    reach = math.sqrt(2 * native.CUTOFF_V2) * np.stack([l1, np.hypot(l2, l3)], 1)
     inside = np.logical_and(gaussians.means > -reach, gaussians.means < size + reach)
     return gaussians.rows(np.flatnonzero(inside.all(1)))
 
 
 def _levels(background: Any) -> tuple[int, int, int]:
-    """8-bit levels of a background of parts of white."""
+    """Convert a background in parts of white to 8-bit levels."""
     parts = own_array(background, np.float64)
     if parts.shape != (3,) or not ((parts >= 0) & (parts <= 1)).all():
         raise GaussiansError(f"a background is three numbers from 0 to 1, not {background!r}")

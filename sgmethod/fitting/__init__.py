@@ -1,5 +1,4 @@
-"""What a fit is made of: the picture at every size, what its errors count, the time there is, the trace.
+"""Building blocks of a fit: the picture at every size, the objective, the deadline, the trace.
 
-Pixels, a tuning and a time limit come in; levels, an objective and a deadline leave.
-The profiles in paper/ and rd/ say which steps a fit takes; nothing here knows of files or budgets.
+The profiles in paper/ and rd/ define the steps of a fit; nothing here knows of budgets.
 """

@@ -1,6 +1,7 @@
-"""The picture that Gaussians are fitted to, at its own size and at half of it, and so on.
+"""The picture that Gaussians are fitted to, at its own size, half of it, and so on.
 
-Few Gaussians learn as much from few pixels. Means and factors stay in pixels of the whole picture on every level.
+A few Gaussians learn as much from a small picture. Means and factors stay in pixels of the whole picture on every
+level.
 """
 
 from __future__ import annotations
@@ -22,30 +23,29 @@ from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.rd import PyramidSettings
 from sgmethod.threads import in_parallel
 
-# Adds the Laplacian that a blur by a variance of 1 / 16 along each axis takes away.
+# Adds back the Laplacian lost to a blur with a variance of 1 / 16 along each axis.
 SHARPEN = np.array([[0, -1, 0], [-1, 36, -1], [0, -1, 0]], np.float32) / 32
 
 
 class Histogram:
-    """What the counts of an image's levels tell.
+    """Statistics of the levels of an image [H, W, 3].
 
-    background: the colour of more than half of the image, such as a page's white (is_most), or else the mean of all;
-    spread: from a channel's lowest level to its highest, at most.
+    background: the colour of more than half of the image, such as a page's white (has_majority), else the mean colour;
+    spread: the largest difference between the levels of a channel.
     """
 
     def __init__(self, pixels: NDArray[np.uint8]) -> None:
-        """pixels: [H, W, 3]."""
         number = pixels.shape[0] * pixels.shape[1]
         counts = _counts(pixels)
         most = counts.argmax(1).astype(np.uint8)
-        self.is_most = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
-        red, green, blue = (round(float(c)) for c in (most if self.is_most else counts @ np.arange(256) / number))
+        self.has_majority = bool(counts.max(1).min() > number / 2 and (pixels == most).all(2).sum() > number / 2)
+        red, green, blue = (round(float(c)) for c in (most if self.has_majority else counts @ np.arange(256) / number))
         self.background = red, green, blue
         self.spread = int(max(np.ptp(np.flatnonzero(of_channel)) for of_channel in counts))
 
 
 def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """[3, 256]: of each channel's levels in an image [H, W, 3]."""
+    """Count each channel's levels in an image [H, W, 3]; returns [3, 256]."""
 
     def counts_of(band: tuple[int, int]) -> list[NDArray[Any]]:
         return [cv2.calcHist([pixels[slice(*band)]], [c], None, [256], [0, 256]).ravel() for c in range(3)]
@@ -54,7 +54,7 @@ def _counts(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 0, 0)) -> Target:
-    """The sum that Gaussians on a background should reach, [3, H, W], for pixels [H, W, 3]: TARGET_WHITE is white."""
+    """Convert pixels [H, W, 3] to the sum that Gaussians on a background should reach, [3, H, W]."""
     target = np.empty((3, *pixels.shape[:2]), np.int16)
     for plane, channel, below in zip(target, pixels.transpose(2, 0, 1), background, strict=True):
         np.subtract(channel, below, out=plane, dtype=np.int16)
@@ -64,7 +64,7 @@ def target_of(pixels: NDArray[np.uint8], background: tuple[int, int, int] = (0, 
 
 @dataclass(frozen=True)
 class Level:
-    """One size of the picture: its target, and what each pixel's error counts."""
+    """One size of the picture: its target, and the weights of the pixels' errors."""
 
     backend: Backend
     frame: Frame
@@ -73,19 +73,19 @@ class Level:
 
     @property
     def values(self) -> int:
-        """Samples of the target."""
+        """Number of the target's samples."""
         return self.target.size
 
     @property
     def pixels(self) -> int:
-        """Of this level."""
+        """Number of this level's pixels."""
         return self.frame.height * self.frame.width
 
     def halved(self, sharpened: bool = False) -> Level:
-        """The level of half the size: means of four.
+        """Return the level of half the size, by means of four samples.
 
-        That blurs by a variance of 1/16 of the new pixels. SHARPEN takes it back within the range of this level, or
-        Gaussians that end on the other would be too wide and too faint for the whole picture.
+        That blurs by a variance of 1/16 of the new pixels. SHARPEN undoes it, within this level's range of values: else
+        Gaussians fitted on the smaller level only would be too wide and too faint for the whole picture.
         """
         f = self.frame
         frame = replace(f, height=-(-f.height // 2), width=-(-f.width // 2), spacing=2 * f.spacing)
@@ -102,15 +102,15 @@ class Level:
         return replace(self, frame=frame, target=target, visibility=self.visibility and self.visibility.halved())
 
     def image(self) -> FloatArray:
-        """The target as floats [3, H, W], in which 1 is white."""
+        """Return the target as floats [3, H, W], 1 being white."""
         return self.target.astype(np.float32) / np.float32(TARGET_WHITE)
 
     def gradients(self, gaussians: Gaussians) -> tuple[float, Gaussians]:
-        """Mean squared error as it counts, and its gradient by each parameter."""
+        """Weighted mean squared error, and its gradient by each parameter."""
         return self.backend.gradients(gaussians, self.frame, self.target, self.visibility)
 
     def missing(self, gaussians: Gaussians) -> Rows:
-        """Target less picture, drawn when it is asked for rows."""
+        """Target minus drawn Gaussians, computed when rows are requested."""
 
         def rows(first: int, end: int) -> FloatArray:
             return self.backend.residual(gaussians, self.frame, self.target[:, first:end], first)
@@ -118,7 +118,7 @@ class Level:
         return rows
 
     def residual(self, gaussians: Gaussians) -> Rows:
-        """The same, scaled so that its squares are what the error counts."""
+        """Target minus drawn Gaussians, scaled so that its squares are the weighted errors."""
         visibility, missing = self.visibility, self.missing(gaussians)
         if visibility is None:
             return missing
@@ -127,17 +127,17 @@ class Level:
     def solve_colors(
         self, shapes: Gaussians, steps: int, others: Gaussians | None = None, damping: float = 1e-2
     ) -> Gaussians:
-        """The shapes with colours near the least-squares solution: the image is linear in them.
+        """Give shapes approximately least-squares colours; the image is linear in these.
 
-        Conjugate gradients from zero on the normal equations, preconditioned by the Gaussians' energies
-        pi l1 l3, of which `damping` is added to the diagonal. The target is this level's, less others.
+        Conjugate gradients from zero on the normal equations, preconditioned by the Gaussians' energies pi l1 l3, of
+        which `damping` is added to the diagonal. The target is this level's, minus the Gaussians `others`.
         """
         n, f = len(shapes), shapes.factors
         energy = np.maximum(np.float32(math.pi / self.frame.spacing**2) * f[:, :1] * f[:, 2:], np.float32(1e-12))
         black = Gaussians(shapes.means, f, np.zeros((n, 3), np.float32))
         _, gradients = self.gradients(black if others is None else others.with_more(black))
-        residual = gradients.colors[-n:] * np.float32(-self.values / 2)  # each one's product with the residual
-        if self.visibility is not None:  # gram() and the colours that solve it know nothing of how colours count
+        residual = gradients.colors[-n:] * np.float32(-self.values / 2)  # inner products with the residual
+        if self.visibility is not None:  # gram() weighs pixels only, and leaves out the weights of channels
             residual = residual @ np.linalg.inv(self.visibility.color).astype(np.float32)
         colors = np.zeros((n, 3), np.float32)
         direction = z = residual / energy
@@ -156,10 +156,10 @@ class Level:
 
 @dataclass(frozen=True)
 class Pyramid:
-    """Levels of one picture, the finest first: the one that Gaussians are fitted to in the end.
+    """Levels of one picture, finest first; the finest is used at the end of the fit.
 
-    detailed: those that keep most of the contrast. On others thin lines and checkerboards have gone, and Gaussians
-    would unlearn them.
+    detailed: the levels that keep most of the contrast. The others have lost thin lines and checkerboards, which
+    Gaussians would unlearn there.
     """
 
     levels: tuple[Level, ...]
@@ -168,7 +168,7 @@ class Pyramid:
 
     @classmethod
     def of(cls, whole: Level, settings: PyramidSettings, gaussians: int) -> Pyramid:
-        """The pyramid of a whole picture, without levels that are finer than a file of so many Gaussians can show."""
+        """Build the pyramid of a picture, without levels finer than so many Gaussians can show."""
         levels = [whole]
         while min(levels[-1].frame.height, levels[-1].frame.width) >= settings.smallest_side:
             sharpened = levels[-1].pixels >= 4 * settings.pixels_per_gaussian * gaussians
@@ -180,11 +180,11 @@ class Pyramid:
 
     @property
     def finest(self) -> Level:
-        """The picture that the file can show: its own size, unless Gaussians are few or time is short."""
+        """The finest level: the whole picture, unless Gaussians are few or time is short."""
         return self.levels[0]
 
     def from_level(self, finest: Level) -> Pyramid:
-        """The same, without finer levels."""
+        """Return the pyramid without levels finer than `finest`."""
         spacing = finest.frame.spacing
         levels, detailed = (
             tuple(level for level in some if level.frame.spacing >= spacing) for some in (self.levels, self.detailed)
@@ -192,10 +192,10 @@ class Pyramid:
         return replace(self, levels=levels, detailed=detailed)
 
     def coarsest(self, pixels: float) -> Level:
-        """The coarsest level with at least so many pixels; the finest if none has."""
+        """Return the coarsest detailed level with at least so many pixels, or the finest level if none has."""
         return [self.finest, *(level for level in self.detailed if level.pixels >= pixels)][-1]
 
 
 def _contrast(target: Target) -> float:
-    """The variance of a picture, summed over its channels."""
+    """Variance of a picture, summed over its channels."""
     return float(sum(np.square(cv2.meanStdDev(plane)[1]).item() for plane in target))

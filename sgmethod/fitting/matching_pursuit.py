@@ -1,23 +1,23 @@
-"""Where another Gaussian would pay: matching pursuit on the residual at a few scales.
+"""Matching pursuit: find the places where another Gaussian pays, from the residual at a few scales.
 
-Let e be the residual and w a round Gaussian of scale s at some place. Its best colour is <w, e> / <w, w>. That takes
-its gain, <w, e>^2 / <w, w>, off the squared error.
+Let e be the residual and w a round Gaussian of scale s at some place. Its best colour is <w, e> / <w, w>, which lowers
+the squared error by its gain, <w, e>^2 / <w, w>.
 
-The Gaussians of profile rd end at sigma = 3. Such a Gaussian is as wide as a whole one of scale b = 0.849 s. Its
-integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the residual blurred by a normalised Gaussian
-of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
+The Gaussians of profile rd end at sigma = 3. Such a Gaussian is as wide as one without cut-off of scale b = 0.849 s.
+Its integral is 0.801 2 pi s^2, its energy <w, w> is 0.412 2 pi s^2. With g the residual blurred by a normalised
+Gaussian of scale b, the gain is therefore 4.33 pi b^2 |g|^2: one blur gives the gain at every place.
 
-A place qualifies where its gain is the largest of all scales within the Gaussian's own size, and is more than its bits
-are worth. Wide blurs are computed and searched on smaller pictures. So each size of the picture needs two maps from
+A place qualifies if its gain is the largest of all scales within the Gaussian's own size, and exceeds the worth of its
+bits. Wide blurs are computed and searched on smaller pictures. Each size of the picture therefore needs two maps from
 the others: the largest gain at coarser sizes, enlarged, and the largest of each four samples at finer ones.
 
-Far from the end of the fit, wide gains are everywhere and hide nearly all others: a growth then finds ten places
-for hundreds of Gaussians. So a setting limits the number of coarser sizes that can hide a place.
+Early in the fit, wide gains are everywhere and hide nearly all others: growth would find ten places for hundreds of
+Gaussians. So a setting limits the number of coarser sizes that can hide a place.
 
-Beyond an odd side, a coarser sample reaches out of the picture, where nothing is missing. If the last pixels were
-repeated there, a bright or dark frame would promise gains out there that no fit can have, and hide all other places.
+If a side is odd, a coarser sample reaches out of the picture, where the residual counts as zero. If the last pixels
+were repeated instead, a bright or dark frame would promise impossible gains there, and hide all other places.
 
-The whole size of a large picture is done in bands of rows, which keeps memory small.
+The full size of a large picture is processed in bands of rows, to save memory.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from sgmethod.fitting.bands import Rows, bands
 from sgmethod.scene import FloatArray
 from sgmethod.threads import in_parallel
 
-BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first is that of a single pixel
+BLURS_PX = (0.42, 0.75, 1.5, 3.0, 6.0, 12.0, 24.0, 48.0)  # the first fits a single pixel
 SCALE_OF_BLUR = 1 / 0.84868  # s / b
 GAIN = 4.327 * math.pi
 ALL_COARSER = len(BLURS_PX)  # sizes of the picture, at most
-REACH = 4  # of a blur, in multiples of it; what cv2 takes
+REACH = 4  # radius of a blur's kernel in cv2, in multiples of its scale
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where Gaussians pay: their gain, centre in pixels, and blur; arrays [N]."""
+    """Places for N Gaussians: gain, centre in pixels and blur, as arrays [N]."""
 
     gain: FloatArray
     x: FloatArray
@@ -54,8 +54,11 @@ class Places:
 def candidates(
     residual: Rows, size: tuple[int, int], most: int, least_gain: float, hidden_by: int = ALL_COARSER
 ) -> tuple[FloatArray, FloatArray]:
-    """Means [N, 2] and factors [N, 3] of at most `most` round Gaussians for a residual of size (height, width), each
-    with a gain above least_gain, best first. hidden_by: coarser sizes that can hide a place, at least 1."""
+    """Find round Gaussians that reduce a residual of size (height, width), best first.
+
+    Returns means [N, 2] and factors [N, 3] of at most `most` Gaussians, each with a gain above least_gain. hidden_by:
+    coarser sizes that can hide a place, at least 1.
+    """
     found = _places(residual, size, least_gain, hidden_by)
     gain, x, y, blur = (
         np.concatenate(values) for values in zip(*((p.gain, p.x, p.y, p.blur) for p in found), strict=True)
@@ -69,7 +72,7 @@ def candidates(
 
 def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by: int) -> list[Places]:
     height, width = size
-    # Wider ones would count the mirrored outside as gain, and hide every other place.
+    # Wider blurs would count the mirrored outside as gain, and hide all other places.
     blurs = [b for b in BLURS_PX if REACH * b <= max(size)] or [BLURS_PX[0]]
     by_shrink: dict[int, list[float]] = {}
     for b in blurs:
@@ -97,7 +100,7 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by:
         here = slice(first - top, end - top)
         _most_of_four(most[here], out=seen[first // 2 : -(-end // 2)])
         found.append(level.places(most, least_gain, here, top))
-    for level in reversed(levels):  # from the finest
+    for level in reversed(levels):  # finest first
         seen = np.maximum(seen, level.most(hidden_by))
         found.append(level.places(seen, least_gain))
         seen = _most_of_four(seen)
@@ -105,31 +108,31 @@ def _places(residual: Rows, size: tuple[int, int], least_gain: float, hidden_by:
 
 
 def _drawn_once(residual: Rows, height: int) -> Rows:
-    """The same rows, which are asked for twice."""
+    """Compute a residual once, because its rows are requested twice."""
     whole = residual(0, height)
     return lambda first, end: whole[:, first:end]
 
 
 class _Level:
-    """The gains at one size of the picture."""
+    """Gains at one size of the picture."""
 
     def __init__(
         self, planes: list[FloatArray], shrink: int, blurs: list[float], coarser: _Level | None = None
     ) -> None:
-        """planes [3] of the residual; blurs in pixels of the whole size; coarser: the next level, if there is one."""
+        """Compute gains. planes [3]: the residual; blurs: in pixels of the full size; coarser: the next level."""
         self.shrink, self.blurs, self.coarser = shrink, blurs, coarser
-        self.depth: int = 0 if coarser is None else coarser.depth + 1  # coarser levels in all
+        self.depth: int = 0 if coarser is None else coarser.depth + 1  # number of coarser levels
         self._most: dict[int, FloatArray] = {}
-        # The widest takes longest, and so begins.
+        # The widest blur takes longest, and so comes first.
         *wider, self.gain = in_parallel(lambda b: _gain(planes, b / shrink, b), blurs[::-1])
-        self.chosen = np.zeros(self.gain.shape, np.uint8)  # the index of the blur that gains so much
+        self.chosen = np.zeros(self.gain.shape, np.uint8)  # index of the blur with the largest gain
         for index, more in enumerate(reversed(wider), 1):
-            # Indices rise, so that the larger one is that of the larger gain.
+            # Indices rise, so the maximum keeps the last blur that exceeded all before it.
             np.maximum(self.chosen, (more > self.gain).view(np.uint8) * np.uint8(index), out=self.chosen)
             np.maximum(self.gain, more, out=self.gain)
 
     def most(self, coarser: int) -> FloatArray:
-        """The largest gain here and at this many coarser levels."""
+        """Largest gain on this level and so many coarser ones."""
         coarser = min(coarser, self.depth)
         if self.coarser is None or coarser == 0:
             return self.gain
@@ -139,13 +142,15 @@ class _Level:
         return self._most[coarser]
 
     def places(self, everywhere: FloatArray, least: float, rows: slice = slice(None), first_row: int = 0) -> Places:
-        """Places in these rows of the level whose gain is above the least and the largest within their blur's size.
-        everywhere: the largest gain at all levels; first_row: the row of the picture at which this part begins."""
+        """Places in some rows of the level with a gain above `least` that is the largest within their blur's size.
+
+        everywhere: the largest gain at all levels; first_row: the picture's row at which this level's rows begin.
+        """
         peaks = np.zeros(self.gain[rows].shape, np.bool_)
-        largest, reach = everywhere, 0  # within so many samples
+        largest, reach = everywhere, 0  # the maximum within `reach` samples
         for index, b in enumerate(self.blurs):
             wider = _reach(b, self.shrink)
-            if wider > reach:  # windows of windows: a wide one at once takes its width in time
+            if wider > reach:  # extend the window step by step: the time of one dilation is proportional to its width
                 side = 2 * (wider - reach) + 1
                 largest = np.asarray(cv2.dilate(largest, np.ones((side, side), np.uint8)), np.float32)
                 reach = wider
@@ -157,7 +162,7 @@ class _Level:
         return Places(gain, x_px, y_px + np.float32(first_row), blurs)
 
     def _peak(self, x: NDArray[np.intp], y: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        """The maximum near each sample, in samples: that of the parabolas through it and its neighbours."""
+        """Refine peaks, in samples, to the maxima of the parabolas through each sample and its neighbours."""
         height, width = self.gain.shape
         here = self.gain[y, x]
         left, right = self.gain[y, np.maximum(x - 1, 0)], self.gain[y, np.minimum(x + 1, width - 1)]
@@ -171,7 +176,7 @@ class _Level:
 
 
 def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> list[_Level]:
-    """One for each shrink, from the coarsest. half: the residual's planes at half the size."""
+    """Build a level for each shrink, coarsest first. half: the residual's planes at half the size."""
     planes = {2: half}
     for shrink in list(blurs)[1:]:
         planes[shrink] = [halved(plane, "constant") for plane in planes[shrink // 2]]
@@ -182,7 +187,7 @@ def _coarse_levels(half: list[FloatArray], blurs: dict[int, list[float]]) -> lis
 
 
 def _enlarged(plane: FloatArray, first: int, end: int, width: int) -> FloatArray:
-    """A plane at twice the size; rows from `first` to before `end`."""
+    """Enlarge a plane to twice the size; return its rows from `first` to before `end`."""
     top = max(first // 2 - 1, 0)
     part = plane[top : end // 2 + 2]
     large = cv2.resize(part, (part.shape[1] * 2, part.shape[0] * 2), interpolation=cv2.INTER_LINEAR)
@@ -190,7 +195,7 @@ def _enlarged(plane: FloatArray, first: int, end: int, width: int) -> FloatArray
 
 
 def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:
-    """Of round Gaussians everywhere. sigma: of the blur in pixels of these planes, blur: in those of the picture."""
+    """Gain of a round Gaussian at each sample. sigma, blur: the same scale, in samples and in pixels of the picture."""
     total = np.zeros(planes[0].shape, np.float32)
     for plane in planes:
         cv2.accumulateSquare(cv2.GaussianBlur(plane, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101), total)
@@ -199,7 +204,7 @@ def _gain(planes: list[FloatArray], sigma: float, blur: float) -> FloatArray:
 
 
 def _shrink(blur: float, shorter_side: int) -> int:
-    """The factor by which a picture can be reduced after this blur."""
+    """Factor by which a picture may be reduced for this blur."""
     shrink = 1 << max(0, int(math.log2(blur / 1.5)))
     while shrink > 1 and shorter_side < 4 * shrink:
         shrink //= 2
@@ -207,12 +212,12 @@ def _shrink(blur: float, shorter_side: int) -> int:
 
 
 def _reach(blur: float, shrink: int) -> int:
-    """Samples within which a blur's gain has to be the most."""
+    """Radius in samples within which a blur's gain has to be the largest."""
     return max(1, int(blur / shrink))
 
 
 def _most_of_four(plane: FloatArray, out: FloatArray | None = None) -> FloatArray:
-    """At half the size, the largest of each four samples."""
+    """Reduce a plane to half the size, by the largest of each four samples."""
     plane = even(plane)
     rows = np.maximum(plane[0::2], plane[1::2])
     return np.maximum(rows[:, 0::2], rows[:, 1::2], out=out)

@@ -1,14 +1,15 @@
-"""A target that moves during the fit, as a function of how far the picture is from it.
+"""Targets that move during the fit, depending on the current error.
 
-The eye sees coarse errors more than fine ones. With K e the mean of an error e over small squares, (e + K e)^T V e
-counts in place of e^T V e. Its gradient, V (e + K e), is that of an error against a target that lies K e further off.
+The eye sees coarse errors better than fine ones. With K e the mean of an error e over small squares, (e + K e)^T V e is
+minimised instead of e^T V e. Its gradient, V (e + K e), is that of the error against a target that lies K e further
+away.
 
-It also sees whether detail is as strong as it should be. Let x be an octave of the source, y that of the picture, and
-s = (2 cov(x, y) + c) / (var x + var y + c) their structural similarity in a small window. Its gradient in y goes with
-x - s y, as that of a squared error against x / s does. Squared error alone leaves too weak whatever few Gaussians can
-follow, but for its peaks. Against x / s it comes nearer to the strength of the source.
+The eye also sees whether detail is as strong as it should be. Let x be an octave of the source, y that of the picture,
+and s = (2 cov(x, y) + c) / (var x + var y + c) their structural similarity in a small window. Its gradient in y is
+proportional to x - s y, like that of a squared error against x / s. Squared error alone leaves detail too weak where
+Gaussians are few, except at its peaks. Fitted against x / s, it comes closer to the strength of the source.
 
-So the target is moved every few steps, and kernels see nothing of it.
+So the target is moved every few steps, and the kernels need not know.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ LUMA = (0.299, 0.587, 0.114)
 
 
 class MovingTarget:
-    """A target, [3, H, W], which never moves unless a subclass says how. Moving gives another one.
+    """A target [3, H, W] that stays where it is; subclasses move. Instances are immutable: moving returns another.
 
-    now: where it is; hides: grain was hidden already, or never will be.
+    now: the current target; hides: grain has been hidden already, or never will be.
     """
 
     hides = True
@@ -41,48 +42,45 @@ class MovingTarget:
         self.now = self._original = target
 
     def is_due(self, _step: int, _has_grown: bool) -> bool:
-        """Whether it moves before this step; has_grown: the growth of this run is over."""
+        """Whether the target moves before this step. has_grown: the growth of this run is over."""
         return False
 
     def moved(self, _error: Rows) -> MovingTarget:
-        """The target for a picture this far off: the original target less the picture, by rows."""
+        """Return the target moved for this error: original target minus picture, by rows."""
         return self
 
     def without(self, _grain: Target) -> MovingTarget:
-        """The target with this much, [3, H, W], taken off each time that it is moved."""
+        """Return the target with grain [3, H, W] to be subtracted at each move."""
         return self
 
     def whole(self) -> MovingTarget:
-        """The target with what was taken off put back, for good."""
+        """Return the target with its grain added back, for good."""
         return self
 
 
-class AheadForTheEye(MovingTarget):
-    """Runs ahead of recent coarse errors, and exaggerates detail that the picture follows badly, less the grain that is
-    hidden.
+class ExaggeratedTarget(MovingTarget):
+    """A target for the eye: exaggerates coarse errors and detail that the picture lacks, without hidden grain.
 
-    Only once the growth of a run is over: growth would take the difference for error, add wide Gaussians and leave fine
-    errors alone.
+    It moves only after the growth of a run, which would take the difference for error and add wide Gaussians instead of
+    correcting fine errors.
     """
 
     hides = False
 
     def __init__(self, target: Target, shrink: int, settings: MovingTargetSettings) -> None:
-        """shrink: coarse errors are means over squares of this side, in samples of the target; at least 2."""
+        """Start at the original target. shrink: coarse errors are means over squares of so many samples, at least 2."""
         super().__init__(target)
         self._settings, self._shrink = settings, shrink
         self._grain: Target | None = None
-        self._by: FloatArray | None = None  # at a fraction of the size
-        self._detail: list[FloatArray] = []  # of luma, by octave from half the size on
-        self._more: list[FloatArray] = []  # of that detail
-        self._kept: FloatArray | None = None  # of the detail, where grain is hidden; at half the size
+        self._by: FloatArray | None = None  # offset for coarse errors, at 1 / shrink of the size
+        self._detail: list[FloatArray] = []  # the source's luma by octave, from half the size on
+        self._more: list[FloatArray] = []  # exaggeration of that detail, as factors
+        self._kept: FloatArray | None = None  # share of detail left where grain is hidden, at half the size
 
     def is_due(self, step: int, has_grown: bool) -> bool:
-        """As MovingTarget.is_due."""
         return has_grown and step % self._settings.every == 0
 
-    def without(self, grain: Target) -> AheadForTheEye:
-        """As MovingTarget.without."""
+    def without(self, grain: Target) -> ExaggeratedTarget:
         new = copy(self)
         new._grain, new.hides = grain, True
         finest = self._original[1] - _enlarged(halved(self._original[1]), grain.shape[1:])
@@ -90,16 +88,14 @@ class AheadForTheEye(MovingTarget):
         new._kept = 1 - np.minimum(hidden / (whole + 1), 1)
         return new
 
-    def whole(self) -> AheadForTheEye:
-        """As MovingTarget.whole."""
+    def whole(self) -> ExaggeratedTarget:
         new = copy(self)
         if self._grain is not None:
             new.now = self.now + self._grain
         new._grain, new._kept, new.hides = None, None, True
         return new
 
-    def moved(self, error: Rows) -> AheadForTheEye:
-        """As MovingTarget.moved."""
+    def moved(self, error: Rows) -> ExaggeratedTarget:
         new, s, (_, height, width) = copy(self), self._settings, self._original.shape
         coarse, luma = self._reduced(error)
         np.clip(coarse, -s.furthest, s.furthest, out=coarse)
@@ -120,7 +116,7 @@ class AheadForTheEye(MovingTarget):
         return self._original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE)
 
     def _reduced(self, planes: Rows) -> tuple[FloatArray, FloatArray]:
-        """Means over squares of `shrink`, [3, h, w], and luma at half the size."""
+        """Reduce planes to means over squares of `shrink`, [3, h, w], and to luma at half the size."""
         shrink, (_, height, width) = self._shrink, self._original.shape
         coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
         luma = np.zeros((-(-height // 2), -(-width // 2)), np.float32)
@@ -133,7 +129,7 @@ class AheadForTheEye(MovingTarget):
         return coarse, luma
 
     def _more_detail(self, missing: FloatArray) -> list[FloatArray]:
-        """How much stronger each octave of the detail is asked for now. missing: luma of the error at half the size."""
+        """Update the exaggeration of each octave of detail. missing: luma of the error at half the size."""
         s = self._settings
         more = [
             np.minimum(_unlikeness(source, source - less, s), most) - 1
@@ -143,22 +139,21 @@ class AheadForTheEye(MovingTarget):
         return [old + np.float32(s.detail_rate) * (new - old) for old, new in zip(before, more, strict=True)]
 
     def _exaggerated(self, size: tuple[int, ...]) -> FloatArray:
-        """What is added to the target's detail, at half the size."""
+        """Detail to add to the target, at half the size."""
         by = [share * detail for share, detail in zip(self._more, self._detail, strict=True)]
         total = np.asarray(sum(_enlarged(octave, size) for octave in by), np.float32)
-        return total if self._kept is None else total * self._kept  # or hidden grain would return as dots
+        return total if self._kept is None else total * self._kept  # else hidden grain would return as dots
 
 
-class BeyondBlackAndWhite(MovingTarget):
-    """Wherever the picture is beyond black or white, which decoding clamps; for alpha.
+class OvershootingTarget(MovingTarget):
+    """A target for alpha: follows the picture beyond black and white, which decoding clamps.
 
-    So an edge need not end where it comes to black or white, which a Gaussian finds hard. Where it is steep, a margin
-    beyond is asked for. Values much further out would show in reductions, which are drawn smaller before they are
-    clamped.
+    An edge may then overshoot instead of stopping at black or white, which Gaussians can hardly do; at steep edges it
+    must, by a margin. Larger overshoot would show in reduced views, which are clamped only after they are drawn.
     """
 
     def __init__(self, target: Target, background: int, settings: MovingTargetSettings) -> None:
-        """background: the grey level that the target is above."""
+        """Start at the original target. background: the grey level that was subtracted from it."""
         super().__init__(target)
         s = self._settings = settings
         level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255).astype(
@@ -166,16 +161,14 @@ class BeyondBlackAndWhite(MovingTarget):
         )
         ends = [(level == 0).astype(np.float32), (level == 255).astype(np.float32)]
         margin = s.margin + s.of_slope * np.minimum(_slope(level), s.most_slope)
-        # From the target to the nearest and the furthest that the picture may be beyond it.
+        # Range of offsets from the target within which the picture counts as right.
         self._low = ends[1] * margin - ends[0] * s.overshoot
         self._high = ends[1] * s.overshoot - ends[0] * margin
 
     def is_due(self, step: int, _has_grown: bool) -> bool:
-        """As MovingTarget.is_due."""
         return step % self._settings.overshoot_every == 0
 
-    def moved(self, error: Rows) -> BeyondBlackAndWhite:
-        """As MovingTarget.moved."""
+    def moved(self, error: Rows) -> OvershootingTarget:
         new, (_, height, width) = copy(self), self._original.shape
         new.now = np.empty_like(self._original)
         for first, end in bands(height, width):
@@ -187,7 +180,7 @@ class BeyondBlackAndWhite(MovingTarget):
 
 
 def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> list[FloatArray]:
-    """The detail of a plane that half the size cannot show, that of half the size, and so on."""
+    """Split a plane into octaves of detail, finest first."""
     found = []
     for _ in settings.most_detail:
         coarse = halved(plane)
@@ -197,7 +190,7 @@ def _octaves(plane: FloatArray, settings: MovingTargetSettings) -> list[FloatArr
 
 
 def _unlikeness(source: FloatArray, drawn: FloatArray, settings: MovingTargetSettings) -> FloatArray:
-    """1 or more: a power of the inverse of the structural similarity around each sample of an octave."""
+    """Power of the inverse structural similarity around each sample of an octave; at least 1."""
 
     def mean(products: FloatArray) -> FloatArray:
         window = settings.detail_window
@@ -209,17 +202,17 @@ def _unlikeness(source: FloatArray, drawn: FloatArray, settings: MovingTargetSet
 
 
 def _spread_nearby(plane: Target) -> FloatArray:
-    """The mean of |x| around each sample, at half the size."""
+    """Mean of |x| around each sample, at half the size."""
     return np.asarray(cv2.GaussianBlur(halved(np.abs(plane).astype(np.float32)), (0, 0), 4.0), np.float32)
 
 
 def _enlarged(plane: NDArray[Any], size: tuple[int, ...]) -> NDArray[Any]:
-    """To (height, width)."""
+    """Enlarge a plane to size (height, width)."""
     return np.asarray(cv2.resize(plane, size[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 def _slope(level: NDArray[np.uint8]) -> FloatArray:
-    """The largest change from pixel to pixel near each of them, 1 being white."""
+    """Steepest change between neighbouring pixels near each pixel, 1 being white."""
     x, y = (
         cv2.Scharr(level, cv2.CV_32F, *by, scale=1 / (32 * 255), borderType=cv2.BORDER_REPLICATE)
         for by in ((1, 0), (0, 1))

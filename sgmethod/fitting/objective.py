@@ -1,4 +1,4 @@
-"""What an error counts: to the eye or in decibels, under alpha, with texture. Nobody else asks how a file is tuned."""
+"""The objective of an encode: errors weighted for the eye or for PSNR, under alpha, with texture."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sgmethod.bitstream.texture import Codes
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting import texture, visibility
 from sgmethod.fitting.bands import Rows
-from sgmethod.fitting.moving_target import AheadForTheEye, BeyondBlackAndWhite, MovingTarget
+from sgmethod.fitting.moving_target import ExaggeratedTarget, MovingTarget, OvershootingTarget
 from sgmethod.fitting.visibility import SeenShare
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.scene import FloatArray, Gaussians
@@ -28,8 +28,8 @@ GREY = 128.0
 class Objective:
     """The error that one picture's encode minimises.
 
-    pixels [H, W, 3]; visibility: what each pixel's error counts in the fit, None where all count alike; shown: the part
-    of it that alpha decides; for_eye: tuned for the eye; is_alpha: the picture is an alpha plane, which may overshoot.
+    pixels: [H, W, 3]; visibility: weights of the pixels' errors in the fit, None if all are equal; shown: the weights
+    due to alpha alone; for_eye: tuned for the eye; is_alpha: the picture is an alpha plane, which may overshoot.
     """
 
     pixels: Pixels
@@ -42,7 +42,7 @@ class Objective:
 
     @classmethod
     def of(cls, pixels: Pixels, tune: Tune, settings: ObjectiveSettings, alpha: Pixels | None = None) -> Objective:
-        """For colours [H, W, 3], shown by alpha [H, W] where they are not opaque."""
+        """Objective for colours [H, W, 3], under alpha [H, W] unless they are opaque."""
         shown = None if alpha is None else visibility.of_alpha(alpha)
         seen = visibility.of_detail(pixels, settings.visibility, shown) if tune == "visual" else shown
         share = None if seen is None else SeenShare(seen)
@@ -50,39 +50,38 @@ class Objective:
 
     @classmethod
     def of_alpha(cls, alpha: Pixels, settings: ObjectiveSettings) -> Objective:
-        """For an alpha plane [H, W]."""
+        """Objective for an alpha plane [H, W]."""
         return cls(np.repeat(alpha[..., None], 3, axis=2), settings, is_alpha=True)
 
     def under(self, pixels: Pixels, alpha: Pixels) -> Objective:
-        """The same for colours [H, W, 3] under alpha [H, W]."""
+        """Return the same objective for colours [H, W, 3] under alpha [H, W]."""
         return Objective.of(pixels, "visual" if self.for_eye else "psnr", self.settings, alpha)
 
     def moving_target(self, target: Target, spacing: int, background: int) -> MovingTarget:
-        """How the target of the fit moves. spacing: of its samples, in pixels; background: the level below it, of
-        alpha."""
+        """Build the fit's moving target. spacing: of its samples, in pixels; background: level of an alpha plane's."""
         if self.is_alpha:
-            return BeyondBlackAndWhite(target, background, self.settings.moving)
+            return OvershootingTarget(target, background, self.settings.moving)
         shrink = self.settings.moving.shrink // spacing
         if self.for_eye and shrink > 1:
-            return AheadForTheEye(target, shrink, self.settings.moving)
-        return MovingTarget(target)  # where all errors are coarse, they count alike
+            return ExaggeratedTarget(target, shrink, self.settings.moving)
+        return MovingTarget(target)
 
     def hidden_by(self, effort: Effort) -> int:
-        """Coarser sizes whose gains hide a place of growth: few where the target moves, which leaves coarse errors."""
+        """Coarser sizes whose gains can hide a place of growth: few if the target moves, as coarse errors persist."""
         return effort.hidden_by_moving if self.for_eye else effort.hidden_by
 
     def energies(self, gaussians: Gaussians) -> FloatArray:
-        """[N]: the squared error that each Gaussian alone would leave if it were dropped."""
+        """Weighted squared error [N] that dropping each Gaussian alone would add."""
         l1, l3 = gaussians.factors[:, 0], gaussians.factors[:, 2]
         energies = np.float32(np.pi) * l1 * l3 * np.square(gaussians.colors).sum(1)
         return np.asarray(energies if self.seen_share is None else energies * self.seen_share.of(gaussians), np.float32)
 
     def grain(self, residual: Rows) -> Target:
-        """Grain to hide from the fit, given its residual now."""
+        """Grain to hide from the fit, given its current residual."""
         return texture.grain(self.pixels, residual, self.settings.texture)
 
     def texture(self, stream: Stream) -> Codes | None:
-        """Texture to go with a coded picture that has none; None for none."""
+        """Texture codes for a coded picture without texture; None if it needs none."""
         if not self.for_eye:
             return None
         drawn = draw_whole(stream)
@@ -91,8 +90,7 @@ class Objective:
         return texture.estimate(self.pixels, drawn, self.settings.texture)
 
     def looks(self, decoded: Pixels) -> float:
-        """SSIMULACRA 2 of a decoded picture [H, W, 3], on grey where alpha shows it in part. No side is below
-        8 pixels."""
+        """SSIMULACRA 2 of a decoded picture [H, W, 3], composited over grey; sides are at least 8 pixels."""
         pixels = self.pixels
         if self.shown is not None:
             share = np.sqrt(self.shown.values[..., None] / VISIBLE)
@@ -102,7 +100,7 @@ class Objective:
         return found
 
     def error(self, decoded: Pixels) -> float:
-        """Of a decoded picture [H, W, 3] without texture: squared, summed, 1 being white."""
+        """Weighted sum of squared errors of a decoded picture [H, W, 3] without texture, 1 being white."""
         if self.visibility is None:
             return self.pixels.size * float(10 ** (-psnr(decoded, self.pixels) / 10))
         return visibility.error(self.visibility, decoded, self.pixels) / 255**2

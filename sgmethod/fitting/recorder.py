@@ -1,4 +1,4 @@
-"""The trace: error against time, as an encode goes on."""
+"""Recording the trace of an encode: error against time."""
 
 from __future__ import annotations
 
@@ -7,26 +7,29 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from sgmethod.fitting.deadline import Clock
-from sgmethod.trace import Preview, Progress, TracePoint, shown_to_nobody
+from sgmethod.trace import Preview, Progress, TracePoint
 
 REPORT_INTERVAL_S = 0.1
 
 
 @dataclass(frozen=True)
 class Recorder:
-    """Collects the trace and hands it on, at most every REPORT_INTERVAL_S; previews go to `preview`."""
+    """Collector of the trace: reports a point at most every REPORT_INTERVAL_S; previews go to `preview`."""
 
     clock: Clock
     on_progress: Progress | None = None
-    preview: Preview = shown_to_nobody
+    preview: Preview | None = None
     points: list[TracePoint] = field(default_factory=list)
-    _slow_s: list[float] = field(default_factory=list)  # what measuring for the trace took, the last time
+    _slow_s: list[float] = field(default_factory=list)  # duration of the last measurement for the trace
 
     def report(
         self, phase: str, step: int, steps: int, mse: float | Callable[[], float], gaussians: int, size: int = 0
     ) -> None:
-        """Add a point, where one is due. mse: the error, or a function that measures it for the trace alone, which is
-        given a twentieth of the time; size: of the file in bytes, 0 while unknown."""
+        """Add a point if one is due.
+
+        mse: the error, or a function that measures it only for the trace, in at most a twentieth of the time; size: of
+        the file in bytes, 0 while unknown.
+        """
         seconds = self.clock.seconds()
         interval_s = max(REPORT_INTERVAL_S, 20 * self._slow_s[-1] if self._slow_s else 0.0)
         new_phase = not self.points or self.points[-1].phase != phase

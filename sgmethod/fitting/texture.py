@@ -1,7 +1,7 @@
-"""Grain that Gaussians should not try to draw, and the strength of the texture that stands in for it.
+"""Grain that Gaussians should not try to draw, and the strength of the texture that replaces it.
 
-Only the brightest grains of grass or water are worth a Gaussian, and a few needles and dots on a wash look broken. So
-grain is taken out of the fit's target where the fit misses most of it anyway, and comes back as texture.
+Only the brightest grains of grass or water are worth a Gaussian, and a few needles and dots on a smooth area look
+broken. So grain is removed from the fit's target where the fit misses most of it anyway, and replaced by texture.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from sgmethod.settings.rd import TextureSettings
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 BLOCK = 8  # pixels along a side of the blocks whose energies are compared within a cell
-MOST_FLAT = 1 / 8  # of the pixels of a block that may be noise
-REACH = 9  # pixels along a side of the square around a pixel in which its ink and its paper are looked for
-CONTRAST = 64  # levels of 8 bits between the two, at least
-LIKE = 1 / 6  # of the contrast: as far from ink or paper as JPEG may leave what was drawn as one of them
-MOST_DRAWN = 1 / 2  # of the pixels of a block that may be noise
-# The spread in which noise of strength 1 shows where the residual is measured, by octave: tests/test_texture.py
+MOST_FLAT = 1 / 8  # most flat pixels in a block of noise
+REACH = 9  # side of the square around a pixel in which its darkest (ink) and brightest (paper) levels are found
+CONTRAST = 64  # least difference between ink and paper, in levels of 8 bits
+LIKE = 1 / 6  # part of the contrast by which JPEG may move a pixel away from ink or paper
+MOST_DRAWN = 1 / 2  # most pixels of ink or paper in a block of noise
+# Spread measured in the residual for noise of strength 1, by octave: tests/test_texture.py
 SHOWN = (0.92, 0.46)
 TINY = 1e-3  # squared levels
-MARGIN = 4  # rows, beyond what reduction and enlargement reach; even, so that pairs of rows stay pairs
+MARGIN = 4  # rows, more than reduction and enlargement reach; even, so that rows keep their pairs
 
 
 def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Codes | None:
-    """Codes of strengths [octaves, rows, columns] for a picture [H, W, 3] and its decoded Gaussians; None for none.
+    """Texture codes [octaves, rows, columns] for a picture [H, W, 3] and its decoded Gaussians; None if all are 0.
 
-    In each cell the residual of each octave is measured in blocks. Noise is the same in all of them, while edges leave
-    much in some and nothing in others. So a low quantile of the blocks is the strength of the noise. Blocks of
+    In each cell the residual of each octave is measured in blocks. Noise is the same in all blocks, while edges leave
+    much in some and nothing in others. So a low quantile over the blocks is the strength of the noise. Blocks of
     drawings or lettering count as free of noise.
     """
     height, width = source.shape[:2]
@@ -57,9 +57,9 @@ def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Code
 def grain(source: Pixels, left: Rows, settings: TextureSettings) -> Target:
     """Grain to remove from the target, [3, H, W], for a picture [H, W, 3]; TARGET_WHITE is white.
 
-    left: the residual of the fit now, by rows. Grain is detail of the finest octave. In each cell a low quantile of its
-    energies in blocks is its strength, and each block is filtered as if that were noise (a Wiener filter): detail as
-    strong as its surroundings goes, detail that stands out of them stays.
+    left: the current residual of the fit, by rows. Grain is detail of the finest octave. In each cell its strength is a
+    low quantile of its energies in blocks, and each block is filtered as if that were noise (a Wiener filter): detail
+    as strong as its surroundings is removed, detail that stands out is kept.
     """
     height, width = source.shape[:2]
     share = _hidden(source, left, settings)
@@ -77,7 +77,7 @@ def grain(source: Pixels, left: Rows, settings: TextureSettings) -> Target:
 
 
 def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
-    """The share of each block's detail to remove, 0 to 1."""
+    """Share of each block's detail to remove, 0 to 1."""
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
     side = TEXTURE_CELL // BLOCK
@@ -100,7 +100,7 @@ def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
 
 
 def _rise(values: NDArray[Any], between: tuple[float, float]) -> NDArray[Any]:
-    """From 0 to 1 between the two."""
+    """Ramp from 0 to 1 between two values."""
     first, last = between
     return np.clip((values - first) / (last - first), 0, 1)
 
@@ -114,14 +114,16 @@ def _luma(pixels: Pixels) -> Plane:
 
 
 def _padded(plane: Plane, columns: int) -> Plane:
-    """One row of whole cells, mirrored at the edges of the picture."""
+    """Pad a plane to one row of whole cells, mirrored at the picture's edges."""
     below, beyond = TEXTURE_CELL - plane.shape[0], columns * TEXTURE_CELL - plane.shape[1]
     return _plane(cv2.copyMakeBorder(plane, 0, below, 0, beyond, cv2.BORDER_REFLECT))
 
 
 def _noisy(luma: Plane) -> Plane:
-    """1 for each block that may be noise, 0 for drawings: there neighbours are equal or, after JPEG, most pixels are
-    still ink or paper."""
+    """Mask of blocks, 1 for possible noise, 0 for drawings.
+
+    In drawings many neighbours are equal or, after JPEG, most pixels are still close to ink or paper.
+    """
     darkest, brightest = _extremes(luma, 3)
     flat = brightest == darkest
     darkest, brightest = _extremes(luma, REACH)
@@ -131,13 +133,13 @@ def _noisy(luma: Plane) -> Plane:
 
 
 def _extremes(luma: Plane, side: int) -> tuple[Plane, Plane]:
-    """The least and the greatest in the square around each pixel."""
+    """Minimum and maximum in the square around each pixel."""
     window = np.ones((side, side), np.uint8)
     return _plane(cv2.erode(luma, window)), _plane(cv2.dilate(luma, window))
 
 
 def _share(where: NDArray[np.bool_]) -> Plane:
-    """Of the pixels of each block."""
+    """Share of each block's pixels where the mask is set."""
     return _plane(cv2.resize(_plane(where), None, fx=1 / BLOCK, fy=1 / BLOCK, interpolation=cv2.INTER_AREA))
 
 
@@ -146,39 +148,39 @@ def _halved(plane: Plane) -> Plane:
 
 
 def _detail(plane: Plane, coarse: Plane | None = None) -> Plane:
-    """The detail of a plane with even sides that half the size cannot show; coarse: the plane at half the size."""
+    """Detail of a plane with even sides that half the size cannot show. coarse: the plane at half the size."""
     coarse = _halved(plane) if coarse is None else coarse
     return _plane(plane - cv2.resize(coarse, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR))
 
 
 def _energy(detail: Plane, side: int = BLOCK) -> Plane:
-    """The mean of its squares in each block."""
+    """Mean of the squared detail in each block."""
     return _plane(cv2.resize(detail * detail, None, fx=1 / side, fy=1 / side, interpolation=cv2.INTER_AREA))
 
 
 def _by_cell(blocks: Plane) -> Plane:
-    """[columns, blocks] of one row of cells: a cell is as many blocks wide as high."""
+    """Group the blocks of one row of cells by cell, [columns, blocks]; a cell is as many blocks wide as high."""
     rows = len(blocks)
     return _plane(blocks.reshape(rows, -1, rows).transpose(1, 0, 2).reshape(-1, rows * rows))
 
 
 def _spread(detail: Plane, noisy: Plane, settings: TextureSettings) -> Plane:
-    """A low quantile of the spread in the blocks of each cell, less that of rounding, in levels of 8 bits."""
-    side = detail.shape[0] // noisy.shape[0]  # of a block, at this octave
+    """Low quantile over each cell's blocks of the spread, minus that of rounding, in levels of 8 bits."""
+    side = detail.shape[0] // noisy.shape[0]  # side of a block at this octave
     energy = noisy * _energy(detail, side)
     energies = np.quantile(_by_cell(energy), settings.quantile, axis=1) - settings.floor**2
     return _plane(np.sqrt(np.maximum(energies, 0)))
 
 
 def _shown(spread: Plane, octave: int, settings: TextureSettings) -> Plane:
-    """The spread that texture is to have for a spread that is left."""
+    """Spread of the texture for a spread that the Gaussians leave."""
     middle = settings.middle
     shown = settings.gain[octave] * middle * (spread / middle) ** settings.power
     return _plane(np.minimum(shown, settings.most[octave] * spread))
 
 
 def _codes(strengths: Plane) -> Codes:
-    """The nearest code of each strength: half a level is code 1, and each further one half a power of two more."""
+    """Code each strength: half a level is code 1, and each further code is a factor of sqrt(2)."""
     nearest = np.rint(2 * np.log2(np.maximum(strengths, 1e-3) / 0.5)) + 1
     codes: Codes = np.clip(nearest, 0, TEXTURE_STRENGTHS - 1).astype(np.uint8)
     return codes

@@ -1,10 +1,10 @@
-"""How visible an error is at each pixel, for files that are tuned for the eye or have alpha.
+"""Visibility of errors at each pixel, for files that are tuned for the eye or have alpha.
 
 An error e in red, green and blue counts (c |e|^2 + (l e)^2) V. The constants c and l (native/core/constants.h) make
 luma count more than colour. V is the visibility of the pixel, which detail lowers.
 
-That is a diagonal over pixels and a fixed matrix over channels. So the colours of given shapes are still a linear
-problem, and fit, densification, pruning and refining all minimise one error.
+The weights are diagonal over pixels and a fixed matrix over channels. So finding the colours of given shapes is still a
+linear problem, and fit, densification, pruning and refining all minimise the same error.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from sgmethod.settings.rd import VisibilitySettings
 
 
 def of_alpha(alpha: NDArray[np.uint8]) -> Visibility:
-    """Of colours under alpha [H, W], on any background: its square."""
+    """Visibility of colours under alpha [H, W], on any background: alpha squared."""
     share = alpha.astype(np.float32) / 255
     return Visibility(np.rint(share * share * VISIBLE).astype(np.int16), by_eye=False)
 
 
 def of_detail(pixels: NDArray[np.uint8], settings: VisibilitySettings, alpha: Visibility | None = None) -> Visibility:
-    """To the eye, of pixels [H, W, 3], where alpha shows them."""
+    """Visibility to the eye of errors in pixels [H, W, 3], times that of alpha if given."""
     s, (height, width) = settings, pixels.shape[:2]
     size = (-(-width // s.shrink), -(-height // s.shrink))
     small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.float32) @ np.array(s.luma, np.float32)
     variance = np.maximum(_blurred(small * small, s) - np.square(_blurred(small, s)), 0)
     seen = (2 * variance + np.float32(s.seen_levels**2)) ** -np.float32(s.power)
-    detail = np.sqrt(variance + 1)  # where there is more of it, there are more Gaussians
+    detail = np.sqrt(variance + 1)  # weights of the mean: there are more Gaussians where there is more detail
     seen *= np.sum(detail, dtype=np.float64) / np.sum(seen * detail, dtype=np.float64)
     levels = np.round(np.clip(seen, s.least, s.most) * VISIBLE).astype(np.int16)
     levels = np.asarray(cv2.resize(levels, (width, height), interpolation=cv2.INTER_LINEAR), np.int16)
@@ -45,20 +45,19 @@ def _blurred(plane: FloatArray, settings: VisibilitySettings) -> FloatArray:
 
 
 def _color_root(visibility: Visibility) -> FloatArray:
-    """[3, 3], whose square is the visibility's color."""
+    """Symmetric square root [3, 3] of the visibility's color."""
     values, axes = np.linalg.eigh(visibility.color)
     return np.asarray((axes * np.sqrt(values)) @ axes.T, np.float32)
 
 
 def amplitudes(visibility: Visibility, planes: FloatArray, first: int, end: int) -> FloatArray:
-    """Rows [3, end - first, W] of an error, from the first to before end, scaled so that their squares are what the
-    error counts."""
+    """Scale rows [3, end - first, W] of an error so that their squares are the weighted error."""
     seen = np.sqrt(visibility.values[first:end].astype(np.float32) / VISIBLE)
     return np.asarray((np.tensordot(_color_root(visibility), planes, 1) if visibility.by_eye else planes) * seen)
 
 
 def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np.uint8]) -> float:
-    """What the error of a decoded picture [H, W, 3] counts, summed; in squared levels of 255."""
+    """Weighted sum of squared errors of a decoded picture [H, W, 3], in squared levels of 255."""
     total, color = 0.0, visibility.color.astype(np.float32)
     for row, (a, b) in enumerate(zip(decoded, source, strict=True)):
         e = a.astype(np.float32) - b
@@ -67,7 +66,7 @@ def error(visibility: Visibility, decoded: NDArray[np.uint8], source: NDArray[np
 
 
 class SeenShare:
-    """The visible share of each Gaussian's energy."""
+    """Table to look up the visible share of Gaussians' energies."""
 
     def __init__(self, visibility: Visibility) -> None:
         self._color, self._levels = visibility.color, [visibility.values]
@@ -77,8 +76,7 @@ class SeenShare:
 
     @np.errstate(invalid="ignore")
     def of(self, gaussians: Gaussians) -> FloatArray:
-        """The share [N], by colour and by the mean visibility over about the Gaussian's size. A NaN centre counts as
-        the picture's corner, a NaN size as zero."""
+        """Visible share [N]. A NaN centre counts as the picture's corner, a NaN size as zero."""
         means, factors, colors = gaussians.arrays
         size = 2 * np.sqrt(factors[:, 0] * factors[:, 2])
         level_of = np.clip(np.log2(np.maximum(size, 1)), 0, len(self._levels) - 1).astype(np.intp)

@@ -1,5 +1,7 @@
-"""What Pillow does not tell of a file, or misreads, from the file's own structure: PNG's chunks, the boxes of AVIF and
-HEIC, the header of JPEG XL, JPEG's markers, the headers of BMP and TIFF."""
+"""Parsers for parts of image files that Pillow does not expose, or misreads.
+
+PNG's chunks, the boxes of AVIF and HEIC, the header of JPEG XL, JPEG's markers, the headers of BMP and TIFF.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +13,24 @@ from fractions import Fraction
 from typing import NamedTuple
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-PNG_SIDE = (b"tEXt", b"zTXt", b"iTXt", b"iCCP")
+PNG_ANCILLARY = (b"tEXt", b"zTXt", b"iTXt", b"iCCP")
 
 JPEG_END = b"\xff\xd9"
 JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # ITU-T T.81, table B.1
 JPEG_SCAN = 0xDA
-JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd8\xff]", re.DOTALL)  # but those without a segment
+JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd8\xff]", re.DOTALL)  # only markers that begin a segment
 
-BMP_V5, BMP_EMBEDDED = 124, b"DEBM"  # size of the header; its colour space, PROFILE_EMBEDDED
+BMP_V5, BMP_EMBEDDED = 124, b"DEBM"  # size of the header; colour space PROFILE_EMBEDDED
 
 TIFF_BIG = 43
-NEW_SUBFILE_TYPE, SUBFILE_TYPE = 254, 255  # tags, the lowest two
+NEW_SUBFILE_TYPE, SUBFILE_TYPE = 254, 255  # the two lowest tags; entries are sorted, so they come first
 PREVIEW_OR_MASK, OLD_PREVIEW = 1 | 4, 2
 MOST_PAGES = 100
 
-Span = tuple[bytes, int, int]  # kind, where its content begins and ends
+Span = tuple[bytes, int, int]  # kind, start and end of the content
 
-JPEG_XL_MAGICS = (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")  # of a bare codestream, and of one in boxes
-# ISO/IEC 18181-1: two bits choose a pair, the width in bits of the number that follows and the offset added to it.
+JPEG_XL_MAGICS = (b"\xff\x0a", b"\0\0\0\x0cJXL \r\n\x87\n")  # bare codestream; codestream in boxes
+# ISO/IEC 18181-1: two bits choose a pair: the width in bits of the number that follows, and the offset added to it.
 SIDES = ((9, 1), (13, 1), (18, 1), (30, 1))
 PREVIEW_SIDES = ((6, 1), (8, 65), (10, 321), (12, 1345))
 PREVIEW_EIGHTHS = ((0, 16), (0, 32), (5, 1), (9, 33))
@@ -37,16 +39,16 @@ RATIOS = ((1, 1), (12, 10), (4, 3), (3, 2), (16, 9), (5, 4), (2, 1))
 
 
 class JpegXl(NamedTuple):
-    """What the header of a JPEG XL says: pixels as the picture is to be seen, whether it moves, bits of a sample."""
+    """The header of a JPEG XL: size in pixels as displayed, whether it is animated, bits per sample."""
 
     width: int
     height: int
-    moves: bool
+    is_animated: bool
     depth: int
 
 
 def of_png(data: bytes) -> dict[bytes, bytes]:
-    """cICP, iCCP, and eXIf, which may stand behind the pixels, where Pillow finds it only by decoding them."""
+    """Find the chunks cICP, iCCP and eXIf. Pillow finds an eXIf behind the pixels only after decoding them."""
     found: dict[bytes, bytes] = {}
     for kind, start, end in _png_chunks(data):
         if kind in (b"cICP", b"iCCP", b"eXIf"):
@@ -55,10 +57,10 @@ def of_png(data: bytes) -> dict[bytes, bytes]:
 
 
 def plain_png(data: bytes) -> bytes:
-    """Without text and profile, which Pillow refuses beyond 1 MiB. Raises ValueError where they are damaged."""
+    """Remove text and profile, because Pillow refuses those beyond 1 MiB. Raises ValueError if they are damaged."""
     kept, at = [], 0
     for kind, start, end in _png_chunks(data):
-        if kind in PNG_SIDE:
+        if kind in PNG_ANCILLARY:
             if zlib.crc32(data[start - 4 : end]) != _number(data, end, 4):
                 raise ValueError(f"bad checksum of {kind.decode()}")
             kept.append(data[at : start - 8])
@@ -75,7 +77,7 @@ def _png_chunks(data: bytes) -> Iterator[Span]:
 
 
 def lacks_end(jpeg: bytes) -> bool:
-    """Whether a file has all the scans of a JPEG, and no end marker. The last scan may be cut."""
+    """Whether a JPEG has all its scans but no end marker. The last scan may be truncated."""
     at, left = 2, None
     if jpeg.endswith(JPEG_END):
         return False
@@ -89,7 +91,7 @@ def lacks_end(jpeg: bytes) -> bool:
                 left = {segment[6 + 3 * n]: set(range(64)) for n in range(segment[5])}
             elif kind == JPEG_SCAN and left is not None:
                 first, last, bits = segment[1 + 2 * segment[0] :][:3]
-                for n in range(segment[0] if bits & 15 == 0 else 0):  # else some lower bits are to follow
+                for n in range(segment[0] if bits & 15 == 0 else 0):  # else later scans refine these coefficients
                     left[segment[1 + 2 * n]] -= set(range(first, last + 1))
             at += _number(jpeg, at, 2)
     except (IndexError, KeyError, ValueError):
@@ -98,7 +100,7 @@ def lacks_end(jpeg: bytes) -> bool:
 
 
 def profile_of_bmp(data: bytes) -> bytes | None:
-    """The ICC profile in the file, if there is one."""
+    """Return the ICC profile embedded in the file, if any."""
     if int.from_bytes(data[14:18], "little") != BMP_V5 or data[70:74] != BMP_EMBEDDED:
         return None
     start, length = struct.unpack_from("<II", data, 126)
@@ -106,7 +108,7 @@ def profile_of_bmp(data: bytes) -> bytes | None:
 
 
 def holds_one_picture(tiff: bytes) -> bool:
-    """Whether all pages behind the first are previews and masks of it."""
+    """Whether all pages after the first are previews and masks."""
     order = "<" if tiff[:2] == b"II" else ">"
     big = struct.unpack_from(order + "H", tiff, 2)[0] == TIFF_BIG
     count, entry, link, first = ("Q", "HHQQ", "Q", 8) if big else ("H", "HHII", "I", 4)
@@ -123,7 +125,7 @@ def holds_one_picture(tiff: bytes) -> bool:
                 return False
             seen.add(at)
             (at,) = struct.unpack_from(order + link, tiff, at_first + entries * size)
-    except (struct.error, OverflowError):  # the chain of pages is damaged behind the first
+    except (struct.error, OverflowError):  # the chain of pages is damaged after the first
         return True
     return len(seen) < MOST_PAGES
 
@@ -131,7 +133,7 @@ def holds_one_picture(tiff: bytes) -> bool:
 def _is_preview_or_mask(tiff: bytes, entry: str, places: list[int]) -> bool:
     for place in places:
         tag, kind, _, value = struct.unpack_from(entry, tiff, place)
-        if kind == 3:  # a short, which stands first
+        if kind == 3:  # a 16-bit value, stored in the first bytes of the field
             (value,) = struct.unpack_from(entry[0] + "H", tiff, place + struct.calcsize(entry[:-1]))
         if (tag == NEW_SUBFILE_TYPE and value & PREVIEW_OR_MASK) or (tag == SUBFILE_TYPE and value == OLD_PREVIEW):
             return True
@@ -139,7 +141,7 @@ def _is_preview_or_mask(tiff: bytes, entry: str, places: list[int]) -> bool:
 
 
 def brands(data: bytes) -> list[bytes]:
-    """Of an AVIF or HEIC file, the major one first; none for other files."""
+    """Brands of an AVIF or HEIC file, the major one first; empty for other files."""
     if data[4:8] != b"ftyp":
         return []
     end = min(int.from_bytes(data[:4], "big"), len(data), 256)
@@ -147,7 +149,7 @@ def brands(data: bytes) -> list[bytes]:
 
 
 def code_points(data: bytes) -> tuple[int, int] | None:
-    """Primaries and transfer (H.273) of an AVIF or HEIC file's primary picture; None where it states none."""
+    """Primaries and transfer (H.273) of an AVIF or HEIC file's primary picture, if stated."""
     for kind, at, _ in _properties(data):
         if kind == b"colr" and data[at : at + 4] == b"nclx":
             return _number(data, at + 4, 2), _number(data, at + 6, 2)
@@ -155,10 +157,9 @@ def code_points(data: bytes) -> tuple[int, int] | None:
 
 
 def clean_aperture(data: bytes, width: int, height: int) -> tuple[int, int, int, int] | None:
-    """x0, y0, x1, y1 of what is to be seen of an AVIF file's primary picture; None where that is all, or makes no
-    sense.
+    """Visible part (x0, y0, x1, y1) of an AVIF file's primary picture; None if not stated, or invalid.
 
-    ISO/IEC 14496-12, 12.1.4: width, height, and the offsets of their centre from the picture's, all of them fractions.
+    ISO/IEC 14496-12, 12.1.4: width, height, and the offset of the part's centre from the picture's, all as fractions.
     """
     for kind, at, end in _properties(data):
         if kind == b"clap" and end - at == 32:
@@ -176,10 +177,10 @@ def clean_aperture(data: bytes, width: int, height: int) -> tuple[int, int, int,
 
 
 def _properties(data: bytes) -> Iterator[Span]:
-    """Of the primary picture of an AVIF or HEIC file.
+    """Yield the properties of the primary picture of an AVIF or HEIC file.
 
-    ISO/IEC 23008-12: meta holds pitm, the number of the primary picture, and iprp, which holds ipco, the properties,
-    and ipma, which pictures have which.
+    ISO/IEC 23008-12: box meta contains pitm (the number of the primary picture) and iprp, which contains ipco (a list
+    of properties) and ipma (which pictures have which properties).
     """
     meta = _box(data, b"meta", 0, len(data))
     if meta is None:
@@ -199,14 +200,14 @@ def _properties(data: bytes) -> Iterator[Span]:
 
 
 def of_jpeg_xl(data: bytes) -> JpegXl:
-    """The header of a JPEG XL file, without decoding it (ISO/IEC 18181-1, annex D). Raises ValueError."""
-    if data.startswith(JPEG_XL_MAGICS[1]):  # in parts, each with its number first, or whole
+    """Parse the header of a JPEG XL file (ISO/IEC 18181-1, annex D). Raises ValueError."""
+    if data.startswith(JPEG_XL_MAGICS[1]):  # boxes: jxlp is a part with its number in front, jxlc the whole codestream
         starts = {b"jxlp": 4, b"jxlc": 0}
         parts = (data[at + starts[kind] : end] for kind, at, end in _boxes(data, 0, len(data)) if kind in starts)
         data = b"".join(part[:64] for part in parts)
     bits = _Bits(data[2:64])
     height, width = bits.size()
-    orientation, moves, depth = 1, False, 8
+    orientation, is_animated, depth = 1, False, 8
     if not bits.take(1):
         if bits.take(1):
             orientation = 1 + bits.take(3)
@@ -214,14 +215,14 @@ def of_jpeg_xl(data: bytes) -> JpegXl:
                 bits.size()
             if bits.take(1):
                 bits.preview()
-            moves = bool(bits.take(1))
-        if not moves:  # else how it moves stands here
+            is_animated = bool(bits.take(1))
+        if not is_animated:  # else the animation's header is next
             depth = 32 if bits.take(1) else bits.choice(DEPTHS)
-    return JpegXl(height, width, moves, depth) if orientation >= 5 else JpegXl(width, height, moves, depth)
+    return JpegXl(*((height, width) if orientation >= 5 else (width, height)), is_animated, depth)
 
 
 class _Bits:
-    """The fields of a JPEG XL header, the lowest bit first."""
+    """Reader of a JPEG XL header's fields, lowest bit first."""
 
     def __init__(self, data: bytes) -> None:
         self.value, self.count = int.from_bytes(data, "little"), 8 * len(data)
@@ -239,7 +240,7 @@ class _Bits:
         return least + self.take(count)
 
     def size(self) -> tuple[int, int]:
-        """Height and width."""
+        """Read height and width."""
         return self._two(lambda: 8 * (1 + self.take(5))) if self.take(1) else self._two(lambda: self.choice(SIDES))
 
     def preview(self) -> tuple[int, int]:
@@ -260,7 +261,7 @@ def _number(data: bytes, at: int, length: int) -> int:
 
 
 def _boxes(data: bytes, start: int, end: int) -> Iterator[Span]:
-    """The boxes of a span, as far as they lie within it."""
+    """Yield the boxes in a span, up to the first that does not fit."""
     while start + 8 <= end:
         length, kind, body = _number(data, start, 4), data[start + 4 : start + 8], start + 8
         if length == 1:
@@ -278,7 +279,7 @@ def _box(data: bytes, kind: bytes, start: int, end: int) -> tuple[int, int] | No
 
 
 def _associated(ipma: bytes, primary: int) -> Iterator[int]:
-    """The numbers of the properties of a picture, from 1 on."""
+    """Yield the numbers, from 1 on, of a picture's properties."""
     id_length, wide = (4 if ipma[:1] > b"\0" else 2), bool(ipma[3:4] > b"\0" and ipma[3] & 1)
     at, length = 8, 2 if wide else 1
     for _ in range(_number(ipma, 4, 4)):

@@ -1,8 +1,9 @@
-"""Colours as files state them -> sRGB.
+"""Colour conversion: from the colour spaces that files state to sRGB.
 
-A file states its colours by the code points of H.273 (PNG's cICP, AVIF's and HEIC's nclx), by an ICC profile, or, PNG
-alone, by sRGB, gAMA and cHRM. What is made of curves and primaries is converted here, at 8 bits or 16; Pillow's Little
-CMS, which takes 8 bits of a channel, does the rest (CMYK, tables). Both are relative colorimetric: white becomes white.
+A file states its colours by the code points of H.273 (PNG's cICP, AVIF's and HEIC's nclx), by an ICC profile, or, only
+in PNG, by sRGB, gAMA and cHRM. Colours defined by curves and primaries are converted here, at 8 or 16 bits; Pillow's
+Little CMS, which is limited to 8 bits, does the rest (CMYK, tables). Both are relative colorimetric: white becomes
+white.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ from sgmethod.errors import ImageError
 
 Levels = NDArray[np.integer[Any]]
 Values = NDArray[np.floating[Any]]
-Curve = Callable[[Values], Values]  # from values in a file to light, both in [0, 1]
+Curve = Callable[[Values], Values]  # values in a file -> linear light, both in [0, 1]
 Matrix = NDArray[np.float64]
 
-BAND = 1 << 18  # pixels converted at a time: floats of whole pictures would take more memory than an encode
-MOST_BLACK = 0.18  # where Little CMS ends compensation too: an L* of 50
-MAX_PROFILE_BYTES = 16 << 20  # inflated; those of presses have one or two
-UNSEEN = 0.75 / 255  # a conversion that moves no colour further is left out
+BAND = 1 << 18  # pixels converted at a time: a whole picture in floats would take more memory than an encode
+MOST_BLACK = 0.18  # limit of black-point compensation, as in Little CMS: an L* of 50
+MAX_PROFILE_BYTES = 16 << 20  # inflated; profiles of printing presses have one or two MiB
+UNSEEN = 0.75 / 255  # a conversion that moves no colour further is skipped
 
-# H.273, tables 2 and 3: x and y of red, green, blue and white; curves, where those of video count as sRGB's, which is
-# how screens show them.
+# H.273, tables 2 and 3: x and y of red, green, blue and white; transfer curves. Those of video are treated as sRGB, as
+# screens show them.
 D65, D50 = (0.3127, 0.3290), (0.3457, 0.3585)
 BT709 = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), D65)
 PRIMARIES = {
@@ -50,20 +51,20 @@ PRIMARIES = {
 PQ, HLG = 16, 18
 SRGB_LIKE = (1, 2, 6, 13, 14, 15)
 GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}
-GAMMA_THRESHOLD = 0.05  # libpng's: a gAMA so close to 1 / 2.2 is a writer's word for sRGB
+GAMMA_THRESHOLD = 0.05  # libpng's: a gAMA this close to 1 / 2.2 means sRGB
 
 
 class ProfileError(Exception):
-    """A profile that cannot be used: why."""
+    """The colour profile cannot be used, for the reason in the message."""
 
 
 def from_srgb(values: Values) -> Values:
-    """To light, IEC 61966-2-1."""
+    """Convert sRGB values to linear light, both in [0, 1] (IEC 61966-2-1)."""
     return np.where(values <= 0.04045, values / 12.92, ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def to_srgb(light: Values) -> Values:
-    """From light, IEC 61966-2-1."""
+    """Convert linear light to sRGB values, both in [0, 1] (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
@@ -76,7 +77,7 @@ def _xyz(x: float, y: float) -> Matrix:
 
 
 def _to_d50(primaries: tuple[tuple[float, float], ...]) -> Matrix:
-    """From light of the primaries to XYZ under D50, by Bradford's adaptation (ICC.1:2022, annex E)."""
+    """Matrix [3, 3] from light of the primaries to XYZ under D50, by Bradford's adaptation (ICC.1:2022, annex E)."""
     bradford = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
     *colours, white = (_xyz(x, y) for x, y in primaries)
     plain = np.stack(colours, 1)
@@ -92,9 +93,9 @@ def _d50_to_srgb() -> Matrix:
 
 @dataclass(frozen=True)
 class Space:
-    """RGB, or grey of one curve: curves to light, and the matrix from there to sRGB's light.
+    """An RGB or grey colour space: curves to linear light, and the matrix from there to sRGB's light.
 
-    black: the light of its black, which is taken off, as black-point compensation does.
+    black: light of the space's black, subtracted by black-point compensation.
     """
 
     curves: tuple[Curve, ...]
@@ -103,7 +104,7 @@ class Space:
 
     @classmethod
     def of(cls, curves: tuple[Curve, ...], to_d50: Matrix | None) -> Space | None:
-        """None where it is sRGB. Raises ProfileError for what describes no colours."""
+        """Build a space; None if it is sRGB. Raises ProfileError if it does not describe colours."""
         darkest = np.array([float(curve(np.zeros(1))[0]) for curve in curves])
         black = min(max(float(darkest[0] if to_d50 is None else to_d50[1] @ darkest), 0.0), MOST_BLACK)
         space = cls(curves, None if to_d50 is None else _d50_to_srgb() @ to_d50, black)
@@ -124,7 +125,10 @@ class Space:
         return to_srgb(np.clip(stacked, 0, 1))
 
     def convert(self, levels: Levels, peak: int) -> tuple[Levels, int]:
-        """Levels [H, W, 1 or 3] to levels of sRGB in 8 bits, or in 16 if peak, which is white, has more than 8."""
+        """Convert levels [H, W, 1 or 3] to sRGB levels; return them and their white.
+
+        peak: white of the input. The output has 8 bits for a peak of 255, else 16.
+        """
         if len(self.curves) > levels.shape[2]:
             levels = np.broadcast_to(levels, (*levels.shape[:2], len(self.curves)))
         curves = self.curves * (levels.shape[2] // len(self.curves))
@@ -140,10 +144,10 @@ class Space:
 
 
 class Transform:
-    """Any ICC profile, by Little CMS: relative colorimetric with black-point compensation."""
+    """Conversion by Little CMS from any ICC profile, relative colorimetric with black-point compensation."""
 
     def __init__(self, profile: bytes, mode: str) -> None:
-        """mode: Pillow's, "L", "RGB" or "CMYK". Raises ProfileError."""
+        """Parse a profile. mode: Pillow's name for the samples, "L", "RGB" or "CMYK". Raises ProfileError."""
         from PIL import ImageCms
 
         self.mode = mode
@@ -160,7 +164,7 @@ class Transform:
             raise ProfileError("it cannot be read") from error
 
     def convert(self, levels: Levels, peak: int) -> tuple[Levels, int]:
-        """Levels [H, W, bands of the mode] to 8-bit levels of sRGB."""
+        """Convert levels [H, W, bands of the mode] to 8-bit sRGB levels; return them and their white."""
         if peak != 255:
             levels = (levels.astype(np.uint32) * 255 + peak // 2) // peak
         samples = np.ascontiguousarray(levels.astype(np.uint8, copy=False))
@@ -177,7 +181,7 @@ Colour = Space | Transform | None  # None: sRGB already
 
 
 def of_code_points(primaries: int, transfer: int) -> Colour:
-    """By H.273. Raises ImageError for PQ and HLG, ProfileError for what is not known."""
+    """Colours stated by code points (H.273). Raises ImageError for PQ and HLG, ProfileError for unknown ones."""
     if transfer in (PQ, HLG):
         name = "PQ" if transfer == PQ else "HLG"
         raise ImageError(f"high dynamic range ({name}) is not supported; convert the picture to SDR first")
@@ -188,7 +192,7 @@ def of_code_points(primaries: int, transfer: int) -> Colour:
 
 
 def of_png(info: Mapping[Any, Any]) -> Colour:
-    """By gAMA and cHRM, as Pillow gives them. Raises ProfileError."""
+    """Colours stated by a PNG's gAMA and cHRM, in Pillow's `info`. Raises ProfileError."""
     gamma, points = info.get("gamma"), info.get("chromaticity")
     if gamma is None and points is None:
         return None
@@ -207,7 +211,7 @@ def of_png(info: Mapping[Any, Any]) -> Colour:
 
 
 def inflated(iccp: bytes) -> bytes:
-    """The profile in PNG's chunk: a name, a zero, how it is compressed, and zlib's stream. Raises ProfileError."""
+    """Inflate the profile in PNG's iCCP: name, zero byte, compression method, zlib stream. Raises ProfileError."""
     inflater = zlib.decompressobj()
     try:
         profile = inflater.decompress(iccp[iccp.find(b"\0") + 2 :], MAX_PROFILE_BYTES)
@@ -219,15 +223,15 @@ def inflated(iccp: bytes) -> bytes:
 
 
 def of_profile(profile: bytes, mode: str) -> Colour:
-    """By an ICC profile, for samples of one of Pillow's modes "L", "RGB" and "CMYK".
+    """Colours stated by an ICC profile, for samples of Pillow's mode "L", "RGB" or "CMYK".
 
-    Raises ProfileError for a profile that is damaged or of other channels, ImageError for PQ and HLG.
+    Raises ProfileError for a profile that is damaged or has other channels, ImageError for PQ and HLG.
     """
     tags = _tags(profile)
     if (cicp := tags.get(b"cicp")) and len(cicp) >= 10 and cicp[9] in (PQ, HLG):
         return of_code_points(cicp[8], cicp[9])
     channels = {b"GRAY": "L", b"RGB ": "RGB", b"CMYK": "CMYK"}.get(profile[16:20])
-    if channels != mode and (channels, mode) != ("RGB", "L"):  # grey of red, green and blue alike
+    if channels != mode and (channels, mode) != ("RGB", "L"):  # grey samples may have an RGB profile
         raise ProfileError("its channels do not match the picture's")
     names = (b"kTRC",) if channels == "L" else (b"rTRC", b"gTRC", b"bTRC")
     by_table = any(name in tags for name in (b"A2B0", b"A2B1", b"D2B0", b"D2B1"))
@@ -243,7 +247,7 @@ def of_profile(profile: bytes, mode: str) -> Colour:
 
 
 def _tags(profile: bytes) -> dict[bytes, bytes]:
-    """ICC.1:2022, 7.2 and 7.3."""
+    """Tags of an ICC profile by name (ICC.1:2022, 7.2 and 7.3). Raises ProfileError."""
     if len(profile) < 132 or profile[36:40] != b"acsp":
         raise ProfileError("it is not an ICC profile")
     (count,) = struct.unpack_from(">I", profile, 128)
@@ -258,7 +262,7 @@ def _xyz_of(tag: bytes) -> Matrix:
 
 
 def _curve(tag: bytes) -> Curve:
-    """ICC.1:2022, 10.6 and 10.18."""
+    """Curve of a tag of type curv or para (ICC.1:2022, 10.6 and 10.18). Raises ProfileError."""
     if tag[:4] == b"para":
         (kind,) = struct.unpack_from(">H", tag, 8)
         return _parametric(kind, [value / 65536 for value in struct.unpack_from(f">{(1, 3, 4, 5, 7)[kind]}i", tag, 12)])
@@ -276,7 +280,7 @@ def _curve(tag: bytes) -> Curve:
 
 
 def _parametric(kind: int, parameters: list[float]) -> Curve:
-    """Y = (a X + b)^g + e from X = d on, and c X + f below."""
+    """Parametric curve: Y = (a X + b)^g + e from X = d on, and c X + f below."""
     g, a, b, c, d, e, f = (parameters + [0.0] * 7)[:7]
     if kind == 0:
         a, d = 1, -1

@@ -1,4 +1,4 @@
-"""Files that are written completely or not at all."""
+"""Writing files completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
 
     The data is written to a new file and synced, and only then renamed to the target, with the permissions and, if
     allowed, the owner of the file it replaces. The new file is created beside the target, or in the folder `unfinished`
-    of the same file system, where a power cut may leave it to be swept up. Links are followed; devices and pipes are
-    written directly. Raises OSError after removing the new file; only if syncing the folder at the very end fails does
-    the target hold the data all the same.
+    of the same file system, where a power cut may leave it to be cleaned up. Links are followed; devices and pipes are
+    written directly. Raises OSError after removing the new file; only if the final sync of the folder fails does the
+    target already have the new data.
     """
-    # Before links are resolved: /dev/stdout and >(...) are links to pipes that have no path.
+    # Checked before links are resolved: /dev/stdout and >(...) are links to pipes that have no path.
     if Path(path).exists() and not Path(path).is_file():
         Path(path).write_bytes(data)
         return
@@ -32,7 +32,7 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
     before = target.stat() if target.exists() else None
     mode = 0o666 if before is None else stat.S_IMODE(before.st_mode)
     try:
-        # Nobody may read the new file who may not read the old one, not even while it is empty.
+        # Whoever may not read the old file may not open the new one either, not even while it is empty.
         with open(temporary, "xb", opener=partial(os.open, mode=mode)) as file:
             if before is not None:
                 _take_over(temporary, before)
@@ -47,7 +47,7 @@ def write_atomically(path: str | os.PathLike[str], data: bytes, *, unfinished: P
 
 
 def _take_over(file: Path, before: os.stat_result) -> None:
-    """Owner and permissions of the file that it replaces, as far as the system and its disk have them."""
+    """Give a file the owner and permissions of the one it replaces, as far as the system allows."""
     with suppress(PermissionError, AttributeError):  # Windows has no owners
         os.chown(file, before.st_uid, before.st_gid)
     with suppress(PermissionError):
@@ -55,7 +55,7 @@ def _take_over(file: Path, before: os.stat_result) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk, where a system lets one ask for that. Raises OSError."""
+    """Sync a folder's names to disk, except on Windows. Raises OSError."""
     if os.name == "nt":
         return
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -65,8 +65,8 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def own_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Path:
-    """The path. Raises error for an invalid file name."""
+def checked_path(path: str | os.PathLike[str], error: type[SgError] = SgError) -> Path:
+    """Convert to a Path. Raises `error` for an invalid file name."""
     name = os.fsdecode(path)
     try:
         if b"\0" not in os.fsencode(name):

@@ -1,7 +1,7 @@
-"""Image formats: recognised by their first bytes, each read by its class in Pillow or a plugin.
+"""Image formats, recognised by their first bytes and read by a class of Pillow or of a plugin.
 
-The classes are called directly: Image.open would try its other formats, follow a JPEG into its second picture, and
-apply a pixel limit of its own through a global and a warning.
+The classes are called directly, because Image.open would try other formats, treat a JPEG with further pictures as
+another format, and apply its own pixel limit through a global and a warning.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ READERS = {
     "QOI": ("PIL.QoiImagePlugin", "QoiImageFile"),
 }
 REFUSED = {
-    "an .sg file already": (b"SGM", b"\xd3\xc5"),
+    "an .sg file already": (b"\xd3\xc1", b"\xd3\xc2"),
     "a big-endian BigTIFF": (b"MM\0+",),
     "a JPEG 2000": (b"\0\0\0\x0cjP  \r\n\x87\n", b"\xff\x4f\xff\x51"),
     "a PDF": (b"%PDF",),
@@ -51,19 +51,19 @@ REFUSED = {
     "a web page": (b"<!DOCTYPE", b"<html"),
     "an icon": (b"\0\0\1\0",),
 }
-FILM_BRANDS = {b"isom", b"mp41", b"mp42", b"qt  "}
+VIDEO_BRANDS = {b"isom", b"mp41", b"mp42", b"qt  "}
 PLUGINS = {
     "HEIC": "pip install 'sgmethod[heif]'",
     "JPEG XL": "pip install 'sgmethod[jxl]'",
     "AVIF": "pip install 'pillow>=11.3'",
 }
 
-# Without a handler Python prints what Pillow logs about odd files to stderr.
+# Without a handler, Python prints Pillow's messages about odd files to stderr.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 
 def name_of(data: bytes) -> str:
-    """The format, one of READERS. Raises ImageError for any other."""
+    """Recognise a file's format, one of READERS. Raises ImageError for any other."""
     for name, magics in MAGICS.items():
         if data.startswith(magics):
             return name
@@ -77,12 +77,12 @@ def name_of(data: bytes) -> str:
     if not data:
         raise ImageError("the file is empty")
     kind = next((f"{name}, " for name, magics in REFUSED.items() if data.startswith(magics)), "")
-    kind = "a video, " if FILM_BRANDS & set(brands) else kind
+    kind = "a video, " if VIDEO_BRANDS & set(brands) else kind
     raise ImageError(f"the file is {kind}not a {', '.join(list(READERS)[:-1])} or {list(READERS)[-1]} image")
 
 
 def is_read(first: bytes) -> bool:
-    """Whether a file's format can be read, judged by its first 256 bytes."""
+    """Whether a file's format can be read, given its first 256 bytes."""
     try:
         return importlib.util.find_spec(READERS[name_of(first)][0]) is not None
     except (ImageError, ModuleNotFoundError):
@@ -90,7 +90,7 @@ def is_read(first: bytes) -> bool:
 
 
 def reader_of(name: str) -> type[ImageFile.ImageFile]:
-    """The class that reads a format. Raises ImageError if its package is missing."""
+    """Import the class that reads a format. Raises ImageError if its package is missing."""
     module, reader = READERS[name]
     try:
         found: type[ImageFile.ImageFile] = getattr(importlib.import_module(module), reader)
@@ -100,6 +100,5 @@ def reader_of(name: str) -> type[ImageFile.ImageFile]:
 
 
 def open_reader(data: bytes, name: str) -> ImageFile.ImageFile:
-    """A reader that has parsed the file's header. Raises ImageError if its package is missing, and whatever the reader
-    raises."""
+    """Open a reader, which parses the header. Raises its errors, and ImageError if its package is missing."""
     return reader_of(name)(io.BytesIO(chunks.plain_png(data) if name == "PNG" else data))

@@ -1,4 +1,4 @@
-"""Headers: what is known about a picture before decoding pixels, and every refusal up to then."""
+"""Image headers: everything known about a picture before decoding its pixels, and all checks up to then."""
 
 from __future__ import annotations
 
@@ -18,13 +18,14 @@ from sgmethod.io.colour import Colour, ProfileError
 from sgmethod.io.levels import BITS_PER_SAMPLE, Box, stated_colour
 from sgmethod.native import native
 
-# TIFF tags, and values
+# TIFF: tags; values of PLANAR and SAMPLE_FORMAT
 NEW_SUBFILE_TYPE, ORIENTATION, PLANAR, SAMPLE_FORMAT = 254, 274, 284, 339
-APART, UNSIGNED, UNKNOWN = 2, 1, 4
-ODD_SAMPLES = "samples of more than 16 bits, signed samples and floats are not supported"
+SEPARATE, UNSIGNED, UNKNOWN = 2, 1, 4
+UNSUPPORTED_SAMPLES = "samples of more than 16 bits, signed samples and floats are not supported"
 
-# Python's warning filters, silenced below, are one state for all threads. A fork waits for the lock, or the child would
-# have it and the filters as another thread had them. The thread that reads may fork too, in a signal's handler: RLock.
+# Python's warning filters, silenced below, are shared by all threads. A fork waits for the lock, because the child
+# would inherit the lock and the filters in another thread's state. An RLock, because a signal handler may fork in the
+# thread that holds it.
 _PILLOW_LOCK = threading.RLock()
 if hasattr(os, "register_at_fork"):  # not on Windows
     _RELEASE = _PILLOW_LOCK.release
@@ -35,7 +36,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 class ImageHeader:
     """The header of an image file.
 
-    format: one of formats.READERS; width, height: pixels, after EXIF orientation; mode: Pillow's name of the
+    format: one of formats.READERS; width, height: pixels, after EXIF orientation; mode: Pillow's name for the
     stored samples, such as "RGB" (8 or 16 bits each), "RGBA", "L", "P", "CMYK" or "I;16"; still: whether it is the
     only picture in the file.
     """
@@ -49,11 +50,11 @@ class ImageHeader:
 
 @dataclass(frozen=True)
 class ImageLimits:
-    """The largest picture to read.
+    """Limits on the size of a picture to read.
 
     max_pixels: width times height. 100 million covers nearly every camera; read_image then returns 1.2 GB and needs 2.3
     times that while working (RGBA, the worst kind measured).
-    max_side: pixels of the longer side. The default is the maximum of an .sg file; JPEG allows no more.
+    max_side: pixels of the longer side. The default is the maximum of .sg and JPEG files.
     """
 
     max_pixels: int = 100_000_000
@@ -72,18 +73,18 @@ class ImageLimits:
 
 @dataclass(frozen=True)
 class Opened:
-    """A reader that has parsed its header, and what is known about its picture so far."""
+    """A reader that has parsed its header, and everything known about its picture so far."""
 
     reader: Image.Image
-    orientation: int  # still to be undone
+    orientation: int  # EXIF orientation, still to be undone
     colour: Colour
-    notes: list[str]  # what is left out
-    frame: Box | None = None  # where there are pixels, if not everywhere
-    crop: Box | None = None  # what is to be seen, if not all
+    notes: list[str]  # warnings about dropped parts
+    frame: Box | None = None  # the area with pixels, if not the whole picture
+    crop: Box | None = None  # the visible area, if not the whole picture
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the picture as displayed, before orientation."""
+        """Width and height of the visible area, before orientation."""
         x0, y0, x1, y1 = self.crop or (0, 0, *self.reader.size)
         return x1 - x0, y1 - y0
 
@@ -95,9 +96,9 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
         warnings.simplefilter("ignore")
         try:
             yield
-        except SgError:  # one of ours already; or the kernels are missing, which have the largest side
+        except SgError:  # already ours; NativeModuleError comes from ImageLimits, which asks the kernels for max_side
             raise
-        except Image.DecompressionBombError as error:  # Pillow's own limit, for callers who allow more
+        except Image.DecompressionBombError as error:  # Pillow's own limit, where the caller's is higher
             raise ImageError("the image is too large: Pillow reads at most 178,956,970 pixels") from error
         except MemoryError as error:
             raise ImageError("not enough memory to decode the image") from error
@@ -107,7 +108,7 @@ def only_image_errors(kind: str = "image") -> Iterator[None]:
 
 
 def warn(notes: list[str]) -> None:
-    """Warn of anything dropped, at the level of the reader's caller."""
+    """Issue an ImageWarning for each note, attributed to the reader's caller."""
     for note in notes:
         warnings.warn(note, ImageWarning, stacklevel=3)
 
@@ -118,7 +119,7 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
     try:
         reader = formats.open_reader(data, kind)
     except RuntimeError as error:
-        raise ValueError("rejected by its decoder") from error  # what that says is for its developers
+        raise ValueError("rejected by its decoder") from error  # the decoder's own message would not help a user
     (limits or ImageLimits()).check(*reader.size)
     notes = [] if is_still(reader, data) else ["only the first of several pictures is used"]
     if kind == "TIFF":
@@ -130,7 +131,7 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
         check_mode(reader)
     stated, profile_notes = colour_of(reader, data)
     block = reader.info.get("exif") or (chunks.of_png(data).get(b"eXIf") if kind == "PNG" else None)
-    # Pillow's TIFF reader turns the picture itself, and so do libheif, and libjxl unless it gives a JPEG back.
+    # Pillow's TIFF reader and libheif turn the picture themselves, as does libjxl unless it reconstructs a JPEG.
     turned = kind in ("TIFF", "HEIC") or (jpeg_xl is not None and not getattr(reader, "jpeg", False))
     orientation = 1 if turned else orientation_of(block)
     crop = chunks.clean_aperture(data, *reader.size) if kind == "AVIF" else None  # libheif crops itself
@@ -138,13 +139,11 @@ def open_file(data: bytes, kind: str, limits: ImageLimits | None) -> Opened:
 
 
 def check_jpeg_xl(data: bytes, limits: ImageLimits | None) -> chunks.JpegXl:
-    """The header of a JPEG XL, checked first because its reader decodes everything on opening, some files wrongly.
-
-    Raises ImageError."""
+    """Check a JPEG XL's header first: its reader decodes all pixels on opening, some wrongly. Raises ImageError."""
     formats.reader_of("JPEG XL")
     header = chunks.of_jpeg_xl(data)
     (limits or ImageLimits()).check(header.width, header.height)
-    if header.moves:
+    if header.is_animated:
         raise ImageError("animated JPEG XL files are not supported")
     return header
 
@@ -157,7 +156,7 @@ def is_still(reader: Image.Image, data: bytes) -> bool:
 
 
 def frame_of(reader: Image.Image) -> Box | None:
-    """The area of the first frame within a GIF; None if it covers the picture, or in other formats."""
+    """Area of a GIF's first frame; None if it covers the picture, and for other formats."""
     if reader.format != "GIF" or reader.tell() > 0:
         return None
     box: Box = reader.dispose_extent  # type: ignore[attr-defined]
@@ -165,37 +164,38 @@ def frame_of(reader: Image.Image) -> Box | None:
 
 
 def check_mode(reader: Image.Image) -> None:
+    """Raise ImageError for samples of Pillow's 32-bit modes, which do not say which value is white."""
     if reader.mode in ("I", "F"):
-        raise ImageError(ODD_SAMPLES)
+        raise ImageError(UNSUPPORTED_SAMPLES)
 
 
 def _check_tiff(reader: Any) -> None:
-    """Raise ImageError on TIFF files that Pillow would read, but not as the picture they hold."""
+    """Raise ImageError on TIFF files that Pillow would read wrongly."""
     tags = reader.tag_v2
     if tags.get(NEW_SUBFILE_TYPE, 0) & 1:
         raise ImageError("the first picture in the file is only a preview, as in camera raw files")
     if not {*tags.get(SAMPLE_FORMAT, ())} <= {UNSIGNED, UNKNOWN}:
-        raise ImageError(ODD_SAMPLES)
-    if tags.get(PLANAR) == APART and max(tags.get(BITS_PER_SAMPLE, (1,))) > 8:
+        raise ImageError(UNSUPPORTED_SAMPLES)
+    if tags.get(PLANAR) == SEPARATE and max(tags.get(BITS_PER_SAMPLE, (1,))) > 8:
         raise ImageError("TIFF files with planar 16-bit channels are not supported")
 
 
 def _check_tiles(reader: Any, kind: str) -> None:
-    """Raise ImageError if the file has data for some of its pixels only; Pillow leaves the others black."""
-    # Pillow hands a compressed TIFF to libtiff, which checks this, and lists no tiles for a WebP or HEIC. The first
-    # frame of a GIF may be a part of its screen.
+    """Raise ImageError if the file lacks data for some pixels, which Pillow would leave black."""
+    # libtiff checks this itself, Pillow lists no tiles for WebP and HEIC, and a GIF's first frame may be smaller than
+    # its screen.
     if kind in ("WebP", "HEIC", "GIF", "JPEG XL") or (reader.tile and reader.tile[0][0] == "libtiff"):
         return
-    apart = kind == "TIFF" and reader.tag_v2.get(PLANAR) == APART
-    planes = len(reader.getbands()) if apart else 1
+    is_planar = kind == "TIFF" and reader.tag_v2.get(PLANAR) == SEPARATE
+    planes = len(reader.getbands()) if is_planar else 1
     boxes = [tile[1] or (0, 0, *reader.size) for tile in reader.tile]
     if sum((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes) < planes * reader.width * reader.height:
         raise ImageError("the file is missing pixel data")
 
 
 def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str]]:
-    """The stated colours, and notes on them."""
-    if reader.mode == "LAB":  # which says it all
+    """Return the colours that the file states, and notes on a profile that is ignored."""
+    if reader.mode == "LAB":  # defines its colours itself
         return None, []
     grey = reader.mode in ("1", "L", "LA", "I") or reader.mode.startswith("I;16")
     mode = "L" if grey else "CMYK" if reader.mode == "CMYK" else "RGB"
@@ -206,13 +206,13 @@ def colour_of(reader: Image.Image, data: bytes | None) -> tuple[Colour, list[str
 
 
 def orientation_of(block: bytes | None) -> int:
-    """EXIF orientation, 1 to 8; 1 where there is none. Never decodes pixels."""
+    """EXIF orientation, 1 to 8, from an EXIF block; 1 if there is none. Never decodes pixels."""
     if not block:
         return 1
     exif = Image.Exif()
     try:
         exif.load(block)
         value = exif.get(ORIENTATION, 1)
-    except Exception:  # the pixels are none the worse for it
+    except Exception:  # damaged EXIF data says nothing about the pixels
         return 1
     return value if value in range(1, 9) else 1

@@ -1,7 +1,7 @@
-"""Image files to arrays.
+"""Reading image files into arrays.
 
-read_header reads a header without decoding pixels; read_image decodes the picture. Both follow the same rules. Refusals
-raise an ImageError with one clear sentence; anything dropped raises an ImageWarning:
+read_header reads a header without decoding pixels; read_image decodes the picture. Both follow the same rules. A
+refused file raises an ImageError with one clear sentence, anything dropped an ImageWarning:
 
     formats        PNG, JPEG, WebP, TIFF, BMP, GIF, AVIF, PPM (PBM, PGM) and QOI; HEIC with the extra
                    `heif`, JPEG XL with the extra `jxl`; recognised by their first bytes, never by file name
@@ -54,15 +54,15 @@ from sgmethod.io.levels import Samples, Uint8Array, samples_of, values_of
 
 __all__ = ["ImageHeader", "ImageLimits", "read_header", "read_image", "read_image_8_bit"]
 
-# What may follow the pixels of a JPEG that lacks its end; no byte of it begins a marker.
-BEHIND = [bits.tobytes() for bits in np.random.default_rng(0).integers(0, 255, (4, 64), np.uint8)]
+# Random bytes, none of them 0xFF, to append to a JPEG without end marker: pixels that depend on them are missing.
+RANDOM_TAILS = [bits.tobytes() for bits in np.random.default_rng(0).integers(0, 255, (4, 64), np.uint8)]
 
 Float32Array = npt.NDArray[np.float32]
 Values = TypeVar("Values", bound=npt.NDArray[Any])
 
 
 def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
-    """The header of an image file, read without decoding pixels.
+    """Read the header of an image file, without decoding pixels.
 
     Raises ImageError for an unknown format, a damaged header, samples of an unknown range, high dynamic range, or a
     size of zero or beyond limits. A file that passes can still have damaged pixels.
@@ -70,11 +70,11 @@ def read_header(data: bytes, limits: ImageLimits | None = None) -> ImageHeader:
     kind = formats.name_of(data)
     with only_image_errors(kind):
         if kind == "JPEG XL":
-            told = check_jpeg_xl(data, limits)
-            return ImageHeader(kind, told.width, told.height, "RGB", True)
+            header = check_jpeg_xl(data, limits)
+            return ImageHeader(kind, header.width, header.height, "RGB", True)
         opened = open_file(data, kind, limits)
         reader = opened.reader
-        # Pillow's TIFF reader has the size of the turned picture.
+        # Pillow's TIFF reader already reports the size after orientation.
         width, height = reversed(opened.size) if opened.orientation >= 5 else opened.size
         return ImageHeader(kind, width, height, reader.mode, is_still(reader, data))
 
@@ -96,10 +96,11 @@ def read_image(data: bytes, limits: ImageLimits | None = None) -> Float32Array:
 def read_image_8_bit(
     data: bytes, limits: ImageLimits | None = None, *, keep_alpha: bool = False, smaller: int = 1
 ) -> Uint8Array:
-    """The same picture as uint8 [H, W, 3]: all that an encode uses, in a quarter of the memory.
+    """Decode an image file like read_image, to uint8 [H, W, 3]: all that an encode uses, in a quarter of the memory.
 
     keep_alpha: return [H, W, 4] for a transparent picture instead of compositing it over white. More than 8 bits are
-    rounded. smaller: a JPEG may come smaller by 2, 4 or 8, but no further, which takes a fraction of the time.
+    rounded. smaller: a JPEG may be decoded at 1/2, 1/4 or 1/8 of its size, but not below 1 / smaller, in a fraction of
+    the time.
     """
     samples, notes = _read(data, limits, keep_alpha, smaller)
     warn(notes)
@@ -107,7 +108,7 @@ def read_image_8_bit(
 
 
 def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool, smaller: int = 1) -> tuple[Samples, list[str]]:
-    """The picture as displayed, and notes on what was dropped."""
+    """Decode the picture as displayed; also return notes on anything dropped."""
     kind = formats.name_of(data)
     with only_image_errors(kind):
         opened = open_file(data, kind, limits)
@@ -120,12 +121,12 @@ def _read(data: bytes, limits: ImageLimits | None, keep_alpha: bool, smaller: in
         samples = upright_samples(opened, data, keep_alpha)
         if kind == "PNG":
             verified: ImageFile.ImageFile = formats.open_reader(data, kind)
-            verified.verify()  # all checksums; decoding skips those of the pixels
+            verified.verify()  # checks all checksums; decoding skips those of the pixels
     return samples, opened.notes
 
 
 def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Samples:
-    """Turned as displayed, and composited over white unless alpha is kept, with a note."""
+    """Decode, crop and turn a picture as displayed, composited over white, with a note, unless alpha is kept."""
     width, height = opened.reader.size
     samples = samples_of(opened.reader, data, opened.colour, opened.frame)
     if samples.levels.shape[:2] != (height, width):  # libheif crops as it decodes
@@ -142,12 +143,11 @@ def upright_samples(opened: Opened, data: bytes | None, keep_alpha: bool) -> Sam
 
 
 def _with_end(jpeg: bytes) -> bytes:
-    """Complete a JPEG without an end marker. Raises ImageError if pixels are missing too: then other trailing bits
-    decode to other pixels."""
+    """Complete a JPEG that lacks its end marker. Raises ImageError if pixels are missing too."""
     jpeg = jpeg.rstrip(b"\xff")  # the first half of a marker
     number = int.from_bytes(([b"\7", *re.findall(rb"\xff([\xd0-\xd7])", jpeg)])[-1], "big")
-    restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # where pixels may be due to go on, if they do
-    readers = [formats.open_reader(jpeg + bits + restart + bits + chunks.JPEG_END, "JPEG") for bits in BEHIND]
+    restart = bytes([0xFF, 0xD0 + (number + 1) % 8])  # missing pixels may continue with the next restart marker
+    readers = [formats.open_reader(jpeg + bits + restart + bits + chunks.JPEG_END, "JPEG") for bits in RANDOM_TAILS]
     ended, *others = map(np.asarray, readers)
     if not all(np.array_equal(ended, other) for other in others):
         raise ImageError("the JPEG is truncated")
@@ -155,7 +155,7 @@ def _with_end(jpeg: bytes) -> bytes:
 
 
 def without_alpha(samples: Samples, notes: list[str]) -> Samples:
-    """Composited over white, with a note."""
+    """Composite over white, with a note if the picture is transparent."""
     if samples.alpha is not None:
         notes.append("transparency is composited over white")
     return samples.over_white()

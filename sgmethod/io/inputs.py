@@ -1,4 +1,4 @@
-"""Pixels from any kind of input: paths, files in memory, Pillow images, arrays."""
+"""Reading any kind of input: paths, files in memory, Pillow images, arrays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 from PIL import Image
 
 from sgmethod.errors import ImageError
-from sgmethod.io.files import own_path
+from sgmethod.io.files import checked_path
 from sgmethod.io.header import (
     ImageLimits,
     Opened,
@@ -28,10 +28,10 @@ Input = str | os.PathLike[str] | bytes | Image.Image | npt.NDArray[Any]
 
 
 def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
-    """uint8 [H, W, 3], sRGB, C-contiguous, from the path or bytes of an image file (sgmethod/io/image.py has the
-    rules), a Pillow image, or an array as in from_array(). keep_alpha: return [H, W, 4] for a transparent picture
-    instead of compositing it over white.
+    """Read an input as uint8 [H, W, 3], sRGB, C-contiguous.
 
+    image: the path or bytes of an image file (rules: sgmethod/io/image.py), a Pillow image, or an array as in
+    from_array(); keep_alpha: return [H, W, 4] for a transparent picture instead of compositing it over white.
     Warns with ImageWarning of anything dropped. Raises ImageError, and OSError for a path that cannot be read.
     """
     if isinstance(image, np.ndarray):
@@ -41,7 +41,7 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
     if isinstance(image, bytes | bytearray | memoryview):
         return read_image_8_bit(bytes(image), keep_alpha=keep_alpha)
     if isinstance(image, str | os.PathLike):
-        return read_image_8_bit(own_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
+        return read_image_8_bit(checked_path(image, ImageError).read_bytes(), keep_alpha=keep_alpha)
     raise ImageError(
         "an image must be a path, the bytes of an image file, a Pillow image or a numpy array, "
         f"not {type(image).__name__}"
@@ -49,7 +49,7 @@ def read_input(image: Input, *, keep_alpha: bool = False) -> Uint8Array:
 
 
 def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
-    """A Pillow image by the same rules: upright, in sRGB."""
+    """Convert a Pillow image by the same rules: upright, in sRGB."""
     with only_image_errors():
         ImageLimits().check(*image.size)
         check_mode(image)
@@ -62,11 +62,12 @@ def from_pillow(image: Image.Image, keep_alpha: bool = False) -> Uint8Array:
 
 
 def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Uint8Array:
-    """Levels in uint8 or uint16, or values in [0, 1]; grey [H, W] or [H, W, 1], RGB [H, W, 3] or RGBA [H, W, 4].
+    """Convert an array: grey [H, W] or [H, W, 1], RGB [H, W, 3] or RGBA [H, W, 4].
 
+    pixels: levels in uint8 or uint16, or floating-point values in [0, 1].
     Raises ImageError for another type or shape, other values, or a size beyond ImageLimits.
     """
-    pixels = np.asarray(pixels)  # a matrix of numpy's keeps its two dimensions
+    pixels = np.asarray(pixels)  # np.matrix would not become three-dimensional
     pixels = pixels.astype(pixels.dtype.newbyteorder("="), copy=False)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
@@ -76,7 +77,7 @@ def from_array(pixels: npt.NDArray[Any], keep_alpha: bool = False) -> Uint8Array
     if pixels.dtype not in (np.uint8, np.uint16):
         if not np.issubdtype(pixels.dtype, np.floating):
             raise ImageError(f"an image must be uint8, uint16 or floating-point values in [0, 1], got {pixels.dtype}")
-        if not (pixels.min() >= 0 and pixels.max() <= 1):  # false for what is not a number
+        if not (pixels.min() >= 0 and pixels.max() <= 1):  # also refuses NaN
             raise ImageError("image values must lie in [0, 1]")
     white = int(np.iinfo(pixels.dtype).max) if pixels.dtype.kind == "u" else 1
     notes: list[str] = []

@@ -1,4 +1,4 @@
-"""From a reader of Pillow's to levels of sRGB: whichever samples and colours a file has."""
+"""Decoding the samples of any Pillow reader to sRGB levels."""
 
 from __future__ import annotations
 
@@ -25,8 +25,11 @@ Box = tuple[int, int, int, int]  # x0, y0, x1, y1
 
 @dataclass(frozen=True)
 class Samples:
-    """A picture. levels: of sRGB, [H, W, 1 or 3], and the one that is white; alpha: [H, W, 1], or None where all is
-    opaque, and the one that is opaque."""
+    """A decoded picture.
+
+    levels [H, W, 1 or 3]: sRGB, of which `white` is white; alpha [H, W, 1]: `opaque` is opaque; None for an opaque
+    picture.
+    """
 
     levels: npt.NDArray[Any]
     white: int
@@ -34,7 +37,7 @@ class Samples:
     opaque: int = 1
 
     def over_white(self) -> Samples:
-        """Without alpha: value * alpha + (1 - alpha)."""
+        """Composite over white: value * alpha + (1 - alpha)."""
         if self.alpha is None:
             return self
         part = values_of(self.alpha, self.opaque)
@@ -44,7 +47,7 @@ class Samples:
         return Samples(values, 1)
 
     def in_8_bits(self) -> Uint8Array:
-        """Levels 0 to 255, C-contiguous: [H, W, 3], and with alpha [H, W, 4]."""
+        """Convert to levels 0 to 255, C-contiguous: [H, W, 3], or [H, W, 4] with alpha."""
         height, width = self.levels.shape[:2]
         colour = np.broadcast_to(self.levels, (height, width, 3))
         if self.alpha is None:
@@ -53,7 +56,7 @@ class Samples:
 
 
 def values_of(levels: npt.NDArray[Any], peak: int) -> Float32Array:
-    """Float32 in [0, 1]; a copy."""
+    """Convert levels in [0, peak] to float32 in [0, 1]; always a copy."""
     values = levels.astype(np.float32)
     if peak != 1:
         values /= peak
@@ -61,8 +64,7 @@ def values_of(levels: npt.NDArray[Any], peak: int) -> Float32Array:
 
 
 def to_8_bit(levels: npt.NDArray[Any], peak: int = 1) -> Uint8Array:
-    """Levels in [0, peak] as levels 0 to 255, C-contiguous; uint8 is that already. Row by row: whole pictures take
-    enough memory as they are."""
+    """Convert levels in [0, peak] to uint8, C-contiguous, row by row to save memory; uint8 is left as it is."""
     if levels.dtype == np.uint8:
         return np.ascontiguousarray(levels, np.uint8)
     pixels = np.empty(levels.shape, np.uint8)
@@ -72,10 +74,10 @@ def to_8_bit(levels: npt.NDArray[Any], peak: int = 1) -> Uint8Array:
 
 
 def samples_of(reader: Image.Image, data: bytes | None, stated: Colour, frame: Box | None = None) -> Samples:
-    """Decode; with alpha where anything can be seen through.
+    """Decode a picture, with alpha if any pixel is transparent.
 
-    reader: not yet loaded; data: its file, without which 16-bit RGB comes in 8 bits; stated: its colours; frame: where
-    there are pixels, if not everywhere.
+    reader: not yet loaded; data: its file (without it, 16-bit RGB is decoded to 8 bits); stated: its colours; frame:
+    the area with pixels, if not the whole picture.
     """
     key = reader.info.pop("transparency", None) if reader.mode != "P" else None
     levels, peak = _stored(reader, data, stated)
@@ -83,7 +85,7 @@ def samples_of(reader: Image.Image, data: bytes | None, stated: Colour, frame: B
     if levels.shape[2] in (2, 4):
         levels, alpha = levels[..., :-1], levels[..., -1:]
     elif key is not None:
-        # The transparent colour of a PNG file. Samples of 2 and 4 bits have been stretched to 8, but not the key.
+        # The transparent colour of a PNG. Pillow scales samples of 2 and 4 bits to 8, but not this colour.
         stretched = {2: 85, 4: 17}.get(data[24], 1) if data is not None and reader.format == "PNG" else 1
         alpha = np.any(levels != np.multiply(key, stretched), axis=2, keepdims=True) * levels.dtype.type(peak)
     if frame is not None:
@@ -100,10 +102,10 @@ def samples_of(reader: Image.Image, data: bytes | None, stated: Colour, frame: B
 
 
 def _stored(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Levels, int]:
-    """Levels [H, W, C] as stored, and the one that is white; C is 1 for grey, 3 for RGB, and one more with alpha."""
+    """Levels [H, W, C] as stored, and their white. C: 1 for grey, 3 for RGB, one more with alpha."""
     if data is not None and _rawmode(reader)[:-1] in ("RGB;16", "RGBA;16", "RGBX;16"):
         return _load_16_bit_rgb(reader, data), 65535
-    if reader.mode == "I":  # of PPM alone, in 16 bits
+    if reader.mode == "I":  # a 16-bit PPM; others are refused
         return _load(reader)[..., None].astype(np.uint16), 65535
     if reader.mode.startswith("I;16"):
         levels, peak = _load(reader)[..., None], 65535
@@ -118,35 +120,33 @@ def _stored(reader: Image.Image, data: bytes | None, stated: Colour) -> tuple[Le
 
 
 def _rawmode(reader: Image.Image) -> str:
-    """Pillow's name for the order of bits and bytes in the file, "" where it is known only later."""
+    """Pillow's name for the order of bits and bytes in the file; "" if not yet known."""
     tiles = getattr(reader, "tile", [])
     arguments = tiles[0][3] if tiles else ""
     return arguments if isinstance(arguments, str) else str(arguments[0]) if arguments else ""
 
 
 def _load(reader: Image.Image, mode: str | None = None) -> Levels:
-    """Decode, and convert to another of Pillow's modes if asked to."""
-    # Pillow's TIFF reader would take the orientation from XMP where the tag is missing: another rule, and
-    # another size, than the header's.
+    """Decode, and convert to another of Pillow's modes if given."""
+    # Pillow's TIFF reader would take a missing orientation from XMP, and so contradict the size in the header.
     reader.info.pop("xmp", None)
     reader.load()
-    if reader.mode == "La":  # which Pillow takes to no other mode
+    if reader.mode == "La":  # the only mode that Pillow converts it to
         reader = reader.convert("LA")
     return np.asarray(reader.convert(mode) if mode else reader)
 
 
 def _load_8_bit(reader: Image.Image) -> Levels:
-    """uint8 [H, W, 1 or 3 or 4]."""
+    """Decode to uint8 [H, W, 1, 3 or 4]."""
     if reader.has_transparency_data:
         return _load(reader, "RGBA")
     return _load(reader, "L")[..., None] if reader.mode in ("1", "L") else _load(reader, "RGB")
 
 
 def _load_16_bit_rgb(reader: Image.Image, data: bytes) -> Levels:
-    """uint16 [H, W, 3 or 4].
+    """Decode to uint16 [H, W, 3 or 4].
 
-    Pillow keeps only the upper byte of each sample. Reading a second time with the two bytes named in the
-    opposite order makes it keep the lower one.
+    Pillow keeps only the upper byte of each sample. A second reading, with the byte order swapped, keeps the lower one.
     """
     opposite = {"L": "B", "B": "L", "N": "B" if sys.byteorder == "little" else "L"}
     rawmode = _rawmode(reader)
@@ -160,10 +160,10 @@ def _load_16_bit_rgb(reader: Image.Image, data: bytes) -> Levels:
 
 
 def stated_colour(reader: Image.Image, mode: str, data: bytes | None) -> Colour:
-    """What a file states of its colours, the most exact first (PNG, third edition, 4.3); None for sRGB.
+    """Colours stated by a file, by the most exact statement (PNG, third edition, 4.3); None for sRGB.
 
-    mode: of the samples once decoded, "L", "RGB" or "CMYK".
-    Raises ProfileError for what cannot be used, ImageError for PQ and HLG.
+    mode: of the decoded samples, "L", "RGB" or "CMYK".
+    Raises ProfileError for an unusable profile, ImageError for PQ and HLG.
     """
     info, kind = reader.info, reader.format if data is not None else None
     stated = chunks.of_png(data) if data is not None and kind == "PNG" else {}
@@ -177,7 +177,7 @@ def stated_colour(reader: Image.Image, mode: str, data: bytes | None) -> Colour:
         return colour.of_profile(profile, mode)
     if data is not None and kind in ("AVIF", "HEIF") and (points := chunks.code_points(data)) is not None:
         return colour.of_code_points(*points)
-    if nclx := info.get("nclx_profile"):  # of pillow_heif, which a picture of Pillow's still has
+    if nclx := info.get("nclx_profile"):  # of a Pillow image opened by pillow_heif
         return colour.of_code_points(nclx["color_primaries"], nclx["transfer_characteristics"])
-    # A picture of Pillow's that was read from a PNG still has what that stated.
+    # A Pillow image opened from a PNG still has its sRGB, gAMA and cHRM.
     return None if info.get("srgb") is not None else colour.of_png(info)

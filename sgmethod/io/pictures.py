@@ -1,4 +1,4 @@
-"""Pixels to picture files of five formats, tagged as sRGB except for PPM, which has no tags.
+"""Writing pixels as PNG, JPEG, WebP, AVIF or PPM, tagged as sRGB except for PPM, which has no tags.
 
 PNG and PPM are lossless. The defaults of the others are visually lossless: 47 to 50 dB (a photograph of 768x512 at 0.3
 bpp).
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.errors import ImageError
-from sgmethod.io.laying import WHITE, laid_over
+from sgmethod.io.compositing import WHITE, composited
 from sgmethod.io.png import Compress, encode_png, zlib_compress
 
 SUFFIXES = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WebP", ".avif": "AVIF", ".ppm": "PPM"}
@@ -23,7 +23,7 @@ OPAQUE = ("JPEG", "PPM")
 OPTIONS: dict[str, dict[str, Any]] = {
     "JPEG": {"quality": 95, "subsampling": "4:4:4"},
     "WebP": {"quality": 95},
-    "AVIF": {"quality": 90, "subsampling": "4:4:4", "speed": 8},  # says that it is sRGB by code points
+    "AVIF": {"quality": 90, "subsampling": "4:4:4", "speed": 8},  # tagged as sRGB by code points
 }
 
 
@@ -33,17 +33,16 @@ def encode_picture(
     options: Mapping[str, Any] | None = None,
     compress: Compress = zlib_compress,
 ) -> bytes:
-    """Encode sRGB pixels, uint8 [H, W, 3] or [H, W, 4] with alpha, in a format of SUFFIXES. JPEG and PPM composite
-    alpha over white.
+    """Encode sRGB pixels, uint8 [H, W, 3] or [H, W, 4] with alpha, which JPEG and PPM composite over white.
 
-    options: for Pillow's JPEG, WebP or AVIF writer, instead of OPTIONS; compress: for PNG, see encode_png.
-
+    kind: a value of SUFFIXES; options: for Pillow's JPEG, WebP or AVIF writer, instead of OPTIONS; compress: for PNG,
+    see encode_png.
     Raises ImageError for a picture too large for the format, or a format that this Pillow cannot write.
     """
     if kind == "PNG":
         return encode_png(pixels, compress)
     if kind in OPAQUE and pixels.shape[2] == 4:
-        pixels = laid_over(pixels, WHITE)
+        pixels = composited(pixels, WHITE)
     height, width = pixels.shape[:2]
     if kind == "PPM":
         return b"P6\n%d %d\n255\n" % (width, height) + pixels.tobytes()
@@ -63,7 +62,7 @@ def encode_picture(
 
 @cache
 def _srgb_profile() -> bytes:
-    """Little CMS's, without the time at which it was made: the same pixels make the same file."""
+    """Little CMS's sRGB profile, without its creation time, so that the same pixels give the same file."""
     from PIL import ImageCms
 
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()

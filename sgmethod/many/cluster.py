@@ -1,7 +1,7 @@
-"""A function over any number of items on a Ray cluster, whose machines share the folders that the function uses.
+"""Applying a function to any number of items on a Ray cluster, whose machines share the folders that it uses.
 
-These are tasks of Ray. Ray Data takes no generator, and an item that kills its process each time would end the run, or
-hold it up for ever. docs/python.md shows how to encode within Ray Data.
+The items are tasks of Ray: Ray Data takes no generator, and an item that always kills its process would end the run or
+block it for ever. docs/python.md shows how to encode within Ray Data.
 """
 
 from __future__ import annotations
@@ -20,14 +20,17 @@ Result = TypeVar("Result")
 def in_ray(
     function: Callable[[Item], Result], items: Iterable[Item], ahead: int
 ) -> Generator[tuple[Item, Result | None], None, None]:
-    """Each item with its result, as they finish, with at most `ahead` under way, each on one core; None where its
-    process was killed three times, by Ray itself too where memory is short. Raises MissingPackageError."""
+    """Yield each item with its result, as they finish, at most `ahead` at a time and each on one core.
+
+    The result is None if the item's process was killed three times, be it by Ray for want of memory. Raises
+    MissingPackageError.
+    """
     with extra("ray"):
         import ray
     killed = ray.exceptions.WorkerCrashedError, ray.exceptions.NodeDiedError, ray.exceptions.OutOfMemoryError
     remote = ray.remote(num_cpus=1, max_retries=0)(_on_one_core)  # Ray itself would retry for ever without memory
     waiting = iter(items)
-    running: dict[Any, tuple[Item, int]] = {}  # with the tries that are left
+    running: dict[Any, tuple[Item, int]] = {}  # items and their tries left
     try:
         while True:
             for item in islice(waiting, ahead - len(running)):

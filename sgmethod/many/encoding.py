@@ -4,23 +4,19 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Generator, Iterable, Iterator
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sgmethod.budget import whole
+from sgmethod.budget import checked_integer
 from sgmethod.codec import encode
 from sgmethod.errors import ImageWarning, SgError
 from sgmethod.io.inputs import Input
 from sgmethod.many.cluster import in_ray
+from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
-from sgmethod.many.processes import KILLED, in_processes
-from sgmethod.many.run import Item, Made, OnRow, Picture, Tally, made, run
-
-MAX_JOBS = 256
+from sgmethod.many.run import Finished, OnRow, Tally, Task, caught, here
 
 
 def encode_many(
@@ -30,7 +26,7 @@ def encode_many(
     jobs: int = 1,
     resume: bool = False,
     engine: str = "local",
-    on_row: OnRow | None = None,
+    on_row: OnRow[Row] | None = None,
     **options: Any,
 ) -> Tally:
     """Encode any number of pictures to output_dir/NAME.sg, with a manifest, output_dir/manifest.jsonl.
@@ -49,24 +45,19 @@ def encode_many(
     A picture that cannot be encoded is a line with its error, and the rest goes on. Raises SgError for a name that is
     invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
-    jobs = whole(jobs, "the number of jobs", 1, MAX_JOBS)
+    jobs = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
     if engine not in ("local", "ray"):
         raise SgError(f'the engine must be "local" or "ray", got {engine!r}')
 
-    def finish(folder: Path, pictures: Iterator[Picture]) -> Generator[Row, None, None]:
-        make_row = partial(made, partial(_encode, options), folder.absolute())
-        if engine == "local" and jobs == 1:
-            yield from map(make_row, pictures)
-            return
-        with closing((in_ray if engine == "ray" else in_processes)(make_row, pictures, jobs)) as finished:
-            for one, row in finished:
-                yield replace(one.row, error=KILLED) if row is None else row
+    def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
+        make = partial(caught, partial(written, partial(_encode, options), folder.absolute()))
+        return in_ray(make, tasks, jobs) if engine == "ray" else here(make, tasks, jobs)
 
-    return run(items, output_dir, options, finish, resume, on_row)
+    return into_folder(items, output_dir, options, finish, resume, on_row)
 
 
 def _encode(options: dict[str, Any], picture: Input) -> Made:
-    with warnings.catch_warnings(record=True) as caught:
+    with warnings.catch_warnings(record=True) as caught_warnings:
         warnings.simplefilter("always", ImageWarning)
         encoded = encode(picture, **options)
-    return encoded.data, encoded.stats.to_dict(), [str(warning.message) for warning in caught]
+    return encoded.data, encoded.stats.to_dict(), [str(warning.message) for warning in caught_warnings]

@@ -2,7 +2,7 @@
 
     {"name": "a.sg", "input": "photos/a.png", "bytes": 1210, "figures": {...}, "notes": [], "error": null, "key": "..."}
 
-Lines are only appended; where a name has several, the last counts. A line follows its file, so a file without a line is
+Lines are only appended; the last line of a name counts. A line is written after its file, so a file without a line is
 made again, with the same bytes.
 """
 
@@ -14,7 +14,7 @@ import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,11 @@ BEGINNING = b'{"name": '  # of every line
 
 @dataclass(frozen=True)
 class Row:
-    """One line. name: of the file in the folder; input: path of the picture, None for one in memory; figures: as
-    Stats.to_dict(); notes: what was dropped from the picture; key: of Manifest.key()."""
+    """A line of the manifest.
+
+    name: file name in the folder; input: path of the picture, None for one in memory; figures: as in Stats.to_dict();
+    notes: on anything dropped from the picture; key: see Manifest.key().
+    """
 
     name: str
     input: str | None
@@ -40,14 +43,16 @@ class Row:
 
 
 class Manifest:
-    """The manifest of `folder`, for a run with these options. Raises SgError if it cannot be written, or is
-    another file of that name."""
+    """The manifest of a folder, for a run with these options.
+
+    Raises SgError if it cannot be written, or is another file of that name.
+    """
 
     def __init__(self, folder: str | os.PathLike[str], options: Mapping[str, object]) -> None:
         self._folder, self._path = Path(folder), Path(folder) / FILE
         self._asked = f"{version('sgmethod')} {sorted(options.items())!r}"
         self._made: dict[str, tuple[str, int]] = {}  # keys and sizes by name
-        # One write a line: if it is killed in the middle, the rest is missing, and no other line is touched.
+        # Each line is one write: if that is killed in the middle, no other line is touched.
         with self._saying():
             self._file = self._path.open("ab", buffering=0)
         try:
@@ -66,7 +71,7 @@ class Manifest:
         end = 0
         with self._saying(), self._path.open("rb") as lines:
             for number, line in enumerate(lines, 1):
-                written = line.rstrip(b"\0")  # a power cut leaves NULs where the disk has not got the line
+                written = line.rstrip(b"\0")  # left by a power cut if the line has not reached the disk
                 if not written.startswith(BEGINNING[: len(written)]):
                     raise SgError(f"{self._path} is not a manifest of sgmethod (line {number}): move it away")
                 if not line.endswith(b"\n"):
@@ -84,7 +89,7 @@ class Manifest:
                     raise SgError(f"{self._path} is damaged in line {number}: remove that line") from error
 
     def key(self, source: str | None) -> str:
-        """What decides the file's bytes: version, options, the picture's size and time. Empty if it is not there."""
+        """Hash what decides the bytes: version, options, the picture's size and time. Empty for a missing picture."""
         try:
             seen = None if source is None else Path(source).stat()
         except (OSError, ValueError):
@@ -93,7 +98,7 @@ class Manifest:
         return hashlib.sha256(f"{self._asked} {identity}".encode()).hexdigest()[:16]
 
     def has(self, name: str, key: str) -> bool:
-        """Whether the file was made with this key, and is there."""
+        """Whether the file was made with this key and is there."""
         made = self._made.get(name)
         try:
             return made is not None and made == (key, (self._folder / name).stat().st_size)
@@ -102,7 +107,8 @@ class Manifest:
 
     def add(self, row: Row) -> None:
         """Append a line. Raises SgError."""
-        line = json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
+        values = {field.name: getattr(row, field.name) for field in fields(Row)}
+        line = json.dumps(values, allow_nan=False).encode() + b"\n"
         with self._saying():
             if self._file.write(line) != len(line):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

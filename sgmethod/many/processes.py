@@ -1,6 +1,6 @@
-"""A function over any number of items, in processes that share the cores.
+"""Applying a function to any number of items in processes that share the cores.
 
-Numpy is not imported here: a new process first sets how many threads that may have.
+NumPy is not imported here: a new process first sets its number of threads.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ Finished = Generator[tuple[Item, Result], None, list[Item]]
 def in_processes(
     function: Callable[[Item], Result], items: Iterable[Item], processes: int
 ) -> Generator[tuple[Item, Result | None], None, None]:
-    """Each item with its result, as they finish; None for an item whose process was killed twice, the second time
-    alone.
+    """Yield each item with its result, as they finish; None if its process was killed twice, the second time alone.
 
     Function, items and results are pickled. Few items are taken ahead, so there may be any number. Raises SgError if
     no process can begin, or the system allows no more.
@@ -56,7 +55,7 @@ def in_processes(
 def _until_killed(
     function: Callable[[Item], Result], waiting: Iterator[Item], processes: int, ahead: int, begun: Event
 ) -> Finished[Item, Result]:
-    """Yield items with their results. Returns those under way when a process was killed, or none at the end."""
+    """Yield items with their results; return those under way when a process was killed, or none at the end."""
     from sgmethod.native import native
 
     threads = max(native.thread_count() // processes, 1)
@@ -96,8 +95,8 @@ def _until_killed(
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C is for this process alone. New ones inherit that they ignore it: they may not even have begun Python."""
-    if current_thread() is not main_thread():  # no other may say so
+    """Ignore Ctrl-C while a process begins: it inherits that before Python runs in it."""
+    if current_thread() is not main_thread():  # no other thread may set a handler
         yield
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -108,7 +107,7 @@ def _uninterrupted() -> Iterator[None]:
 
 
 def _begin(threads: int, begun: Event) -> None:
-    """Set up a process: it ends with its parent, ignores Ctrl-C, and has this number of threads."""
+    """Set up a process that ends with its parent, ignores Ctrl-C and has this number of threads."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Windows lets nothing be inherited
     parent = parent_process()
     if parent is not None:

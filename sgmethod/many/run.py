@@ -1,27 +1,21 @@
-"""A run over any number of pictures: which are skipped, a line of the manifest for each other, and how far it is."""
+"""A run over many pictures: resume, note each file or its error, count. Callers bring the tasks and who does them."""
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sized
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from sgmethod.errors import SgError
-from sgmethod.io.files import own_path, write_atomically
-from sgmethod.io.inputs import Input
 from sgmethod.many.manifest import Manifest, Row
-
-Item = str | os.PathLike[str] | tuple[str, Input]
-Made = tuple[bytes, Mapping[str, Any], list[str]]  # a file, its figures, what was dropped from the picture
+from sgmethod.many.processes import KILLED, in_processes
 
 
 @dataclass(frozen=True)
 class Tally:
-    """A run so far. pictures: how many there are in all, None if that is not known; seconds: wall time."""
+    """Progress of a run. pictures: how many there are in all, None if unknown; seconds: wall time."""
 
     encoded: int = 0
     skipped: int = 0
@@ -37,87 +31,80 @@ class Tally:
 
     @property
     def seconds_left(self) -> float | None:
-        """The estimated time left, None if it is not known."""
+        """Estimated time left; None if unknown."""
         if self.pictures is None or not self.per_second:
             return None
         return (self.pictures - self.encoded - self.skipped - self.failed) / self.per_second
 
-    def with_row(self, row: Row, skipped: int, seconds: float) -> Tally:
-        """One more line."""
-        encoded, failed = (1, 0) if row.error is None else (0, 1)
-        return Tally(
-            self.encoded + encoded, skipped, self.failed + failed, self.bytes + row.bytes, seconds, self.pictures
-        )
+    def with_row(self, row: Row, seconds: float) -> Tally:
+        """Return the tally with one more row."""
+        failed = row.error is not None
+        encoded, bytes = self.encoded + (not failed), self.bytes + row.bytes
+        return replace(self, encoded=encoded, failed=self.failed + failed, bytes=bytes, seconds=seconds)
 
 
-OnRow = Callable[[Row, Tally], None]
+AnyRow = TypeVar("AnyRow", bound=Row)
+OnRow = Callable[[AnyRow, Tally], None]
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture to encode. row: what its line has before that."""
+class Task(Generic[AnyRow]):
+    """A picture to make a file of, and its row so far."""
 
-    picture: Input
-    row: Row
+    picture: Any
+    row: AnyRow
 
 
-class _Rest:
-    """Pictures without those that the manifest has, which are counted as skipped."""
+Make = Callable[[Task[AnyRow]], AnyRow]
+Finished = Generator[tuple[Task[AnyRow], AnyRow | None], None, None]  # a row is None where its process was killed
 
-    def __init__(self, manifest: Manifest, resume: bool) -> None:
-        self.skipped = 0
+
+class Run(Generic[AnyRow]):
+    """A run that notes its rows in a manifest, if it has one. pictures: how many there are, if known."""
+
+    def __init__(self, manifest: Manifest | None = None, resume: bool = False, pictures: int | None = None) -> None:
         self._manifest, self._resume = manifest, resume
-        self._names: set[str] = set()
+        self._began, self._tally = time.perf_counter(), Tally(pictures=pictures)
 
-    def of(self, items: Iterable[Item]) -> Iterator[Picture]:
-        """Raises SgError for a name that is invalid or used twice."""
-        for item in items:
-            name, picture = item if isinstance(item, tuple) else (own_path(item).stem, item)
-            if not isinstance(name, str) or not name or own_path(name).name != name:
-                raise SgError(f"the name of a picture must be a file name without folders, got {name!r}")
-            if name in self._names:
-                raise SgError(f"two pictures are named {name!r}: give other names, as pairs (name, picture)")
-            self._names.add(name)
-            path = os.fsdecode(picture) if isinstance(picture, str | os.PathLike) else None
-            row = Row(f"{name}.sg", path, key=self._manifest.key(path))
+    def rest(self, tasks: Iterable[Task[AnyRow]]) -> Iterator[Task[AnyRow]]:
+        """Yield tasks with their keys, except, if the run resumes another, those that are done."""
+        for task in tasks:
+            if self._manifest is None:
+                yield task
+                continue
+            row = replace(task.row, key=self._manifest.key(task.row.input))
             if self._resume and self._manifest.has(row.name, row.key):
-                self.skipped += 1
+                self._tally = replace(self._tally, skipped=self._tally.skipped + 1)
             else:
-                yield Picture(picture, row)
+                yield replace(task, row=row)
 
-
-def run(
-    items: Iterable[Item],
-    output_dir: str | os.PathLike[str],
-    options: Mapping[str, object],
-    finish: Callable[[Path, Iterator[Picture]], Generator[Row, None, None]],
-    resume: bool,
-    on_row: OnRow | None,
-) -> Tally:
-    """Skip, finish and note pictures. options: what decides the files, besides the pictures; finish: writes the files
-    of pictures into a folder and yields their lines. Raises SgError, OSError, as encode_many()."""
-    folder = own_path(output_dir)
-    folder.mkdir(parents=True, exist_ok=True)
-    began = time.perf_counter()
-    tally = Tally(pictures=len(items) if isinstance(items, Sized) else None)
-    with Manifest(folder, options) as manifest:
-        rest = _Rest(manifest, resume)
-        with closing(finish(folder, rest.of(items))) as rows:
-            for row in rows:
-                manifest.add(row)
-                tally = tally.with_row(row, rest.skipped, time.perf_counter() - began)
+    def finish(self, finished: Finished[AnyRow], on_row: OnRow[AnyRow] | None = None) -> Tally:
+        """Note each row as it comes, and return the totals. Raises SgError if the manifest cannot be written."""
+        with closing(finished):
+            for task, made in finished:
+                row = replace(task.row, error=KILLED) if made is None else made
+                if self._manifest is not None:
+                    self._manifest.add(row)
+                self._tally = self._tally.with_row(row, time.perf_counter() - self._began)
                 if on_row is not None:
-                    on_row(row, tally)
-    return replace(tally, skipped=rest.skipped, seconds=time.perf_counter() - began)
+                    on_row(row, self._tally)
+        return replace(self._tally, seconds=time.perf_counter() - self._began)
 
 
-def made(make: Callable[[Any], Made], folder: Path, one: Picture) -> Row:
-    """The line of a picture, after its file is written or its error is caught."""
+def here(make: Make[AnyRow], tasks: Iterable[Task[AnyRow]], jobs: int) -> Finished[AnyRow]:
+    """Finish tasks one after the other, or several at a time in processes of their own."""
+    if jobs > 1:
+        yield from in_processes(make, tasks, jobs)
+        return
+    for task in tasks:
+        yield task, make(task)
+
+
+def caught(make: Make[AnyRow], task: Task[AnyRow]) -> AnyRow:
+    """Finish a task; a file that cannot be made is a row with its error."""
     try:
-        data, figures, notes = make(one.picture)
-        write_atomically(folder / one.row.name, data)
+        return make(task)
     except MemoryError:
-        return replace(one.row, error="out of memory")
+        return replace(task.row, error="out of memory")
     except (SgError, OSError) as error:
-        return replace(one.row, error=str(error))
-    return replace(one.row, bytes=len(data), figures=figures, notes=notes)
+        return replace(task.row, error=str(error))

@@ -1,7 +1,7 @@
-"""How close two pictures look: SSIMULACRA 2, by Jon Sneyers (libjxl's tools/ssimulacra2.cc).
+"""SSIMULACRA 2: how close two pictures look, by Jon Sneyers (libjxl's tools/ssimulacra2.cc).
 
-The figures are those of the package ssimulacra2 0.3, which reads up to 1.3 below libjxl's, in a tenth of its time:
-rows are compared a band at a time, in float32.
+The figures equal those of the package ssimulacra2 0.3, which are up to 1.3 below libjxl's, in a tenth of its time: rows
+are compared in bands, in float32.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from sgmethod.threads import in_parallel
 
 Plane = NDArray[np.float32]
 
-SMALLEST_SIDE = 8  # pixels; a smaller picture, or level, has no figure
+SMALLEST_SIDE = 8  # pixels; undefined for smaller pictures and levels
 LEVELS = 6
-BAND = 1 << 15  # pixels compared at a time, about: they stay in the cache
+BAND = 1 << 15  # pixels compared at a time, about: few enough to stay in the cache
 MARGIN = WINDOW_SIZE // 2
 C2 = 0.0009
 
-# From linear light to what cones add up to, and from its cube root to X, Y and B, moved to be positive.
+# From linear light to the responses of cones, and from their cube roots to X, Y and B, offset to be positive.
 CONES = np.array([[0.3, 0.622, 0.078], [0.23, 0.692, 0.078], [0.24342268924547819, 0.20476744424496821, 0.0]])
 CONES[2, 2] = 1 - CONES[2].sum()
 BIAS = 0.0037930732552754493
 TO_CONES = np.column_stack([CONES, np.full(3, BIAS)])
 TO_XYB = np.array([[7.0, -7.0, 0.0, 0.42], [0.5, 0.5, 0.0, 0.01 - np.cbrt(BIAS)], [-0.5, -0.5, 1.0, 0.55]])
 
-# Of X, Y and B, by level: structure, ringing, blur; then the fourth roots of their fourth moments.
+# For X, Y and B, by level: structure, ringing, blur; then the fourth roots of their fourth moments.
 WEIGHTS = np.array(
     [
         *(0.0, 0.0007376606707406586, 0.0, 0.0, 0.0007793481682867309, 0.0),
@@ -59,10 +59,10 @@ WEIGHTS = np.array(
 
 
 def ssimulacra2(picture: NDArray[Any], source: NDArray[Any]) -> float | None:
-    """Of a picture [H, W, 3], uint8 sRGB: 100 for the source itself, 90 for no visible loss, 70 for high quality, 50
-    for medium, 30 for low, below 0 for the worst. None where a side is below SMALLEST_SIDE pixels.
+    """SSIMULACRA 2 of a picture [H, W, 3], uint8 sRGB; None if a side is below SMALLEST_SIDE pixels.
 
-    Raises ValueError for pictures of different shapes.
+    100 for the source itself, 90 for no visible loss, 70 for high quality, 50 for medium, 30 for low, below 0 for the
+    worst. Raises ValueError for pictures of different shapes.
     """
     if picture.shape != source.shape or picture.ndim != 3 or picture.shape[2] != 3:
         raise ValueError(f"pictures must have one shape [H, W, 3], got {list(picture.shape)} and {list(source.shape)}")
@@ -83,7 +83,7 @@ def _score(difference: float) -> float:
 
 
 def _difference(source: NDArray[Any], picture: NDArray[Any]) -> NDArray[np.float64]:
-    """[3, 6]: of one level, the figures that WEIGHTS weigh. uint8 sRGB or linear float32, [H, W, 3]."""
+    """Figures [3, 6] of one level, to be weighted by WEIGHTS. Pictures: uint8 sRGB or linear float32, [H, W, 3]."""
     height, width = source.shape[:2]
     rows = max(BAND // width, 1)
 
@@ -99,16 +99,16 @@ def _difference(source: NDArray[Any], picture: NDArray[Any]) -> NDArray[np.float
 
 
 def _sums(x: Plane, y: Plane) -> NDArray[np.float64]:
-    """[3, 6]: sums over a band of structure, ringing and blur, and of their fourth powers. The band has margins.
+    """Sums [3, 6] over a band with margins of structure, ringing and blur, and of their fourth powers.
 
-    Everything is done in place: fresh memory costs more than the arithmetic.
+    Computed in place, because fresh memory costs more than the arithmetic.
     """
     mean_x, mean_y, product = _window(x), _window(y), x * y
     structure = _window(product)
     np.square(x, out=product)
     product += np.square(y)
     variances = _window(product)
-    # Variances are only ever added. In this order a picture is exactly equal to itself.
+    # Only the sum of the variances is needed. In this order a picture is exactly equal to itself.
     here = product[: len(mean_x)]
     structure -= np.multiply(mean_x, mean_y, out=here)
     structure *= np.float32(2)
@@ -131,7 +131,7 @@ def _sums(x: Plane, y: Plane) -> NDArray[np.float64]:
 
 
 def _edges(plane: Plane, mean: Plane) -> Plane:
-    """1 and the distance from the mean, in the mean's place."""
+    """Compute 1 + |plane - mean| in the mean's memory."""
     np.subtract(plane[MARGIN:-MARGIN], mean, out=mean)
     np.abs(mean, out=mean)
     mean += np.float32(1)
@@ -139,19 +139,18 @@ def _edges(plane: Plane, mean: Plane) -> Plane:
 
 
 def _fourth(plane: Plane) -> Plane:
-    """The fourth power, in place."""
     return np.square(np.square(plane, out=plane), out=plane)
 
 
 def _sum(planes: Sequence[Plane]) -> NDArray[np.float64]:
-    """[3, N]: the sum over each plane's pixels."""
+    """Sum each plane over its pixels: [3, N]."""
     import cv2
 
     return np.array([cv2.sumElems(plane)[:3] for plane in planes]).T
 
 
 def _xyb(pixels: NDArray[Any]) -> Plane:
-    """The picture [H, W, 3] in the eye's opponent colours, none below 0."""
+    """Convert a picture [H, W, 3] to the eye's opponent colours, offset to be positive."""
     import cv2
 
     cones = cv2.transform(_linear(pixels), TO_CONES)
@@ -159,7 +158,7 @@ def _xyb(pixels: NDArray[Any]) -> Plane:
 
 
 def _linear(pixels: NDArray[Any]) -> Plane:
-    """In linear light, float32 [H, W, 3], which is left as it is."""
+    """Convert uint8 sRGB to linear light, float32 [H, W, 3]; float32 is linear already."""
     import cv2
 
     if pixels.dtype == np.float32:
@@ -169,8 +168,8 @@ def _linear(pixels: NDArray[Any]) -> Plane:
 
 
 def _window(plane: Plane) -> Plane:
-    """Gaussian-weighted means; nothing is left and right of the picture. Margins above and below go."""
-    import cv2  # belongs to the extra "encode"
+    """Gaussian-weighted means, with zeros left and right of the picture; margins above and below are cut off."""
+    import cv2
 
     weights = window_weights()
     filtered = cv2.sepFilter2D(plane, cv2.CV_32F, weights, weights, borderType=cv2.BORDER_CONSTANT)
@@ -178,7 +177,7 @@ def _window(plane: Plane) -> Plane:
 
 
 def _halved(pixels: NDArray[Any]) -> Plane:
-    """Means over 2 x 2 pixels in linear light; an odd side's last ones are means over those that there are."""
+    """Reduce to half the size by means over 2 x 2 pixels in linear light; at odd sides, over the pixels there are."""
     import cv2
 
     height, width = pixels.shape[:2]

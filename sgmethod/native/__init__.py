@@ -1,10 +1,9 @@
 """The compiled kernels: drawing, gradients, the optimiser's step, the entropy coder, refining.
 
-Arrays of numpy come in, and results leave in arrays that the caller brings.
-The C++ sources lie beside this file, in rooms that include and link those before them alone: core/ (constants,
-threads, vectors), texture/ (noise from a seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile
-rd: integers, entropy coder), refine/ (the integers of one Gaussian at a time) and file/ (whole files, decoded without
-Python) know nothing of Python. bindings/ translates for Python.
+Arguments are NumPy arrays, and results are written to arrays provided by the caller. The C++ sources lie beside this
+file, in rooms that include and link only those before them: core/ (constants, threads, vectors), texture/ (noise from a
+seed), raster/ (drawing), fit/ (gradients, loss, optimisers), rd/ (profile rd: integers, entropy coder) and refine/
+(search over the integers, one Gaussian at a time) know nothing of Python. bindings/ is the interface to Python.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from sgmethod.errors import NativeModuleError
 
 
 class _Missing:
-    """Stands in for kernels that cannot be loaded, until one is needed: imports and --help do without."""
+    """A placeholder for kernels that cannot be loaded: fails on first use, so that imports and --help still work."""
 
     def __init__(self, error: ImportError) -> None:
         self._error = error

@@ -1,7 +1,7 @@
 """Types of the compiled module (sgmethod/native/bindings/). Arrays are C-contiguous float32.
 
-Only numpy's are typed, though tensors would be taken: torch hands its memory over in Python code, where an interrupt
-that arrives is lost, because the binding takes any error there for "not an array of this kind".
+Only NumPy arrays are typed, although tensors would be accepted: torch exports its memory in Python code, and an
+interrupt that arrives there is lost, because the binding takes any error for "not an array of this kind".
 """
 
 import numpy as np
@@ -11,14 +11,14 @@ from sgmethod.scene import FloatArray
 
 MAX_SIDE: int  # pixels along a side of a picture
 CUTOFF_V1: float  # sigma at which a Gaussian of version 1 ends
-CUTOFF_V3: float  # and of versions 3 and 4
-MAX_CUTOFF: float  # the largest that the kernels take
+CUTOFF_V2: float  # and of version 2
+MAX_CUTOFF: float  # the largest that the kernels support
 MIN_SCALE: float  # pixels; l1 and l3 are at least this
 COLOR_BASIS: tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
-"""Orthonormal axes of a colour in profile rd, one a row: luma-like, and two chroma-like."""
+"""Orthonormal axes of a colour in profile rd, one per row: luma-like, and two chroma-like."""
 COLOR_SCALE: float
 """A colour's step in profile rd is quantum / (COLOR_SCALE s), with s the Gaussian's size in pixels."""
-R_STEP: float  # the step of r = l2 / l3 over that of v = log sqrt(l1 / l3) in profile rd
+R_STEP: float  # ratio of the steps of r = l2 / l3 and v = log sqrt(l1 / l3) in profile rd
 TARGET_WHITE: int  # in the target of a fit, int16 [3, height, width]
 TEXTURE_OCTAVES: int
 TEXTURE_CELL: int  # pixels of the picture along a side of a cell
@@ -26,32 +26,34 @@ TEXTURE_STRENGTHS: int  # codes of a strength; 0 is none
 VISIBLE: int  # 1 in the visibility of a picture's errors, int16 [height, width]
 SEEN_COLOR: float
 SEEN_LUMA: tuple[float, float, float]
-"""To the eye an error e [3] counts SEEN_COLOR |e|^2 + (SEEN_LUMA e)^2, times its pixel's visibility."""
+"""For the eye, an error e [3] counts SEEN_COLOR |e|^2 + (SEEN_LUMA e)^2, times its pixel's visibility."""
 TILE_WIDTH: int
 TILE_HEIGHT: int
 
 def best_isa() -> int:
-    """0 baseline x86-64, 1 AVX2, 2 AVX-512: the best this processor has."""
+    """Best instruction set of this processor: 0 baseline x86-64, 1 AVX2, 2 AVX-512."""
 
 def available_cores() -> int:
-    """Cores this process may use: its affinity, cut by the processor quotas of its control groups; at least 1."""
+    """Cores this process may use: its affinity, limited by the CPU quotas of its control groups; at least 1."""
 
 def thread_count() -> int:
-    """Threads that kernels use, the calling one included. Fewer run where the system refuses to create them."""
+    """Threads used by kernels, including the calling one; fewer if the system refuses to create them."""
 
 def set_thread_count(count: int) -> None: ...
 def release_memory() -> None:
-    """Give back to the system what is kept of freed memory: before work that needs other sizes."""
+    """Return cached free memory to the system, before work that needs other sizes."""
 
 def most_pairs(gaussians: int, width: int, height: int) -> int:
-    """The most pairs of Gaussian and tile that a picture needs: beyond, a file is hostile."""
+    """Most pairs of Gaussian and tile that a picture may need; a file that needs more is hostile."""
 
 def unpack_texture(data: bytes, width: int, height: int) -> tuple[NDArray[np.uint8], int]:
-    """The codes of a picture's texture [TEXTURE_OCTAVES, rows, columns], and how many bytes say them. Raises
-    RuntimeError for what no encoder writes."""
+    """Decode a picture's texture codes [TEXTURE_OCTAVES, rows, columns]; also return the number of bytes read.
+
+    Raises RuntimeError for data that no encoder writes.
+    """
 
 class Texture:
-    """Noise from a seed (sgmethod/native/texture/texture.h). Raises ValueError for codes and cells that cannot be."""
+    """Noise from a seed (sgmethod/native/texture/texture.h). Raises ValueError for invalid codes and cells."""
 
     def __init__(
         self,
@@ -61,14 +63,15 @@ class Texture:
         x: float = 0.0,
         y: float = 0.0,
         shift: int = 0,
-        is_banded: bool = True,
     ) -> None:
-        """codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS; cell_x, cell_y: sides of a cell, and x, y:
-        the picture's corner, in output pixels; shift: octave o is drawn on level o + shift; is_banded: the noise of
-        version 5, not that of version 4."""
+        """Take codes [TEXTURE_OCTAVES, rows, columns] below TEXTURE_STRENGTHS.
+
+        cell_x, cell_y: sides of a cell, and x, y: the picture's corner, in output pixels; shift: octave o is drawn on
+        level o + shift.
+        """
 
 class Rasterization:
-    """Gaussians' geometry laid over a pixel grid. Raises OverflowError beyond max_pairs pairs of Gaussian and tile."""
+    """Gaussians' geometry on a pixel grid. Raises OverflowError for more than max_pairs pairs of Gaussian and tile."""
 
     def __init__(
         self,
@@ -84,8 +87,11 @@ class Rasterization:
         y: int = 0,
         texture: Texture | None = None,
     ) -> None:
-        """pyramid: wide Gaussians are drawn on coarser levels (sgmethod/native/raster/levels.h). x, y: the first pixel
-        that is drawn, so that a part is the same as in the whole. texture: is drawn with them, in a pyramid alone."""
+        """Assign Gaussians to tiles.
+
+        pyramid: wide Gaussians are drawn on coarser levels (sgmethod/native/raster/levels.h); x, y: the first pixel
+        drawn, so that a part looks as in the whole picture; texture: drawn too, only with a pyramid.
+        """
 
     @property
     def width(self) -> int: ...
@@ -95,7 +101,7 @@ class Rasterization:
         """Fill image [3, height, width]."""
 
     def missing(self, colors: FloatArray, target: NDArray[np.int16], image: FloatArray) -> None:
-        """Fill image [3, height, width]: target, in which white is TARGET_WHITE, less the picture, in which it is 1."""
+        """Fill image [3, height, width], 1 being white: target, in which white is TARGET_WHITE, minus the picture."""
 
     def render_bytes(
         self, colors: FloatArray, image: NDArray[np.uint8], background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -112,29 +118,31 @@ class Rasterization:
         visibility: NDArray[np.int16] | None = None,
         by_eye: bool = True,
     ) -> float:
-        """The mean squared error against a target; fills its gradients as backward does. With a visibility each pixel
-        counts so much, and colours as the eye sees them or, without by_eye, alike."""
+        """Mean squared error against a target; fills its gradients like backward().
+
+        visibility: weights of the pixels' errors; by_eye: colours count as the eye sees them, else alike.
+        """
 
     def error(self, colors: FloatArray, target: NDArray[np.int16]) -> float:
-        """The mean squared error against a target."""
+        """Mean squared error against a target."""
 
     def gram(self, colors: FloatArray, out_colors: FloatArray, visibility: NDArray[np.int16] | None = None) -> None:
-        """Fill out_colors [N, 3]: each Gaussian's product with the picture that all draw, times the visibility."""
+        """Fill out_colors [N, 3]: inner product of each Gaussian with the picture of all, weighted by visibility."""
 
     def backward(
         self, colors: FloatArray, grad: FloatArray, means: FloatArray, factors: FloatArray, out_colors: FloatArray
     ) -> None:
-        """Fill the gradients by means [N, 2], factors [N, 3] and colours [N, 3], given that by the image."""
+        """Backpropagate a gradient by the image: fill those by means [N, 2], factors [N, 3] and colours [N, 3]."""
 
 class ReconstructionLoss:
     """MSE + lambda_g L_g against a target [3, height, width]."""
 
     def __init__(self, target: FloatArray, lambda_g: float) -> None: ...
     def __call__(self, image: FloatArray, grad: FloatArray) -> tuple[float, float]:
-        """(MSE, L_g); fills grad with the gradient by the image."""
+        """Return (MSE, L_g); fill grad with the gradient by the image."""
 
 class AdamSettings:
-    """Of frame_adam; rates are relative changes of a step."""
+    """Settings of frame_adam(); rates are relative changes per step."""
 
     def __init__(
         self,
@@ -161,13 +169,12 @@ def frame_adam(
     second: FloatArray,
     bias: FloatArray,
 ) -> None:
-    """Backend.step (sgmethod/backend/protocol.py): moves the Gaussians; updates first, second [N, 8], bias [N, 2]."""
+    """Move Gaussians, and update first, second [N, 8] and bias [N, 2]: Backend.step (sgmethod/backend/protocol.py)."""
 
 def keep_in_range(
     reach: float, width: float, height: float, means: FloatArray, factors: FloatArray, colors: FloatArray
 ) -> None:
-    """Keep Gaussians where every file can say them: scale, slant and amplitude, and means within reach sqrt(l1 l3) of
-    the picture."""
+    """Clamp scale, slant and amplitude to the limits of a fit, and means to within reach sqrt(l1 l3) of the picture."""
 
 def rd_rate_gradient(
     quantum: float,
@@ -177,10 +184,10 @@ def rd_rate_gradient(
     by_factors: FloatArray,
     by_colors: FloatArray,
 ) -> None:
-    """Backend.add_rate_gradient (sgmethod/backend/protocol.py): adds to by_factors and by_colors."""
+    """Add a gradient to by_factors and by_colors: Backend.add_rate_gradient (sgmethod/backend/protocol.py)."""
 
 class RdParameters:
-    """What the stream of profile rd needs to know before its first Gaussian."""
+    """Parameters of profile rd's stream that are known before its first Gaussian."""
 
     def __init__(
         self,
@@ -189,14 +196,12 @@ class RdParameters:
         quantum: float,
         grey: bool = False,
         upright: bool = False,
-        version: int = 4,
         is_short: bool = False,
     ) -> None:
-        """version: of the payload, 3 or 4; is_short: whether all symbols share one state, as in a short file."""
+        """Describe a payload. is_short: whether all symbols share one state, as in a short file."""
 
 def rd_clipped_values() -> int:
-    """Values that lay outside of the range of their integer and were moved to its end, since the process began: of
-    Gaussians that came to be quantised, encoded or refined."""
+    """Number of values clamped to the range of their integers in this process, while Gaussians were quantised."""
 
 def rd_quantise(
     parameters: RdParameters,
@@ -207,7 +212,7 @@ def rd_quantise(
     out_factors: FloatArray,
     out_colors: FloatArray,
 ) -> None:
-    """Fill out_* with what decoding an encoding would give; colour 0 where nothing of a Gaussian is left."""
+    """Fill out_* with Gaussians as a decoder would see them, with colour 0 if one rounds to nothing."""
 
 def rd_encode(parameters: RdParameters, means: FloatArray, factors: FloatArray, colors: FloatArray) -> bytes: ...
 def rd_refine(
@@ -225,17 +230,23 @@ def rd_refine(
     by_eye: bool = True,
     halvings: int = 0,
 ) -> bytes:
-    """The payload of the Gaussians, their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h).
-    visibility, by_eye: as in squared_error(); halvings: of the picture, that make the target."""
+    """Encode Gaussians, with their integers refined one Gaussian at a time (sgmethod/native/refine/refine.h).
+
+    visibility, by_eye: see squared_error(); halvings: number of times the picture was halved to give the target.
+    """
 
 def rd_lay_out(
-    parameters: RdParameters, data: bytes, prefix: bool, cutoff: float, pyramid: bool, texture: Texture | None = None
+    parameters: RdParameters, data: bytes, prefix: bool, texture: Texture | None = None
 ) -> tuple[Rasterization, FloatArray]:
-    """The Gaussians of a payload laid over the whole picture, and their colours. The first are laid out while others
-    are still decoded. Raises as rd_decode() and Rasterization do, and beyond most_pairs() pairs."""
+    """Decode a payload to a Rasterization of the whole picture and the colours; the two overlap in time.
+
+    Raises the errors of rd_decode() and Rasterization, with most_pairs() as max_pairs.
+    """
 
 def rd_decode(
     parameters: RdParameters, data: bytes, prefix: bool = False, max_gaussians: int = ...
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(means, factors, colors); raises RuntimeError on data no encoder writes, OverflowError for more than
-    max_gaussians. prefix: data may be cut anywhere."""
+    """Decode a payload to (means, factors, colors). prefix: data may be cut anywhere.
+
+    Raises RuntimeError on data that no encoder writes, OverflowError for more than max_gaussians.
+    """

@@ -1,7 +1,6 @@
-"""Profiles paper and baseline: the paper's method, and what it is compared with.
+"""Profiles paper and baseline: the paper's method, and its baseline.
 
-A request comes in: a picture and what the file may spend.
-The bytes of a version 1 file leave, after a structure-guided start, a fit and quantisation-aware tuning.
+A picture is encoded to a version 1 file by a structure-guided start, a fit and quantisation-aware tuning.
 """
 
 from sgmethod.errors import extra

@@ -7,7 +7,7 @@ from torch import Tensor
 
 
 def kmeans(points: Tensor, weights: Tensor, entries: int, seed: int, rounds: int = 30) -> Tensor:
-    """Weighted k-means (k-means++ start): points [N, D], weights [N] >= 0 -> centres [entries, D]."""
+    """Weighted k-means, started by k-means++: points [N, D], weights [N] >= 0 -> centres [entries, D]."""
     generator = torch.Generator().manual_seed(seed)
     weights = weights + 1e-12
     centres = points[torch.multinomial(weights, 1, generator=generator)]
@@ -20,7 +20,7 @@ def kmeans(points: Tensor, weights: Tensor, entries: int, seed: int, rounds: int
 
 
 def _means(points: Tensor, weights: Tensor, index: Tensor, fallback: Tensor) -> Tensor:
-    """Weighted mean of the points of each index; where an index has none, the fallback [K, D]."""
+    """Weighted mean [K, D] of the points of each index; the fallback [K, D] for an index without points."""
     total = torch.zeros(len(fallback)).index_add_(0, index, weights)
     sums = torch.zeros_like(fallback).index_add_(0, index, points * weights[:, None])
     return torch.where(total[:, None] > 0, sums / total.clamp_min(1e-20)[:, None], fallback)
@@ -29,7 +29,7 @@ def _means(points: Tensor, weights: Tensor, index: Tensor, fallback: Tensor) -> 
 class ResidualCodebook:
     """Two codebooks [2, 8, 3]; a colour is the sum of one entry of each.
 
-    The entries follow the colours by an exponential moving average (decay 0.8), as in GSImage.
+    The entries follow the colours by an exponential moving average, as in GSImage.
     """
 
     def __init__(self, colors: Tensor, weights: Tensor, *, stages: int, entries: int, decay: float, seed: int):
@@ -42,18 +42,18 @@ class ResidualCodebook:
         self.entries = torch.stack(books)
 
     def assign(self, colors: Tensor) -> Tensor:
-        """Indices [N, 2] of the pair of entries nearest to each colour [N, 3], over all pairs."""
+        """Find the pair of entries nearest to each colour [N, 3], over all pairs; returns indices [N, 2]."""
         first, second = self.entries
         pairs = (first[:, None] + second[None]).reshape(-1, 3)
         best = torch.cdist(colors, pairs).argmin(1)
         return torch.stack([best // len(second), best % len(second)], 1)
 
     def lookup(self, index: Tensor) -> Tensor:
-        """Colours [N, 3] of indices [N, 2]."""
+        """Return the colours [N, 3] of indices [N, 2]."""
         return self.entries[0][index[:, 0]] + self.entries[1][index[:, 1]]
 
     def follow(self, colors: Tensor, weights: Tensor, index: Tensor) -> None:
-        """Move each entry towards the weighted mean of what it stands for, by 1 - decay."""
+        """Move each entry by 1 - decay of the way to the weighted mean of the colours it represents."""
         for stage in range(len(self.entries)):
             others = self.lookup(index) - self.entries[stage][index[:, stage]]
             target = _means(colors - others, weights, index[:, stage], self.entries[stage])

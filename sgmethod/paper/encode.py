@@ -28,12 +28,12 @@ from sgmethod.start.placement import place
 
 FIT_SHARE = 0.6  # of the time left; the rest is for tuning
 PSNR_ATTEMPTS = 4
-PSNR_PER_DOUBLING_DB = 1.7  # of the number of Gaussians; where a search for a PSNR starts from
+PSNR_PER_DOUBLING_DB = 1.7  # first guess in a search for a PSNR: gain from twice as many Gaussians
 
 
 @dataclass(frozen=True)
 class Request:
-    """One picture to encode: pixels, uint8 [H, W, 3], and everything that the profile needs to know."""
+    """A request to encode pixels, uint8 [H, W, 3]."""
 
     pixels: NDArray[np.uint8]
     budget: Budget
@@ -46,14 +46,14 @@ class Request:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height)."""
+        """Width and height in pixels."""
         return self.pixels.shape[1], self.pixels.shape[0]
 
 
 def encode(request: Request) -> tuple[bytes, int]:
-    """The file, and the optimiser steps it took. Raises BudgetError for a budget no file can meet."""
+    """Encode; return the file and the number of steps. Raises BudgetError for a budget that no file can meet."""
     budget = request.budget
-    with _torch_of_its_own(), _single_torch_thread(), _memory_errors():
+    with _torch_defaults(), _single_torch_thread(), _memory_errors():
         if budget.kind == "psnr":
             stream, steps = reach_psnr(request, budget.value)
         elif budget.kind == "gaussians":
@@ -68,7 +68,7 @@ def encode(request: Request) -> tuple[bytes, int]:
 
 
 def within_bytes(request: Request, max_bytes: int) -> tuple[StreamV1, int]:
-    """The best stream of at most max_bytes."""
+    """Encode to at most max_bytes."""
     s, (width, height) = request.settings, request.size
     groups = s.max_bitwidth - s.min_bitwidth + 1 if s.adaptive_bitwidth else 1
     bits = v1.record_budget_bits(max_bytes, groups)
@@ -83,10 +83,10 @@ def within_bytes(request: Request, max_bytes: int) -> tuple[StreamV1, int]:
 
 
 def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
-    """The smallest stream found that reaches target_db, else the best found.
+    """Search for the smallest stream that reaches target_db; return the best found if none does.
 
-    Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the
-    logarithm of that number.
+    Each attempt is a whole encode; the next number of Gaussians follows from the slope of PSNR over the logarithm of
+    that number.
     """
     pixels = request.size[0] * request.size[1]
     n, steps = max(pixels // 300, 1), 0
@@ -104,7 +104,7 @@ def reach_psnr(request: Request, target_db: float) -> tuple[StreamV1, int]:
 
 
 def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]:
-    """A stream of n Gaussians, in max_bytes or with bitwidths set by lambda_b, and the steps it took."""
+    """Encode n Gaussians, within max_bytes or else with bitwidths set by lambda_b; return stream and steps."""
     s, recorder = request.settings, request.recorder
     image = request.pixels.astype(np.float32)
     image /= 255
@@ -118,8 +118,8 @@ def run(request: Request, n: int, max_bytes: int | None) -> tuple[StreamV1, int]
 
 
 @contextmanager
-def _torch_of_its_own() -> Iterator[None]:
-    """Torch's defaults, whatever the program has set: float32 on the CPU, with gradients."""
+def _torch_defaults() -> Iterator[None]:
+    """Restore torch's defaults, whatever the program has set: float32 on the CPU, with gradients."""
     kind = torch.get_default_dtype()
     torch.set_default_dtype(torch.float32)
     try:
@@ -136,7 +136,7 @@ def _torch_of_its_own() -> Iterator[None]:
 
 @contextmanager
 def _single_torch_thread() -> Iterator[None]:
-    """Keep torch's own threads out of the way: two pools on the same cores cost several times the time."""
+    """Limit torch to one thread: its pool and the kernels' on the same cores would take several times as long."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -147,7 +147,7 @@ def _single_torch_thread() -> Iterator[None]:
 
 @contextmanager
 def _memory_errors() -> Iterator[None]:
-    """Torch says with a RuntimeError of its own what everybody else says with MemoryError."""
+    """Turn torch's RuntimeError on failed allocation into MemoryError."""
     try:
         yield
     except RuntimeError as error:
@@ -157,7 +157,7 @@ def _memory_errors() -> Iterator[None]:
 
 
 def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most: int) -> int:
-    """The number of Gaussians to try next, from the two attempts nearest to the target."""
+    """Number of Gaussians to try next, from the two attempts nearest to the target."""
     nearest = sorted(tried, key=lambda m: abs(tried[m][0] - target_db))[:2]
     n, db = nearest[0], tried[nearest[0]][0]
     slope = PSNR_PER_DOUBLING_DB
@@ -165,6 +165,6 @@ def _next_count(tried: dict[int, tuple[float, StreamV1]], target_db: float, most
         other = nearest[1]
         slope = (db - tried[other][0]) / math.log2(n / other)
         slope = min(max(slope, 0.5), 6.0)
-    aim = target_db + 0.05  # a little above, so that the last attempt rather meets the target than misses it
+    aim = target_db + 0.05  # a little above, because missing the target is worse than exceeding it
     doublings = min(max((aim - db) / slope, -4.0), 4.0)
     return min(max(round(n * 2**doublings), 1), most)

@@ -16,20 +16,19 @@ from sgmethod.settings.paper import PaperSettings
 
 
 def level_of(pixels: np.ndarray, backend: Backend) -> Level:
-    """The picture [H, W, 3], uint8, that Gaussians of a version 1 file are fitted to."""
+    """Build the level that Gaussians of a version 1 file are fitted to, from pixels uint8 [H, W, 3]."""
     return Level(backend, Frame(pixels.shape[1], pixels.shape[0], CUTOFF_V1, pyramid=False), target_of(pixels))
 
 
 def loss_of(level: Level, lambda_g: float) -> Loss:
-    """MSE + lambda_g L_g as a function of Gaussians."""
+    """Build the loss MSE + lambda_g L_g, a function of Gaussians."""
     if lambda_g == 0:
         return level.gradients
     return level.backend.regularised(level.frame, level.image(), lambda_g)
 
 
 def add_energy_gradient(gaussians: Gaussians, gradient: Gaussians, weight: float) -> None:
-    """Add the gradient of weight * sum |c|^2 pi l1 l3: the cost of an error proportional to each colour, and so a
-    price on large colours that cancel each other."""
+    """Add the gradient of weight * sum |c|^2 pi l1 l3, a penalty on large colours that cancel each other."""
     l1, l3 = gaussians.factors[:, 0], gaussians.factors[:, 2]
     area = np.float32(math.pi * weight) * l1 * l3
     energy = np.square(gaussians.colors).sum(1) * area
@@ -39,8 +38,11 @@ def add_energy_gradient(gaussians: Gaussians, gradient: Gaussians, weight: float
 
 
 def usable(start: Gaussians, level: Level) -> Gaussians:
-    """The start, with values that no fit recovers from replaced: places that are not finite by the middle of the
-    picture, shapes that are singular or not finite by a circle as large as the area of each Gaussian."""
+    """Replace values of a start that no fit recovers from.
+
+    Means that are not finite move to the middle of the picture; factors that are singular or not finite become a
+    circle with each Gaussian's share of the picture's area.
+    """
     gaussians, frame = start.copy(), level.frame
     gaussians.means[~np.isfinite(gaussians.means).all(1)] = frame.width / 2, frame.height / 2
     radius = math.sqrt(level.pixels / len(start) / math.pi)
@@ -52,7 +54,7 @@ def usable(start: Gaussians, level: Level) -> Gaussians:
 def fit(
     level: Level, start: Gaussians, settings: PaperSettings, recorder: Recorder, deadline: Deadline
 ) -> tuple[Gaussians, int]:
-    """Fitted Gaussians without any quantisation, and the steps that took."""
+    """Fit all Gaussians without quantisation; return them and the number of steps."""
     s, loss = settings, loss_of(level, settings.lambda_g)
     gaussians = level.solve_colors(usable(start, level), s.color_solve_steps)
     moments = Moments.none(len(start))

@@ -15,13 +15,15 @@ from torch import Tensor
 
 
 class _Quantise(torch.autograd.Function):
-    """Gradients: with rounding and B's own rounding taken as constant offsets, in range
+    """Quantisation with straight-through gradients.
+
+    With the rounding of u and of B taken as constant offsets, in range
 
         dv^/dv = 1,  dv^/dv_max = q/Q - u/Q,  dv^/dv_min = u/Q - q/Q,  dv^/db = 2^B ln2 / Q (v - v^),
 
-    u = (v - Z) / s. Out of range q is 0 or Q whatever v and B are: dv^/dv_max = q/Q, dv^/dv_min = 1 - q/Q,
-    dv^/dv = dv^/db = 0. The paper prints v - q for v - v^ in the last term in range, and -s q where it is 0 out
-    of range; both contradict finite differences (tests/paper/test_quantise.py).
+    where u = (v - Z) / s. Out of range, q is 0 or Q whatever v and B are: dv^/dv_max = q/Q, dv^/dv_min = 1 - q/Q,
+    dv^/dv = dv^/db = 0. The paper prints v - q for v - v^ in the last term in range, and -s q for the last 0 out of
+    range; both contradict finite differences (tests/paper/test_quantise.py).
     """
 
     @staticmethod
@@ -53,16 +55,16 @@ class _Quantise(torch.autograd.Function):
 
 
 def quantise(v: Tensor, low: Tensor, high: Tensor, bits: Tensor) -> Tensor:
-    """Quantised values v^ of v [N, K], differentiable in all arguments.
+    """Quantise v [N, K] to v^, differentiable in all arguments.
 
-    low, high [K]: the ranges' ends; bits [N, 1] (ABQ, one soft bitwidth a row) or [1] (LSQ).
+    low, high [K]: ends of the ranges; bits [N, 1] (ABQ, one soft bitwidth per row) or [1] (LSQ).
     """
     out: Tensor = _Quantise.apply(v, low, high, bits)  # type: ignore[no-untyped-call]
     return out
 
 
 def codes(v: Tensor, low: Tensor, high: Tensor, bits: Tensor) -> Tensor:
-    """The integer codes q of v; shapes as for quantise, result int64."""
+    """Integer codes q of v, int64; shapes as for quantise()."""
     top = torch.exp2(torch.round(bits)) - 1
     q = torch.round((v.double() - low.double()) / ((high.double() - low.double()) / top))
     return torch.minimum(q.clamp_min(0), top.double()).long()

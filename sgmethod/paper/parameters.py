@@ -1,4 +1,4 @@
-"""Gaussians as tensors of torch, which autograd differentiates through the paper's quantisers."""
+"""Gaussians as tensors of torch, for autograd through the paper's quantisers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sgmethod.scene import Gaussians
 
 @dataclass(frozen=True)
 class Parameters:
-    """means [N, 2], factors [N, 3] (pixels), colors [N, 3]."""
+    """Tensors of N Gaussians: means [N, 2], factors [N, 3] (pixels), colors [N, 3]."""
 
     means: Tensor
     factors: Tensor
@@ -20,14 +20,14 @@ class Parameters:
 
     @classmethod
     def of(cls, gaussians: Gaussians) -> Parameters:
-        """A copy of plain arrays."""
+        """Copy arrays to tensors."""
         return cls(*(torch.tensor(values) for values in gaussians.arrays))
 
     @classmethod
     def sharing(cls, gaussians: Gaussians) -> Parameters:
-        """Tensors over the memory of plain arrays."""
+        """Wrap arrays in tensors that share their memory."""
         return cls(*(torch.from_numpy(values) for values in gaussians.arrays))
 
     def numpy(self) -> Gaussians:
-        """Plain Gaussians, over the tensors' memory where that is contiguous."""
+        """Return arrays, which share the tensors' memory where that is contiguous."""
         return Gaussians(*(values.detach().contiguous().numpy() for values in (self.means, self.factors, self.colors)))

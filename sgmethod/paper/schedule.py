@@ -1,4 +1,4 @@
-"""The schedule of a phase of a fit: how the rate falls, and when the phase is over."""
+"""The schedule of a phase of a fit: the falling rate, and the end of the phase."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from dataclasses import dataclass
 from sgmethod.fitting.deadline import Deadline, cosine
 from sgmethod.fitting.recorder import Recorder
 
-PERFECT_MSE = 1e-7  # 70 dB: a tenth of what rounding to 8 bits leaves
-PROGRESS_DB = 0.01  # what counts as progress
+PERFECT_MSE = 1e-7  # 70 dB: a tenth of the error of rounding to 8 bits
+PROGRESS_DB = 0.01  # the least improvement that counts as progress
 
 Step = Callable[[float], tuple[float, int, int]]  # rate -> (mse, Gaussians, bytes of the file or 0)
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """One phase of an encode: its name in the trace, its steps, the part of the rate at which it ends, and the part of
-    it without progress after which it has converged."""
+    """One phase of an encode.
+
+    phase: its name in the trace; final_rate: factor on the rates at its end; patience: the part of the schedule without
+    progress after which the phase has converged.
+    """
 
     phase: str
     steps: int
@@ -26,9 +29,9 @@ class Schedule:
     patience: float = 0.3
 
     def run(self, deadline: Deadline, recorder: Recorder, step: Step) -> int:
-        """Repeat the step within the time; returns the steps done.
+        """Repeat a step while there is time; return the number of steps done.
 
-        The rate falls along a cosine from 1 to final_rate. The phase ends early when the error has stopped falling.
+        The rate falls along a cosine from 1 to final_rate. The phase ends early once the error has stopped falling.
         """
         best, best_at = math.inf, 0.0
         pace = deadline.pace(self.steps)

@@ -1,12 +1,12 @@
 """The paper's quantisation-aware fine-tuning: Gaussians -> integer codes (sections III-C to III-E).
 
-Positions by LSQ, factors by ABQ, colours by residual vector quantisation, all learned together under
+Positions are quantised by LSQ, factors by ABQ, colours by residual vector quantisation, all learned together under
 
     L_tune = MSE + lambda_g L_g + lambda_b L_b + lambda_r L_r.
 
-A byte budget gives the sum of all bitwidths. Then no lambda_b is paid for each bit. The soft bitwidths are shifted by
-one common amount until the file fits: the same trade-off, with a price that the budget finds. Soft bitwidths start
-from the sensitivity of the picture to each Gaussian's shape.
+A byte budget fixes the sum of all bitwidths. It replaces lambda_b: the soft bitwidths are shifted by a common amount
+until the file fits, which is the same trade-off at a price set by the budget. Soft bitwidths start from the picture's
+sensitivity to each Gaussian's shape.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def bits_per_gaussian(settings: PaperSettings) -> float:
 
 
 class Tuner:
-    """Latent parameters with their quantisers."""
+    """Latent parameters, their quantisers and their optimisers."""
 
     def __init__(
         self, gaussians: Gaussians, level: Level, settings: PaperSettings, max_bytes: int | None, seed: int
     ) -> None:
-        """max_bytes: the file's largest size; None where lambda_b is to decide it."""
+        """Start from fitted Gaussians. max_bytes: largest size of the file; None to let lambda_b decide."""
         self.level, self.max_bytes = level, max_bytes
         s = self.settings = settings
         self.loss = loss_of(level, s.lambda_g)
@@ -86,27 +86,30 @@ class Tuner:
         return self.ranges[i + 1] - self.ranges[i]
 
     def _widen(self) -> None:
-        """Keep every range at least MIN_SPAN_PX wide: equal values, or two ends that crossed, have no step."""
+        """Keep every range at least MIN_SPAN_PX wide, because a range of zero or negative width has no step."""
         for i in (0, 2):
             if i == 2:
                 self.ranges[2][[0, 2]] = self.ranges[2][[0, 2]].clamp_min(self.settings.optimiser.min_scale_px)
             self.ranges[i + 1].copy_(torch.maximum(self.ranges[i + 1], self.ranges[i] + MIN_SPAN_PX))
 
     def _sensitivity_bits(self) -> Tensor:
-        """Bitwidths that spread the error evenly: an isolated Gaussian's picture changes by about
-        |c| sqrt(l1 l3) / l per pixel of l, and each further bit halves the step. Their mean is the profile's: one
-        that starts below the least has no gradient, and would stay there."""
+        """Bitwidths [N, 1] that spread the error evenly.
+
+        An isolated Gaussian's picture changes by about |c| sqrt(l1 l3) / l per pixel of l, and each further bit halves
+        the step. The mean is the profile's, because a bitwidth that starts below the least has no gradient and would
+        stay there.
+        """
         l1, _, l3 = self.p.factors.T
         power = self.p.colors.square().sum(1) * l1 * l3 * (l1**-2 + 2 * l3**-2)
         bits = 0.5 * torch.log2(power + 1e-9)[:, None]
         return bits + (self.settings.mean_bitwidth - bits.mean())
 
     def bits(self) -> Tensor:
-        """Soft bitwidths [N, 1] as they apply, within the allowed range."""
+        """Soft bitwidths [N, 1], shifted and clamped to the allowed range."""
         return (self.soft_bits + self.shift).clamp(self.settings.min_bitwidth, self.settings.max_bitwidth)
 
     def file_bytes(self) -> int:
-        """Size of the file as the bitwidths are now."""
+        """Size of the file with the current bitwidths."""
         fixed = 2 * self.settings.position_bits + CODEBOOK_STAGES * COLOR_INDEX_BITS
         hard = torch.round(self.bits()).long()
         return file_bytes(fixed * self.n + 3 * int(hard.sum()), int((torch.bincount(hard[:, 0]) > 0).sum()))
@@ -122,7 +125,7 @@ class Tuner:
         self.shift = low
 
     def quantised(self) -> tuple[Parameters, Tensor]:
-        """What the decoder will see, differentiable in latents, ranges and bitwidths; and colour indices [N, 2]."""
+        """Gaussians as decoded, differentiable in latents, ranges and bitwidths, and their colour indices [N, 2]."""
         low, high = self.ranges[2], self.ranges[3]
         means = lattice.quantise(self.p.means, self.ranges[0], self.ranges[1], self.position_bits)
         factors = lattice.quantise(self.p.factors, low, high, self.bits())
@@ -130,7 +133,7 @@ class Tuner:
         return Parameters(means, factors, self.book.lookup(index)), index
 
     def step(self, rate: float) -> tuple[float, int, int]:
-        """One step of all parameters; returns the quantised picture's error, Gaussians, and bytes of the file."""
+        """Take one step of all parameters; return the quantised picture's error, Gaussians, and the file's bytes."""
         if self.steps % FIT_BUDGET_EVERY == 0:
             self.fit_budget()
         self.steps += 1
@@ -153,12 +156,12 @@ class Tuner:
         self, grads: tuple[Tensor, Tensor, Tensor], others: list[Tensor], coded_colors: Tensor, rate: float
     ) -> None:
         s = self.settings
-        # L_r, each colour weighed by its Gaussian's part of the picture, so that it is on the scale of the MSE.
+        # L_r, with each colour weighted by its Gaussian's share of the picture, to be on the scale of the MSE.
         energy = math.pi * self.weights / self.level.values
         by_colors = grads[2] + 2 * s.lambda_r * energy[:, None] * (self.p.colors - coded_colors)
         gradient = Parameters(grads[0], grads[1], by_colors).numpy()
         self.level.backend.step(self.p.numpy(), gradient, self.moments, s.optimiser, rate * s.tune_rate, 1)
-        # L_b, or with a budget the price at which the mean bitwidth does not move.
+        # L_b, or with a budget the price at which the mean bitwidth stays the same.
         price = others[4].mean() if self.max_bytes is not None else -s.lambda_b / self.n
         others[4] = others[4] - price
         for parameter, value in zip([*self.ranges, self.soft_bits], others, strict=True):
@@ -169,7 +172,7 @@ class Tuner:
         self._widen()
 
     def stream(self, profile: str) -> StreamV1:
-        """The integer codes as syntax elements, Gaussians grouped by bitwidth, rows of each group from the top."""
+        """Code the Gaussians as syntax elements, grouped by bitwidth and ordered from top to bottom in each group."""
         self.fit_budget()
         low, high = self.ranges[2], self.ranges[3]
         positions = lattice.codes(self.p.means, self.ranges[0], self.ranges[1], self.position_bits).numpy()

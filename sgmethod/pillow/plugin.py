@@ -20,7 +20,7 @@ OPTIONS = (
 
 
 class SgImageFile(ImageFile.ImageFile):
-    """An .sg file opened by Pillow. It is drawn when loaded; thumbnail() draws it directly at the size needed.
+    """An .sg file opened by Pillow, drawn when loaded; thumbnail() draws it directly at the size needed.
 
     >>> with Image.open("photo.sg") as photo:
     ...     photo.thumbnail((64, 64))
@@ -49,10 +49,10 @@ class SgImageFile(ImageFile.ImageFile):
         self.tile = [ImageFile._Tile("raw", (0, 0, *size), 0, self._mode)]
 
     def draft(self, mode: str | None, size: tuple[int, int] | None) -> tuple[str, tuple[int, int, float, float]] | None:
-        """Reduce the size at which it will be drawn, but not below size."""
+        """Reduce the size at which the picture will be drawn, but not below `size`."""
         from sgmethod.view import MIN_SCALE, View
 
-        del mode  # it is drawn in its own alone
+        del mode  # cannot be changed
         if size is None or not self.tile:
             return None
         width, height = self._file.size
@@ -61,7 +61,7 @@ class SgImageFile(ImageFile.ImageFile):
         return self.mode, (0, 0, *self.size)
 
     def load(self) -> Any:
-        """Draw it, once. Raises OSError for a file that would take unbounded time to draw."""
+        """Draw the picture, once. Raises OSError for a file that would take unbounded time to draw."""
         if self.tile:
             try:
                 pixels = self._file.pixels(self._scale)
@@ -73,11 +73,11 @@ class SgImageFile(ImageFile.ImageFile):
         return super().load()
 
     def load_seek(self, pos: int) -> None:
-        """Nothing to seek: load() provides the pixels from their start."""
+        """Do nothing: load() provides the pixels from their start."""
 
 
 def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
-    """Takes the arguments of sgmethod.encode, and ignores unknown ones as other formats do."""
+    """Save with the arguments of sgmethod.encode, ignoring unknown ones as other formats do."""
     from sgmethod.codec import encode
 
     file.write(encode(image, **{name: value for name, value in image.encoderinfo.items() if name in OPTIONS}).data)
@@ -85,7 +85,8 @@ def _save(image: Image.Image, file: IO[bytes], _filename: str | bytes) -> None:
 
 def register() -> None:
     """Register .sg files with Pillow."""
-    Image.register_open(FORMAT, SgImageFile, lambda prefix: prefix.startswith((b"SGM", b"\xd3\xc5")))
+    # Files of later versions too, so that the error tells what they are.
+    Image.register_open(FORMAT, SgImageFile, lambda prefix: b"\xd3\xc0" < prefix[:2] < b"\xd3\xd0")
     Image.register_save(FORMAT, _save)
     Image.register_extension(FORMAT, ".sg")
-    Image.register_mime(FORMAT, "application/octet-stream")  # the service's
+    Image.register_mime(FORMAT, "application/octet-stream")  # as in the service

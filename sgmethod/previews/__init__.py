@@ -1,5 +1,5 @@
-"""Previews for pages: a picture as a short text, with what a page must know before the picture has loaded.
+"""Previews for web pages: a picture as a short text, to show until the picture has loaded.
 
-A picture of any size comes in, is reduced to what so few bytes can show, and encoded. A text leaves, with the picture's
-own size, its average colour, and HTML that holds both.
+A picture of any size is reduced to what so few bytes can show, and encoded. The result has the text, the picture's own
+size, its average colour, and HTML that uses them.
 """

@@ -1,4 +1,4 @@
-"""A preview as a data URI, for pages without a decoder."""
+"""Previews as data URIs, for pages without a decoder."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from PIL import Image
 
 from sgmethod.decoder import SgFile
 
-LONG_SIDE = 32  # pixels: a browser enlarges them smoothly, and more would only add bytes
+LONG_SIDE = 32  # pixels: a browser enlarges them smoothly, so more would only add bytes
 QUALITY = 60
 
 
 def data_uri(data: bytes) -> str:
-    """A WebP of some 200 bytes, at most LONG_SIDE pixels wide and high, of the .sg file."""
+    """Convert an .sg file to a WebP of about 200 bytes, at most LONG_SIDE pixels wide and high."""
     file = SgFile(data)
     pixels = file.pixels(scale=min(LONG_SIDE / max(file.size), 1.0))
     webp = io.BytesIO()

@@ -1,4 +1,4 @@
-"""Preview: the text of a picture, and what a page must know of it."""
+"""preview(): a picture as a short text, with the size and colour that a page needs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from sgmethod.bitstream.text import from_text, to_text
-from sgmethod.budget import whole
+from sgmethod.budget import checked_integer
 from sgmethod.codec import encode
 from sgmethod.decoder import SgFile
 from sgmethod.errors import BudgetError
@@ -32,9 +32,9 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 class Preview:
     """A picture in a few hundred characters.
 
-    text: base64url of an .sg file, which the decoder for pages and sgmethod.from_text() read; width, height: of the
-    picture as displayed, in pixels; color: the average, "#rrggbb", of what is not transparent; dark: whether white
-    text reads better on that than black.
+    text: base64url of an .sg file, for the decoder for pages and sgmethod.from_text(); width, height: of the picture as
+    displayed, in pixels; color: the average, "#rrggbb", weighted by opacity; dark: whether white text on it is easier
+    to read than black.
     """
 
     text: str
@@ -45,28 +45,28 @@ class Preview:
 
     @cached_property
     def data(self) -> bytes:
-        """The .sg file, which is smaller than the picture: it has the same aspect ratio."""
+        """The .sg file, of a smaller picture with about the same aspect ratio."""
         return from_text(self.text)
 
     def to_dict(self) -> dict[str, object]:
-        """Plain JSON types."""
+        """Return the fields as plain JSON types."""
         return asdict(self)
 
     def html(self, src: str, alt: str = "") -> str:
-        """An <img>, as wide as its container, that shows the preview until the picture has loaded, without JavaScript:
-        as a small WebP in its style. A transparent picture, through which that would be seen, has none.
+        """Return an <img> that shows the preview until the picture has loaded, without JavaScript.
 
+        The <img> is as wide as its container; the preview is a small WebP in its style, except for a transparent
+        picture, which would let it show through.
         src: the picture's URL, already quoted; alt: its alternative text.
         """
         background = f";background:{self.color} url({data_uri(self.data)}) center/cover"
         return self._img(src, alt, "width:100%;height:auto" + ("" if SgFile(self.data).has_alpha else background))
 
     def element(self, src: str, alt: str = "") -> str:
-        """An <sg-img>, as wide as its container, which draws the preview over the <img> within. Without JavaScript,
-        that is shown alone. Arguments as in html().
+        """Return an <sg-img>, as wide as its container, that draws the preview over the <img> inside it.
 
-        The styles reserve the space before the script has run. Where a content security policy forbids them, the two
-        rules in docs/previews.md do the same.
+        Without JavaScript, only the <img> is shown. The styles reserve space before the script has run; where a content
+        security policy forbids them, the two rules in docs/previews.md do the same. Arguments as in html().
         """
         image = self._img(src, alt, "display:block;width:100%;height:100%;object-fit:cover")
         return f'<sg-img preview="{self.text}" style="display:block">{image}</sg-img>'
@@ -77,17 +77,17 @@ class Preview:
 
 
 def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | None = None) -> Preview:
-    """A picture as a text of a few hundred characters, for an attribute or a JSON string.
+    """Encode a picture as a text of a few hundred characters, for an attribute or a JSON string.
 
     >>> made = sgmethod.preview("photo.jpg")
     >>> made.width, made.height, len(made.text) <= 266
     (128, 96, True)
 
-    image: as encode() takes it; transparency is kept; bytes: of the file at most, 12 to 16,384, which are 4 characters
-    for 3; limits: of image files.
+    image: as for encode(); transparency is kept; bytes: of the file at most, 12 to 16,384 (three bytes become four
+    characters); limits: of image files.
     Raises ImageError, BudgetError, OSError and MemoryError, and warns with ImageWarning, as encode() does.
     """
-    bytes = whole(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
+    bytes = checked_integer(bytes, "the bytes of a preview", 1, MAX_BYTES, BudgetError)
     pixels, (width, height) = reduced(image, PIXELS_PER_BYTE * bytes, limits)
     text = to_text(encode(pixels, bytes=bytes, tune="psnr", effort=EFFORT).data)
     color = average_of(pixels)
@@ -97,7 +97,7 @@ def preview(image: Input, bytes: int = DEFAULT_BYTES, *, limits: ImageLimits | N
 
 
 def average_of(pixels: Pixels) -> tuple[int, int, int]:
-    """The average colour of [H, W, 3], or of [H, W, 4] as far as it is opaque."""
+    """Average colour of pixels [H, W, 3], or of [H, W, 4] weighted by alpha."""
     flat = pixels.reshape(-1, pixels.shape[2]).astype(np.float64)
     weights = flat[:, 3] if flat.shape[1] == 4 and flat[:, 3].any() else np.ones(len(flat))
     red, green, blue = (round(float(level)) for level in weights @ flat[:, :3] / weights.sum())
@@ -105,5 +105,5 @@ def average_of(pixels: Pixels) -> tuple[int, int, int]:
 
 
 def quoted(path: str) -> str:
-    """A path as the URL of a file beside the page; the name need not be valid text."""
-    return quote(os.fsencode(Path(path).as_posix()))  # and ":", or "12:30.png" would be a URL of scheme "12"
+    """Quote a path as a relative URL; the name need not be valid text."""
+    return quote(os.fsencode(Path(path).as_posix()))  # also ":", because "12:30.png" would be a URL of scheme "12"

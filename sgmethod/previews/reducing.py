@@ -1,4 +1,4 @@
-"""A picture reduced to what a preview can show, read no larger than it must be."""
+"""Reducing a picture to what a preview can show, while reading no more of it than necessary."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sgmethod.errors import ImageError
-from sgmethod.io.files import own_path
+from sgmethod.io.files import checked_path
 from sgmethod.io.header import ImageLimits
 from sgmethod.io.image import read_header, read_image_8_bit
 from sgmethod.io.inputs import Input, read_input
@@ -17,17 +17,17 @@ from sgmethod.io.inputs import Input, read_input
 Pixels = NDArray[np.uint8]
 Size = tuple[int, int]  # width, height
 
-SHORTEST = 3 / 4  # of the shorter side that pixels allow, among which one keeps the aspect ratio best
-SPARE = 2  # times the size: to this a picture is reduced cheaply, a JPEG while it is read
+SHORTEST = 3 / 4  # least shorter side tried for the best aspect ratio, as a part of the longest allowed
+SPARE = 2  # a picture is first reduced cheaply to this multiple of the size, a JPEG while it is decoded
 
 
 def reduced(image: Input, pixels: int, limits: ImageLimits | None = None) -> tuple[Pixels, Size]:
-    """The picture at reduced_size(), uint8 [H, W, 3 or 4], and its own size as displayed.
+    """Read a picture at reduced_size(), uint8 [H, W, 3 or 4]; also return its own size as displayed.
 
-    limits: of files. Raises ImageError, and OSError for a path that cannot be read.
+    limits: of image files. Raises ImageError, and OSError for a path that cannot be read.
     """
     if isinstance(image, str | os.PathLike):
-        image = own_path(image, ImageError).read_bytes()
+        image = checked_path(image, ImageError).read_bytes()
     if isinstance(image, bytes | bytearray | memoryview):
         header = read_header(bytes(image), limits)
         own = header.width, header.height
@@ -43,7 +43,7 @@ def reduced(image: Input, pixels: int, limits: ImageLimits | None = None) -> tup
 
 
 def reduced_size(size: Size, pixels: int) -> Size:
-    """The size of at most about so many pixels whose aspect ratio is nearest to that of `size`.
+    """Size with at most about so many pixels and the aspect ratio nearest to that of `size`.
 
     >>> reduced_size((4032, 3024), 12_800), reduced_size((3872, 2592), 12_800)
     ((128, 96), (121, 81))

@@ -16,46 +16,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import MAX_QUANTUM, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2, alpha_bytes
+from sgmethod.budget import MAX_PSNR_DB
 from sgmethod.decoder import draw_whole
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
-from sgmethod.io.laying import on_backgrounds
+from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr, ssimulacra2
 from sgmethod.rd import encode as pipeline
-from sgmethod.rd.rate_control import RateControl, allows_alpha, beside_alpha, looks_db, missed_db, of_alpha, raised
+from sgmethod.rd.aim import Aim, LooksAim, PsnrAim
+from sgmethod.rd.byte_limit import ByteBudget, ByteLimit
+from sgmethod.rd.rate_control import GaussianCount, RateControl, looks_db
 from sgmethod.rd.request import Request
-from sgmethod.trace import Preview, shown_to_nobody
+from sgmethod.trace import Preview
 
 Pixels = NDArray[np.uint8]
 Plane = NDArray[np.float32]
 
 
-def encode(request: Request, alpha: Pixels) -> tuple[StreamV5, int]:
-    """The coded picture of a request with alpha [H, W], and the optimiser steps it took."""
+def encode(request: Request, alpha: Pixels) -> tuple[StreamV2, int]:
+    """Encode a request with alpha [H, W]; return the coded picture and the optimiser steps it took."""
     pixels = continued(request.pixels, alpha)
     layer, error, steps = _alpha(request, pixels, alpha)
     deadline, objective = request.deadline, request.objective.under(pixels, draw_whole(layer)[..., 0])
-    recorder = replace(request.recorder, preview=_with_alpha(request.recorder.preview, layer))
-    rate = beside_alpha(request.rate, layer, error)
-    found: list[tuple[float, StreamV5]] = []
+    preview = request.recorder.preview
+    recorder = replace(request.recorder, preview=preview and _with_alpha(preview, layer))
+    rate = rate_beside_alpha(request.rate, layer, error)
+    found: list[tuple[float, StreamV2]] = []
     for _ in deadline.tries(request.settings.alpha.tries):
         colours = replace(request, objective=objective, rate=rate, recorder=recorder, deadline=deadline.part(1.0))
         stream, taken = pipeline.encode(colours)
         steps += taken
         stream = replace(stream, alpha=layer)
-        missing = missed_db(request.rate, _reached(request.rate, draw_whole(stream), pixels, alpha))
+        if not isinstance(request.rate, Aim) or not isinstance(rate, Aim):
+            return stream, steps
+        reached = _reached(request.rate, draw_whole(stream), pixels, alpha)
+        missing = max(request.rate.aim_db - reached, 0.0)
         found.append((missing, stream))
         if missing == 0:
             break
-        rate = raised(rate, missing)  # colours do not know all of the error: both layers are rounded and clamped
+        rate = rate.raised(missing)  # the colours' own error is not all of it: both layers are rounded and clamped
     return min(found, key=lambda one: one[0])[1], steps
 
 
-def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV5, float, int]:
-    """The coded alpha plane, the file's error if nothing else were wrong, and the steps it took."""
+def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV2, float, int]:
+    """Encode the alpha plane; return it, the error of a file with exact colours, and the steps it took."""
     s, steps = request.settings, 0
-    rate, deadline = of_alpha(request.rate), request.deadline.part(s.alpha.time)
+    rate, deadline = rate_of_alpha(request.rate), request.deadline.part(s.alpha.time)
     objective, recorder = Objective.of_alpha(alpha, s.objective), Recorder(request.recorder.clock)
     settings = replace(s, effort=replace(s.effort, rounds=(0,)))
     for _ in deadline.tries(s.alpha.tries):
@@ -71,41 +78,68 @@ def _alpha(request: Request, pixels: Pixels, alpha: Pixels) -> tuple[StreamV5, f
         layer, taken = pipeline.encode(plane)
         steps += taken
         error = _error(np.dstack([pixels, draw_whole(layer)[..., 0]]), pixels, alpha)
-        if allows_alpha(request.rate, error):
+        if _allows(request.rate, error):
             break
         rate = replace(rate, quantum=rate.quantum / 2)
     return layer, error, steps
 
 
-def _reached(rate: RateControl, decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
-    """What decoded pixels [H, W, 4] have of what is asked for, in dB."""
-    if not rate.by_looks:
+def rate_of_alpha(rate: RateControl) -> RateControl:
+    """Share a budget with the alpha plane, which goes first: of bytes it takes what it is worth, up to a limit."""
+    s = rate.settings.alpha
+    quantum = min(s.coarser * rate.quantum, MAX_QUANTUM)
+    if isinstance(rate, GaussianCount):
+        return replace(rate, quantum=quantum, max_gaussians=max(int(s.most_gaussians * rate.max_gaussians), 1))
+    if isinstance(rate, ByteBudget):
+        most = StreamV2.MIN_BYTES + int(s.most_bytes * (rate.max_bytes - SMALLEST_FILE - SMALLEST_ALPHA))
+        return ByteLimit(rate.settings, rate.pixels, quantum, rate.is_short, max_bytes=most)
+    return RateControl(rate.settings, rate.pixels, quantum)
+
+
+def rate_beside_alpha(rate: RateControl, alpha: StreamV2, error: float) -> RateControl:
+    """Rate control for the colours beside an alpha plane. error: mean squared error of a file with exact colours."""
+    if isinstance(rate, GaussianCount):
+        used = len(alpha.gaussians()) if alpha.payload else 0
+        return replace(rate, max_gaussians=max(rate.max_gaussians - used, 1))
+    if isinstance(rate, ByteBudget):
+        return rate.for_bytes(rate.max_bytes - alpha_bytes(alpha))
+    if isinstance(rate, PsnrAim):
+        allowed = 10 ** (-rate.aim_db / 10)
+        return replace(rate, aim_db=min(-10 * math.log10(max(allowed - error, allowed / 4)), MAX_PSNR_DB))
+    return rate
+
+
+def _allows(rate: RateControl, error: float) -> bool:
+    """Whether alpha alone makes no more than its share of the error that a PSNR allows."""
+    return not isinstance(rate, PsnrAim) or error <= rate.settings.alpha.most_error * 10 ** (-rate.aim_db / 10)
+
+
+def _reached(aim: Aim, decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
+    """Quality of decoded pixels [H, W, 4] in dB, as the aim counts it."""
+    if not isinstance(aim, LooksAim):
         return -10 * math.log10(max(_error(decoded, pixels, alpha), 1e-12))
     found = map(ssimulacra2, on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha])))
     return looks_db(statistics.fmean(one for one in found if one is not None))
 
 
 def _error(decoded: Pixels, pixels: Pixels, alpha: Pixels) -> float:
-    """The mean squared error of decoded pixels [H, W, 4], 1 being white."""
+    """Mean squared error of decoded pixels [H, W, 4], 1 being white."""
     return float(10 ** (-psnr(on_backgrounds(decoded), on_backgrounds(np.dstack([pixels, alpha]))) / 10))
 
 
-def _with_alpha(preview: Preview, alpha: StreamV5) -> Preview:
-    """A preview that is given files with alpha."""
-    if preview is shown_to_nobody:
-        return preview
+def _with_alpha(preview: Preview, alpha: StreamV2) -> Preview:
+    """Wrap a preview so that it is given files with alpha."""
 
     def shown(file: bytes) -> None:
         stream = container.parse(file)
-        assert isinstance(stream, StreamV5)
+        assert isinstance(stream, StreamV2)
         preview(container.serialise(replace(stream, alpha=alpha)))
 
     return shown
 
 
 def continued(pixels: Pixels, alpha: Pixels) -> Pixels:
-    """Pixels [H, W, 3] in which those that alpha [H, W] hides continue their surroundings: means over ever larger
-    squares of visible pixels fill the gaps."""
+    """Replace pixels [H, W, 3] that alpha [H, W] hides by means over ever larger squares of visible pixels."""
     if alpha.all():
         return pixels
     share = np.asarray(alpha, np.float32) / np.float32(255)

@@ -1,4 +1,4 @@
-"""Prune and densify: Gaussians that are not worth their bits go, and new ones come where they gain more than theirs."""
+"""Prune and densify: drop Gaussians that are not worth their bits, add new ones that are worth more than theirs."""
 
 from __future__ import annotations
 
@@ -9,56 +9,58 @@ import numpy as np
 from sgmethod.backend.protocol import TILE_HEIGHT, release_memory
 from sgmethod.fitting.level import Level
 from sgmethod.fitting.matching_pursuit import candidates
-from sgmethod.rd.fit import level_for
-from sgmethod.rd.quantise import rounded_psnr
-from sgmethod.rd.rate_control import error_per_bit
-from sgmethod.rd.request import Plan, Stage, State
+from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.scene import Gaussians
 from sgmethod.settings.rd import Times
 
-MANY_VALUES = 1 << 23  # of a level; growth on a smaller one leaves little memory behind
+MANY_VALUES = 1 << 23  # samples of a level; growth on a smaller one leaves little memory behind
 
 
 def prune(plan: Plan, state: State, stage: Stage) -> State:
-    """Without Gaussians whose energy is not worth their bits, and without the least of those beyond the budget's
-    number."""
+    """Drop Gaussians whose energy is not worth their bits, and the faintest of those beyond the budget's limit."""
     s, rate = plan.settings.prune, plan.request.rate
     bits = s.bits_of_dropped if stage.at >= stage.times.growth_at[-1] else s.bits_of_nothing
     return strongest(plan, state, bits, rate.most_gaussians(plan.settings, stage.times, stage.at))
 
 
 def settle(plan: Plan, state: State, times: Times) -> State:
-    """At the end of a run, with no more Gaussians than the budget allows: a time limit may have passed over pruning."""
+    """Drop Gaussians beyond the budget's limit at the end of a run: a time limit may have skipped pruning."""
     most = plan.request.rate.most_gaussians(plan.settings, times, 1.0)
     return strongest(plan, state, plan.settings.prune.bits_of_nothing, most)
 
 
 def strongest(plan: Plan, state: State, bits: float, most: int) -> State:
-    """At most `most` Gaussians, each with an energy that is worth more than this many bits."""
+    """Keep at most `most` Gaussians, each with an energy that is worth more than this many bits."""
     energies = plan.request.objective.energies(state.gaussians)
     if len(energies) > most:
         energies[np.argsort(energies, kind="stable")[: len(energies) - most]] = 0
-    keep = np.flatnonzero(energies > bits * error_per_bit(state.quantum))
+    keep = np.flatnonzero(energies > bits * state.bit_price)
     if len(keep) == len(energies):
         return state
     kept = state.rows(keep)
-    return kept if plan.request.rate.allows(lambda: rounded_psnr(plan, kept)) else state
+
+    def psnr() -> float:
+        return plan.psnr(plan.rounded(kept.gaussians, kept.quantum))
+
+    return kept if plan.request.rate.allows(psnr) else state
 
 
 def densify(plan: Plan, state: State, stage: Stage) -> State:
-    """With more Gaussians, where each gains more than its bits are worth. They are looked for on a level of the pyramid
-    that is fine enough for all of them."""
-    s, price = plan.settings.densify, plan.settings.fit.rate_weight * error_per_bit(state.quantum)
+    """Add Gaussians that gain more than their bits are worth.
+
+    They are searched for on a level of the pyramid that is fine enough for all Gaussians together.
+    """
+    s, price = plan.settings.densify, plan.settings.fit.rate_weight * state.bit_price
     is_first = stage.at == stage.times.growth_at[0]
     if not stage.grows or (price >= state.saturated_price and not is_first):
-        return state  # nothing paid at this price, and the error has not grown since
+        return state  # nothing was worth this price, and the error has not grown since
     n, rate = len(state.gaussians), plan.request.rate
     at_once = max(int(s.growth * n), rate.expected_gaussians() // len(stage.times.growth_at), s.fewest)
-    room = min(at_once, rate.most_gaussians(plan.settings, stage.times, stage.at) - n)
-    level = level_for(plan, state, stage, n + room)
+    most = min(at_once, rate.most_gaussians(plan.settings, stage.times, stage.at) - n)
+    level = plan.level_for(state, stage, n + most)
     least_gain = price * s.bits_of_new / level.frame.spacing**2
-    new = _found(plan, state, level, room, least_gain)
-    saturated = price if len(new) < min(room, s.saturated * n) else state.saturated_price
+    new = _found(plan, state, level, most, least_gain)
+    saturated = price if len(new) < min(most, s.saturated * n) else state.saturated_price
     if len(new) == 0:
         return replace(state, saturated_price=saturated)
     if level.values > MANY_VALUES:
@@ -71,8 +73,10 @@ def densify(plan: Plan, state: State, stage: Stage) -> State:
 
 
 def _found(plan: Plan, state: State, level: Level, most: int, least_gain: float) -> Gaussians:
-    """Round Gaussians that gain most on what others leave of a level. Neighbours overlap, so their colours are solved
-    together, or they would overshoot."""
+    """Find round Gaussians that gain most on the residual of a level.
+
+    Their colours are solved together: neighbours overlap, and would overshoot.
+    """
     hidden_by = plan.request.objective.hidden_by(plan.settings.effort)
     size = level.frame.height, level.frame.width
     means, factors = candidates(level.residual(state.gaussians), size, most, least_gain, hidden_by)
@@ -84,6 +88,6 @@ def _found(plan: Plan, state: State, level: Level, most: int, least_gain: float)
 
 
 def _by_place(gaussians: Gaussians, width: int) -> np.ndarray:
-    """The order along bands as high as a tile: Gaussians of one tile then lie together in memory."""
+    """Order along bands as high as a tile: Gaussians of one tile then lie together in memory."""
     means = gaussians.means
     return np.argsort(np.floor(means[:, 1] / TILE_HEIGHT) * 2 * width + means[:, 0], kind="stable")

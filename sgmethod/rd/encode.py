@@ -2,40 +2,40 @@
 
 place      few Gaussians, where the picture has structure                        place.py
 prune      drop Gaussians whose energy is not worth their bits                   densify.py
-steer      move the quantum, on which all quantiser steps hang, to the budget    steer.py, rate_control.py
+steer      move the quantum, on which all quantiser steps hang, to the budget    steer.py
 densify    add Gaussians where they gain more than their bits are worth          densify.py
 fit        move all of them together, under the price of their bits              fit.py
 settle     drop Gaussians beyond the number that the budget allows               densify.py
 search     quantise and refine with several quanta, keep the best file           search.py, quantise.py
 
-The schedule is a first run and rounds: as many as the effort has and time allows, and while looks or a PSNR are missed
-one more, or two. In a round more Gaussians than can stay are added and fitted, and those that gain least go. Alpha is
-two requests, composed in alpha.py.
+The schedule is a first run and rounds: as many as the effort has and time allows, and one or two more while looks or a
+PSNR are missed. A round adds and fits more Gaussians than can stay, and drops those that gain least. Alpha takes two
+requests, which alpha.py combines.
 """
 
 from __future__ import annotations
 
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import planned
-from sgmethod.rd.rate_control import Coded, Selection
-from sgmethod.rd.request import Request, stages
+from sgmethod.rd.plan import Plan, stages
+from sgmethod.rd.rate_control import Coded
+from sgmethod.rd.request import Request
 from sgmethod.rd.search import search
 from sgmethod.rd.steer import once_more, steer
 from sgmethod.scene import Gaussians
 
 
-def encode(request: Request) -> tuple[StreamV5, int]:
-    """The coded picture of a request, and the optimiser steps it took."""
+def encode(request: Request) -> tuple[StreamV2, int]:
+    """Encode a request; return the coded picture and the optimiser steps it took."""
     if request.is_one_colour:
         return request.stream(Gaussians.empty(0), request.rate.quantum), 0
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
-    plan = planned(request, pyramid, gaussians)
+    plan = Plan.of(request, pyramid, gaussians)
     state = plan.begin(gaussians)
-    selection, rounds = Selection(request.rate), plan.settings.effort.rounds
+    rate, rounds = request.rate, plan.settings.effort.rounds
     files: dict[int, Coded] = {}  # by the number of rounds
     for number, pace in enumerate(request.deadline.runs(plan.lengths)):
         for stage in stages(pace, plan.times(number)):
@@ -48,9 +48,9 @@ def encode(request: Request) -> tuple[StreamV5, int]:
         if number in rounds or number > rounds[-1]:
             files[number] = search(plan, state, number)
         if number >= rounds[-1]:
-            if not selection.is_missed(files.values()):
+            if not rate.is_missed(files.values()):
                 break
             state = once_more(plan, state, files.values())
     if number not in files:
         files[number] = search(plan, state, number)
-    return selection.best(files.values()).stream, state.steps
+    return rate.best(files.values()).stream, state.steps

@@ -1,4 +1,4 @@
-"""Fit: all Gaussians together move down the gradient of their error and of the price of their bits."""
+"""Fit: move all Gaussians together down the gradient of their error and of the price of their bits."""
 
 from __future__ import annotations
 
@@ -7,24 +7,22 @@ from dataclasses import replace
 from sgmethod.backend.protocol import Moments
 from sgmethod.fitting.deadline import cosine
 from sgmethod.fitting.level import Level
-from sgmethod.rd.rate_control import error_per_bit
-from sgmethod.rd.request import Plan, Stage, State
+from sgmethod.rd.plan import Plan, Stage, State
 from sgmethod.scene import Gaussians
 
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
-    """The state after the steps of a stage."""
+    """Take the steps of a stage."""
     state = _without_grain(plan, state, stage)
     request, s, size = plan.request, plan.settings.fit, len(state.gaussians)
     gaussians, moments, steps = state.gaussians.copy(), state.moments.copy(), state.steps
-    price = s.rate_weight * error_per_bit(state.quantum)
+    price = s.rate_weight * state.bit_price
 
     def decoded_error() -> float:
-        rounded = request.backend.rounded(gaussians, request.coding(state.quantum))
-        return error_of(plan, rounded)
+        return plan.error(plan.rounded(gaussians, state.quantum))
 
     for progress in stage.pace.until(stage.until):
-        level = level_for(plan, state, stage, size)
+        level = plan.level_for(state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
             state = replace(state, target=state.target.moved(plan.finest.missing(gaussians)))
             level = replace(level, target=state.target.now)
@@ -35,25 +33,8 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
 
-def error_of(plan: Plan, gaussians: Gaussians) -> float:
-    """The mean squared error on the finest level."""
-    return plan.request.backend.error(gaussians, plan.finest.frame, plan.finest.target, plan.shown)
-
-
-def level_for(plan: Plan, state: State, stage: Stage, gaussians: int) -> Level:
-    """The picture that this many Gaussians are fitted to now: the coarsest that will do, the finest in the end."""
-    progress, times, s = stage.pace.progress, stage.times, plan.settings.pyramid
-    if progress >= times.many_from:
-        level = plan.finest
-    elif progress >= times.few_until:
-        level = plan.pyramid.coarsest(s.pixels_per_gaussian * max(gaussians, plan.request.rate.expected_gaussians()))
-    else:
-        level = plan.pyramid.coarsest(s.pixels_while_few * gaussians)
-    return replace(level, target=state.target.now) if level.frame == plan.finest.frame else level
-
-
 def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
-    """With grain taken off the target, once the fit misses about as much of it as it will in the end."""
+    """Take grain off the target, once the fit misses about as much of it as it will in the end."""
     is_whole = plan.finest.frame.spacing == 1
     if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
         return state
@@ -64,7 +45,7 @@ def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
 def take_step(
     plan: Plan, level: Level, gaussians: Gaussians, moments: Moments, rate: float, quantum: float, price: float
 ) -> None:
-    """Move Gaussians, in place, by one step on a level. price: squared error of the whole picture that a bit costs."""
+    """Move Gaussians in place by one step on a level. price: squared error of the whole picture that a bit costs."""
     request, backend = plan.request, plan.request.backend
     _, gradient = level.gradients(gaussians)
     backend.add_rate_gradient(gaussians, gradient, quantum, price / request.samples)

@@ -1,4 +1,4 @@
-"""Place: few Gaussians, more of them and smaller where the picture has structure (paper, section III-B)."""
+"""Place: the first Gaussians, more and smaller ones where the picture has structure (paper, section III-B)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from sgmethod.start.placement import place as place_by_structure
 
 
 def place(request: Request, pyramid: Pyramid) -> Gaussians:
-    """A part of the expected Gaussians, with colours that are solved together. They are few, so a small picture shows
-    enough of the structure; a smaller one has to do if time is short."""
+    """Place a part of the expected Gaussians, with colours that are solved together.
+
+    As they are few, a small picture shows enough of the structure; if time is short, a smaller one has to do.
+    """
     s, rate = request.settings.place, request.rate
     share = max(int(rate.expected_gaussians() * s.share), s.fewest)
     n = min(share, rate.most_gaussians(request.settings, request.settings.effort.times, 1.0))

@@ -1,49 +1,217 @@
-"""Plan: the settings and the size of the picture that fit into the time there is, before the fit begins."""
+"""Plan: the settings and picture sizes that fit into the time there is; State: how far the fit is."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sgmethod.backend.protocol import Moments, Visibility
+from sgmethod.fitting.deadline import Pace
 from sgmethod.fitting.level import Level, Pyramid
-from sgmethod.rd.request import Plan, Request
+from sgmethod.fitting.moving_target import MovingTarget
+from sgmethod.rd.rate_control import error_per_bit
+from sgmethod.rd.request import Request
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import RdSettings, hurried, sized
+from sgmethod.settings.rd import EFFORTS, RdSettings, Times
 
 
-def planned(request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
-    """The plan for a request whose first Gaussians are placed.
+@dataclass(frozen=True)
+class Plan:
+    """A request with the settings and picture sizes that fit into its time."""
 
-    Where time is too short for all steps, it takes the settings of a lower effort; where it is too short for that as
-    well, a smaller picture is fitted. The time of a gradient is measured here, on this machine.
+    request: Request
+    settings: RdSettings
+    pyramid: Pyramid
+
+    @classmethod
+    def of(cls, request: Request, pyramid: Pyramid, gaussians: Gaussians) -> Plan:
+        """Plan a request whose first Gaussians are placed.
+
+        If time is too short for all steps, it takes the settings of a lower effort; if that takes too long as well, a
+        smaller picture is fitted. The time of a gradient is measured here, on this machine.
+        """
+        most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * request.rate.expected_gaussians())
+        settings = sized(request.settings, most.pixels)
+        if request.deadline.has_limit():
+            settings, pyramid = _in_time(request, settings, pyramid, most, gaussians)
+        return cls(request, _within_pixels(settings, pyramid), pyramid)
+
+    @property
+    def finest(self) -> Level:
+        """The picture at the size that the file can show."""
+        return self.pyramid.finest
+
+    @cached_property
+    def shown(self) -> Visibility | None:
+        """Share of the finest level that alpha shows."""
+        shown = self.request.objective.shown
+        for _ in range(self.finest.frame.spacing.bit_length() - 1):
+            shown = shown and shown.halved()
+        return shown
+
+    @property
+    def lengths(self) -> list[int]:
+        """Steps of the first run and of each round, including rounds for a quality that is missed."""
+        first = self.request.rate.steps(self.settings)
+        a_round = max(round(self.settings.schedule.round_steps * first), 1)
+        further = self.request.rate.further_rounds
+        return [first, *[a_round] * (self.settings.effort.rounds[-1] + further)]
+
+    def all_steps(self, done: int) -> int:
+        """Expected steps of the encode, given those done: rounds for a missed quality count once they have begun."""
+        expected = sum(self.lengths[: self.settings.effort.rounds[-1] + 1])
+        return expected if done <= expected else sum(self.lengths)
+
+    def begin(self, gaussians: Gaussians) -> State:
+        """Return the state before the first step."""
+        request, finest = self.request, self.finest
+        target = request.objective.moving_target(finest.target, finest.frame.spacing, request.background[0])
+        return State(gaussians, Moments.none(len(gaussians)), request.rate.quantum, target)
+
+    def level_for(self, state: State, stage: Stage, gaussians: int) -> Level:
+        """Choose the level that so many Gaussians are fitted to: the coarsest that will do, in the end the finest."""
+        progress, times, s = stage.pace.progress, stage.times, self.settings.pyramid
+        if progress >= times.many_from:
+            level = self.finest
+        elif progress >= times.few_until:
+            most = max(gaussians, self.request.rate.expected_gaussians())
+            level = self.pyramid.coarsest(s.pixels_per_gaussian * most)
+        else:
+            level = self.pyramid.coarsest(s.pixels_while_few * gaussians)
+        return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
+
+    def rounded(self, gaussians: Gaussians, quantum: float) -> Gaussians:
+        """Return Gaussians as they would decode."""
+        return self.request.backend.rounded(gaussians, self.request.coding(quantum))
+
+    def error(self, gaussians: Gaussians) -> float:
+        """Mean squared error on the finest level."""
+        return self.request.backend.error(gaussians, self.finest.frame, self.finest.target, self.shown)
+
+    def psnr(self, gaussians: Gaussians) -> float:
+        """PSNR on the finest level, in dB."""
+        return -10 * math.log10(max(self.error(gaussians), 1e-12))
+
+    def times(self, run: int) -> Times:
+        """Times of a run: 0 is the first, others are rounds."""
+        times = self.settings.effort.times if run == 0 else self.settings.schedule.round_times
+        return times if run >= self.settings.effort.rounds[-1] else replace(times, many_from=1.0)
+
+
+def _in_time(
+    request: Request, settings: RdSettings, pyramid: Pyramid, most: Level, gaussians: Gaussians
+) -> tuple[RdSettings, Pyramid]:
+    """Reduce settings and pyramid to the time left. most: the level of most steps.
+
+    The finest level is one whose gradient takes no longer than a step may. A coarser one must halve the time to be
+    worth the detail that it lacks.
     """
     rate, deadline = request.rate, request.deadline
-    most = pyramid.coarsest(request.settings.pyramid.pixels_per_gaussian * rate.expected_gaussians())
-    settings = sized(request.settings, most.pixels)
-    if not deadline.has_limit():
-        return Plan(request, _within_pixels(settings, pyramid), pyramid)
 
     def gradient_s(level: Level) -> float:
         return deadline.seconds_of(lambda: level.gradients(gaussians))
 
-    most_s = gradient_s(most)
-    in_time = deadline.steps_in_time(most_s)
-    part = in_time / rate.steps(settings)
-    settings = hurried(settings, most.pixels, part * settings.effort.steps)
-    step_s = most_s * in_time * deadline.settings.gradients_per_step / rate.steps(settings)
-    finest, took_s = pyramid.finest if most_s <= step_s else most, most_s
+    took_s = gradient_s(most)
+    in_time = deadline.steps_in_time(took_s)
+    settings = hurried(settings, most.pixels, in_time / rate.steps(settings) * settings.effort.steps)
+    step_s = took_s * in_time * deadline.settings.gradients_per_step / rate.steps(settings)
+    finest = pyramid.finest if took_s <= step_s else most
     for level in pyramid.from_level(most).levels[1:]:
         if took_s <= step_s:
             break
         took_s, before_s = gradient_s(level), took_s
-        if took_s > before_s / 2:  # a level is worth the detail it lacks if it halves the time
+        if took_s > before_s / 2:
             break
         finest = level
-    pyramid = pyramid.from_level(finest)
-    return Plan(request, _within_pixels(settings, pyramid), pyramid)
+    return settings, pyramid.from_level(finest)
 
 
 def _within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
-    """With a limit below which a Gaussian would fall between the pixels of the finest level."""
+    """Set the scale below which a Gaussian would fall between the pixels of the finest level."""
     optimiser, spacing = settings.fit.optimiser, pyramid.finest.frame.spacing
     narrowest = optimiser.min_scale_px if spacing == 1 else settings.pyramid.narrowest * spacing
     return replace(settings, fit=replace(settings.fit, optimiser=replace(optimiser, min_scale_px=narrowest)))
+
+
+def sized(settings: RdSettings, pixels: int) -> RdSettings:
+    """Adapt settings to a picture of so many pixels: a large one gets fewer steps, and reduced pictures for longer."""
+    s, effort = settings.schedule, settings.effort
+    small, large = s.large
+    share = min(max(math.log(pixels / small) / math.log(large / small), 0.0), 1.0)
+    later = max(s.large_few_until - effort.times.few_until, 0.0)
+    times = replace(effort.times, few_until=effort.times.few_until + share * later)
+    steps = round(effort.steps * (1 - share * (1 - s.large_steps)))
+    return replace(settings, effort=replace(effort, steps=steps, times=times))
+
+
+def hurried(settings: RdSettings, pixels: int, steps: float) -> RdSettings:
+    """Reduce settings, already sized(), to a number of steps.
+
+    The effort stays if it fits, else it becomes the highest lower effort that fits, else the lowest with fewer
+    Gaussians.
+    """
+    lower = [sized(replace(settings, effort=one), pixels) for one in reversed(EFFORTS.values()) if one.rounds == (0,)]
+    choices = [settings, *(one for one in lower if one.effort.steps < settings.effort.steps)]
+    few = replace(choices[-1].densify, most=settings.deadline.most_hurried)
+    return next((one for one in choices if one.effort.steps <= steps), replace(choices[-1], densify=few))
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of a run: what is due at `at` is done once, then steps are taken until `until`."""
+
+    pace: Pace
+    times: Times
+    at: float
+    until: float
+    is_due: bool = True
+
+    @property
+    def grows(self) -> bool:
+        """Whether Gaussians are added."""
+        return self.at in self.times.growth_at
+
+    @property
+    def has_grown(self) -> bool:
+        """Whether the last growth of the run is over by now."""
+        return self.pace.progress > self.times.growth_at[-1]
+
+
+def stages(pace: Pace, times: Times) -> Iterator[Stage]:
+    """Yield the stages of a run, except those that are over before they begin."""
+    due = {*times.growth_at, *times.trim_at}
+    for at, until in pairwise(sorted({0.0, *due, 1.0})):
+        if pace.progress < until:
+            yield Stage(pace, times, at, until, at in due)
+
+
+@dataclass(frozen=True)
+class State:
+    """The state of a fit.
+
+    moments: those of the optimiser; target: the moving target of the finest level; steps: taken so far; size: of the
+    file in bytes, about; saturated_price: price of a bit at which growth last found next to nothing.
+    """
+
+    gaussians: Gaussians
+    moments: Moments
+    quantum: float
+    target: MovingTarget
+    steps: int = 0
+    size: int = 0
+    saturated_price: float = np.inf
+
+    @property
+    def bit_price(self) -> float:
+        """Squared error that one bit is worth."""
+        return error_per_bit(self.quantum)
+
+    def rows(self, index: NDArray[np.intp]) -> State:
+        """Return the state with only these Gaussians, in this order."""
+        return replace(self, gaussians=self.gaussians.rows(index), moments=self.moments.rows(index))

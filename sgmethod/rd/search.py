@@ -1,4 +1,4 @@
-"""Search: the one loop that makes several files of a fit and keeps the best."""
+"""Search: make several files of a fit and keep the best."""
 
 from __future__ import annotations
 
@@ -6,46 +6,45 @@ from dataclasses import replace
 
 import numpy as np
 
-from sgmethod.rd.quantise import Room, quantised, relaxed
-from sgmethod.rd.rate_control import Coded, Selection
-from sgmethod.rd.request import Plan, State
+from sgmethod.rd.plan import Plan, State
+from sgmethod.rd.quantise import PayloadLimit, quantised, relaxed
+from sgmethod.rd.rate_control import Coded
 from sgmethod.scene import Gaussians
 
 
 def search(plan: Plan, state: State, rounds: int) -> Coded:
-    """The coded picture that meets the budget best, of those with several quanta.
+    """Code a fit with several quanta, and return the file that meets the budget best.
 
-    rounds: that went before. Once for each but the first, half of the Gaussians, drawn by lot, move to what rounding
-    the others has left, and all are refined again: refining alone finds no single change that helps.
+    rounds: completed. For each after the first, a random half of the Gaussians is fitted again to what rounding the
+    others leaves, and all are refined again: refining alone finds no single change that helps.
     """
-    request, selection = plan.request, Selection(plan.request.rate)
+    request, rate = plan.request, plan.request.rate
     texture = request.objective.texture(request.stream(state.gaussians, state.quantum))
-    if texture is not None and (request.rate.by_looks or not selection.affords(texture)):
+    if texture is not None and not rate.affords(texture):
         texture = None
     empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
-    limit, target = selection.payload_limit(empty), state.target.now
-    room = Room(limit, texture)
+    limit, target = PayloadLimit(rate.payload_limit(empty), texture), state.target.now
 
     def payload(quantum: float) -> int:
         return len(request.stream(state.gaussians, quantum).payload)
 
     tried: list[Coded] = []
-    quantum: float | None = selection.first_quantum(state.quantum, payload, limit)
+    quantum: float | None = rate.first_quantum(state.quantum, payload, limit.max_bytes)
     for _ in request.deadline.tries(plan.settings.rate.aim_tries):
         if quantum is None:
             break
-        tried.append(quantised(plan, state.gaussians, target, quantum, room))
-        quantum = selection.next_quantum(tried, limit, plan.settings.effort.size_tries)
-    if selection.is_cut_short(payload(state.quantum), limit):
-        tried.append(quantised(plan, state.gaussians, target, state.quantum, room))
-    best = selection.best(tried, selection.reachable(tried))
+        tried.append(quantised(plan, state.gaussians, target, quantum, limit))
+        quantum = rate.next_quantum(tried, limit.max_bytes, plan.settings.effort.size_tries)
+    if rate.is_cut_short(payload(state.quantum), limit.max_bytes):
+        tried.append(quantised(plan, state.gaussians, target, state.quantum, limit))
+    best = rate.chosen(tried)
     lot = np.random.default_rng(request.seed)
     for _ in request.deadline.tries(max(rounds - 1, 0) if best.size else 0):
         held = lot.random(len(best.stream.gaussians())) < 0.5
         again = relaxed(plan, best.stream, target, held)
-        less = replace(room, max_bytes=min(limit, selection.spared(best)))
-        best = selection.best([best, quantised(plan, again, target, best.stream.quantum, less)])
+        less = replace(limit, max_bytes=min(limit.max_bytes, rate.relaxed_bytes(best)))
+        best = rate.best([best, quantised(plan, again, target, best.stream.quantum, less)])
     if not request.is_nearly_flat:
         return best
     empty = replace(empty, quantum=best.stream.quantum)
-    return selection.best([best, Coded(empty, request.objective)])
+    return rate.best([best, Coded(empty, request.objective)])

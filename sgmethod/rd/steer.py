@@ -1,50 +1,65 @@
-"""Steer: the quantum follows the budget."""
+"""Steer: move the quantum to the budget."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import StreamV5
-from sgmethod.decoder import draw_whole
-from sgmethod.rd.quantise import exact_psnr, rounded_psnr
-from sgmethod.rd.rate_control import Coded, looks_db
-from sgmethod.rd.request import Plan, Stage, State
-from sgmethod.trace import shown_to_nobody
+from sgmethod.bitstream.v2 import StreamV2
+from sgmethod.rd.aim import LooksAim
+from sgmethod.rd.plan import Plan, Stage, State
+from sgmethod.rd.rate_control import Coded
+
+
+@dataclass(frozen=True)
+class FitNow:
+    """A fit as it would be coded now. Each quality is measured when it is first asked for."""
+
+    plan: Plan
+    state: State
+    stream: StreamV2
+
+    @property
+    def file_bytes(self) -> int:
+        """Size of the file."""
+        return self.stream.file_bytes
+
+    @cached_property
+    def psnr(self) -> float:
+        """PSNR in dB."""
+        return self.plan.psnr(self.plan.rounded(self.state.gaussians, self.state.quantum))
+
+    @cached_property
+    def looks_db(self) -> float:
+        """SSIMULACRA 2, as rate_control.looks_db() counts it."""
+        return Coded(self.stream, self.plan.request.objective).looks_db
+
+    @property
+    def lost_db(self) -> float:
+        """PSNR that rounding takes, in dB."""
+        return self.plan.psnr(self.state.gaussians) - self.psnr
 
 
 def steer(plan: Plan, state: State, stage: Stage) -> State:
-    """The state with the file's size, and with the quantum that rate control wants for it."""
+    """Set the file's size, and the quantum that rate control wants for it."""
     request = plan.request
-    stream = request.stream(state.gaussians, state.quantum)
-    size = stream.file_bytes
-    if request.recorder.preview is not shown_to_nobody:
-        request.recorder.preview(container.serialise(stream))
-
-    @cache  # a whole picture is drawn for it
-    def rounded() -> float:
-        return rounded_psnr(plan, state)
-
-    def reached() -> float:
-        return looks_db(request.objective.looks(draw_whole(stream))) if request.rate.by_looks else rounded()
-
-    def lost() -> float:
-        return exact_psnr(plan, state.gaussians) - rounded()
-
-    quantum = request.rate.steered(state.quantum, stage.times, stage.at, size, reached, lost)
-    return replace(state, size=size, quantum=StreamV5.coded_quantum(quantum, request.rate.is_short))
+    now = FitNow(plan, state, request.stream(state.gaussians, state.quantum))
+    if request.recorder.preview is not None:
+        request.recorder.preview(container.serialise(now.stream))
+    quantum = request.rate.steered(state.quantum, stage.times, stage.at, now)
+    coded = StreamV2.coded_quantum(quantum, request.rate.is_short)
+    return replace(state, size=now.file_bytes, quantum=coded)
 
 
 def once_more(plan: Plan, state: State, files: Iterable[Coded]) -> State:
-    """The state for a further round, where files miss what was asked for.
+    """Prepare a further round after files that missed the budget.
 
-    Looks count grain, and a file that aims at them has no texture in its place: growth is shown what was hidden, at a
+    Looks count grain, and a file that aims at them has no texture instead: growth is shown what was hidden, at a
     quantum that is finer by as much as is missing.
     """
     rate = plan.request.rate
-    if not rate.by_looks:
+    if not isinstance(rate, LooksAim):
         return state
-    quantum = rate.finer(state.quantum, max(map(rate.reached, files)))
-    return replace(state, target=state.target.whole(), quantum=quantum)
+    return replace(state, target=state.target.whole(), quantum=rate.finer(state.quantum, files))

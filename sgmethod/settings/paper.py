@@ -17,23 +17,23 @@ class PaperSettings:
 
     # Losses (sections III-D and III-E)
     lambda_g: float = 0.06  # geometry-consistent regularisation, section IV-A
-    # Bitwidth loss, used where no byte budget sets the bitwidths: a tenth of the number in section IV-A, which on the
-    # scale of our error leaves six bits to nearly all.
+    # Bitwidth loss, used if no byte budget sets the bitwidths: a tenth of the number in section IV-A, which on the
+    # scale of our error leaves nearly all Gaussians at six bits.
     lambda_b: float = 0.00012
     lambda_r: float = 1.0  # commitment of colours to the codebooks (GSImage)
-    # Ours: energy of each Gaussian alone, in the fit. Large colours that cancel would not survive six bits each;
-    # with it 28.9 -> 29.3 dB and 28.4 -> 28.8 dB on two photographs after quantisation.
+    # Ours: penalty in the fit on the energy of each Gaussian alone, because large colours that cancel do not survive
+    # six bits each. 28.9 -> 29.3 dB and 28.4 -> 28.8 dB on two photographs after quantisation.
     lambda_e: float = 0.003
 
     # Schedule: ours.
     fit_steps: int = 4000
     tune_steps: int = 2500
-    tune_rate: float = 0.5  # of the optimiser's rates
+    tune_rate: float = 0.5  # factor on the optimiser's rates
     bits_rate: float = 0.02
     # A range starts at these quantiles of its values: one outlier would coarsen all (28.6 -> 28.9 dB).
     range_quantile: float = 0.01
-    range_rate: float = 1e-4  # of the range's width
-    patience: float = 0.3  # of the schedule without progress, after which a phase has converged
+    range_rate: float = 1e-4  # in multiples of the range's width
+    patience: float = 0.3  # a phase has converged after this part of the schedule without progress
 
     # Quantisation (sections III-C and IV-A)
     position_bits: int = 12

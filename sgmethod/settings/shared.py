@@ -1,4 +1,4 @@
-"""Groups of settings that several profiles have."""
+"""Groups of settings shared by several profiles."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ TUNES: tuple[Tune, ...] = get_args(Tune)
 
 @dataclass(frozen=True)
 class OptimiserSettings:
-    """Adam in each Gaussian's own frame: ours. Rates are relative changes per step."""
+    """Settings of Adam in each Gaussian's own frame (ours). Rates are relative changes per step."""
 
     mean_rate: float = 0.07
     factor_rate: float = 0.07
     color_rate: float = 0.035
-    final_rate: float = 0.03  # the cosine schedule ends at this part of the rates
+    final_rate: float = 0.03  # factor on the rates at the end of the cosine schedule
     beta1: float = 0.9
     beta2: float = 0.99
     newton_steps: float = math.inf  # longest step, in steps of Gauss-Newton with a diagonal matrix
-    min_scale_px: float = 0.3  # l1, l3 at least this: below it a Gaussian falls between pixel centres
+    min_scale_px: float = 0.3  # least l1 and l3: a smaller Gaussian falls between pixel centres
 
 
 @dataclass(frozen=True)
 class StartSettings:
-    """Structure-guided initialisation (paper, section III-B)."""
+    """Settings of structure-guided initialisation (paper, section III-B)."""
 
     structure_guided: bool = True  # False: uniformly random start (GSImage)
     ratio: tuple[float, float, float] = (6.0, 2.0, 1.0)  # phi_1 : phi_2 : phi_3, section IV-A
@@ -38,7 +38,7 @@ class StartSettings:
     shared_by_area: bool = True  # False: regions of a category get equally many Gaussians, whatever their area
     gaussians_per_region: int = 10  # SLIC regions follow the number of Gaussians
     compactness: float = 10.0  # of SLIC
-    superpixels: Superpixels = "skimage"  # the library that has SLIC
+    superpixels: Superpixels = "skimage"  # the library for SLIC
     tensor_smoothing_px: float = 2.0  # window of the structure tensor that orients the start
     placement_power: float = 1.0  # density within a region ~ gradient magnitude ^ power
     orientation_gain: float = 1.0  # log of the start's aspect ratio at full coherence

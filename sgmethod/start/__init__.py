@@ -1,5 +1,4 @@
-"""Where the first Gaussians are placed.
+"""Initial Gaussians: from a picture and their number.
 
-A picture and a number of Gaussians come in.
-Gaussians leave, more of them and smaller where the picture has structure (paper, section III-B).
+Where the picture has structure, there are more of them, and they are smaller (paper, section III-B).
 """

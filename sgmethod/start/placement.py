@@ -1,4 +1,4 @@
-"""Where the Gaussians start: structure-guided initialisation (paper, section III-B) or, for comparison, anywhere."""
+"""Placement of the initial Gaussians, guided by structure (paper, section III-B) or, for comparison, random."""
 
 from __future__ import annotations
 
@@ -36,22 +36,25 @@ def dynamic_ratio(n: int, pixels: int, settings: StartSettings) -> tuple[float, 
 def allocate(
     complexity: FloatArray, area: NDArray[np.int64], n: int, ratio: tuple[float, float, float]
 ) -> NDArray[np.int64]:
-    """Gaussians for each region, summing to n.
+    """Numbers of Gaussians per region, summing to n.
 
-    Regions in descending order of complexity make three categories of a third of the picture each; a region on a border
-    is in both. A category's share is spread evenly over its area, so that the ratio 1:1:1 is a uniform start. What
-    rounding down leaves goes one by one to the most complex regions.
+    Regions in descending order of complexity form three categories of a third of the picture each; a region on the
+    boundary belongs to both. A category's share is spread evenly over its area, so that the ratio 1:1:1 is a uniform
+    start. Gaussians lost by rounding down go one by one to the most complex regions.
     """
     order = np.argsort(-complexity, kind="stable")
     ends = np.cumsum(area[order]) / area.sum()
-    shares = np.interp(ends, np.linspace(0, 1, 4), [0, *np.cumsum(ratio)])  # of each region and all more complex ones
-    counts = np.floor(n * np.diff(shares, prepend=0) + 1e-9).astype(np.int64)  # or a whole number may round down
+    shares = np.interp(ends, np.linspace(0, 1, 4), [0, *np.cumsum(ratio)])  # cumulative, from the most complex region
+    counts = np.floor(n * np.diff(shares, prepend=0) + 1e-9).astype(np.int64)  # 1e-9: whole numbers must not round down
     return _with_rest(counts, n, order)
 
 
 def allocate_by_number(complexity: FloatArray, n: int, ratio: tuple[float, float, float]) -> NDArray[np.int64]:
-    """The same with three categories of equally many regions, and a share spread evenly over regions: as profile rd
-    starts, whose few Gaussians gain nothing by area."""
+    """Numbers of Gaussians per region, summing to n, regardless of area.
+
+    Three categories have equally many regions, and a share is spread evenly over regions. Profile rd starts this way:
+    with its few Gaussians, counting area gains nothing.
+    """
     order = np.argsort(-complexity, kind="stable")
     counts = np.zeros(len(order), np.int64)
     ranks = np.arange(len(order))
@@ -62,8 +65,7 @@ def allocate_by_number(complexity: FloatArray, n: int, ratio: tuple[float, float
 
 
 def _with_rest(counts: NDArray[np.int64], n: int, order: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Counts by region that sum to n, from counts by rank: what they leave goes one by one to the first. order: the
-    region of each rank."""
+    """Complete counts by rank to a sum of n, first ranks first; return them by region. order: region of each rank."""
     rounds, left = divmod(n - int(counts.sum()), len(order))
     found = np.empty_like(order)
     found[order] = counts + rounds
@@ -72,7 +74,7 @@ def _with_rest(counts: NDArray[np.int64], n: int, order: NDArray[np.int64]) -> N
 
 
 def place(image: FloatArray, n: int, settings: StartSettings, rng: np.random.Generator) -> Gaussians:
-    """n Gaussians to start from on an image [H, W, 3] in [0, 1]; colours are those of the image below."""
+    """Place n initial Gaussians on an image [H, W, 3] in [0, 1], with the colours of the pixels at their centres."""
     if not settings.structure_guided:
         return _place_randomly(image, n, rng)
     regions = min(max(n // settings.gaussians_per_region, 9), image.shape[0] * image.shape[1])
@@ -104,9 +106,9 @@ def _pixels_below(means: FloatArray, shape: tuple[int, ...]) -> tuple[NDArray[np
 def _scatter(
     found: Structure, counts: NDArray[np.int64], power: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Means [n, 2] and scales [n] in pixels: within a region stratified by gradient magnitude ^ power.
+    """Means [n, 2] and scales [n] in pixels, sampled within each region by gradient magnitude ^ power (stratified).
 
-    A Gaussian's scale is that of a disc with the area it has to cover: 1 / (pi density).
+    A Gaussian's scale is the radius of a disc with the area it has to cover, 1 / density.
     """
     width = found.labels.shape[1]
     pixels = np.argsort(found.labels.ravel(), kind="stable")
@@ -126,7 +128,7 @@ def _scatter(
 
 
 def _along_edges(scales: FloatArray, tensor: FloatArray, gain: float) -> FloatArray:
-    """Cholesky factors [n, 3] of ellipses of the given scales, longer along the edge the more coherent it is."""
+    """Cholesky factors [n, 3] of ellipses of the given scales, elongated along coherent edges."""
     xx, xy, yy = tensor.T
     across = 0.5 * np.arctan2(2 * xy, xx - yy)
     coherence = np.hypot(xx - yy, 2 * xy) / (xx + yy + 1e-6)

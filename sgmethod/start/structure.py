@@ -18,7 +18,7 @@ _LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 @dataclass(frozen=True)
 class Structure:
-    """What the image says about where detail is.
+    """Structure of an image.
 
     gradient [H, W]: Sobel magnitude of the grey image (kernel divided by 8);
     labels [H, W]: region of each pixel, 0 .. regions - 1;
@@ -37,10 +37,10 @@ class Structure:
 def analyse(
     image: FloatArray, regions: int, compactness: float, smoothing: float, superpixels: Superpixels = "skimage"
 ) -> Structure:
-    """Structure of an image [H, W, 3] in [0, 1].
+    """Analyse the structure of an image [H, W, 3] in [0, 1].
 
-    regions: superpixels asked of SLIC; compactness: its balance of distance and colour;
-    smoothing: standard deviation in pixels of the structure tensor's window; superpixels: the library that finds them.
+    regions: number of superpixels requested from SLIC; compactness: SLIC's balance of distance and colour;
+    smoothing: standard deviation in pixels of the structure tensor's window; superpixels: the library for SLIC.
     """
     grey = image @ _LUMA
     gx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8, borderType=cv2.BORDER_REPLICATE)
@@ -70,7 +70,7 @@ def _slic(image: FloatArray, regions: int, compactness: float) -> NDArray[np.int
 
 
 def _opencv_slic(image: FloatArray, regions: int, compactness: float) -> NDArray[np.int32]:
-    """SLIC by OpenCV, which has no place for its seeds in a narrow picture: that is one region."""
+    """SLIC by OpenCV. A narrow picture becomes one region, because it has no room for OpenCV's seeds."""
     height, width = image.shape[:2]
     if min(height, width) < NARROW_PX:
         return np.zeros((height, width), np.int32)

@@ -3,8 +3,8 @@
     image = sgmethod.torch.render(means, factors, colors, (width, height))  # [3, height, width], with gradients
     pixels = sgmethod.torch.decode("photo.sg", "cuda")
 
-Tensors come in, and tensors leave, with gradients; files and the checkpoints of other programs come in, and leave as
-tensors or as Gaussians. drawing.py has the renderer, files.py .sg files as tensors, checkpoints.py what others write.
+Tensors come in, and tensors leave, with gradients; files come in, and leave as tensors or as Gaussians. drawing.py has
+the renderer, files.py .sg files as tensors.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from __future__ import annotations
 from sgmethod.errors import extra
 
 with extra("torch"):
-    from sgmethod.torch.checkpoints import read_gaussianimage, read_image_gs
     from sgmethod.torch.drawing import render
     from sgmethod.torch.files import SgDataset, decode, gaussians
 
-__all__ = ["SgDataset", "decode", "gaussians", "read_gaussianimage", "read_image_gs", "render"]
+__all__ = ["SgDataset", "decode", "gaussians", "render"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,12 +16,10 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from sgmethod.backend.pairs import Pairs, is_drawn
-from sgmethod.budget import own_number, whole
+from sgmethod.budget import checked_integer, finite_number
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, variance
-
-FAINT = 1e-4  # weight of the background where Gaussians are normalised
 
 
 def render(
@@ -32,10 +30,8 @@ def render(
     background: float | Tensor = 0.0,
     scale: float = 1.0,
     pyramid: bool = True,
-    *,
-    blend: Literal["accumulated", "normalised"] = "accumulated",
 ) -> Tensor:
-    """The picture [..., 3, height, width] of Gaussians, differentiable in all tensors: 0 black, 1 white, unclamped.
+    """Draw Gaussians as a picture [..., 3, height, width], differentiable in all tensors: 0 black, 1 white, unclamped.
 
     >>> means, factors = torch.tensor([[4.0, 3.0]]), torch.tensor([[2.0, 0.0, 1.0]])
     >>> render(means, factors, torch.ones(1, 3), (8, 6)).shape
@@ -47,9 +43,8 @@ def render(
     size: width and height of the picture in pixels.
     background: below the Gaussians, a number or [..., 3].
     scale: output pixels per pixel of the picture, 1/64 to 64.
-    pyramid: draw wide Gaussians on coarser levels, as files from version 4 on do; without, sample every pixel of each.
+    pyramid: draw wide Gaussians on coarser levels, as files of version 2 do; without, sample every pixel of each.
     The two differ by 0.002 on average in a fitted photograph (root mean square).
-    blend: "accumulated" adds Gaussians up, as files do; "normalised" divides by the sum of their weights.
 
     Gaussians with a value that is not finite, with l1 or l3 <= 0, or with a covariance or an inverse of it that the
     precision cannot hold, are not drawn, and get gradients of 0. Raises GaussiansError for other shapes, and ViewError
@@ -57,33 +52,27 @@ def render(
     """
     means, factors, colors, lead = _checked(means, factors, colors)
     width, height = own_size(size)
-    number = own_number(scale)
+    number = finite_number(scale)
     if number is None or not MIN_SCALE <= number <= MAX_SCALE:
         raise ViewError(f"the scale must lie in {MIN_SCALE} .. {MAX_SCALE:g}, got {scale!r}")
-    if blend not in ("accumulated", "normalised"):
-        raise GaussiansError(f"Gaussians are accumulated or normalised, not {blend!r}")
     resized = max(round(width * number), 1), max(round(height * number), 1)
-    means, factors, colors, gain = _resized(means, factors, colors, (resized[0] / width, resized[1] / height))
-    image = _drawn(means, factors, colors * gain, resized, pyramid).reshape(*lead, 3, *resized[::-1])
+    means, factors, colors = _resized(means, factors, colors, (resized[0] / width, resized[1] / height))
+    image = _drawn(means, factors, colors, resized, pyramid).reshape(*lead, 3, *resized[::-1])
     below = torch.as_tensor(background, dtype=means.dtype, device=means.device)
-    below = below[..., None, None] if below.ndim else below
-    if blend == "accumulated":
-        return image + below
-    weights = _drawn(means, factors, gain.expand_as(colors), resized, pyramid).reshape(image.shape)
-    return (image + FAINT * below) / (weights + FAINT)
+    return image + (below[..., None, None] if below.ndim else below)
 
 
 def own_size(size: object) -> tuple[int, int]:
-    """A width and a height as Python's own numbers. Raises ViewError for anything else."""
+    """Return a width and a height as integers. Raises ViewError for anything else."""
     sides = list(size) if isinstance(size, Iterable) else []
     if len(sides) != 2:
         raise ViewError(f"a size is width and height in pixels, not {size!r}")
-    width, height = (whole(side, "a side", 1, native.MAX_SIDE, ViewError) for side in sides)
+    width, height = (checked_integer(side, "a side", 1, native.MAX_SIDE, ViewError) for side in sides)
     return width, height
 
 
 def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor, tuple[int, ...]]:
-    """The same [B, N, ...], and the leading dimensions."""
+    """Reshape tensors to [B, N, ...]; also return the leading dimensions."""
     tensors = means, factors, colors
     for values, name, last in zip(tensors, ("means", "factors", "colors"), (2, 3, 3), strict=True):
         if not isinstance(values, Tensor) or values.ndim < 2 or values.shape[-1] != last:
@@ -106,9 +95,11 @@ def _checked(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Te
 
 def _resized(
     means: Tensor, factors: Tensor, colors: Tensor, scale: tuple[float, float]
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """In output pixels, low-passed as sgmethod/view.py does it, and the gain [B, N, 1] of the colours. Gaussians that
-    are not drawn are replaced by valid ones of gain 0, since their own values would turn gradients into NaN."""
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Scale Gaussians to output pixels, low-passed as sgmethod/view.py does it.
+
+    Those that are not drawn become valid ones of colour 0, since their own values would turn gradients into NaN.
+    """
     sx, sy = scale
     if scale != (1, 1):
         (x, y), (l1, l2, l3) = means.unbind(-1), factors.unbind(-1)
@@ -117,37 +108,39 @@ def _resized(
     means = torch.where(drawn, means, -9)  # beyond the edge
     factors, colors = torch.where(drawn, factors, 1), torch.where(drawn, colors, 0)
     if min(scale) >= 1:
-        return means, factors, colors, drawn.to(colors.dtype)
-    widening = PIXEL_VARIANCE / variance(native.CUTOFF_V3)
+        return means, factors, colors
+    widening = PIXEL_VARIANCE / variance(native.CUTOFF_V2)
     wide_x, wide_y = (max(1 - s * s, 0.0) * widening for s in scale)
     l1, l2, l3 = factors.unbind(-1)
     n1 = (l1 * l1 + wide_x).sqrt()
     slant = l2 / n1
     n2, n3 = l1 * slant, (l3 * l3 + wide_y + slant * slant * wide_x).sqrt()
-    return means, torch.stack([n1, n2, n3], -1), colors, drawn * (l1 / n1 * (l3 / n3))[..., None]
+    return means, torch.stack([n1, n2, n3], -1), colors * (l1 / n1 * (l3 / n3))[..., None]
 
 
 def _drawn(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int], pyramid: bool) -> Tensor:
-    """[B, 3, height, width] of Gaussians [B, N, ...]. In forward mode, torch silently drops the tangents of custom
-    operators, so there it differentiates the list of pairs itself."""
+    """Draw Gaussians [B, N, ...] as pictures [B, 3, height, width].
+
+    In forward mode, torch silently drops tangents of custom operators, so there it differentiates the list of pairs.
+    """
     if forward_ad._current_level < 0:  # not in forward mode; torch has no public name for this
         image: Tensor = _draw(means, factors, colors, *size, pyramid)
         return image
     rows = zip(means, factors, colors, strict=True)
-    images = [Pairs(mean, factor, size, native.CUTOFF_V3, pyramid).draw(color) for mean, factor, color in rows]
+    images = [Pairs(mean, factor, size, native.CUTOFF_V2, pyramid).draw(color) for mean, factor, color in rows]
     return torch.stack(images) if images else colors.new_empty(0, 3, *size[::-1])
 
 
 @torch.library.custom_op("sgmethod::draw", mutates_args=())
 def _draw(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: int, pyramid: bool) -> Tensor:
-    """[B, 3, height, width] of Gaussians [B, N, ...]."""
+    """Draw Gaussians [B, N, ...] as pictures [B, 3, height, width]."""
     image = colors.new_empty(len(colors), 3, height, width)
     for mean, factor, color, to in zip(means, factors, colors, image, strict=True):
         if _has_kernels(color):
             raster = _kernels(mean, factor, width, height, pyramid)
             raster.render(_numpy(color), to.numpy())
         else:
-            to[:] = Pairs(mean, factor, (width, height), native.CUTOFF_V3, pyramid).draw(color)
+            to[:] = Pairs(mean, factor, (width, height), native.CUTOFF_V2, pyramid).draw(color)
     return image
 
 
@@ -155,7 +148,7 @@ def _draw(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: in
 def _draw_backward(
     means: Tensor, factors: Tensor, colors: Tensor, by_image: Tensor, pyramid: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The gradients by means, factors and colours, given that by the picture [B, 3, height, width]."""
+    """Return gradients by means, factors and colours, given the gradient by the picture [B, 3, height, width]."""
     out = _gradients_of(means, factors, colors)
     height, width = by_image.shape[2:]
     for mean, factor, color, by, *to in zip(means, factors, colors, by_image, *out, strict=True):
@@ -163,14 +156,14 @@ def _draw_backward(
             raster = _kernels(mean, factor, width, height, pyramid)
             raster.backward(_numpy(color), _numpy(by), *(values.numpy() for values in to))
         else:
-            found = Pairs(mean, factor, (width, height), native.CUTOFF_V3, pyramid).gradients(color, by)
+            found = Pairs(mean, factor, (width, height), native.CUTOFF_V2, pyramid).gradients(color, by)
             for values, gradient in zip(to, found, strict=True):
                 values[:] = gradient
     return out
 
 
 def _gradients_of(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Room for gradients, contiguous whatever the layout of the others is."""
+    """Allocate gradients, contiguous whatever the layout of the parameters."""
     return means.new_empty(means.shape), factors.new_empty(factors.shape), colors.new_empty(colors.shape)
 
 
@@ -183,7 +176,7 @@ def _numpy(values: Tensor) -> np.ndarray:
 
 
 def _kernels(means: Tensor, factors: Tensor, width: int, height: int, pyramid: bool) -> native.Rasterization:
-    return native.Rasterization(_numpy(means), _numpy(factors), width, height, native.CUTOFF_V3, pyramid=pyramid)
+    return native.Rasterization(_numpy(means), _numpy(factors), width, height, native.CUTOFF_V2, pyramid=pyramid)
 
 
 @_draw.register_fake

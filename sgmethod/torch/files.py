@@ -12,8 +12,8 @@ from torch import Tensor
 from torch.utils.data import Dataset
 
 from sgmethod import decoder
-from sgmethod.backend.devices import own_device
-from sgmethod.budget import whole
+from sgmethod.backend.devices import checked_device
+from sgmethod.budget import checked_integer
 from sgmethod.decoder import MAX_PIXELS, WHOLE, File, SgFile
 from sgmethod.errors import SgError, ViewError
 from sgmethod.exchange.packing import MOST_GAUSSIANS
@@ -34,33 +34,34 @@ def decode(
     view: View = WHOLE,
     max_pixels: int = MAX_PIXELS,
 ) -> Tensor:
-    """The picture in an .sg file, or a view of it, as a tensor on a device: [3, H, W], [4, H, W] with alpha.
+    """Decode an .sg file, or a view of it, to a tensor on a device: [3, H, W], [4, H, W] with alpha.
 
     >>> decode("photo.sg", dtype=torch.float32).shape
     torch.Size([3, 96, 128])
 
-    dtype: uint8 for levels, a floating-point type for values in [0, 1]; layout: "HWC" for [H, W, 3 or 4]. The others,
-    and the errors raised, as in sgmethod.decode(), which draws the pixels: the same on every device.
+    dtype: uint8 for levels, a floating-point type for values in [0, 1]; layout: "HWC" for [H, W, 3 or 4]. The other
+    arguments and errors are those of sgmethod.decode(), which draws the pixels, the same for every device.
     Raises SgError for a device that is not there.
     """
-    found = own_device(device)
+    found = checked_device(device)
     return _tensor(decoder.decode(file, max_pixels, view), dtype, layout).to(found)
 
 
 def gaussians(
     file: File | SgFile | Gaussians, device: Device = None, dtype: torch.dtype = torch.float32
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Means [N, 2], factors [N, 3], colours [N, 3] and background [3] as render() takes them. Raises BitstreamError,
-    OSError, and SgError for a device that is not there.
+    """Return means [N, 2], factors [N, 3], colours [N, 3] and background [3] for render().
 
     >>> means, factors, colors, background = gaussians("photo.sg")
+
+    Raises BitstreamError, OSError, and SgError for a device that is not there.
     """
     if isinstance(file, Gaussians):
         found, background = file, (0.0, 0.0, 0.0)
     else:
         opened = file if isinstance(file, SgFile) else SgFile(file)
         found, background = opened.gaussians(), opened.background
-    where = own_device(device)
+    where = checked_device(device)
     means, factors, colors = (torch.as_tensor(values, dtype=dtype, device=where) for values in found.arrays)
     return means, factors, colors, torch.tensor(background, dtype=dtype, device=where)
 
@@ -90,7 +91,9 @@ class SgDataset(Dataset[dict[str, Tensor]]):
             raise SgError("SgDataset needs a list of files, not one file")
         self._files = files
         self._size = None if size is None else own_size(size)
-        self._most = 0 if most_gaussians is None else whole(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
+        self._most = (
+            0 if most_gaussians is None else checked_integer(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
+        )
 
     def __len__(self) -> int:
         return len(self._files)
@@ -103,7 +106,7 @@ class SgDataset(Dataset[dict[str, Tensor]]):
 
 
 def _padded(file: SgFile, most: int) -> dict[str, Tensor]:
-    """The first Gaussians of a file, and zeros."""
+    """Return the first Gaussians of a file, padded with zeros."""
     *values, background = gaussians(file)
     padded = [torch.cat([some[:most], some.new_zeros(most, some.shape[1])])[:most] for some in values]
     named = dict(zip(("means", "factors", "colors"), padded, strict=True))
@@ -112,7 +115,7 @@ def _padded(file: SgFile, most: int) -> dict[str, Tensor]:
 
 
 def _covering(file: SgFile, size: tuple[int, int]) -> Tensor:
-    """[3, height, width]: the middle of a picture that is drawn just large enough."""
+    """Draw a picture just large enough, and crop its middle to [3, height, width]."""
     width, height = size
     scale = max((side + 0.5) / whole for side, whole in zip(size, file.size, strict=True))
     if not MIN_SCALE <= scale <= MAX_SCALE:

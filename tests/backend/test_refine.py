@@ -11,7 +11,7 @@ import pytest
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import NO_LIMIT, TARGET_WHITE, Backend, Coding, Frame, RefineLimits, Target, Visibility
 from sgmethod.backend.reference import Reference
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.scene import Gaussians
 from tests.backend.cases import SIZE, VISIBILITIES, scattered, visibility
 
@@ -32,7 +32,7 @@ def scene(seed: int) -> tuple[Gaussians, Target]:
 
 def decoded(payload: bytes, coding: Coding = CODING) -> Gaussians:
     """What a file of this payload says."""
-    return StreamV5(*SIZE, coding.quantum, (0, 0, 0), coding.grey, coding.upright, payload).gaussians()
+    return StreamV2(*SIZE, coding.quantum, (0, 0, 0), coding.grey, coding.upright, payload).gaussians()
 
 
 def cost(payload: bytes, target: Target, price: float, seen: Visibility | None) -> float:

@@ -6,9 +6,7 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,62 +21,21 @@ def test_documents_are_what_the_json_says() -> None:
     assert (ran.returncode, ran.stderr) == (0, "")
 
 
-def spoil_rate(content: Any) -> None:
-    for row in content["rows"]:
-        row["psnr"] += 1
-
-
-def spoil_origin(content: Any) -> None:
-    content["commit"] = "0123456789ab"
-
-
 @pytest.mark.parametrize(
-    ("name", "spoil", "documents"),
-    [
-        ("rd/kodak", spoil_rate, ["rate.md", "README.md", "kodak.csv"]),
-        ("ablation", spoil_origin, ["paper.md"]),
-    ],
+    ("name", "documents"), [("rd/kodak", {"rate.md", "README.md", "kodak.csv"}), ("ablation", {"paper.md"})]
 )
-def test_a_document_that_differs_is_named(
-    tmp_path: Path, name: str, spoil: Callable[[Any], None], documents: list[str]
-) -> None:
+def test_a_document_that_differs_is_named(tmp_path: Path, name: str, documents: set[str]) -> None:
     path = copied(tmp_path) / f"{name}.json"
     content = json.loads(path.read_text())
-    spoil(content)
+    content["commit"] = "0123456789ab"
+    for row in content["rows"]:
+        row["psnr"] += 1
     path.write_text(json.dumps(content))
     ran = report(tmp_path, "--check")
     assert ran.returncode == 1
     named, _, said = ran.stderr.partition(": ")
     assert said.startswith("not what the JSON says")
-    assert {*documents} <= {Path(name).name for name in named.split(", ")}
-
-
-@pytest.mark.thorough
-def test_a_broken_rule_of_the_stiff_set_is_told(tmp_path: Path) -> None:
-    path = copied(tmp_path) / "version4" / "stiff.json"
-    content = json.loads(path.read_text())
-    for rule in content["rules"]:
-        rule["broken"] = 0
-    (rule,) = (rule for rule in content["rules"] if rule["rule"] == "falls")
-    rule |= {"checked": 438, "broken": 3, "worst": {"by": 5.75, "picture": "text", "kind": "bpp", "value": 4}}
-    path.write_text(json.dumps(content))
-    assert report(tmp_path).stderr == ""
-    assert "| 438 | 3 | 5.75 dB (text, bpp 4) |" in (tmp_path / "docs" / "results" / "stability.md").read_text()
-
-
-PAGES = sorted((ROOT / "docs" / "results").glob("*.md"))
-MOST_WORDS, MOST_ROWS = 1200, 12
-
-
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
-def test_a_page_is_short_and_has_its_plot(path: Path) -> None:
-    text = re.sub(r"<details>.*</details>", "", path.read_text(), flags=re.DOTALL)
-    assert len(text.split()) <= MOST_WORDS
-    bodies = re.findall(r"^\|[-|]+\|\n((?:\|.*\n)*)", text, re.MULTILINE)
-    assert bodies
-    assert max(body.count("\n") for body in bodies) <= MOST_ROWS
-    for name in re.findall(r"\]\((\.\./plots/\S+)\)", text):
-        assert (path.parent / name).stat().st_size > 1000
+    assert documents <= {Path(name).name for name in named.split(", ")}
 
 
 def test_no_command_imports_the_report() -> None:

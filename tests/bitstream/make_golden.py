@@ -1,7 +1,7 @@
-"""Golden files of the versions that are written: python -m tests.bitstream.make_golden [NAME ...]
+"""Golden files of both versions: python -m tests.bitstream.make_golden [NAME ...]
 
-Writes tests/data/v1/*.sg with the pictures that they decode to, and tests/data/v5/*.sg with the hashes of both in
-hashes.json. Nothing writes versions 3 and 4 any more: tests/data/v3/ and tests/data/v4/ stay as they are.
+Writes tests/data/v1/*.sg with the pictures that they decode to, and tests/data/v2/*.sg with the hashes of both in
+hashes.json.
 
 They pin the versions of the format and the decoder's pixels, so they are made anew only when the format gets another
 version or a stream cannot show something that it should. An encoder that has changed is no reason.
@@ -23,15 +23,16 @@ from sgmethod.bitstream import container
 from sgmethod.bitstream.container import serialise
 from sgmethod.bitstream.texture import cells
 from sgmethod.bitstream.v1 import Group, StreamV1
-from sgmethod.bitstream.v5 import StreamV5, coded_background
-from sgmethod.io import encode_png, write_atomically
+from sgmethod.bitstream.v2 import StreamV2, coded_background
+from sgmethod.io.files import write_atomically
 from sgmethod.io.image import read_image
+from sgmethod.io.png import encode_png
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
 FloatArray = NDArray[np.float64]
-HASHES = golden_path("v5-hashes.json")
+HASHES = golden_path("v2-hashes.json")
 
 
 def photograph(profile: str) -> bytes:
@@ -99,9 +100,24 @@ def rd_scattered(size: tuple[int, int], n: int, *, upright: bool = False, is_sho
     return rd_coded(means, factors, colors, size, 0.05, is_short=is_short)
 
 
+def rd_levels() -> bytes:
+    """Ellipses in all directions, of minor axes from a pixel to wider than the picture."""
+    rng = np.random.default_rng(2)
+    n, size = 48, (83, 70)
+    minor, aspect, angle = np.geomspace(0.7, 150, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
+    return rd_coded(rng.uniform(-0.1, 1.1, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n) / 4, size, 0.02)
+
+
+def rd_busy() -> bytes:
+    """Far more Gaussians than the other files have, of all sizes that photographs have."""
+    rng = np.random.default_rng(9)
+    n, size = 700, (200, 120)
+    minor, aspect, angle = np.geomspace(0.5, 12, n), rng.uniform(1, 6, n), rng.uniform(0, np.pi, n)
+    return rd_coded(rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors_of(n) / 4, size, 0.05)
+
+
 def rd_needles() -> bytes:
-    """Needles at 45 degrees and near it, up to 800 times as long as wide, in a file so fine that version 3 would have
-    to turn them."""
+    """Needles at 45 degrees and near it, up to 800 times as long as wide, in the finest of files."""
     rng = np.random.default_rng(3)
     n, size = 12, (48, 40)
     minor, aspect = np.linspace(0.35, 0.6, n), np.geomspace(60, 800, n)
@@ -123,14 +139,14 @@ def rd_texture(size: tuple[int, int], n: int, *, grey: bool = False, is_short: b
     values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
     gaussians = Gaussians(*(value.astype(np.float32) for value in values))
     background = coded_background((120, 120, 120), is_short)
-    stream = StreamV5.of(gaussians, size, 0.02, background, grey, is_short=is_short)
+    stream = StreamV2.of(gaussians, size, 0.02, background, grey, is_short=is_short)
     return serialise(replace(stream, texture=codes.astype(np.uint8)))
 
 
 def rd_alpha(data: bytes, n: int) -> bytes:
     """A picture with alpha of n Gaussians that leave what decoding clamps; of none, the same everywhere."""
     picture = container.parse(data)
-    assert isinstance(picture, StreamV5)
+    assert isinstance(picture, StreamV2)
     size = picture.width, picture.height
     rng = np.random.default_rng(8)
     minor, aspect, angle = np.geomspace(0.8, 20, n), rng.uniform(1, 5, n), rng.uniform(0, np.pi, n)
@@ -138,7 +154,7 @@ def rd_alpha(data: bytes, n: int) -> bytes:
     values = rng.uniform(0, 1, (n, 2)) * size, slanted(minor, aspect, angle), colors
     gaussians = Gaussians(*(value.astype(np.float32) for value in values))
     background = coded_background((100, 100, 100), picture.is_short)
-    alpha = StreamV5.of(gaussians, size, 0.04, background, grey=True, is_short=picture.is_short)
+    alpha = StreamV2.of(gaussians, size, 0.04, background, grey=True, is_short=picture.is_short)
     return serialise(replace(picture, alpha=replace(alpha, upright=False)))
 
 
@@ -166,7 +182,7 @@ def rd_coded(
 ) -> bytes:
     gaussians = Gaussians(means.astype(np.float32), factors.astype(np.float32), colors.astype(np.float32))
     background = coded_background((120, 90, 60), is_short)
-    return serialise(StreamV5.of(gaussians, size, quantum, background, grey=False, is_short=is_short))
+    return serialise(StreamV2.of(gaussians, size, quantum, background, grey=False, is_short=is_short))
 
 
 GOLDEN: dict[str, Callable[[], bytes]] = {
@@ -174,17 +190,20 @@ GOLDEN: dict[str, Callable[[], bytes]] = {
     "v1-baseline": lambda: photograph("baseline"),
     "v1-every-bitwidth": every_bitwidth,
     "v1-empty": empty,
-    "v5-color": lambda: rd_photograph(grey=False),
-    "v5-grey": lambda: rd_photograph(grey=True),
-    "v5-long": rd_long,
-    "v5-upright": lambda: rd_scattered((30, 44), 60, upright=True),
-    "v5-needles": rd_needles,
-    "v5-texture": lambda: rd_texture((66, 200), 20),
-    "v5-texture-alone": lambda: rd_texture((70, 9), 0, grey=True),
-    "v5-alpha": lambda: rd_alpha(rd_texture((70, 41), 9), 15),
-    "v5-short-alpha": lambda: rd_alpha(rd_texture((70, 41), 9, is_short=True), 15),
-    "v5-empty": lambda: rd_scattered((7, 5), 0, is_short=True),
-    "v5-pixel": lambda: rd_alpha(rd_scattered((1, 1), 1), 0),
+    "v2-color": lambda: rd_photograph(grey=False),
+    "v2-grey": lambda: rd_photograph(grey=True),
+    "v2-long": rd_long,
+    "v2-every-class": lambda: rd_scattered((41, 27), 150),
+    "v2-upright": lambda: rd_scattered((30, 44), 60, upright=True),
+    "v2-levels": rd_levels,
+    "v2-needles": rd_needles,
+    "v2-busy": rd_busy,
+    "v2-texture": lambda: rd_texture((66, 200), 20),
+    "v2-texture-alone": lambda: rd_texture((70, 9), 0, grey=True),
+    "v2-alpha": lambda: rd_alpha(rd_texture((70, 41), 9), 15),
+    "v2-short-alpha": lambda: rd_alpha(rd_texture((70, 41), 9, is_short=True), 15),
+    "v2-empty": lambda: rd_scattered((7, 5), 0, is_short=True),
+    "v2-pixel": lambda: rd_alpha(rd_scattered((1, 1), 1), 0),
 }
 
 

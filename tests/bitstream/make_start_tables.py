@@ -1,6 +1,6 @@
-"""Where the models of version 3 begin: python -m tests.bitstream.make_start_tables FOLDER
+"""Where the models of version 2 begin: python -m tests.bitstream.make_start_tables FOLDER
 
-Counts the symbols of the folder's .sg files, and writes the tables of docs/format.md and
+Counts the symbols of the folder's .sg files, and writes docs/format/models.json and the tables of
 sgmethod/native/rd/start_tables.h.
 
 A change of these tables changes the format, so this is run when the format gets another version. The tables there
@@ -11,22 +11,22 @@ hubble_deep_field, retina and ihc, at most 768x640), each at 0.04, 0.12, 0.3 and
 
 from __future__ import annotations
 
+import json
 import re
 import sys
-from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.bitstream import plain_decoder_v3 as plain_decoder_rd
+from tests.bitstream import plain_decoder_v2
 from tests.harness.data import ROOT
 
 HEADER = ROOT / "sgmethod" / "native" / "rd" / "start_tables.h"
 UNSEEN = 0.25 * 0.7 ** np.arange(16)  # what stands in for symbols, or whole models, that the files do not have
 
 
-class CountingModel(plain_decoder_rd.Model):
+class CountingModel(plain_decoder_v2.Model):
     """Knows what it was used for."""
 
     def __init__(self, start: list[int]) -> None:
@@ -45,7 +45,7 @@ models: list[CountingModel] = []
 def counts_of(data: bytes) -> list[NDArray[np.float64]]:
     """How often each symbol of each model occurs, in the table's order."""
     models.clear()
-    plain_decoder_rd.parse(data)
+    plain_decoder_v2.read(data).integers()
     return [model.counts for model in models]
 
 
@@ -57,22 +57,23 @@ def edges(counts: NDArray[np.float64]) -> list[int]:
     return [min(round(256 * float(c)), 255) for c in np.cumsum(share / share.sum())[:-1]]
 
 
+def text_of(tables: dict[str, list[list[int]]]) -> str:
+    """JSON with a row a line."""
+    parts = (f' "{name}": [\n  ' + ",\n  ".join(map(json.dumps, starts)) + "\n ]" for name, starts in tables.items())
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
 def main() -> None:
     """See the module."""
-    plain_decoder_rd.Model = CountingModel  # type: ignore[misc]
+    plain_decoder_v2.Model = CountingModel  # type: ignore[misc]
     files = [counts_of(path.read_bytes()) for path in sorted(Path(sys.argv[1]).glob("*.sg"))]
     rows = [edges(np.array(of_model)) for of_model in zip(*files, strict=True)]
-    names = [name for name, starts in plain_decoder_rd.start_tables().items() for _ in starts]
-    numbers: dict[str, int] = defaultdict(int)
-    text = plain_decoder_rd.FORMAT.read_text("utf-8")
+    remaining = iter(rows)
+    tables = {name: [next(remaining) for _ in starts] for name, starts in plain_decoder_v2.start_tables().items()}
+    plain_decoder_v2.MODELS.write_text(text_of(tables), "utf-8")
     code = HEADER.read_text("utf-8")
-    for name, row in zip(names, rows, strict=True):
-        label = f"{name} {numbers[name]}"
-        numbers[name] += 1
-        text = re.sub(rf"^\| {label} \| `[0-9a-f]+` \|$", f"| {label} | `{bytes(row).hex()}` |", text, flags=re.M)
     remaining = iter(rows)
     code = re.sub(r"\{\d+(, \d+)+\}", lambda _: "{" + ", ".join(map(str, next(remaining))) + "}", code)
-    plain_decoder_rd.FORMAT.write_text(text, "utf-8")
     HEADER.write_text(code, "utf-8")
 
 

@@ -23,7 +23,7 @@ from PIL import Image
 
 import sgmethod
 from sgmethod import codec, decode, info
-from sgmethod.budget import BUDGET_KINDS, Budget
+from sgmethod.budget import Budget
 from sgmethod.cli import arguments, decoding, files, terminal
 from sgmethod.cli import main as cli
 from sgmethod.io.image import read_image
@@ -80,10 +80,9 @@ def start(*arguments: str, module: bool = True, binary: bool = False, **options:
 
 
 def start_interruptible(*arguments: str, **options: Any) -> subprocess.Popen[Any]:
-    """A process that Ctrl-C may reach at any moment.
+    """A process that hears of Ctrl-C even where a shell's background jobs do not.
 
-    It hears of it even where a shell's background jobs do not. Its coverage is not measured: an interrupt between the
-    acquire and the release of coverage's own lock leaves it locked, and the process waits for it for ever.
+    Its coverage is not measured: an interrupt while coverage holds its own lock leaves it locked for ever.
     """
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -91,11 +90,6 @@ def start_interruptible(*arguments: str, **options: Any) -> subprocess.Popen[Any
         return start(*arguments, env=environment, **options)
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def terminal_pair() -> tuple[int, int]:
-    """Our end of a terminal, and the other."""
-    return pty.openpty()
 
 
 def names() -> set[str]:
@@ -143,51 +137,15 @@ def test_encode_and_decode(run: Run) -> None:
     ],
 )
 def test_views(run: Run, line: str, view: View) -> None:
-    data = golden_path("v3-color.sg").read_bytes()
+    data = golden_path("v2-color.sg").read_bytes()
     Path("rd.sg").write_bytes(data)
     assert run("decode", "rd.sg", "out.png", "--quiet", *line.split()) == Ran(0, "", "")
     assert np.array_equal(np.asarray(Image.open("out.png")), decode(data, view=view))
 
 
-def test_quality(run: Run) -> None:
-    sizes = []
-    for quality in ("10", "60"):
-        ran = run("encode", "photo.png", "out.sg", "--quality", quality, "--json")
-        assert (ran.status, "--looks" in ran.err) == (0, True)
-        sizes.append(json.loads(ran.out)["bytes"])
-    assert 2 * sizes[0] < sizes[1]
-
-
-def test_looks(run: Run) -> None:
-    for looks, least in (("preview", 40), ("60", 60)):
-        ran = run("encode", "photo.png", "out.sg", "--looks", looks, "--json")
-        assert (ran.status, ran.err) == (0, "")
-        assert least - 1 < json.loads(ran.out)["ssimulacra2"] < least + 6
-    assert run("encode", "photo.png", "out.sg", "--looks", "best").status == 2
-
-
-def test_info_of_version_3(run: Run) -> None:
-    data = golden_path("v3-grey.sg").read_bytes()
-    Path("rd.sg").write_bytes(data)
-    ran = run("info", "rd.sg", "--json")
-    assert (ran.status, ran.err) == (0, "")
-    assert json.loads(ran.out) == json.loads(json.dumps(info(data).to_dict()))
-    ran = run("info", "rd.sg")
-    assert (ran.status, ran.err) == (0, "")
-    shown = {line[:16].strip(): line[16:] for line in ran.out.splitlines()}
-    assert shown["picture"] == "48 x 40 pixels"
-    assert shown["file"] == f"{len(data)} bytes, {8 * len(data) / 48 / 40:.4f} bits per pixel"
-    assert shown["format"] == f"version 3, profile rd, checksum {data[4:8].hex()}"
-    assert (shown["grey"], shown["upright"]) == ("yes", "no")
-    assert shown.keys() >= {"Gaussians", "bits", "quantum", "background"}
-    assert max(map(len, ran.out.splitlines())) < 100
-
-
-def test_the_budget_is_0_3_bpp_if_not_told(run: Run) -> None:
-    assert run("encode", "photo.png", "default.sg").status == 0
-    assert run("encode", "photo.png", "told.sg", "--bpp", "0.3").status == 0
-    assert Path("default.sg").read_bytes() == Path("told.sg").read_bytes()
-    assert Path("told.sg").stat().st_size <= 0.3 * 128 * 96 / 8
+def test_quality_is_for_old_scripts(run: Run) -> None:
+    ran = run("encode", "photo.png", "out.sg", "--quality", "10", "--json")
+    assert (ran.status, "--looks" in ran.err) == (0, True)
 
 
 def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -225,19 +183,34 @@ def test_summary_and_trace(run: Run) -> None:
     assert written["trace"][-1]["bytes"] == size
 
 
-def test_info(run: Run) -> None:
-    data = Path("picture.sg").read_bytes()
+@pytest.mark.parametrize(
+    ("name", "parts", "lines"),
+    [
+        (
+            "v1-paper",
+            {"headers", "positions", "covariances", "colors"},
+            {"picture": "40 x 56 pixels", "position bits": "12"},
+        ),
+        (
+            "v2-grey",
+            {"headers", "texture", "alpha", "payload"},
+            {"picture": "48 x 40 pixels", "grey": "yes", "upright": "no"},
+        ),
+    ],
+)
+def test_info(run: Run, name: str, parts: set[str], lines: dict[str, str]) -> None:
+    data = golden_path(f"{name}.sg").read_bytes()
+    Path("picture.sg").write_bytes(data)
     ran = run("info", "picture.sg", "--json")
     assert (ran.status, ran.err) == (0, "")
     assert json.loads(ran.out) == json.loads(json.dumps(info(data).to_dict()))
     ran = run("info", "picture.sg")
     assert (ran.status, ran.err) == (0, "")
     shown = {line[:16].strip(): line[16:] for line in ran.out.splitlines()}
+    assert shown.items() >= lines.items()
     bits = {name: int(part.replace(",", "")) for name, part in re.findall(r"(\w+) ([\d,]+) \(", shown["bits"])}
-    assert bits.keys() == {"headers", "positions", "covariances", "colors"}
+    assert bits.keys() == parts
     assert sum(bits.values()) == 8 * len(data)
-    assert shown["picture"] == "40 x 56 pixels"
-    assert shown["position bits"] == "12"
 
 
 @pytest.mark.parametrize("module", [True, False])
@@ -247,120 +220,66 @@ def test_version(module: bool) -> None:
     assert err == ""
 
 
-@pytest.mark.parametrize("command", [[], ["encode"], ["decode"], ["info"], ["compare"], ["plot"]])
-def test_help(run: Run, command: list[str]) -> None:
-    ran = run(*command, "--help")
-    assert (ran.status, ran.err) == (0, "")
-    assert ran.out.startswith("usage: sgmethod")
-    examples = ran.out.partition("examples:\n")[2]
-    assert re.search(rf"^  sgmethod {command[0] if command else 'encode'} ", examples, re.MULTILINE)
-
-
 @pytest.mark.parametrize(
     ("line", "why"),
     [
         ("", "COMMAND"),
         ("compress photo.png out.sg", "'compress'"),
+        (ENCODE + "--looks best", "looks"),
         ("encode", "IN [OUT.sg]"),
         ("decode picture.sg", "OUT"),
         ("encode ''", "a file name must not be empty"),
         ("encode .", ". is a folder: to encode the pictures in it, use --output-dir out"),
-        ("encode folder", "folder is a folder: to encode the pictures in it, use --output-dir out"),
         ("encode photo.png ''", "a file name must not be empty"),
-        ("encode photo.png -o ''", "a file name must not be empty"),
-        ("encode photo.png --trace ''", "a file name must not be empty"),
-        ("encode photo.png --output-dir ''", "a file name must not be empty"),
-        ("decode '' out.png", "a file name must not be empty"),
-        ("info ''", "a file name must not be empty"),
-        ("compare photo.png ''", "a file name must not be empty"),
-        ("plot '' out.svg", "a file name must not be empty"),
         ("encode photo.png a.sg -o b.sg", "3 names given"),
         ("encode photo.png -o a.sg --output-dir folder", "--output cannot be combined with --output-dir"),
-        ("decode picture.sg a.png -o b.png", "3 names given"),
-        ("decode picture.sg --output-dir folder -o a.png", "--output cannot be combined with --output-dir"),
         ("decode - --output-dir folder", "standard input"),
         ("decode folder --output-dir folder", "folder contains no file ending in .sg"),
         ("encode folder --output-dir folder", "folder contains no file ending in .apng, .avif"),
         ("decode picture.sg ./folder/../picture.sg --output-dir folder", "would both become folder/picture.png"),
         (ENCODE + "--bytes many", "a size is a number of bytes, such as 20000, 20k or 1.5MB, not 'many'"),
-        (ENCODE + "--bytes 20g", "a size is a number of bytes,"),
-        (ENCODE + "--bytes ''", "a size is a number of bytes,"),
         (ENCODE + "--bytes 0.0105k", "whole"),
-        (ENCODE + "--bytes=-1k", "positive"),
         (ENCODE + "-q 101", "at most 100"),
         (ENCODE + "--server 127.0.0.1:8000", "must begin with http:// or https://, got '127.0.0.1:8000'"),
         (DECODE + "--width 0", "a width is a whole number from 1 to 65536"),
-        (DECODE + "--height 1.5", "a height is a whole number"),
         (DECODE + "--width 20 --scale 2", "--scale cannot be combined with --width or --height"),
-        (DECODE + "--width 40000", "scale must be between"),
         ("encode old.sg", "is named like an .sg file"),
         ("encode photo.png out.png", "the output out.png must end in .sg"),
-        ("encode photo.png out", "the output out must end in .sg"),
         ("encode photo.png picture.jpg out.sg", "--output-dir"),
-        ("encode photo.png - --output-dir folder", "standard input"),
         ("encode photo.png --output-dir folder --trace t.json", "--trace"),
         ("encode photo.png --output-dir photo.png", "cannot write photo.png: File exists"),
         ("encode photo.png ./photo.jpg --output-dir folder", "would both become folder/photo.sg"),
         (ENCODE + "--jobs 0", "from 1 to 256"),
         ("decode picture.sg out.gif", "must end in one of .png, .jpg"),
-        ("decode picture.sg out", "must end in one of .png, .jpg"),
         ("compare photo.png picture.sg", "differ in size: 128 x 96 and 40 x 56"),
-        ("compare photo.png missing.png", "cannot read missing.png"),
-        ("compare photo.png folder", "cannot read folder: Is a directory"),
         ("info", "IN.sg"),
         (ENCODE + "more", "--output-dir"),
         (DECODE + "more", "--output-dir"),
         (DECODE + "--more", "unrecognized arguments: --more"),
-        (DECODE + "--quiet more", "3 names given"),
         ("info picture.sg more", "unrecognized arguments: more"),
         (ENCODE + "--bp 1", "--bp"),
-        (ENCODE + "--bpp", "--bpp"),
         (ENCODE + "--bpp x", "--bpp"),
         (ENCODE + "--bpp 1 --bytes 500", "not allowed with"),
-        (ENCODE + "--psnr 30 --gaussians 5", "not allowed with"),
         (ENCODE + "--bpp 0", "positive"),
-        (ENCODE + "--bpp -1", "positive"),
-        (ENCODE + "--bpp nan", "positive"),
-        (ENCODE + "--bpp inf", "positive"),
         (ENCODE + "--bytes 10.5", "whole"),
-        (ENCODE + "--bytes 1e400", "positive"),
         (ENCODE + "--bytes 11", "at least"),
-        (ENCODE + "--bpp 1e-9", "at least"),
         (ENCODE + "--psnr 99", "at most 60"),
-        (ENCODE + "--gaussians 0", "positive"),
         (ENCODE + "--gaussians 99999", "exceed the image's 12288 pixels"),
         (ENCODE + "--profile best", "'best'"),
         (ENCODE + "--tune best", "'best'"),
         (ENCODE + "--tune visual --psnr 30", "a budget in dB can only be tuned for psnr"),
         (ENCODE + "--seed -1", "whole number"),
-        (ENCODE + "--seed 1e3", "whole number"),
         (ENCODE + "--time-limit 0", "time limit"),
-        (ENCODE + "--time-limit nan", "time limit"),
-        (ENCODE + "--time-limit soon", "--time-limit"),
         ("encode missing.png out.sg", "cannot read missing.png: No such file"),
-        ("encode folder out.sg", "cannot read folder: Is a directory"),
         ("encode 'two\nlines' out.sg", "cannot read two lines"),
         ("encode picture.sg out.sg", "not a PNG"),
         ("decode missing.sg out.png", "cannot read missing.sg: No such file"),
         ("decode photo.png out.png", "not an .sg file"),
-        (ENCODE + "--quality 101", "at most 100"),
-        (ENCODE + "--quality 0", "positive"),
-        (ENCODE + "--quality 50 --bpp 1", "not allowed with"),
         (DECODE + "--scale 0", "scale must be between"),
-        (DECODE + "--scale 65", "scale must be between"),
-        (DECODE + "--scale nan", "scale must be between"),
-        (DECODE + "--scale big", "--scale"),
         (DECODE + "--prefix 0", "prefix must be above 0"),
-        (DECODE + "--prefix 1.5", "prefix must be above 0"),
         (DECODE + "--prefix 0.5", "cannot be decoded from a prefix"),  # version 1
-        (DECODE + "--region 1,2,3", "four whole numbers"),
         (DECODE + "--region 1,2,3,x", "four whole numbers"),
         (DECODE + "--region 0,0,41,56", "is not inside the picture of 40 x 56"),
-        (DECODE + "--region=-1,0,5,5", "is not inside the picture"),
-        (DECODE + "--region 0,0,0,5", "is not inside the picture"),
-        ("info photo.png", "not an .sg file"),
-        ("info missing.sg", "cannot read missing.sg: No such file"),
-        ("info folder --json", "cannot read folder: Is a directory"),
     ],
 )
 def test_refused_in_one_line(run: Run, line: str, why: str) -> None:
@@ -373,13 +292,10 @@ def test_refused_in_one_line(run: Run, line: str, why: str) -> None:
     [
         ("encode photo.png missing/out.sg", "cannot write missing/out.sg: No such file"),
         ("encode photo.png folder.sg", "cannot write folder.sg: Is a directory"),
-        ("encode photo.png photo.png/out.sg", "cannot write photo.png/out.sg: Not a directory"),
         ("encode photo.png /proc/out.sg", "cannot write /proc/out.sg"),  # where even root cannot write
         (f"encode photo.png {'o' * 300}.sg", "name too long"),
         ("encode photo.png out.sg --trace missing/trace.json", "cannot write missing/trace.json: No such file"),
-        ("encode photo.png out.sg --trace folder", "cannot write folder: Is a directory"),
         ("encode picture.sg picture.sg", "different files"),
-        ("encode picture.sg ./folder/../picture.sg", "different files"),
         ("encode picture.sg", "is named like an .sg file"),
         ("encode photo.png out.sg --trace out.sg", "different files"),
         ("decode picture.sg missing/out.png", "cannot write missing/out.png: No such file"),
@@ -410,34 +326,12 @@ def test_permissions_are_known_before_the_work(run: Run) -> None:
     assert_refused(run("encode", "photo.png", "picture.sg"), "Permission denied")
 
 
-def saved(kind: str, **options: object) -> bytes:
-    file = io.BytesIO()
-    PHOTO.save(file, kind, **options)
-    return file.getvalue()
-
-
 def damaged_tiff() -> bytes:
-    data = bytearray(saved("TIFF", compression="tiff_lzw"))
+    file = io.BytesIO()
+    PHOTO.save(file, "TIFF", compression="tiff_lzw")
+    data = bytearray(file.getvalue())
     data[100:400] = b"\xff" * 300
     return bytes(data)
-
-
-DAMAGED = {
-    "empty": b"",
-    "text": b"hello",
-    "cut gif": saved("GIF")[:3000],
-    "cut png": saved("PNG")[:3000],
-    "cut jpeg": saved("JPEG")[:900],
-    "cut webp": saved("WEBP")[:900],
-    "cut bmp": saved("BMP")[:900],
-    "damaged tiff": damaged_tiff(),
-}
-
-
-@pytest.mark.parametrize("name", DAMAGED)
-def test_damaged_images(run: Run, name: str) -> None:
-    Path("input").write_bytes(DAMAGED[name])
-    assert_refused(run("encode", "input", "out.sg"), "")
 
 
 def test_what_libtiff_prints_is_not_shown(run: Run, capfd: pytest.CaptureFixture[str]) -> None:
@@ -448,15 +342,9 @@ def test_what_libtiff_prints_is_not_shown(run: Run, capfd: pytest.CaptureFixture
     Path("input").write_bytes(damaged_tiff())
     ran = run("encode", "input", "out.sg")
     assert noise not in ran.err
+    assert_refused(ran, "")
     os.write(2, b"stderr is back\n")
     assert capfd.readouterr().err == "stderr is back\n"
-
-
-@pytest.mark.parametrize("length", [0, 3, 14, 15, 150, 300])
-def test_cut_bitstreams(run: Run, length: int) -> None:
-    Path("input").write_bytes(Path("picture.sg").read_bytes()[:length])
-    assert_refused(run("decode", "input", "out.png"), "")
-    assert_refused(run("info", "input"), "")
 
 
 def test_endless_input(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -480,20 +368,6 @@ def test_too_little_memory(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(decoding, "SgFile", decode_more)
     assert_refused(run("decode", "picture.sg", "out.png"), "memory")
-
-
-def test_devices_are_written_directly(run: Run) -> None:
-    assert run("decode", "picture.sg", os.devnull, "--quiet") == Ran(0, "", "")
-    assert not Path(os.devnull).is_file()
-
-
-def test_interrupt(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(codec, "encode", interrupted)
-    assert run("encode", "photo.png", "out.sg") == Ran(130, "", "")
-    assert names() == {"photo.png", "picture.sg"}
 
 
 def test_interrupt_of_a_process() -> None:
@@ -526,25 +400,21 @@ def rest_of(terminal: int) -> bytes:
 
 
 def test_progress_on_a_terminal() -> None:
-    for extra, shown in (([], True), (["--quiet"], False)):
+    seen = {}
+    for extra in ("--seed=0", "--quiet"):
         ours, theirs = pty.openpty()
-        arguments = ["photo.png", "out.sg", "--gaussians", "9", "--time-limit", "1", *extra]
+        arguments = ["photo.png", "out.sg", "--gaussians", "9", "--time-limit", "1", extra]
         process = start("encode", *arguments, stdout=subprocess.PIPE, stderr=theirs)
         os.close(theirs)
-        seen = rest_of(ours)
+        seen[extra] = rest_of(ours)
         process.communicate(timeout=30)
         assert process.returncode == 0
-        lines = seen.split(b"\r")
-        assert (len(lines) > 2) == shown
-        if shown:
-            assert lines[-1] == b"\x1b[K"  # the line is gone at the end
-            assert b"\n" not in seen
-            for line in lines[1:-1]:
-                assert re.fullmatch(
-                    rb"\w+ +\[[#.]{24}\] +\d+%  [\d,]+ Gaussians  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K", line
-                )
-        else:
-            assert seen == b""
+    assert seen["--quiet"] == b""
+    first, *lines, last = seen["--seed=0"].split(b"\r")
+    assert (first, last) == (b"", b"\x1b[K")  # the line is gone at the end
+    assert len(lines) > 0
+    shown = rb"\w+ +\[[#.]{24}\] +\d+%  [\d,]+ Gaussians  \d+\.\d s(, \d+ (s|min) left)?\x1b\[K"
+    assert all(re.fullmatch(shown, line) for line in lines)
 
 
 def test_progress_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -552,15 +422,6 @@ def test_progress_fits_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = io.StringIO()
     terminal.redraw(stream, terminal.bar(TracePoint(3.21, 500, 1000, 28.456, 0, 100, "tune"), 3.21))
     assert stream.getvalue() == "\rtune  [############..........\x1b[K"
-
-
-def test_nobody_reads_stdout() -> None:
-    reader, writer = os.pipe()
-    os.close(reader)
-    process = start("info", "picture.sg", stdout=writer, stderr=subprocess.PIPE)
-    os.close(writer)
-    assert process.communicate()[1] == ""
-    assert process.returncode == 141
 
 
 def test_stdout_is_full() -> None:
@@ -571,77 +432,18 @@ def test_stdout_is_full() -> None:
     assert re.fullmatch(r"sgmethod: .*No space left on device.*\n", err)
 
 
-def encode_without(package: str, tmp_path: Path, *arguments: str) -> Ran:
-    stub = tmp_path / "stub"
-    stub.mkdir()
-    (stub / f"{package}.py").write_text(
-        f"raise ModuleNotFoundError(\"No module named '{package}'\", name='{package}')\n"
-    )
-    environment = {**os.environ, "PYTHONPATH": str(stub)}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = start("encode", "photo.png", "out.sg", *arguments, **pipes, env=environment)
-    out, err = process.communicate()
-    return Ran(process.returncode, out, err)
-
-
-def test_the_papers_profiles_without_torch_say_what_to_install(tmp_path: Path) -> None:
-    status, out, err = encode_without("torch", tmp_path, "--profile", "baseline")
-    assert (status, out) == (2, "")
-    assert re.fullmatch(r"sgmethod: .*No module named 'torch'.* pip install 'sgmethod\[torch\]'\n", err)
-    assert not Path("out.sg").exists()
-
-
-def test_the_default_profile_needs_no_torch(tmp_path: Path) -> None:
-    assert encode_without("torch", tmp_path, "--bytes", "200", "--quiet") == Ran(0, "", "")
-    assert Path("out.sg").stat().st_size <= 200
-
-
-def test_decode_and_info_load_no_encoder() -> None:
-    script = (
-        "import sys\n"
-        "from sgmethod.cli.main import main\n"
-        "assert main(['decode', 'picture.sg', 'out.png']) == main(['info', 'picture.sg', '--json']) == 0\n"
-        "print(*{'torch', 'cv2', 'skimage', 'scipy'} & sys.modules.keys(), file=sys.stderr)\n"
-    )
-    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
-    assert ran.stderr.strip() == ""
-    assert names() == {"photo.png", "picture.sg", "out.png"}
-
-
 def commands_of(document: str) -> list[str]:
     blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / document).read_text(), re.MULTILINE | re.DOTALL)
     return [line for block in blocks for line in block.splitlines() if line.startswith("sgmethod ")]
 
 
-def test_the_command_lines_page_names_every_profile() -> None:
+@pytest.mark.parametrize("command", ["encode", "decode"])
+def test_the_command_lines_page_names_every_option_and_profile(run: Run, command: str) -> None:
     text = (ROOT / "docs" / "command_line.md").read_text()
-    for name in PROFILE_NAMES:
-        assert f"\n| `{name}`" in text
+    options = set(re.findall(r"--[a-z-]+", run(command, "--help").out)) - {"--help", "--effort-"}
+    assert [option for option in options if f"{option}" not in text] == []
+    assert all(f"\n| `{name}`" in text for name in PROFILE_NAMES)
     assert f"\n| `{DEFAULT_PROFILE}` (default) |" in text
-
-
-def test_the_command_lines_page_names_every_argument() -> None:
-    text = "\n".join(commands_of("docs/command_line.md"))
-    for flag in (
-        *(kind for kind in BUDGET_KINDS if kind != "quality"),  # which is for old scripts
-        "profile",
-        "tune",
-        "time-limit",
-        "seed",
-        "trace",
-        "json",
-        "quiet",
-        "output-dir",
-        "jobs",
-        "resume",
-        "no-clobber",
-        "width",
-        "scale",
-        "region",
-        "prefix",
-        "no-texture",
-    ):
-        assert f"--{flag}" in text
 
 
 def small(line: str) -> str:
@@ -677,12 +479,14 @@ def test_commands_of_the_readme(run: Run) -> None:
 
 
 def test_commands_of_the_command_lines_page(run: Run) -> None:
+    """Slow: each is an encode or draws a picture."""
     run_in_order(run, commands_of("docs/command_line.md"))
-    assert info("photo.sg").version == 5  # none has put a file of another profile in its place
+    assert info("photo.sg").version == 2  # none has put a file of another profile in its place
     assert {"photo.sg", "small.sg", "baseline.sg", "out", "photo.png", "part.png", "fit.svg"} <= names()
 
 
 def test_commands_of_the_help(run: Run) -> None:
+    """Slow: as many encodes again."""
     Path("photos").mkdir(exist_ok=True)
     for name in ("photos/a.jpg", "a.png", "b.png"):
         PHOTO.save(name)
@@ -701,27 +505,27 @@ def test_python_of_the_readme() -> None:
     assert np.array_equal(np.asarray(Image.open("photo.png")), decode(Path("photo.sg").read_bytes()))
 
 
-@pytest.mark.parametrize("command", ["encode photo.png out.sg", "decode in.sg out.png", "info in.sg"])
-def test_missing_kernels_are_one_clear_line(tmp_path: Path, command: str) -> None:
-    PHOTO.save(tmp_path / "photo.png")
-    (tmp_path / "in.sg").write_bytes(golden_path("v3-color.sg").read_bytes())
-    missing = "import sys; sys.modules['sgmethod.native._native'] = None"
-    script = f"{missing}; from sgmethod.cli.main import main; sys.exit(main())"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    ran = subprocess.run(
-        [sys.executable, "-c", script, *command.split()],
-        cwd=tmp_path,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert ran.returncode == 2
-    assert re.fullmatch(r"sgmethod: the compiled part .* pip install --force-reinstall \.\n", ran.stderr)
-    assert not (tmp_path / "out.sg").exists()
-
-
 def test_an_encode_that_torch_has_no_memory_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """It says so with an error of its own."""
     monkeypatch.setattr(paper, "run", lambda *_: torch.empty(1 << 55, dtype=torch.uint8))
     assert_refused(run("encode", "photo.png", "out.sg", "--profile", "paper"), "out of memory")
+
+
+@pytest.mark.parametrize(
+    ("module", "line", "why"),
+    [
+        ("sgmethod.native._native", "encode photo.png out.sg", r"the compiled part .* --force-reinstall \."),
+        ("sgmethod.native._native", "decode picture.sg out.png", r"the compiled part .*"),
+        ("sgmethod.native._native", "info picture.sg", r"the compiled part .*"),
+        ("torch", "encode photo.png out.sg --profile baseline", r".*torch.* pip install 'sgmethod\[torch\]'"),
+    ],
+)
+def test_what_is_not_installed_is_one_clear_line(module: str, line: str, why: str) -> None:
+    missing = f"import sys; sys.modules['{module}'] = None  # to import it is an ImportError"
+    script = f"{missing}\nfrom sgmethod.cli.main import main; sys.exit(main())"
+    command = [sys.executable, "-c", script, *line.split()]
+    ran = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False
+    )
+    assert_refused(Ran(ran.returncode, ran.stdout, ran.stderr), "pip install")
+    assert re.fullmatch(rf"sgmethod: {why}\n", ran.stderr)

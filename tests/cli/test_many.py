@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import json
 import os
+import pty
 import re
-import stat
 import subprocess
 import time
 from pathlib import Path
@@ -17,8 +17,7 @@ from PIL import Image
 
 from sgmethod import Budget, codec, decode
 from sgmethod.cli import naming
-from sgmethod.cli.terminal import remaining
-from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, rest_of, run, start, terminal_pair
+from tests.cli.test_cli import PHOTO, Run, assert_refused, in_folder, rest_of, run, start
 
 __all__ = ["in_folder", "run"]  # fixtures
 
@@ -78,28 +77,15 @@ def test_folders(run: Run) -> None:
 
 
 def test_resuming(run: Run) -> None:
-    """What the manifest has is skipped, failures are tried again, and other options make other files."""
+    """What the manifest has is skipped, and other options make other files (more: tests/many)."""
     Path("photos").mkdir()
     for name in ("a.png", "b.png"):
         PHOTO.resize((32, 24)).save(f"photos/{name}")
     Path("photos/bad.png").write_bytes(b"hello")
     line = ["encode", "photos", "--output-dir", "out", "--resume", "--gaussians", "9", "--effort", "1"]
     assert run(*line, "--jobs", "2").out.splitlines()[-1].startswith("2 encoded, 0 skipped, 1 failed: ")
-    rows = {row["name"]: row for row in map(json.loads, Path("out/manifest.jsonl").read_text().splitlines())}
-    assert rows.keys() == {"a.sg", "b.sg", "bad.sg"}
-    assert rows["a.sg"]["input"] == "photos/a.png"
-    assert rows["a.sg"]["bytes"] == rows["a.sg"]["figures"]["bytes"] == Path("out/a.sg").stat().st_size
-    assert (rows["a.sg"]["error"], rows["bad.sg"]["bytes"]) == (None, 0)
-    PHOTO.resize((32, 24)).save("photos/bad.png")
-    Path("out/b.sg").unlink()
-    again = run(*line).out.splitlines()
-    assert {text.partition(":")[0] for text in again[:-1]} == {
-        "photos/b.png -> out/b.sg",
-        "photos/bad.png -> out/bad.sg",
-    }
-    assert again[-1].startswith("2 encoded, 1 skipped, 0 failed: ")
-    assert run(*line).out.startswith("0 encoded, 3 skipped, 0 failed: ")
-    assert run(*line, "--tune", "psnr").out.splitlines()[-1].startswith("3 encoded, 0 skipped, 0 failed: ")
+    assert run(*line).out.splitlines()[-1].startswith("0 encoded, 2 skipped, 1 failed: ")
+    assert run(*line, "--tune", "psnr").out.splitlines()[-1].startswith("2 encoded, 0 skipped, 1 failed: ")
 
 
 def test_resuming_needs_a_folder_and_a_manifest(run: Run) -> None:
@@ -114,7 +100,7 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     """A line that is gone before another is printed, and at the end."""
     for name in ("a.sg", "b.sg"):
         Path(name).write_bytes(Path(GOLDEN).read_bytes())
-    ours, theirs = terminal_pair()
+    ours, theirs = pty.openpty()
     process = start("decode", "a.sg", "b.sg", "--output-dir", "out", stdout=theirs, stderr=theirs)
     os.close(theirs)
     seen = rest_of(ours).decode()
@@ -127,21 +113,12 @@ def test_how_many_of_how_many_on_a_terminal() -> None:
     assert end.startswith("2 decoded, 0 skipped, 0 failed: ")
 
 
-def test_time_left_in_a_unit_that_people_read() -> None:
-    assert remaining(10, 1 / 13) == ", 2 min left"
-    assert remaining(3600, 1 / 10) == ", 9 h left"
-    assert remaining(119, 0.5) == ", 119 s left"
-
-
 @pytest.mark.parametrize(
     ("line", "size"),
     [
         ("--width 20", (20, 28)),
-        ("--height 28", (20, 28)),
-        ("--width 37", (37, 52)),
         ("--height 111", (79, 111)),
         ("--width 20 --height 20", (14, 20)),  # the picture stays within both
-        ("--width 100 --height 9999", (100, 140)),
         ("--region 4,6,10,20 --width 40", (40, 80)),
     ],
 )
@@ -150,10 +127,7 @@ def test_width_and_height(run: Run, line: str, size: tuple[int, int]) -> None:
     assert size_of("out.png") == size
 
 
-@pytest.mark.parametrize(
-    ("text", "size"),
-    [("700", 700), ("0.7k", 700), ("1.001kB", 1001), ("0.001M", 1000), ("0.0015 MB", 1500), ("1KiB", 1024)],
-)
+@pytest.mark.parametrize(("text", "size"), [("0.7k", 700), ("1.001kB", 1001), ("0.0015 MB", 1500), ("1KiB", 1024)])
 def test_sizes_as_people_type_them(run: Run, monkeypatch: pytest.MonkeyPatch, text: str, size: int) -> None:
     real, budgets = codec.encode, []
 
@@ -168,12 +142,11 @@ def test_sizes_as_people_type_them(run: Run, monkeypatch: pytest.MonkeyPatch, te
 
 
 def test_short_options_and_names_between_options(run: Run) -> None:
-    assert run("encode", "photo.png", "-q", "10", "a.sg", "--quiet").status == 0
-    assert run("encode", "-o", "b.sg", "--quality", "10", "photo.png", "--quiet").status == 0
-    assert Path("a.sg").read_bytes() == Path("b.sg").read_bytes()
-    assert run("decode", GOLDEN, "--quiet", "a.png").status == 0
-    assert run("decode", "-o", "b.png", GOLDEN, "--quiet").status == 0
-    assert Path("a.png").read_bytes() == Path("b.png").read_bytes()
+    for command, name, options in (("encode", "photo.png", ["-q", "10"]), ("decode", GOLDEN, ["--scale", "0.5"])):
+        suffix = {"encode": "sg", "decode": "png"}[command]
+        assert run(command, name, *options, f"a.{suffix}", "--quiet").status == 0
+        assert run(command, "-o", f"b.{suffix}", *options, name, "--quiet").status == 0
+        assert Path(f"a.{suffix}").read_bytes() == Path(f"b.{suffix}").read_bytes()
 
 
 # --- what may not be silent
@@ -189,7 +162,6 @@ def warnings_of(err: str) -> list[str]:
         ("--psnr 60 --time-limit 0.05", ["the requested PSNR is missed by"]),
         ("--bytes 13", ["the file contains only a background and no Gaussians"]),
         ("--bpp 6", ["larger than its source"]),
-        ("--psnr 12", []),  # a background alone is as good
         ("--bpp 0.3", []),
     ],
 )
@@ -218,19 +190,16 @@ def test_names_of_pipes() -> None:
         assert process.returncode == 0, err
         assert np.array_equal(np.asarray(Image.open(io.BytesIO(out))), pixels)
         assert err.startswith(b"picture.sg -> standard output: ")
+    Path("log").write_bytes(b"before")
+    with Path("log").open("ab") as log:
+        assert start("decode", GOLDEN, "/dev/stdout", "--quiet", stdout=log).wait() == 0
+    assert Path("log").read_bytes().startswith(b"before\x89PNG")
     reader, writer = os.pipe()
     process = start("decode", GOLDEN, f"/dev/fd/{writer}", "--quiet", pass_fds=[writer])
     os.close(writer)
     with os.fdopen(reader, "rb") as pipe:
         assert np.array_equal(np.asarray(Image.open(io.BytesIO(pipe.read()))), pixels)
     assert process.wait() == 0
-
-
-def test_standard_output_by_name_keeps_what_is_there() -> None:
-    Path("log").write_bytes(b"before")
-    with Path("log").open("ab") as log:
-        assert start("decode", GOLDEN, "/dev/stdout", "--quiet", stdout=log).wait() == 0
-    assert Path("log").read_bytes().startswith(b"before\x89PNG")
 
 
 def test_pipes_by_name_for_encode_and_its_trace() -> None:
@@ -248,18 +217,10 @@ def test_pipes_by_name_for_encode_and_its_trace() -> None:
     assert process.wait() == 0
 
 
-@pytest.mark.parametrize("mode", [0o600, 0o644, 0o640])
-def test_a_file_that_is_replaced_keeps_its_mode(run: Run, mode: int) -> None:
-    Path("out.png").write_bytes(b"before")
-    Path("out.png").chmod(mode)
-    assert run("decode", GOLDEN, "out.png", "--quiet").status == 0
-    assert stat.S_IMODE(Path("out.png").stat().st_mode) == mode
-
-
 # --- threads and seconds
 
 
-@pytest.mark.parametrize("text", ["0", "-1", "257", "two", "1.5", " 2", "2x"])
+@pytest.mark.parametrize("text", ["0", "257", "two", "1.5", " 2"])
 def test_a_number_of_threads_that_there_is_not(run: Run, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
     monkeypatch.setenv("SG_THREADS", text)
     assert_refused(run("decode", GOLDEN, "out.png"), f"SG_THREADS must be a whole number from 1 to 256, not {text!r}")

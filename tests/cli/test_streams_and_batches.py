@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import pty
 import re
 import signal
 import subprocess
@@ -33,7 +34,6 @@ from tests.cli.test_cli import (
     run,
     start,
     start_interruptible,
-    terminal_pair,
 )
 from tests.many.killing import begun_and_killed
 
@@ -51,7 +51,7 @@ def piped(*arguments: str, data: bytes) -> tuple[int, bytes, bytes]:
 
 def test_standard_input_and_output() -> None:
     status, data, err = piped("encode", "-", "-", "--gaussians", "9", data=Path("photo.png").read_bytes())
-    assert (status, data[:2]) == (0, b"\xd3\xc5")
+    assert (status, data[:2]) == (0, b"\xd3\xc2")
     assert re.fullmatch(rb"standard input -> standard output: 128 x 96: .*\n", err)
     assert piped("encode", "-", "--gaussians", "9", "--quiet", data=Path("photo.png").read_bytes()) == (0, data, b"")
     status, picture, err = piped("decode", "-", "-", data=data)
@@ -63,24 +63,25 @@ def test_standard_input_and_output() -> None:
     assert names() == {"photo.png", "picture.sg"}  # none called "-"
 
 
-def test_nobody_reads_the_picture() -> None:
+@pytest.mark.parametrize("arguments", [("decode", GOLDEN, "-"), ("info", GOLDEN)])
+def test_nobody_reads_standard_output(arguments: tuple[str, ...]) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    process = start("decode", GOLDEN, "-", stdout=writer, stderr=subprocess.PIPE)
+    process = start(*arguments, stdout=writer, stderr=subprocess.PIPE)
     os.close(writer)
     assert process.communicate()[1] == ""
     assert process.returncode == 141
 
 
 def test_no_bytes_for_a_terminal() -> None:
-    ours, theirs = terminal_pair()
+    ours, theirs = pty.openpty()
     process = start("decode", GOLDEN, "-", stdout=theirs, stderr=subprocess.PIPE)
     os.close(theirs)
     err = process.communicate()[1]
     assert process.returncode == 2
     assert "standard output is a terminal" in err
     assert rest_of(ours) == b""
-    ours, theirs = terminal_pair()
+    ours, theirs = pty.openpty()
     process = start("info", "-", stdin=theirs, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     os.close(theirs)
     assert "standard input is a terminal" in process.communicate()[1]
@@ -110,13 +111,7 @@ def test_every_format_but_ppm_says_srgb() -> None:
     assert b"colrnclx\0\1\0\r" in encode_picture(pixels, "AVIF")  # the code points of sRGB: 1 and 13
 
 
-def test_a_picture_that_a_format_cannot_hold(run: Run) -> None:
-    ran = run("decode", GOLDEN, "out.webp", "--scale", "64", "--region", "0,0,40,1")
-    assert ran.status == 0
-    ran = run("encode", "photo.png", "wide.sg", "--gaussians", "9")
-    assert ran.status == 0
-    ran = run("decode", "wide.sg", "wide.webp", "--scale", "64", "--region", "0,0,128,1", "--scale", "64")
-    assert ran.status == 0  # 8,192 wide
+def test_a_picture_that_a_format_cannot_hold() -> None:
     with pytest.raises(Exception, match=r"cannot write .* as WebP"):
         encode_picture(np.zeros((1, 17_000, 3), np.uint8), "WebP")
 
@@ -200,7 +195,7 @@ def test_a_job_that_is_killed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None
 @pytest.mark.thorough
 @pytest.mark.parametrize("after", [0, 2])
 def test_interrupted_jobs_end(after: float) -> None:
-    """Ctrl-C, while two processes start or encode, this long after both are there; and none is left."""
+    """Slow: Ctrl-C, while two processes start or encode, this long after both are there; and none is left."""
     for name in ("one.png", "two.png", "three.png"):
         PHOTO.resize((512, 384)).save(name)
     pictures = ["one.png", "two.png", "three.png"]
@@ -240,6 +235,8 @@ def test_seconds_left() -> None:
     assert remaining(6.0, 0.25) == ", 18 s left"
     assert bar(TracePoint(6.0, 250, 1000, 28.456, 0, 100, "joint"), 8.5).endswith("  8.5 s, 18 s left")
     assert (remaining(6.0, 0.0), remaining(6.0, 1.0)) == ("", "")
+    assert (remaining(10, 1 / 13), remaining(3600, 1 / 10)) == (", 2 min left", ", 9 h left")
+    assert remaining(119, 0.5) == ", 119 s left"
 
 
 def test_compare(run: Run) -> None:

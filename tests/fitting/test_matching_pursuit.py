@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 
 from sgmethod.fitting.matching_pursuit import ALL_COARSER, BLURS_PX, SCALE_OF_BLUR, candidates
 from sgmethod.native import native
-from sgmethod.native.reference import render
 
 FloatArray = NDArray[np.float32]
 
@@ -30,8 +28,10 @@ def planted(
     scale: float, at: tuple[float, float], color: tuple[float, float, float], size: tuple[int, int]
 ) -> FloatArray:
     """The residual [H, W, 3] of one missing round Gaussian."""
-    means, factors, colors = (torch.tensor([v]) for v in (at, (scale, 0.0, scale), color))
-    return np.ascontiguousarray(render(means, factors, colors, size, native.CUTOFF_V3).numpy().transpose(1, 2, 0))
+    means, factors, colors = (np.array([v], np.float32) for v in (at, (scale, 0.0, scale), color))
+    drawn = np.empty((3, *size[::-1]), np.float32)
+    native.Rasterization(means, factors, *size, native.CUTOFF_V2).render(colors, drawn)
+    return np.ascontiguousarray(drawn.transpose(1, 2, 0))
 
 
 @pytest.mark.parametrize("blur", BLURS_PX[1:5])

@@ -7,7 +7,7 @@ import pytest
 
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.level import target_of
-from sgmethod.fitting.moving_target import AheadForTheEye
+from sgmethod.fitting.moving_target import ExaggeratedTarget
 from sgmethod.settings.rd import RD
 
 
@@ -20,7 +20,7 @@ def grainy(height: int = 64, width: int = 96) -> Target:
 
 
 def followed(original: Target, drawn: Target, times: int = 40) -> Target:
-    moving = AheadForTheEye(original, 4, RD.objective.moving)
+    moving = ExaggeratedTarget(original, 4, RD.objective.moving)
     for _ in range(times):
         moving = moving.moved(lambda first, end: (original - drawn)[:, first:end] / np.float32(TARGET_WHITE))
     return moving.now
@@ -61,6 +61,6 @@ def test_grain_that_is_hidden_is_not_exaggerated() -> None:
     original = grainy()
     missing = (original - np.full_like(original, round(original.mean(dtype=np.float64)))) / np.float32(TARGET_WHITE)
     grain = np.rint(missing * TARGET_WHITE).astype(np.int16)
-    still = AheadForTheEye(original, 4, RD.objective.moving)
+    still = ExaggeratedTarget(original, 4, RD.objective.moving)
     plain, hiding = (moving.moved(lambda first, end: missing[:, first:end]) for moving in (still, still.without(grain)))
     assert (hiding.now + grain - original).std() < 0.8 * (plain.now - original).std()

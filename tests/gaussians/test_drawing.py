@@ -13,15 +13,13 @@ from torch import Tensor
 import sgmethod
 from sgmethod.errors import GaussiansError, SgError, ViewError
 from sgmethod.native import native, reference
-from sgmethod.scene import Gaussians, Scene
+from sgmethod.scene import Gaussians
 from sgmethod.torch import drawing, render
 from sgmethod.torch.drawing import _draw, _draw_backward
-from sgmethod.view import View
 from tests.backend.cases import scattered
 
 SIZE = (40, 35)
-CUTOFF = native.CUTOFF_V3
-BLENDS = "accumulated", "normalised"
+CUTOFF = native.CUTOFF_V2
 
 
 def tensors(gaussians: Gaussians, dtype: torch.dtype = torch.float64) -> list[Tensor]:
@@ -59,13 +57,13 @@ def test_values_and_gradients(dtype: torch.dtype, pyramid: bool, seed: int) -> N
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.script.*:DeprecationWarning")  # of torch's own forward mode
-@pytest.mark.parametrize(("pyramid", "blend", "scale"), [*product((True, False), BLENDS, (1, 0.5))])
-def test_gradcheck(pyramid: bool, blend: Any, scale: float) -> None:
+@pytest.mark.parametrize(("pyramid", "scale"), [*product((True, False), (1, 0.5))])
+def test_gradcheck(pyramid: bool, scale: float) -> None:
     means, factors, colors = tensors(scattered(5, 1, (10, 8)))
     background = torch.rand(3, dtype=torch.float64, requires_grad=True)
 
     def drawn(*values: Tensor) -> Tensor:
-        return render(*values[:3], (10, 8), values[3], scale, pyramid, blend=blend)
+        return render(*values[:3], (10, 8), values[3], scale, pyramid)
 
     values = means, factors, colors, background
     assert torch.autograd.gradcheck(drawn, values, fast_mode=True, check_forward_ad=True)
@@ -73,6 +71,7 @@ def test_gradcheck(pyramid: bool, blend: Any, scale: float) -> None:
 
 @pytest.mark.thorough
 def test_it_is_an_operator_of_torch() -> None:
+    """Slow: torch traces and compiles the operator in every way that it knows."""
     values = stacked(6, 2)
     torch.library.opcheck(_draw, (*values, *SIZE, True))
     by_image = torch.rand(2, 3, *SIZE[::-1])
@@ -80,7 +79,7 @@ def test_it_is_an_operator_of_torch() -> None:
 
 
 def test_it_compiles_whole() -> None:
-    """Also for a second scale, for which torch compiles it again with any scale."""
+    """Slow: torch compiles it, and for a second scale again, with any scale."""
 
     def loss(scale: float, *values: Tensor) -> Tensor:
         return render(*values, SIZE, 0.5, scale).square().mean()
@@ -110,12 +109,9 @@ def test_any_layout_in_memory(dtype: torch.dtype) -> None:
     values = stacked(6, 2, dtype)
     turned = [one.detach().mT.contiguous().mT.requires_grad_() for one in values]
     assert not turned[0].is_contiguous()
-    images = render(*values, SIZE), render(*turned, SIZE)
-    assert torch.equal(*images)
-    for one, other in zip(
-        *(torch.autograd.grad(i.sum(), v) for i, v in zip(images, (values, turned), strict=True)), strict=True
-    ):
-        assert torch.equal(one, other)
+    assert torch.equal(render(*values, SIZE), render(*turned, SIZE))
+    gradients = [torch.autograd.grad(render(*v, SIZE).sum(), v) for v in (values, turned)]
+    assert all(map(torch.equal, *gradients))
 
 
 @pytest.mark.parametrize("scale", [0.37, 1.0, 2.5])
@@ -129,15 +125,6 @@ def test_it_draws_what_a_file_shows(scale: float) -> None:
     image = render(means, factors, colors, file.size, below, scale)
     levels = (255 * image.clamp(0, 1)).permute(1, 2, 0).numpy()
     assert np.abs(levels - file.pixels(scale)).max() < 0.501
-
-
-def test_normalised_blending() -> None:
-    """One Gaussian paints its colour wherever it reaches; where none does there is the background."""
-    means, factors = torch.tensor([[20.0, 17.0]]), torch.tensor([[4.0, 1.0, 5.0]])
-    image = render(means, factors, torch.tensor([[0.2, 0.5, 0.9]]), SIZE, 0.1, blend="normalised")
-    assert image[:, 17, 20].tolist() == pytest.approx([0.2, 0.5, 0.9], abs=1e-3)
-    assert image[:, 17, 25].tolist() == pytest.approx([0.2, 0.5, 0.9], abs=1e-3)
-    assert image[:, 0, 0].tolist() == pytest.approx([0.1] * 3)
 
 
 NOT_DRAWN = {
@@ -187,18 +174,8 @@ ONE = torch.zeros(1, 2), torch.ones(1, 3), torch.ones(1, 3)
         (ONE, {"size": (0, 4)}, ViewError, "a side must be a whole number from 1"),
         (ONE, {"size": (4, 4, 4)}, ViewError, "a size is width and height"),
         (ONE, {"scale": 100}, ViewError, "the scale must lie in"),
-        (ONE, {"blend": "alpha"}, GaussiansError, "accumulated or normalised, not 'alpha'"),
     ],
 )
 def test_what_is_wrong_is_said(values: Any, more: dict[str, Any], error: type[SgError], words: str) -> None:
     with pytest.raises(error, match=words):
         render(*values, **{"size": SIZE, **more})
-
-
-def test_views_of_scenes_are_the_same() -> None:
-    """The low-pass of a reduction is written twice, here and in sgmethod/view.py."""
-    gaussians = scattered(10, 5)
-    scene = View(0.4).apply(Scene(gaussians, *SIZE, (0, 0, 0), CUTOFF, pyramid=True))
-    image = render(*tensors(gaussians), SIZE, scale=0.4)
-    wanted = reference.render_pyramid(*tensors(scene.gaussians), (scene.width, scene.height), CUTOFF)
-    torch.testing.assert_close(image, wanted, rtol=0, atol=1e-5)

@@ -17,7 +17,7 @@ from sgmethod.exchange.packing import seen
 from sgmethod.metrics import psnr
 from sgmethod.native import native
 from sgmethod.native.reference import render
-from sgmethod.view import WHOLE, recut
+from sgmethod.view import NO_CUTOFF, recut
 from tests.backend.cases import scattered, single
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
@@ -43,7 +43,7 @@ def close(found: Gaussians, wanted: Gaussians) -> bool:
 def test_out_of_a_file_and_back(name: str) -> None:
     """The same Gaussians, but for those that no pixel sees, and any that are as narrow as can be: their size was
     clipped when they were decoded."""
-    file = sgmethod.open(golden_path(f"v4-{name}.sg").read_bytes())
+    file = sgmethod.open(golden_path(f"v2-{name}.sg").read_bytes())
     found = file.gaussians()
     data = sgmethod.pack(found, *file.size, quantum=file.info.quantum, background=file.background)
     assert sgmethod.info(data).background == file.info.background
@@ -67,9 +67,9 @@ def test_gaussians_of_version_1_are_the_nearest_of_this_shape() -> None:
 
 def test_a_whole_gaussian_and_the_nearest_that_ends() -> None:
     one = [torch.tensor(values, dtype=torch.float64) for values in ([[50.0, 50.0]], [[9.0, 4.0, 6.0]], [[1.0, 1, 1]])]
-    cut = recut(single(*one), WHOLE)
-    whole = render(*one, (100, 100), WHOLE)[0]
-    near = render(*(torch.from_numpy(values).double() for values in cut.arrays), (100, 100), native.CUTOFF_V3)[0]
+    cut = recut(single(*one), NO_CUTOFF)
+    whole = render(*one, (100, 100), NO_CUTOFF)[0]
+    near = render(*(torch.from_numpy(values).double() for values in cut.arrays), (100, 100), native.CUTOFF_V2)[0]
     assert float(near.sum() / whole.sum()) == pytest.approx(1, abs=1e-4)
     assert float((near - whole).abs().max()) < 0.035  # as it was, 0.2 of its integral would be missing
 
@@ -120,29 +120,15 @@ def one(mean: object = (30, 20), factor: object = (2, 0, 2), color: object = (1,
     ("call", "error", "words"),
     [
         (lambda: sgmethod.pack(PIXELS, *SIZE, bpp=1), GaussiansError, "not ndarray"),
-        (
-            lambda: sgmethod.pack(one(mean=(1, 2, 3)), *SIZE, bpp=1),
-            GaussiansError,
-            r"not \[\(1, 3\), \(1, 3\), \(1, 3\)\]",
-        ),
+        (lambda: sgmethod.pack(one(mean=(1, 2, 3)), *SIZE, bpp=1), GaussiansError, r"not \[\(1, 3\), \(1, 3\),"),
         (lambda: sgmethod.pack(one(mean=("a", 2)), *SIZE, bpp=1), GaussiansError, "no array of numbers"),
         (lambda: sgmethod.pack(one(color=(1, 0, np.nan)), *SIZE, bpp=1), GaussiansError, "0 has a value .* not finite"),
         (lambda: sgmethod.pack(one(factor=(2, 0, 0)), *SIZE, bpp=1), GaussiansError, "l1 and l3 must be positive"),
         (lambda: sgmethod.pack(one(factor=(2, 9e4, 2)), *SIZE, quantum=1), GaussiansError, "no file can hold"),
-        (
-            lambda: sgmethod.pack(one(mean=(-29, 20), factor=(12, 0, 1)), *SIZE, quantum=1),
-            GaussiansError,
-            "no file can",
-        ),
         (lambda: sgmethod.pack(one(factor=(1e6, 0, 1e6)), *SIZE, bpp=1), GaussiansError, "at most 8192 pixels long"),
         (lambda: sgmethod.pack(one(), 0, 5, bpp=1), GaussiansError, "a side must be a whole number from 1"),
-        (
-            lambda: sgmethod.pack(scattered(80, 1, (4, 4)), 4, 4, bpp=1),
-            GaussiansError,
-            "more than a file of 4 x 4 pixels can hold",
-        ),
+        (lambda: sgmethod.pack(scattered(80, 1, (4, 4)), 4, 4, bpp=1), GaussiansError, "more than a file of 4 x 4"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background=(0, 2, 0)), GaussiansError, "three numbers from 0 to 1"),
-        (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background=0.5), GaussiansError, "three numbers from 0 to 1"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, background="red"), GaussiansError, "no array of numbers"),
         (lambda: sgmethod.pack(one(), *SIZE, bpp=1, image=PIXELS), ImageError, "has 128 x 96 pixels"),
         (lambda: sgmethod.pack(one(), *SIZE), BudgetError, "one of bpp and quantum"),
@@ -159,15 +145,12 @@ def test_what_no_file_can_hold(call: Callable[[], object], error: type[SgError],
 # --- PLY and npz
 
 
-def test_npz_keeps_everything(tmp_path: Path) -> None:
+def test_what_is_written_is_read(tmp_path: Path) -> None:
     sgmethod.write_npz(tmp_path / "some.npz", SOME)
     found = sgmethod.read_npz(tmp_path / "some.npz")
     assert all(np.array_equal(a, b) for a, b in zip(found.arrays, SOME.arrays, strict=True))
-
-
-def test_ply_keeps_gaussians_to_single_precision(tmp_path: Path) -> None:
     sgmethod.write_ply(tmp_path / "some.ply", SOME)
-    assert close(sgmethod.read_ply(tmp_path / "some.ply"), SOME)
+    assert close(sgmethod.read_ply(tmp_path / "some.ply"), SOME)  # PLY keeps them to single precision
 
 
 HEADER = "ply\nformat {order} 1.0\ncomment of another program\nelement vertex 2\n"
@@ -194,7 +177,7 @@ def test_ply_of_3d_splats_is_flattened(order: str, tmp_path: Path) -> None:
     (tmp_path / "splats.ply").write_bytes(HEADER.format(order=order).encode() + body)
     wanted = single([[3.5, 4.5], [8.5, 1.5]], [[2, 0, 3], [4, 0, 5]], [[0.75, 0.25, 0.25], [0.5, 0.5, 1.5]])
     assert np.allclose(sgmethod.read_ply(tmp_path / "splats.ply").factors[:, 1], 0, atol=1e-5)
-    assert close(sgmethod.read_ply(tmp_path / "splats.ply"), recut(wanted, WHOLE))
+    assert close(sgmethod.read_ply(tmp_path / "splats.ply"), recut(wanted, NO_CUTOFF))
 
 
 @pytest.mark.parametrize(

@@ -8,26 +8,27 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]  # of the repository
 DATA = ROOT / "tests" / "data"
 PHOTOGRAPHS = DATA / "photographs"
+JAVASCRIPT = ROOT / "sgmethod" / "javascript" / "src"
 
 
 def golden(version: int) -> dict[str, bytes]:
-    """The golden files of one version of the format by name, such as "v3-color"."""
+    """The golden files of one version of the format by name, such as "v2-color"."""
     return {f"v{version}-{path.stem}": path.read_bytes() for path in sorted((DATA / f"v{version}").glob("*.sg"))}
 
 
 def golden_path(name: str) -> Path:
-    """Where a golden file lies, or the picture of one: "v3-color.sg", "v1-paper.png"."""
+    """Where a golden file lies, or the picture of one: "v2-color.sg", "v1-paper.png"."""
     version, _, rest = name.partition("-")
     return DATA / version / rest
 
 
-NEW = b"\xd3\xc5"  # how a file of version 5 begins
+SIGNATURES = (b"\xd3\xc1", b"\xd3\xc2")  # with which files of versions 1 and 2 begin
 
 
 def damaged(data: bytes, place: float, value: bytes, growth: int) -> bytes:
-    """The data of an .sg file with other bytes at a place, 0 to 1 of what the checksum covers, so many bytes more or
-    fewer at the end, and the checksum that belongs to them."""
-    begin, end = (2, checksum_at(data)) if data.startswith(NEW) else (8, len(data))
+    """The data of an .sg file with other bytes at a place, 0 to 1 of what lies between signature and checksum, so many
+    bytes more or fewer at the end, and the checksum that belongs to them."""
+    begin, end = 2, checksum_at(data)
     at = begin + int(place * (end - begin))
     covered = data[:at] + (value + data[at + len(value) :])[: end - at]
     covered = covered[: len(covered) + growth] if growth < 0 else covered + bytes(growth)
@@ -35,13 +36,15 @@ def damaged(data: bytes, place: float, value: bytes, growth: int) -> bytes:
 
 
 def checksum_at(data: bytes) -> int:
-    """Where it begins in a file of version 5."""
-    return len(data) - (1 if data[2:3] >= b"\x80" else 4)
+    """Where the checksum begins."""
+    return len(data) - _checksum_bytes(data)
+
+
+def _checksum_bytes(data: bytes) -> int:
+    return 1 if data[2:3] >= b"\x80" else 4
 
 
 def with_checksum(data: bytes) -> bytes:
     """The data of an .sg file with the checksum that belongs to them, in the place of another."""
-    if data.startswith(NEW):
-        end = max(checksum_at(data), 2)
-        return data[:end] + zlib.crc32(data[:end]).to_bytes(4, "big")[-(1 if data[2:3] >= b"\x80" else 4) :]
-    return data[:4] + zlib.crc32(data[8:]).to_bytes(4, "big") + data[8:]
+    end = max(checksum_at(data), 2)
+    return data[:end] + zlib.crc32(data[:end]).to_bytes(4, "big")[-_checksum_bytes(data) :]

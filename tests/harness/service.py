@@ -36,8 +36,8 @@ STAND_IN = {"PYTHONPATH": os.pathsep.join(filter(None, _FOLDERS))}
 class ServiceProcess:
     """One `python -m service`, started at once, and a client of it.
 
-    Give settings by name, such as queue_length=2; extra: more environment variables. What it writes to standard error
-    is appended to a log beside its data folder.
+    Give settings by name, such as queue_length=2, and keys as api_keys; extra: more environment variables. What it
+    writes to standard error is appended to a log beside its data folder.
     """
 
     timeout_s = PATIENCE_S  # of the client's requests
@@ -48,6 +48,9 @@ class ServiceProcess:
         self.data_dir = data_dir
         self.log = data_dir.with_name(data_dir.name + ".log")
         chosen = {"port": 0, "data_dir": data_dir, **settings}
+        if (keys := chosen.pop("api_keys", None)) is not None:
+            chosen["api_keys_file"] = data_dir.with_name(data_dir.name + ".keys")
+            chosen["api_keys_file"].write_text(keys)
         self.environment = {**os.environ, **{f"SG_{k}".upper(): str(v) for k, v in chosen.items()}, **(extra or {})}
         self._command = [sys.executable, "-m", "service", command]
         self.start()
@@ -111,7 +114,9 @@ class Service(ServiceProcess):
     def __init__(
         self, data_dir: Path, command: str = "serve", extra: Mapping[str, str] | None = None, **settings: Any
     ) -> None:
-        super().__init__(data_dir, command, extra, **{"workers": 1, "lease_s": 1, "source_retention_s": 0, **settings})
+        lease_s = 1 if command == "serve" else 60  # /readyz fails after four of them without a worker
+        chosen = {"workers": 1, "lease_s": lease_s, "source_retention_s": 0, **settings}
+        super().__init__(data_dir, command, extra, **chosen)
 
     def post(self, image: bytes = SMALL, key: str | None = None, **fields: Any) -> httpx.Response:
         """POST /encode; bpp=1 unless fields say otherwise, and not for long unless they say how long."""

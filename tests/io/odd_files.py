@@ -30,9 +30,8 @@ def chunk(name: bytes, body: bytes = b"") -> bytes:
 def tiff(pages: Sequence[tuple[np.ndarray, Tags]], order: str = "<", *, big: bool = False) -> bytes:
     """A TIFF, or a BigTIFF, of uncompressed pages [H, W, C], each one strip, with further tags."""
     count, offset = ("Q", "Q") if big else ("H", "I")
-    mark = {"<": b"II", ">": b"MM"}[order] + (
-        struct.pack(order + "HHH", 43, 8, 0) if big else struct.pack(order + "H", 42)
-    )
+    number = struct.pack(order + "HHH", 43, 8, 0) if big else struct.pack(order + "H", 42)
+    mark = {"<": b"II", ">": b"MM"}[order] + number
     file, link = bytearray(mark + struct.pack(order + offset, 0)), len(mark)
     for samples, more in pages:
         height, width, channels = samples.shape
@@ -42,15 +41,8 @@ def tiff(pages: Sequence[tuple[np.ndarray, Tags]], order: str = "<", *, big: boo
             257: height,
             258: (8 * samples.dtype.itemsize,) * channels,
         }
-        tags |= {
-            259: 1,
-            262: 1 if channels < 3 else 2,
-            273: len(file),
-            277: channels,
-            278: height,
-            279: len(body),
-            **more,
-        }
+        tags |= {259: 1, 262: 1 if channels < 3 else 2, 273: len(file), 277: channels, 278: height, 279: len(body)}
+        tags |= more
         file += body
         entries = b""
         for tag, value in sorted(tags.items()):
@@ -60,9 +52,8 @@ def tiff(pages: Sequence[tuple[np.ndarray, Tags]], order: str = "<", *, big: boo
                 packed, at = struct.pack(order + offset, len(file)), packed
                 file += at
             kind = LONG if tag in (254, 273, 279) else 3
-            entries += struct.pack(f"{order}HH{offset}", tag, kind, len(values)) + packed.ljust(
-                struct.calcsize(offset), b"\0"
-            )
+            entries += struct.pack(f"{order}HH{offset}", tag, kind, len(values))
+            entries += packed.ljust(struct.calcsize(offset), b"\0")
         file[link : link + struct.calcsize(offset)] = struct.pack(order + offset, len(file))
         file += struct.pack(order + count, len(tags)) + entries
         link = len(file)
@@ -137,12 +128,8 @@ def _add_property(data: bytearray, box: bytes) -> None:
     for name in (b"iprp", b"meta"):
         grow(name, len(box) + 1)
     at = data.index(b"iloc") + 4
-    version, (sizes, base), count = (
-        data[at],
-        (data[at + 4], data[at + 5] >> 4),
-        struct.unpack_from(">H", data, at + 6)[0],
-    )
-    assert (version < 2, sizes) == (True, 0x44)
+    version, base, count = data[at], data[at + 5] >> 4, struct.unpack_from(">H", data, at + 6)[0]
+    assert (version < 2, data[at + 4]) == (True, 0x44)
     at += 8
     for _ in range(count):
         at += 2 + 2 * version + 2

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sgmethod.io import encode_png, write_atomically
-from sgmethod.io.png import ZLIB_LEVEL, zlib_compress
+from sgmethod.io.files import write_atomically
+from sgmethod.io.png import ZLIB_LEVEL, encode_png, zlib_compress
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 1000, 70_000, 200_000])

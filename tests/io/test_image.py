@@ -19,7 +19,6 @@ from sgmethod.errors import ImageError
 from sgmethod.io import formats
 from sgmethod.io.image import ImageHeader, ImageLimits, read_header, read_image, read_image_8_bit
 from sgmethod.io.levels import to_8_bit
-from sgmethod.io.png import encode_png
 from tests.harness.data import PHOTOGRAPHS, golden_path
 
 pillow_heif.register_heif_opener()
@@ -55,17 +54,7 @@ def png_of(samples: np.ndarray, colour: int, *extra: tuple[bytes, bytes]) -> byt
 def tiff(width: int, height: int, bits: int, body: bytes, order: str = "<", **tags: int) -> bytes:
     """An uncompressed TIFF file with one strip; tags are named t<number> and override the usual ones."""
     channels = {0: 1, 1: 1, 2: 3}[tags.get("t262", 1)]
-    ifd = {
-        256: width,
-        257: height,
-        258: bits,
-        259: 1,
-        262: 1,
-        273: 8,
-        277: channels,
-        278: height,
-        279: len(body),
-    }
+    ifd = {256: width, 257: height, 258: bits, 259: 1, 262: 1, 273: 8, 277: channels, 278: height, 279: len(body)}
     ifd |= {int(name[1:]): value for name, value in tags.items()}
     entries = b""
     for tag, value in sorted(ifd.items()):
@@ -121,10 +110,9 @@ KINDS = {
 def test_reads_every_format(kind: str) -> None:
     header, pixels = read_header(KINDS[kind]), read_image(KINDS[kind])
     assert header.format.lower() == kind.partition("-")[0].removesuffix("16")
+    assert kind != "png" or header == ImageHeader("PNG", 48, 32, "RGB")
     assert (header.width, header.height) == (48, 32)
-    assert pixels.shape == (32, 48, 3)
-    assert pixels.dtype == np.float32
-    assert pixels.flags.c_contiguous
+    assert (pixels.shape, pixels.dtype, pixels.flags.c_contiguous) == ((32, 48, 3), np.float32, True)
     tolerance = 0.05 if "jpeg" in kind or kind in ("webp", "webp-exif", "bmp-palette", "gif", "avif", "heic") else 0.002
     assert np.abs(pixels - PIXELS / 255).mean() < tolerance
 
@@ -132,17 +120,11 @@ def test_reads_every_format(kind: str) -> None:
 @SEE_THROUGH
 def test_8_bit_pixels_are_the_same_picture_rounded() -> None:
     rgba = np.dstack([PIXELS, PIXELS[..., :1]])
-    others = [
-        png_of(rgba, 6),
-        png_of(PIXELS[..., :1], 0),
-        png_of(RGB16[..., :1], 0),
-        saved("JPEG", exif=exif_with(6)),
-        saved("PNG", PHOTO.quantize(64)),
-    ]
+    others = [png_of(rgba, 6), *(png_of(grey, 0) for grey in (PIXELS[..., :1], RGB16[..., :1]))]
+    others += [saved("JPEG", exif=exif_with(6)), saved("PNG", PHOTO.quantize(64))]
     for data in (*KINDS.values(), *others):
         found, wanted = read_image_8_bit(data), read_image(data)
-        assert found.dtype == np.uint8
-        assert found.flags.c_contiguous
+        assert (found.dtype, found.flags.c_contiguous) == (np.uint8, True)
         assert np.array_equal(found, np.round(wanted * 255))
     assert np.array_equal(to_8_bit(PIXELS / 255), PIXELS)
     assert np.array_equal(to_8_bit(PIXELS[:, ::-1]), PIXELS[:, ::-1])
@@ -158,18 +140,6 @@ def test_the_header_is_read_without_pixels(kind: str, monkeypatch: pytest.Monkey
     assert read_header(KINDS[kind]).width == 48
     with pytest.raises(ImageError, match="decodes pixels"):
         read_image(KINDS[kind])
-
-
-@pytest.mark.parametrize("name", ["kodim04-crop", "kodim05-crop", "kodim23-crop"])
-def test_committed_photographs(name: str) -> None:
-    data = (PHOTOGRAPHS / f"{name}.png").read_bytes()
-    width, height = (96, 128) if name == "kodim04-crop" else (128, 96)
-    assert read_header(data) == ImageHeader("PNG", width, height, "RGB")
-    pixels = read_image(data)
-    assert pixels.shape == (height, width, 3)
-    assert 0 <= pixels.min() < pixels.max() <= 1
-    again = encode_png(np.round(pixels * 255).astype(np.uint8))
-    assert np.array_equal(read_image(again), pixels)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 4096), (4096, 1)])
@@ -302,7 +272,7 @@ def test_jpeg_with_a_second_picture_is_its_first() -> None:
 REFUSED = {
     "empty": b"",
     "text": b"hello",
-    "sg": golden_path("v5-color.sg").read_bytes(),
+    "sg": golden_path("v2-color.sg").read_bytes(),
     "preview of a raw file": tiff(4, 1, 8, bytes(4), t254=1),
     "float samples": saved("TIFF", PHOTO.convert("F")),
     "32-bit samples": saved("TIFF", PHOTO.convert("I")),

@@ -144,11 +144,8 @@ def test_nothing_is_seen_where_the_first_frame_of_a_gif_is_not(
 def test_tiffs_of_either_byte_order(samples: np.ndarray, order: str, big: bool) -> None:
     expected = np.broadcast_to(samples if samples.dtype == np.uint8 else samples >> 8, (H, W, 3))
     assert np.array_equal(read(tiff([(samples, {})], order, big=big)), expected)
-
-
-def test_bigtiffs_with_the_big_end_first_are_refused_by_name() -> None:
     with pytest.raises(ImageError, match="a big-endian BigTIFF"):
-        read(tiff([(RGB, {})], ">", big=True))
+        read(tiff([(samples, {})], ">", big=True))
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -248,12 +245,9 @@ def test_alpha_is_cropped_with_its_colours() -> None:
 
 @pytest.mark.parametrize("numbers", [(40, 12, 0, 0), (16, 12, -1, 0), (16, 12, 20, 0), (0, 12, 0, 0)])
 def test_apertures_that_make_no_sense_are_passed_over(numbers: tuple[int, int, int, int]) -> None:
-    assert read(heif(RGB, "AVIF", [clap(*numbers, (W, H))])).shape == RGB.shape
-
-
-def test_an_aperture_of_no_fraction() -> None:
-    box = struct.pack(">I4s8I", 40, b"clap", 16, 0, 12, 1, 0, 1, 0, 1)
-    assert read(heif(RGB, "AVIF", [box])).shape == RGB.shape
+    no_fraction = struct.pack(">I4s8I", 40, b"clap", 16, 0, 12, 1, 0, 1, 0, 1)
+    for box in (clap(*numbers, (W, H)), no_fraction):
+        assert read(heif(RGB, "AVIF", [box])).shape == RGB.shape
 
 
 @pytest.mark.parametrize(("points", "out"), [((12, 13), IN_P3), ((9, 16), "PQ"), ((1, 13), RED)])

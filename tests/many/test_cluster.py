@@ -1,4 +1,4 @@
-"""encode_many() on a Ray cluster of two workers, one of which is killed."""
+"""encode_many() on a Ray cluster of two workers, one of which is killed. Slow: Ray takes seconds to start."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from sgmethod import Budget, codec, decode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import StreamV5
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.io.image import read_image
 from sgmethod.native import native
 from sgmethod.scene import Gaussians
@@ -53,7 +53,7 @@ def decodes(name: str) -> Action:
 @cache
 def large_file() -> bytes:
     """With Gaussians enough for tasks that take memory, on several levels."""
-    stream = StreamV5.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
+    stream = StreamV2.of(Gaussians(*scattered(5000)), (WIDTH, HEIGHT), 0.05, (9, 9, 9), False)
     return container.serialise(stream)
 
 
@@ -61,17 +61,10 @@ def decode_large() -> bytes:
     return decode(large_file()).tobytes()
 
 
-def render() -> bytes:
-    means, factors, colors = scattered(2000)
-    image = np.empty((3, HEIGHT, WIDTH), np.float32)
-    native.Rasterization(means, factors, WIDTH, HEIGHT).render(colors, image)
-    return image.tobytes()
-
-
 def gradients() -> bytes:
     means, factors, colors = scattered(2000)
     target = np.full((3, HEIGHT, WIDTH), 0.5, np.float32)
-    raster = native.Rasterization(means, factors, WIDTH, HEIGHT, native.CUTOFF_V3, pyramid=True)
+    raster = native.Rasterization(means, factors, WIDTH, HEIGHT, native.CUTOFF_V2, pyramid=True)
     first = [np.empty_like(array) for array in (means, factors, colors)]
     second = [np.empty_like(array) for array in (means, factors, colors)]
     raster.backward(colors, target, *first)
@@ -85,7 +78,7 @@ def gradients() -> bytes:
 def refine() -> bytes:
     parameters = native.RdParameters(WIDTH, HEIGHT, 0.1)
     target = np.full((3, HEIGHT, WIDTH), native.TARGET_WHITE // 2, np.int16)
-    return native.rd_refine(parameters, *scattered(20), target, native.CUTOFF_V3, 0.01, 1, 60.0, 100)
+    return native.rd_refine(parameters, *scattered(20), target, native.CUTOFF_V2, 0.01, 1, 60.0, 100)
 
 
 def encode() -> bytes:
@@ -95,9 +88,8 @@ def encode() -> bytes:
 
 SCENARIOS: dict[str, Action] = {
     "decode-v1": decodes("v1-paper"),
-    "decode-v3": decodes("v3-color"),
+    "decode-v2": decodes("v2-color"),
     "decode-large": decode_large,
-    "render": render,
     "gradients": gradients,
     "refine": refine,
     "encode": encode,
@@ -131,7 +123,7 @@ def survive(shim: ctypes.CDLL, scenario: str, whose: str) -> tuple[int, int]:
             counted = shim.fail_no_more()
         assert result in (b"", expected), f"{scenario}: a wrong result when allocation {number} fails"
         right += result == expected
-        for name in ("v1-paper", "v3-color"):
+        for name in ("v1-paper", "v2-color"):
             assert is_golden(name, decode(GOLDEN[name])), (
                 f"{scenario}: {name} is wrong after allocation {number} failed"
             )

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from sgmethod.native import native, reference
-from tests.native.harness.autograd import render
 
 CUTOFF = native.CUTOFF_V1
 ISAS = range(native.best_isa() + 1)
@@ -155,13 +154,6 @@ def native_gradients(c: Case, isa: int) -> list[Tensor]:
     return out
 
 
-@pytest.fixture
-def thread_count() -> Iterator[None]:
-    before = native.thread_count()
-    yield
-    native.set_thread_count(before)
-
-
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("name", CASES)
 def test_values(name: str, isa: int) -> None:
@@ -172,38 +164,28 @@ def test_values(name: str, isa: int) -> None:
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("name", CASES)
 def test_gradients(name: str, isa: int) -> None:
-    assert_gradients(name, native_gradients(case(name), isa))
-
-
-def assert_gradients(name: str, found: list[Tensor]) -> None:
-    sizes = magnitudes_of(name)
+    sizes, found = magnitudes_of(name), native_gradients(case(name), isa)
     for mine, true, size, rim in zip(found, reference_of(name)[1], sizes.gradients, sizes.rim, strict=True):
         error = (mine - true).abs().numpy()
         assert (error <= GRADIENT_TOLERANCE * size + rim).all()
 
 
-def test_few_gradients_are_excused_by_a_rim() -> None:
+def test_pictures_have_something_and_few_gradients_are_excused_by_a_rim() -> None:
     for name in CASES:
+        assert bool(reference_of(name)[0].any()) != (name in ("outside", "none")), name
         sizes = magnitudes_of(name)
         for size, rim in zip(sizes.gradients[:2], sizes.rim[:2], strict=True):
             if size.size:
                 assert (rim > 0).any(1).mean() < 0.1
 
 
-def test_the_pictures_are_not_empty() -> None:
-    for name in CASES:
-        drawn = reference_of(name)[0].any()
-        assert bool(drawn) != (name in ("outside", "none")), name
-
-
-@pytest.mark.usefixtures("thread_count")
 @pytest.mark.parametrize("name", CASES)
-def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str) -> None:
+def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str, set_threads: Callable[[int], None]) -> None:
     c = case(name)
     expected = native_picture(c, 0)
     bytes_expected = torch.floor(expected.clamp(0, 1) * 255 + 0.5).permute(1, 2, 0).to(torch.uint8).contiguous()
     for threads in (1, 2, 5):
-        native.set_thread_count(threads)
+        set_threads(threads)
         for isa in ISAS:
             assert torch.equal(native_picture(c, isa), expected)
             found = torch.full_like(bytes_expected, 77)
@@ -211,16 +193,15 @@ def test_pixels_do_not_depend_on_instruction_set_and_threads(name: str) -> None:
             assert torch.equal(found, bytes_expected)
 
 
-@pytest.mark.usefixtures("thread_count")
 @pytest.mark.parametrize("name", CASES)
-def test_bytes_over_a_background(name: str) -> None:
+def test_bytes_over_a_background(name: str, set_threads: Callable[[int], None]) -> None:
     """The background is what the sum begins with, so that rounding may differ by a level from adding it last."""
     c, background = case(name), (0.2, 0.7, 0.4)
     shown = native_picture(c, 0).permute(1, 2, 0) + torch.tensor(background)
     levels = torch.floor(shown.clamp(0, 1) * 255 + 0.5)
     results = []
     for threads in (1, 2, 5):
-        native.set_thread_count(threads)
+        set_threads(threads)
         for isa in ISAS:
             results.append(torch.full(shown.shape, 77, dtype=torch.uint8))
             native.Rasterization(c.means, c.factors, *c.size, isa=isa).render_bytes(c.colors, results[-1], background)
@@ -230,35 +211,15 @@ def test_bytes_over_a_background(name: str) -> None:
     assert (difference > 0).float().mean() < 1e-3  # none seen
 
 
-@pytest.mark.usefixtures("thread_count")
 @pytest.mark.parametrize("isa", ISAS)
 @pytest.mark.parametrize("name", CASES)
-def test_gradients_do_not_depend_on_threads(name: str, isa: int) -> None:
-    native.set_thread_count(1)
+def test_gradients_do_not_depend_on_threads(name: str, isa: int, set_threads: Callable[[int], None]) -> None:
+    set_threads(1)
     expected = native_gradients(case(name), isa)
     for threads in (2, 5):
-        native.set_thread_count(threads)
+        set_threads(threads)
         for mine, one in zip(native_gradients(case(name), isa), expected, strict=True):
             assert torch.equal(mine, one)
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_render_has_the_kernels_values_and_gradients(name: str) -> None:
-    c = case(name)
-    leaves = [t.clone().requires_grad_() for t in (c.means, c.factors, c.colors)]
-    picture = render(leaves[0], leaves[1], leaves[2], c.size)
-    assert torch.equal(picture, native_picture(c, native.best_isa()))
-    assert_gradients(name, list(torch.autograd.grad(picture, leaves, c.upstream)))
-
-
-def test_render_takes_arrays_that_are_not_contiguous() -> None:
-    c = case("all sizes")
-    colors = c.colors.T.contiguous().T.requires_grad_()
-    picture = render(c.means.T.contiguous().T, c.factors.T.contiguous().T, colors, c.size)
-    assert torch.equal(picture, native_picture(c, native.best_isa()))
-    picture.sum().backward()  # its gradient by the picture is one number, expanded
-    ones = native_gradients(replace(c, upstream=torch.ones_like(c.upstream)), native.best_isa())[2]
-    assert torch.equal(colors.grad, ones)
 
 
 @pytest.mark.parametrize("isa", ISAS)
@@ -280,19 +241,14 @@ def test_a_weight_ends_at_the_cut_off(isa: int) -> None:
     assert native.MAX_CUTOFF == CUTOFF
 
 
-NOT_DRAWN = {
+NOT_DRAWN = {  # more, and in a pyramid: tests/gaussians/test_drawing.py
     "mean x": ([np.nan, 5], [2, 0, 2]),
     "mean y": ([5, np.inf], [2, 0, 2]),
     "l1 not a number": ([5, 5], [np.nan, 0, 2]),
-    "l1 infinite": ([5, 5], [np.inf, 0, 2]),
-    "l1 zero": ([5, 5], [0, 0, 2]),
     "l1 negative": ([5, 5], [-2, 0, 2]),
-    "l2 not a number": ([5, 5], [2, np.nan, 2]),
     "l2 infinite": ([5, 5], [2, -np.inf, 2]),
-    "l3 not a number": ([5, 5], [2, 0, np.nan]),
     "l3 infinite": ([5, 5], [2, 0, np.inf]),
     "l3 zero": ([5, 5], [2, 0, 0]),
-    "l3 negative": ([5, 5], [2, 0, -2]),
     "l1 subnormal": ([5, 5], [1e-40, 0, 2]),
     "l3 subnormal": ([5, 5], [2, 0, 1e-40]),
 }
@@ -366,6 +322,7 @@ def test_other_shapes_and_types_are_refused() -> None:
         (raster.render_bytes, (colors, torch.empty(70, 41, 3, dtype=torch.uint8))),
         (raster.backward, (colors, picture, means[:3], factors, colors)),
         (raster.backward, (colors, torch.empty(3, 70, 39), means, factors, colors)),
+        (raster.squared_error, (colors, np.empty((3, 70, 39), np.int16), means, factors, colors)),
     ):
         with pytest.raises(ValueError, match=r"one colour|one row|another size"):
             call(*arguments)
@@ -374,17 +331,7 @@ def test_other_shapes_and_types_are_refused() -> None:
         (raster.render, (colors, picture[0])),
         (raster.render_bytes, (colors, torch.empty(70, 40, 4, dtype=torch.uint8))),
         (raster.backward, (colors, picture, factors, factors, colors)),
-    ):
-        with pytest.raises(TypeError):
-            call(*arguments)
-
-
-def test_results_are_never_written_to_a_copy() -> None:
-    """An output that is no contiguous array of the right type would be converted, and the result be lost."""
-    means, factors, colors = torch.ones(4, 2), torch.ones(4, 3), torch.ones(4, 3)
-    picture = torch.zeros(3, 70, 40)
-    raster = native.Rasterization(means, factors, 40, 70)
-    for call, arguments in (
+        # An output that is no contiguous array of the right type would be converted, and the result be lost.
         (raster.render, (colors, torch.zeros(3, 70, 40, dtype=torch.float64))),
         (raster.render, (colors, torch.zeros(3, 70, 80)[:, :, ::2])),
         (raster.render_bytes, (colors, torch.zeros(70, 40, 3, dtype=torch.int32))),
@@ -393,45 +340,3 @@ def test_results_are_never_written_to_a_copy() -> None:
     ):
         with pytest.raises(TypeError):
             call(*arguments)
-
-
-@pytest.mark.parametrize("size", [(1, 1), (16, 64), (17, 65), (100, 40)])
-def test_squared_error_is_render_loss_and_backward(size: tuple[int, int]) -> None:
-    rng = np.random.default_rng(7)
-    n = 30
-    means = (rng.uniform(-0.2, 1.2, (n, 2)) * size).astype(np.float32)
-    factors = np.exp(rng.normal(1, 0.7, (n, 3))).astype(np.float32)
-    colors = rng.normal(0, 0.3, (n, 3)).astype(np.float32)
-    target = rng.integers(-native.TARGET_WHITE, native.TARGET_WHITE, (3, size[1], size[0]), np.int16)
-    found, wanted = (tuple(np.empty_like(a) for a in (means, factors, colors)) for _ in range(2))
-    for isa in range(native.best_isa() + 1):
-        raster = native.Rasterization(means, factors, *size, 3.0, isa=isa)
-        mse = raster.squared_error(colors, target, *found)
-        picture = np.empty(target.shape, np.float32)
-        raster.render(colors, picture)
-        difference = picture - target / np.float32(native.TARGET_WHITE)
-        raster.backward(colors, 2 * difference / difference.size, *wanted)
-        assert mse == pytest.approx(float(np.square(difference, dtype=np.float64).mean()), rel=1e-6)
-        assert raster.error(colors, target) == pytest.approx(mse, rel=1e-6)
-        for a, b in zip(found, wanted, strict=True):
-            assert np.allclose(a, b, rtol=1e-5, atol=1e-7)
-    with pytest.raises(ValueError, match="size"):
-        raster.squared_error(colors, target[:, :, :0].copy(), *found)
-
-
-@pytest.mark.parametrize("size", [(1, 1), (16, 64), (17, 65), (100, 140)])
-@pytest.mark.parametrize("pyramid", [False, True])
-def test_gram_is_backward_of_render(size: tuple[int, int], pyramid: bool) -> None:
-    rng = np.random.default_rng(8)
-    n = 30
-    means = (rng.uniform(-0.2, 1.2, (n, 2)) * size).astype(np.float32)
-    factors = np.exp(rng.normal(1.5, 0.9, (n, 3))).astype(np.float32)
-    colors = rng.normal(0, 0.3, (n, 3)).astype(np.float32)
-    others = np.empty_like(means), np.empty_like(factors)
-    picture, wanted, found = np.empty((3, size[1], size[0]), np.float32), np.empty_like(colors), np.empty_like(colors)
-    for isa in range(native.best_isa() + 1):
-        raster = native.Rasterization(means, factors, *size, 3.0, isa=isa, pyramid=pyramid)
-        raster.render(colors, picture)
-        raster.backward(colors, picture, *others, wanted)
-        raster.gram(colors, found)
-        assert np.allclose(found, wanted, rtol=1e-5, atol=1e-6)

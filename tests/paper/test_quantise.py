@@ -88,17 +88,6 @@ def test_the_bitwidth_is_rounded() -> None:
     assert torch.equal(*(torch.autograd.grad(out.sum(), b)[0] for out, b in ((whole, leaf), (found, soft))))
 
 
-def test_more_bits_pay_where_the_error_has_the_gradients_sign() -> None:
-    """A step down the gradient of (v^ - v)^2 / 2 never takes bits away: (v^ - v) dv^/db <= 0."""
-    v, low, high, bits = abq()
-    inside = (v > low) & (v < high)
-    bits.requires_grad_()
-    out = quantise(v, low, high, bits)
-    (grad,) = torch.autograd.grad(out, bits, torch.where(inside, out - v, 0.0).detach())
-    assert (grad <= 0).all()
-    assert (grad < 0).any()
-
-
 @pytest.mark.parametrize("bitwidth", [1, 6, 12, 16])
 def test_codes_agree_with_values_in_single_precision(bitwidth: int) -> None:
     generator = torch.Generator().manual_seed(bitwidth)
@@ -139,23 +128,13 @@ def clusters() -> tuple[Tensor, Tensor, Tensor]:
 def test_kmeans_finds_the_weighted_means_of_clusters() -> None:
     points, weights, index = clusters()
     found = kmeans(points, weights, 8, seed=0)
+    assert torch.equal(found, kmeans(points, weights, 8, seed=0))
+    others = kmeans(points, torch.where(index == 0, 0.0, weights), 7, seed=0)
+    assert (torch.cdist(others, points[index == 0]) > 4).all()  # points without weight are neglected
     for k in range(8):
         inside = index == k
         mean = (points[inside] * weights[inside, None]).sum(0) / weights[inside].sum()
         assert (found - mean).norm(dim=1).min() < 1e-5  # worst seen 8e-7
-
-
-def test_kmeans_neglects_points_without_weight() -> None:
-    points, weights, index = clusters()
-    found = kmeans(points, torch.where(index == 0, 0.0, weights), 7, seed=0)
-    assert (torch.cdist(found, points[index == 0]) > 4).all()
-
-
-def test_kmeans_gives_the_same_for_the_same_seed() -> None:
-    points = torch.randn(500, 3, generator=torch.Generator().manual_seed(5))
-    a, b, c = (kmeans(points, torch.ones(500), 8, seed) for seed in (0, 0, 1))
-    assert torch.equal(a, b)
-    assert not torch.equal(a, c)
 
 
 @pytest.mark.parametrize("points", [torch.zeros(1, 3), torch.ones(50, 3), torch.eye(3)], ids=("one", "equal", "three"))
@@ -165,8 +144,8 @@ def test_kmeans_of_few_different_points(points: Tensor) -> None:
     assert torch.cdist(points, found).amin(1).max() == 0
 
 
-def codebook(colors: Tensor, weights: Tensor, decay: float = 0.8) -> ResidualCodebook:
-    return ResidualCodebook(colors, weights, stages=2, entries=8, decay=decay, seed=0)
+def codebook(colors: Tensor, weights: Tensor) -> ResidualCodebook:
+    return ResidualCodebook(colors, weights, stages=2, entries=8, decay=0.8, seed=0)
 
 
 def random_colors(n: int) -> tuple[Tensor, Tensor]:
@@ -187,14 +166,6 @@ def test_assign_finds_the_nearest_of_all_pairs() -> None:
     assert index.max() == 7
 
 
-def test_two_stages_are_better_than_one() -> None:
-    colors, weights = random_colors(400)
-    book = codebook(colors, weights)
-    first = torch.cdist(colors, book.entries[0]).amin(1).square() * weights
-    both = (colors - book.lookup(book.assign(colors))).square().sum(1) * weights
-    assert both.sum() < 0.4 * first.sum()
-
-
 def test_entries_follow_the_weighted_mean_with_the_decay() -> None:
     colors, weights = random_colors(300)
     book = codebook(colors, weights)
@@ -206,34 +177,10 @@ def test_entries_follow_the_weighted_mean_with_the_decay() -> None:
         residual = colors[mine] - before[1][index[mine, 1]]
         mean = (residual * weights[mine, None]).sum(0) / weights[mine].sum()
         torch.testing.assert_close(book.entries[0, k], 0.8 * before[0, k] + 0.2 * mean, atol=1e-6, rtol=0)
+    for k in range(5):  # the second stage follows what the first has left
+        mine = index[:, 1] == k
+        residual = colors[mine] - book.entries[0][index[mine, 0]]
+        mean = (residual * weights[mine, None]).sum(0) / weights[mine].sum()
+        torch.testing.assert_close(book.entries[1, k], 0.8 * before[1, k] + 0.2 * mean, atol=1e-6, rtol=0)
     assert torch.equal(book.entries[0, 7], before[0, 7])
     assert torch.equal(book.entries[1, 5:], before[1, 5:])
-
-
-def test_the_second_stage_follows_too() -> None:
-    """With every colour in one pair and the first entry where it belongs, the second moves by 1 - decay."""
-    colors, weights = torch.ones(10, 3), torch.ones(10)
-    book = codebook(colors, weights, decay=0.6)
-    book.entries = torch.stack([torch.ones(8, 3), torch.zeros(8, 3)])
-    book.follow(colors, weights, torch.zeros(10, 2, dtype=torch.long))
-    assert torch.equal(book.entries, torch.stack([torch.ones(8, 3), torch.zeros(8, 3)]))
-    book.entries[0] = 0.0
-    book.entries[1] = 1.0
-    book.follow(colors * 3, weights, torch.zeros(10, 2, dtype=torch.long))
-    assert book.entries[0, 0, 0].item() == pytest.approx(0.8)  # 0.4 of the way from 0 to 3 - 1
-    for _ in range(60):
-        book.follow(colors * 3, weights, torch.zeros(10, 2, dtype=torch.long))
-    assert book.lookup(torch.zeros(1, 2, dtype=torch.long))[0, 0].item() == pytest.approx(3, abs=1e-5)
-    assert torch.equal(book.entries[:, 1], torch.tensor([[0.0] * 3, [1.0] * 3]))
-
-
-def test_following_lowers_the_error() -> None:
-    colors, weights = random_colors(300)
-    book = codebook(colors, weights)
-    moved = colors * 1.5 + 0.3
-    errors = []
-    for _ in range(15):
-        index = book.assign(moved)
-        errors.append(((moved - book.lookup(index)).square().sum(1) * weights).sum().item())
-        book.follow(moved, weights, index)
-    assert errors[-1] < 0.6 * errors[0]

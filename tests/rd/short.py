@@ -14,10 +14,10 @@ from sgmethod.budget import Budget
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
+from sgmethod.rd.budgets import rate_of
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import planned
-from sgmethod.rd.rate_control import RateControl
-from sgmethod.rd.request import Plan, Request, Stage, State
+from sgmethod.rd.plan import Plan, Stage, State
+from sgmethod.rd.request import Request
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
 from sgmethod.settings.rd import RD, RdSettings
 from sgmethod.settings.shared import Tune
@@ -64,7 +64,7 @@ def requested(
     """A request of profile rd, as codec.encode() makes it."""
     clock = Clock()
     objective = Objective.of(pixels, tune, settings.objective)
-    rate = RateControl.of(budget, pixels.shape[1::-1], settings)
+    rate = rate_of(budget, pixels.shape[1::-1], settings)
     return Request(
         objective, rate, deadline or Deadline(clock), backend or Kernels(), settings, recorder or Recorder(clock)
     )
@@ -74,7 +74,7 @@ def begun(request: Request) -> tuple[Plan, State]:
     """The plan of a request, and the state before its first step."""
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
-    plan = planned(request, pyramid, gaussians)
+    plan = Plan.of(request, pyramid, gaussians)
     return plan, plan.begin(gaussians)
 
 

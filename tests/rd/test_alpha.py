@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from functools import cache
 from typing import Any
 
@@ -16,10 +15,10 @@ from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV5
+from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
 from sgmethod.fitting.level import target_of
-from sgmethod.fitting.moving_target import BeyondBlackAndWhite
-from sgmethod.io.laying import on_backgrounds
+from sgmethod.fitting.moving_target import OvershootingTarget
+from sgmethod.io.compositing import on_backgrounds
 from sgmethod.metrics import psnr
 from sgmethod.rd import alpha
 from sgmethod.rd.alpha import continued
@@ -34,7 +33,6 @@ SMALLEST = SMALLEST_FILE + SMALLEST_ALPHA
 
 
 def encode(pixels: Pixels, budget: Budget | None = None, **named: Any) -> Encoded:
-    """In a fraction of a second."""
     return sgmethod.encode(pixels, budget, settings=SHORT, **named)
 
 
@@ -54,9 +52,9 @@ def seen_through(soft: bool = False) -> Pixels:
     return np.dstack([photograph(), disc(soft)])
 
 
-def stream_of(data: bytes) -> StreamV5:
+def stream_of(data: bytes) -> StreamV2:
     stream = container.parse(data)
-    assert isinstance(stream, StreamV5)
+    assert isinstance(stream, StreamV2)
     return stream
 
 
@@ -74,7 +72,6 @@ def test_bytes_are_kept_to_and_used(soft: bool, tune: str) -> None:
     assert encoded.stats.psnr == pytest.approx(psnr(on_backgrounds(decoded), on_backgrounds(pixels)))
     assert encoded.stats.psnr > 30
     assert np.square(decoded[..., 3].astype(float) - pixels[..., 3]).mean() ** 0.5 < 10
-    assert encode(pixels, bytes=1200, tune=tune).data == encoded.data
 
 
 def test_what_nobody_sees_costs_nothing() -> None:
@@ -101,20 +98,20 @@ def test_the_same_alpha_everywhere_is_a_header(level: int) -> None:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-@pytest.mark.parametrize("aim", [28, 34, 38])
+@pytest.mark.parametrize("aim", [28, 36])
 def test_a_psnr_is_reached_on_black_and_on_white(aim: float, soft: bool) -> None:
     assert aim <= encode(seen_through(soft), psnr=aim).stats.psnr < aim + 0.5
 
 
 def test_better_qualities_and_more_gaussians() -> None:
     pixels = seen_through(soft=True)
-    found = [encode(pixels, quality=quality).stats for quality in (30, 60, 90)]
+    found = [encode(pixels, quality=quality).stats for quality in (20, 50, 80)]
     assert sorted(found, key=lambda s: s.bytes) == sorted(found, key=lambda s: s.psnr) == found
-    for most in (1, 5, 60):
+    for most in (1, 20):
         assert encode(pixels, gaussians=most).stats.gaussians <= max(most, 2)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 3)])
+@pytest.mark.parametrize("size", [(1, 1), (7, 3)])
 def test_tiny_pictures(size: tuple[int, int]) -> None:
     pixels = np.random.default_rng(1).integers(0, 256, (*size, 4), np.uint8)
     for budget in (Budget("bytes", 120), Budget("quality", 80), Budget("psnr", 25)):
@@ -127,7 +124,7 @@ def test_tiny_pictures(size: tuple[int, int]) -> None:
 def test_time_and_stop_end_it_early(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(codec, "Clock", SlowClock)
     pixels = np.dstack(
-        [np.kron(photograph(), np.ones((4, 4, 1), np.uint8)), np.kron(disc(True), np.ones((4, 4), np.uint8))]
+        [np.kron(photograph(), np.ones((2, 2, 1), np.uint8)), np.kron(disc(True), np.ones((2, 2), np.uint8))]
     )
     whole = encode(pixels, bpp=0.5).stats
     short = encode(pixels, bpp=0.5, time_limit_s=2.0).stats
@@ -137,14 +134,14 @@ def test_time_and_stop_end_it_early(monkeypatch: pytest.MonkeyPatch) -> None:
         assert early.steps < whole.steps
 
 
-@pytest.mark.parametrize("soft", [False, True])
+@pytest.mark.parametrize("soft", [pytest.param(False, marks=pytest.mark.thorough), True])
 def test_a_time_limit_spoils_no_alpha(soft: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where there are more bytes than time, and alpha may have what colours leave."""
     monkeypatch.setattr(codec, "Clock", SlowClock)
     for size in (1500, 20_000):
         budget, pixels = Budget("bytes", size), seen_through(soft)
         # Texture, of which a longer fit may have more, takes from the PSNR of a file that is tuned for the eye.
-        some, more = (encode(pixels, budget, tune="psnr", time_limit_s=limit_s).stats for limit_s in (3.0, 20.0))
+        some, more = (encode(pixels, budget, tune="psnr", time_limit_s=limit_s).stats for limit_s in (3.0, 10.0))
         assert 30 < some.psnr < more.psnr
         assert max(some.bytes, more.bytes) <= size
 
@@ -191,20 +188,6 @@ def test_views_and_prefixes() -> None:
     assert np.square(small - wanted).mean() ** 0.5 < 16
 
 
-def test_other_profiles_lay_it_over_white() -> None:
-    with pytest.warns(sgmethod.ImageWarning, match="over white"):
-        encoded = sgmethod.encode(seen_through(), gaussians=40, profile="paper", time_limit_s=0.5)
-    assert decode(encoded.data).shape == (72, 96, 3)
-
-
-def test_pillow_gives_it_back() -> None:
-    file = io.BytesIO()
-    Image.fromarray(seen_through()).save(file, "SGM", bpp=1)
-    image = Image.open(file)
-    assert image.mode == "RGBA"
-    np.testing.assert_array_equal(np.asarray(image), decode(file.getvalue()))
-
-
 def test_hidden_pixels_continue_those_around_them() -> None:
     pixels = np.zeros((16, 24, 3), np.uint8)
     pixels[:, :8], pixels[:, 16:] = (200, 0, 0), (0, 0, 100)
@@ -224,7 +207,7 @@ def test_only_what_is_clamped_may_overshoot() -> None:
     level[:, 10:20], level[:, 20:] = 128, 255
     grey = np.repeat(level[..., None], 3, 2)
     original = target_of(grey)
-    moving = BeyondBlackAndWhite(original, 0, RD.objective.moving)
+    moving = OvershootingTarget(original, 0, RD.objective.moving)
     for drawn in (-1.0, -0.2, 0.5, 1.2, 2.0):
         moving = moving.moved(lambda first, end, drawn=drawn: original[:, first:end] / TARGET_WHITE - np.float32(drawn))
         target = moving.now[0] / TARGET_WHITE

@@ -66,8 +66,6 @@ def test_names_stand_for_looks() -> None:
     for value in ("best", 0, 101):
         with pytest.raises(BudgetError):
             Budget("looks", value)
-    with pytest.raises(BudgetError, match="has no looks scale"):
-        sgmethod.encode(PHOTO, looks="web", profile="paper")
     with pytest.raises(BudgetError, match="sides below 8 pixels"):
         sgmethod.encode(PHOTO[:7], looks=60)
 

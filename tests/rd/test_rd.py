@@ -13,9 +13,9 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from sgmethod import Budget, BudgetError, Encoded, decode
+from sgmethod import Budget, Encoded, decode
 from sgmethod.bitstream import container
-from sgmethod.bitstream.v5 import SMALLEST_FILE, StreamV5
+from sgmethod.bitstream.v2 import SMALLEST_FILE, StreamV2
 from sgmethod.io.image import read_image
 from sgmethod.native import native
 from sgmethod.rd.rate_control import quality_quantum
@@ -29,7 +29,6 @@ SHORTEST = short(40)
 
 
 def encode(pixels: FloatArray, budget: Budget, settings: RdSettings = SHORT, **named: Any) -> Encoded:
-    """In a fraction of a second."""
     return sgmethod.encode(pixels, budget, settings=settings, **named)
 
 
@@ -49,9 +48,9 @@ def quadrants(side: int) -> FloatArray:
     return np.stack([(x + y) % 2, (x + y) % 2 * x / 3, (x + y) % 2 * y / 3], 2).astype(np.float32)
 
 
-def stream(encoded: Encoded) -> StreamV5:
+def stream(encoded: Encoded) -> StreamV2:
     found = container.parse(encoded.data)
-    assert isinstance(found, StreamV5)
+    assert isinstance(found, StreamV2)
     return found
 
 
@@ -65,25 +64,20 @@ def assert_sound(encoded: Encoded, pixels: FloatArray) -> None:
     assert all(math.isfinite(point.psnr) for point in encoded.trace)
 
 
-@pytest.mark.parametrize("max_bytes", [120, 300, 700, 1500])
+@pytest.mark.parametrize("max_bytes", [120, 700])
 def test_a_size_is_kept_and_used(max_bytes: int) -> None:
     encoded = encode(crop(), Budget("bytes", max_bytes))
     assert_sound(encoded, crop())
     assert 0.97 * max_bytes <= len(encoded.data) <= max_bytes
 
 
-@pytest.mark.parametrize("max_bytes", [SMALLEST_FILE, 30, 41, 64, 100])
+@pytest.mark.parametrize("max_bytes", [SMALLEST_FILE, 41, 100])
 @pytest.mark.parametrize("picture", [lambda: quadrants(400), crop, lambda: noise(30, 40)])
 def test_a_few_bytes_are_never_exceeded(picture: Callable[[], FloatArray], max_bytes: int) -> None:
     """The coarsest steps alone would not do it on large pictures with strong colours."""
     encoded = encode(picture(), Budget("bytes", max_bytes), SHORTEST)
     assert_sound(encoded, picture())
     assert len(encoded.data) <= max_bytes
-
-
-def test_fewer_bytes_than_a_file_has() -> None:
-    with pytest.raises(BudgetError, match="at least 12 bytes"):
-        encode(crop(), Budget("bytes", SMALLEST_FILE - 1))
 
 
 @pytest.mark.parametrize(("target_db", "beyond_db"), [(15.0, 0.5), (18.0, 0.2), (22.0, 0.2), (28.0, 0.2)])
@@ -106,7 +100,7 @@ def test_a_fit_stays_where_the_file_can_put_it() -> None:
 
 def test_more_bytes_than_anyone_needs_are_not_filled_with_gaussians() -> None:
     """As many as pixels at the start: 16.5 dB."""
-    assert encode(noise(48, 64), Budget("bytes", 10**12)).stats.psnr > 25
+    assert encode(noise(32, 40), Budget("bytes", 10**12)).stats.psnr > 25
 
 
 def test_a_given_number_and_quality_hold_under_a_time_limit() -> None:
@@ -132,7 +126,7 @@ def test_a_psnr_out_of_reach_gives_a_good_picture() -> None:
 
 
 def test_quality_is_monotone_in_size_and_error() -> None:
-    found = [encode(crop(), Budget("quality", quality)) for quality in (5, 25, 45, 65, 85)]
+    found = [encode(crop(), Budget("quality", quality)) for quality in (5, 30, 60, 85)]
     for encoded in found:
         assert_sound(encoded, crop())
     sizes, decibels = [len(e.data) for e in found], [e.stats.psnr for e in found]
@@ -158,20 +152,16 @@ def test_gaussians_are_at_most_as_many_as_asked(n: int) -> None:
 
 @pytest.mark.parametrize("budget", [Budget("bytes", 4000), Budget("quality", 80), Budget("psnr", 45)])
 def test_a_flat_image_costs_tens_of_bytes(budget: Budget) -> None:
-    pixels = np.full((90, 120, 3), (0.2, 0.5, 0.8), np.float32)  # 0.5 lies between two levels
-    encoded = encode(pixels, budget)
-    assert_sound(encoded, pixels)
+    """And is not fitted, where its colour is one of 8 bits."""
+    between = np.full((90, 120, 3), (0.2, 0.5, 0.8), np.float32)  # 0.5 lies between two levels
+    encoded = encode(between, budget)
+    assert_sound(encoded, between)
     assert len(encoded.data) < 50
     assert encoded.stats.psnr > 45
-
-
-@pytest.mark.parametrize("budget", [Budget("bytes", 4000), Budget("quality", 80), Budget("psnr", 45)])
-def test_a_picture_of_one_colour_is_not_fitted(budget: Budget) -> None:
-    pixels = np.full((90, 120, 3), (51, 127, 204), np.uint8)
-    encoded = encode(pixels, budget)
-    assert encoded.stats.steps == 0
-    assert encoded.trace[-1].phase == "done"
-    assert (decode(encoded.data) == pixels).all()
+    exact = np.full((90, 120, 3), (51, 127, 204), np.uint8)
+    encoded = encode(exact, budget)
+    assert (encoded.stats.steps, encoded.trace[-1].phase) == (0, "done")
+    assert (decode(encoded.data) == exact).all()
 
 
 def test_a_grey_picture_has_no_chroma() -> None:
@@ -180,13 +170,10 @@ def test_a_grey_picture_has_no_chroma() -> None:
     assert_sound(encoded, grey)
     assert stream(encoded).grey
     assert np.ptp(decode(encoded.data).astype(int), axis=2).max() == 0
-    assert not stream(encode(crop(), Budget("bytes", 500))).grey
-
-
-def test_nearly_grey_is_not_grey() -> None:
-    nearly = np.repeat(crop()[:, :, 1:2], 3, 2)
+    nearly = grey.copy()
     nearly[10:20, 10:20, 0] = np.clip(nearly[10:20, 10:20, 0] + 0.02, 0, 1)
-    assert not stream(encode(np.ascontiguousarray(nearly), Budget("bytes", 500))).grey
+    for pixels in (crop(), nearly):
+        assert not stream(encode(pixels, Budget("bytes", 500), SHORTEST)).grey
 
 
 def line(side: int) -> FloatArray:
@@ -201,7 +188,7 @@ def grating(side: int) -> FloatArray:
 
 
 @pytest.mark.parametrize("picture", [lambda: line(32), lambda: line(96), lambda: grating(40)])
-@pytest.mark.parametrize("budget", [Budget("bpp", 1), Budget("bpp", 4), Budget("bpp", 16), Budget("quality", 100)])
+@pytest.mark.parametrize("budget", [Budget("bpp", 1), Budget("bpp", 16), Budget("quality", 100)])
 def test_no_encode_clips(picture: Callable[[], FloatArray], budget: Budget) -> None:
     """A needle in a fine file would be drawn as something else."""
     before = native.rd_clipped_values()
@@ -210,11 +197,11 @@ def test_no_encode_clips(picture: Callable[[], FloatArray], budget: Budget) -> N
 
 
 ODD: dict[str, Callable[[], FloatArray]] = {
-    "noise": lambda: noise(40, 50),
+    "noise": lambda: noise(24, 30),
     "1x1": lambda: np.full((1, 1, 3), (0.9, 0.1, 0.4), np.float32),
     "2x1": lambda: np.array([[[0, 0, 0], [1, 1, 1]]], np.float32),
-    "1x4096": lambda: noise(4096, 1),
-    "4096x1": lambda: noise(1, 4096),
+    "1x300": lambda: noise(300, 1),
+    "300x1": lambda: noise(1, 300),
     "black": lambda: np.zeros((9, 8, 3), np.float32),
     "white": lambda: np.ones((9, 8, 3), np.float32),
     "one bright pixel": lambda: np.pad(np.ones((1, 1, 3), np.float32), ((20, 20), (20, 20), (0, 0))),

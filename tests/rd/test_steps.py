@@ -10,12 +10,11 @@ import pytest
 from sgmethod import Budget, decode, encode
 from sgmethod.bitstream import container
 from sgmethod.fitting.deadline import Clock
-from sgmethod.fitting.moving_target import AheadForTheEye
+from sgmethod.fitting.moving_target import ExaggeratedTarget
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify, settle
 from sgmethod.rd.fit import fit
-from sgmethod.rd.quantise import rounded_psnr
 from sgmethod.rd.steer import steer
 from sgmethod.settings.rd import RD
 from tests.harness.data import PHOTOGRAPHS
@@ -36,7 +35,7 @@ def test_previews_are_files_that_come_nearer() -> None:
 @pytest.mark.parametrize("halvings", [0, 1])
 def test_no_grain_is_hidden_where_a_smaller_picture_is_fitted(halvings: int) -> None:
     plan, state = begun(requested(CROP, BUDGET, "visual"))
-    assert isinstance(state.target, AheadForTheEye)
+    assert isinstance(state.target, ExaggeratedTarget)
     plan = replace(plan, pyramid=plan.pyramid.from_level(plan.pyramid.levels[halvings]))
     state = replace(plan.begin(state.gaussians), quantum=state.quantum)
     after = fit(plan, state, stage_of(plan, 100, at=0.99))
@@ -61,7 +60,7 @@ def test_the_trace_shows_what_would_be_decoded() -> None:
     wanted = float(np.square((decoded - CROP.astype(np.float64)) / 255).mean())
     shown = 10 ** (-recorder.points[-1].psnr / 10)
     assert shown == pytest.approx(wanted, rel=0.01)  # but for 8 bits and what is clamped
-    assert recorder.points[-1].psnr == pytest.approx(rounded_psnr(plan, state), abs=1e-3)
+    assert recorder.points[-1].psnr == pytest.approx(plan.psnr(plan.rounded(state.gaussians, state.quantum)), abs=1e-3)
     assert shown > 1.03 * plan.finest.gradients(state.gaussians)[0]
 
 

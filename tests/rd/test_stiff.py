@@ -1,5 +1,5 @@
 """Pictures that are hard to code, which keep a few rules: no failure, no budget exceeded, nothing clipped, a PSNR that
-is reachable is reached, and more bytes are never much worse."""
+is reachable is reached, and more bytes are never much worse. Slow: 240 whole encodes."""
 
 from __future__ import annotations
 

@@ -15,12 +15,11 @@ from sgmethod.backend.protocol import Frame, Target, Visibility
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify
-from sgmethod.rd.fit import fit, level_for
+from sgmethod.rd.fit import fit
 from sgmethod.rd.place import place
-from sgmethod.rd.plan import planned
-from sgmethod.rd.request import Plan, State
+from sgmethod.rd.plan import Plan, State, hurried, sized
 from sgmethod.scene import Gaussians
-from sgmethod.settings.rd import EFFORTS, RD, RdSettings, hurried, sized
+from sgmethod.settings.rd import EFFORTS, RD, RdSettings
 from tests.harness.data import PHOTOGRAPHS
 from tests.rd.short import SlowClock, requested, short, stage_of
 
@@ -87,7 +86,7 @@ def plan_for(seconds: float, any_s: float = 0.0) -> tuple[Plan, State]:
     pyramid = request.pyramid()
     gaussians = place(request, pyramid)
     clock.now = 0.0
-    plan = planned(request, pyramid, gaussians)
+    plan = Plan.of(request, pyramid, gaussians)
     return plan, plan.begin(gaussians)
 
 
@@ -98,7 +97,7 @@ def test_a_short_time_limit_is_for_a_smaller_picture() -> None:
     assert short_of_time.settings.densify.most == RD.deadline.most_hurried
     assert (short_of_time.pyramid.finest.frame.width, unhurried.pyramid.finest.frame.width) == (20, 160)
     stage = stage_of(short_of_time, 100, at=EFFORTS[1].times.growth_at[0])
-    assert level_for(short_of_time, state, stage, 1000).frame == short_of_time.finest.frame
+    assert short_of_time.level_for(state, stage, 1000).frame == short_of_time.finest.frame
     grown = fit(short_of_time, densify(short_of_time, state, stage), stage)
     added = grown.gaussians.means  # found in the small picture, but in pixels of the whole
     assert len(added) > len(state.gaussians)

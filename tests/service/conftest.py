@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -15,8 +15,10 @@ import pytest
 from service.__main__ import main
 from service.jobs.sql import JobTable
 from tests.harness import browser as browser_module
+from tests.harness import nginx
 from tests.harness.browser import Chromium, Firefox, find_driver, find_firefox
 from tests.harness.job_table import LONG_S, OpenTable, open_table
+from tests.harness.nginx import Nginx
 from tests.harness.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
 from tests.harness.s3_server import S3Server
 from tests.harness.service import SMALL_QUEUE, STAND_IN, Outcome, RunCommand, Service, StartService
@@ -121,6 +123,33 @@ def open_job_table(tmp_path: Path, database_url: str) -> Iterator[OpenTable]:
 def table(open_job_table: OpenTable) -> JobTable:
     """An empty job table."""
     return open_job_table(LONG_S)
+
+
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A certificate for this machine, which clients trust, beside its key."""
+    if nginx.NGINX is None:
+        if os.environ.get(nginx.REQUIRED) == "required":
+            pytest.fail(nginx.HINT)
+        pytest.skip(nginx.HINT)
+    file = nginx.make_certificate(tmp_path_factory.mktemp("tls"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SSL_CERT_FILE", str(file))
+        yield file
+
+
+@pytest.fixture(scope="module")
+def start_proxy(tmp_path_factory: pytest.TempPathFactory, certificate: Path) -> Iterator[Callable[..., Nginx]]:
+    """Starts the documented nginx before web processes: see Nginx."""
+    started: list[Nginx] = []
+
+    def start(webs: Sequence[str], *how: Any, **more: Any) -> Nginx:
+        started.append(Nginx(tmp_path_factory.mktemp("nginx"), certificate, webs, *how, **more))
+        return started[-1]
+
+    yield start
+    for proxy in started:
+        proxy.stop()
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -81,15 +81,14 @@ def test_the_structure_tensor_lies_across_an_edge() -> None:
 # --- the dynamic ratio
 
 
-def test_few_gaussians_go_where_detail_is() -> None:
+def test_few_gaussians_go_where_detail_is_and_very_many_everywhere() -> None:
     for n in (1, 800, 5000, STRUCTURE.ratio_start):
         assert dynamic_ratio(n, KODAK, STRUCTURE) == pytest.approx((6 / 9, 2 / 9, 1 / 9))
-
-
-def test_very_many_go_everywhere() -> None:
     threshold = int(STRUCTURE.threshold_factor * KODAK**STRUCTURE.threshold_exponent)
     for n in (threshold + 1, 2 * threshold, KODAK):
         assert dynamic_ratio(n, KODAK, STRUCTURE) == pytest.approx((1 / 3, 1 / 3, 1 / 3))
+    settings = replace(STRUCTURE, ratio=(5.0, 3.0, 2.0))  # of any sum
+    assert dynamic_ratio(1, KODAK, settings) == pytest.approx((0.5, 0.3, 0.2))
 
 
 def test_the_ratio_passes_from_one_to_the_other() -> None:
@@ -114,18 +113,13 @@ def test_a_small_picture_has_a_ratio_too(pixels: int) -> None:
     assert dynamic_ratio(STRUCTURE.ratio_start + 1, pixels, STRUCTURE) == pytest.approx((1 / 3, 1 / 3, 1 / 3))
 
 
-def test_any_ratio_is_normalised() -> None:
-    settings = replace(STRUCTURE, ratio=(5.0, 3.0, 2.0))
-    assert dynamic_ratio(1, KODAK, settings) == pytest.approx((0.5, 0.3, 0.2))
-
-
 # --- allocation
 
 RATIOS = [(6 / 9, 2 / 9, 1 / 9), (1 / 3, 1 / 3, 1 / 3), (0.5, 0.3, 0.2)]
 
 
 @pytest.mark.parametrize("ratio", RATIOS)
-@pytest.mark.parametrize("regions", [1, 2, 3, 4, 5, 9, 10, 11, 100, 333])
+@pytest.mark.parametrize("regions", [1, 2, 3, 4, 10, 333])
 def test_allocation_sums_to_n_and_favours_complexity(regions: int, ratio: tuple[float, float, float]) -> None:
     complexity = np.random.default_rng(regions).random(regions).astype(np.float32)
     descending = np.argsort(-complexity)
@@ -138,9 +132,13 @@ def test_allocation_sums_to_n_and_favours_complexity(regions: int, ratio: tuple[
 
 def test_allocation_follows_the_ratio() -> None:
     complexity, area = np.arange(9, dtype=np.float32)[::-1], np.full(9, 50)
-    assert allocate(complexity, area, 900, RATIOS[0]).tolist() == [201] * 3 + [66] * 3 + [33] * 3
-    assert allocate(complexity, area, 900, RATIOS[1]).tolist() == [100] * 9
-    assert allocate(complexity, area, 4, RATIOS[0]).tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0]
+    for shared in (partial(allocate, complexity, area), partial(allocate_by_number, complexity)):
+        assert shared(900, RATIOS[0]).tolist() == [201] * 3 + [66] * 3 + [33] * 3
+        assert shared(900, RATIOS[1]).tolist() == [100] * 9
+        assert shared(4, RATIOS[0]).tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0]
+    equal = np.zeros(4, np.float32)  # in a stable order
+    for shared in (partial(allocate, equal, np.full(4, 9)), partial(allocate_by_number, equal)):
+        assert shared(2, RATIOS[1]).tolist() == [1, 1, 0, 0]
 
 
 def test_categories_are_thirds_of_the_picture_and_regions_share_by_area() -> None:
@@ -151,19 +149,17 @@ def test_categories_are_thirds_of_the_picture_and_regions_share_by_area() -> Non
     assert allocate(complexity, area, 90, RATIOS[0]).tolist() == [10 + 10, 18, 18, 24 + 10]  # two are on a border
 
 
-def test_equal_complexity_is_shared_in_a_stable_order() -> None:
-    assert allocate(np.zeros(4, np.float32), np.full(4, 9), 2, RATIOS[1]).tolist() == [1, 1, 0, 0]
-
-
-def test_regions_may_share_by_number() -> None:
-    complexity = np.arange(9, dtype=np.float32)[::-1]
-    assert allocate_by_number(complexity, 900, RATIOS[0]).tolist() == [201] * 3 + [66] * 3 + [33] * 3
-    assert allocate_by_number(complexity, 900, RATIOS[1]).tolist() == [100] * 9
-    assert allocate_by_number(complexity, 4, RATIOS[0]).tolist() == [1, 1, 1, 1, 0, 0, 0, 0, 0]
-    assert allocate_by_number(np.zeros(4, np.float32), 2, RATIOS[1]).tolist() == [1, 1, 0, 0]
-
-
 # --- placement
+
+
+def orientation(found: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The angles from x (radians) of the long axes, and the axes' ratios, long over short."""
+    l1, l2, l3 = found.factors.T.astype(np.float64)
+    zero = np.zeros_like(l1)
+    factor = np.stack([np.stack([l1, zero], 1), np.stack([l2, l3], 1)], 1)
+    values, vectors = np.linalg.eigh(factor @ factor.transpose(0, 2, 1))
+    return np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]), np.sqrt(values[:, 1] / values[:, 0])
+
 
 PICTURES = {
     "photograph": photo,
@@ -186,28 +182,15 @@ PICTURES = {
 def test_every_start_is_sound(name: str, baseline: bool) -> None:
     image = PICTURES[name]()
     height, width = image.shape[:2]
-    for n in sorted({1, 2, 3, 10, 100, min(height * width, 1000)}):
-        if n > height * width:
-            continue
+    for n in {min(n, height * width) for n in (1, 2, 3, 10, 100, 1000)}:
         found = start(image, n, baseline=baseline)
-        assert len(found) == n
-        assert found.means.shape == (n, 2)
-        assert found.factors.shape == found.colors.shape == (n, 3)
-        for array in (found.means, found.factors, found.colors):
-            assert array.dtype == np.float32
-            assert np.isfinite(array).all()
-        assert (found.means >= 0).all()
-        assert (found.means <= (width, height)).all()
+        assert [array.shape for array in found.arrays] == [(n, 2), (n, 3), (n, 3)]
+        assert all(array.dtype == np.float32 and np.isfinite(array).all() for array in found.arrays)
+        assert ((found.means >= 0) & (found.means <= (width, height))).all()
         assert (found.factors[:, [0, 2]] > 0).all()
-        assert found.colors.min() >= 0
-        assert found.colors.max() <= 1
-
-
-@pytest.mark.parametrize("name", ["2 x 2", "3 x 1", "flat", "noise", "checkerboard"])
-def test_as_many_gaussians_as_pixels(name: str) -> None:
-    image = PICTURES[name]()
-    n = image.shape[0] * image.shape[1]
-    assert len(start(image, n)) == n
+        assert ((found.colors >= 0) & (found.colors <= 1)).all()
+        if name == "flat" and not baseline:
+            assert np.allclose(orientation(found)[1], 1, atol=1e-5)  # round; worst seen 0
 
 
 def test_colours_are_those_of_the_picture_below() -> None:
@@ -234,15 +217,6 @@ def test_scales_cover_the_picture() -> None:
             assert 0.5 < covered < 2, covered  # 0.7 to 1.2 seen
 
 
-def orientation(found: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The angles from x (radians) of the long axes, and the axes' ratios, long over short."""
-    l1, l2, l3 = found.factors.T.astype(np.float64)
-    zero = np.zeros_like(l1)
-    factor = np.stack([np.stack([l1, zero], 1), np.stack([l2, l3], 1)], 1)
-    values, vectors = np.linalg.eigh(factor @ factor.transpose(0, 2, 1))
-    return np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]), np.sqrt(values[:, 1] / values[:, 0])
-
-
 @pytest.mark.parametrize("degrees", [0, 30, 45, 90, 120, 135])
 def test_ellipses_lie_along_an_edge(degrees: float) -> None:
     angle = np.radians(degrees)
@@ -252,21 +226,6 @@ def test_ellipses_lie_along_an_edge(degrees: float) -> None:
     near = (distance < 2) & (np.maximum(np.abs(x), np.abs(y)) < 24)
     assert near.sum() >= 10
     angles, ratios = orientation(found)
-    assert (
-        np.median(ratios[near]) > 1.4
-    )  # 1.9 to 2.7 seen; 2.7 is that of full coherence, small ones are kept round by their least scale
+    assert np.median(ratios[near]) > 1.4  # 1.9 to 2.7 seen; 2.7 is that of full coherence
     long = near & (ratios > 1.4)
     assert np.abs(np.sin(angles[long] - angle)).max() < 0.15  # worst seen 0.08
-
-
-def test_a_flat_picture_gets_round_gaussians() -> None:
-    assert np.allclose(orientation(start(PICTURES["flat"](), 20))[1], 1, atol=1e-5)  # worst seen 0
-
-
-@pytest.mark.parametrize("baseline", [False, True], ids=("paper", "baseline"))
-def test_the_seed_decides(baseline: bool) -> None:
-    a, b, c = (start(photo(), 100, seed, baseline) for seed in (0, 0, 1))
-    assert np.array_equal(a.means, b.means)
-    assert np.array_equal(a.factors, b.factors)
-    assert np.array_equal(a.colors, b.colors)
-    assert not np.array_equal(a.means, c.means)

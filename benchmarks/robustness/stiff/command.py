@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--pictures", default=",".join(PICTURES), help="names, each a picture of its own; all")
     parser.add_argument("--seeds", type=int, default=3, help="encodes of each picture and budget")
     parser.add_argument("--only", default=",".join(BUDGETS), help="kinds of budget")
-    parser.add_argument("--out", type=Path, default=RUNS / "version4" / "stiff.json")
+    parser.add_argument("--out", type=Path, default=RUNS / "stiff.json")
     parser.add_argument("--judge", action="store_true", help="judge the rows of the JSON anew, encode nothing")
     parser.add_argument("--draw", type=Path, metavar="FOLDER", help="write the pictures there, encode nothing")
     options = parser.parse_args()

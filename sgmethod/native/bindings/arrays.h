@@ -1,4 +1,4 @@
-// Python's arrays as the kernels take them: C-contiguous, float32, in the processor's memory.
+// Types of Python's arrays for the kernels: C-contiguous, in the CPU's memory.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -14,8 +14,8 @@
 
 namespace nb = nanobind;
 
-// Inputs of another type or layout are converted. Arguments of the kinds that end in Out are bound with noconvert(),
-// because a result would go to the converted copy and be lost.
+// Inputs of another type or layout are converted. Arguments of types that end in Out are bound with noconvert(),
+// because results would be written to the converted copy and be lost.
 template <int Columns>
 using Rows = nb::ndarray<const float, nb::shape<-1, Columns>, nb::c_contig, nb::device::cpu>;
 template <int Columns>
@@ -31,7 +31,7 @@ inline void require(bool condition, const char* message) {
   if (!condition) throw nb::value_error(message);
 }
 
-// The number of Gaussians: of rows in each of the arrays.
+// The number of Gaussians, which is the number of rows of every array.
 template <typename First, typename... Others>
 int gaussians(const First& first, const Others&... others) {
   require(((others.shape(0) == first.shape(0)) && ...), "one row per Gaussian");
@@ -45,7 +45,7 @@ int side(const Array& image, int axis) {
   return static_cast<int>(image.shape(axis));
 }
 
-// Of an image [3, height, width].
+// Requires an image [3, height, width].
 template <typename Array>
 void require_size(const Array& image, int width, int height) {
   require(side(image, 1) == height && side(image, 2) == width, "image has another size");
@@ -58,7 +58,7 @@ inline const int16_t* values_of(const std::optional<Visibility>& visibility, int
   return visibility->data();
 }
 
-// A numpy array of that shape that owns the values.
+// A NumPy array of this shape that owns the values.
 template <typename Array, typename T>
 Array own(std::vector<T>&& values, std::initializer_list<size_t> shape) {
   auto kept = std::make_unique<std::vector<T>>(std::move(values));
@@ -73,7 +73,7 @@ auto own_rows(std::vector<float>&& values) {
   return own<nb::ndarray<nb::numpy, float, nb::shape<-1, Columns>>>(std::move(values), {rows, Columns});
 }
 
-// What each room adds to the module.
+// Each adds a room's classes and functions to the module.
 void bind_raster(nb::module_& m);
 void bind_fit(nb::module_& m);
 void bind_rd(nb::module_& m);

@@ -11,7 +11,7 @@ using namespace nb::literals;
 
 namespace {
 
-// The loss and a share in the array it refers to.
+// The loss, and a reference that keeps its target alive.
 struct LossOfTarget {
   LossOfTarget(Image image, float lambda_g)
       : target(std::move(image)), loss(target.data(), side(target, 2), side(target, 1), lambda_g) {}

@@ -1,4 +1,4 @@
-// The module of Python. The files of this folder check and convert arguments; all else is in the rooms beside it.
+// The Python module. The files of this folder check and convert arguments; the rest is in the rooms beside it.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/tuple.h>
 
@@ -22,10 +22,10 @@ std::tuple<double, double, double> color_axis(int row) {
 }  // namespace
 
 NB_MODULE(_native, m) {
-  m.doc() = "The compiled kernels. Types and meanings stand in sgmethod/native/_native.pyi.";
+  m.doc() = "The compiled kernels, documented in sgmethod/native/_native.pyi.";
   m.attr("MAX_SIDE") = sg::kMaxSide;
   m.attr("CUTOFF_V1") = sg::kCutoffV1;
-  m.attr("CUTOFF_V3") = sg::kCutoffV3;
+  m.attr("CUTOFF_V2") = sg::kCutoffV2;
   m.attr("MAX_CUTOFF") = sg::kMaxCutoff;
   m.attr("MIN_SCALE") = sg::kMinScale;
   m.attr("TARGET_WHITE") = sg::kTargetWhite;

@@ -34,9 +34,9 @@ auto unpack_texture(nb::bytes data, int width, int height) {
   return std::make_tuple(own<nb::ndarray<nb::numpy, uint8_t, nb::ndim<3>>>(std::move(codes), shape), used);
 }
 
-sg::Texture* texture(Codes codes, double cell_x, double cell_y, double x, double y, int shift, bool is_banded) {
+sg::Texture* texture(Codes codes, double cell_x, double cell_y, double x, double y, int shift) {
   require(codes.shape(0) == sg::kTextureOctaves, "one plane of codes for each octave");
-  return new sg::Texture(codes.data(), {side(codes, 2), side(codes, 1), cell_x, cell_y, x, y, shift}, is_banded);
+  return new sg::Texture(codes.data(), {side(codes, 2), side(codes, 1), cell_x, cell_y, x, y, shift});
 }
 
 void require_colors(const sg::Rasterization& r, const Rows<3>& colors) {
@@ -110,8 +110,7 @@ void bind_raster(nb::module_& m) {
   m.def("most_pairs", &sg::most_pairs, "gaussians"_a, "width"_a, "height"_a);
   m.def("unpack_texture", &unpack_texture, "data"_a, "width"_a, "height"_a);
   nb::class_<sg::Texture>(m, "Texture")
-      .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0,
-           "is_banded"_a = true);
+      .def(nb::new_(&texture), "codes"_a.noconvert(), "cell_x"_a, "cell_y"_a, "x"_a = 0.0, "y"_a = 0.0, "shift"_a = 0);
   nb::class_<sg::Rasterization>(m, "Rasterization")
       .def(nb::new_(&rasterization), "means"_a, "factors"_a, "width"_a, "height"_a, "cutoff"_a = sg::kCutoffV1,
            "isa"_a = -1, "max_pairs"_a = sg::kMaxPairs, "pyramid"_a = false, "x"_a = 0, "y"_a = 0, "texture"_a.none() = nb::none())

@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "bindings/arrays.h"
-#include "file/lay_out.h"
 #include "rd/codec.h"
+#include "rd/lay_out.h"
 #include "rd/rate.h"
 #include "refine/refine.h"
 #include "rd/symbols.h"
@@ -70,9 +70,9 @@ auto decode(const sg::RdParameters& p, nb::bytes data, bool prefix, uint64_t max
                          own_rows<3>(std::move(decoded.colors)));
 }
 
-auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, float cutoff, bool pyramid, const sg::Texture* texture) {
+auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, const sg::Texture* texture) {
   auto drawn = texture == nullptr ? nullptr : std::make_shared<const sg::Texture>(*texture);
-  const sg::Canvas canvas{0, 0, p.width, p.height, cutoff, pyramid, std::move(drawn)};
+  const sg::Canvas canvas{0, 0, p.width, p.height, sg::kCutoffV2, true, std::move(drawn)};
   sg::LaidOut laid_out;
   {
     const auto* bytes = static_cast<const uint8_t*>(data.data());
@@ -88,8 +88,8 @@ auto lay_out(const sg::RdParameters& p, nb::bytes data, bool prefix, float cutof
 
 void bind_rd(nb::module_& m) {
   nb::class_<sg::RdParameters>(m, "RdParameters")
-      .def(nb::init<int, int, double, bool, bool, int, bool>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
-           "upright"_a = false, "version"_a = 4, "is_short"_a = false);
+      .def(nb::init<int, int, double, bool, bool, bool>(), "width"_a, "height"_a, "quantum"_a, "grey"_a = false,
+           "upright"_a = false, "is_short"_a = false);
   m.def("rd_clipped_values", &sg::clipped_values);
   m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a, "by_factors"_a.noconvert(),
         "by_colors"_a.noconvert());
@@ -98,6 +98,6 @@ void bind_rd(nb::module_& m) {
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);
   m.def("rd_refine", &refine, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "target"_a.noconvert(), "cutoff"_a, "price"_a,
         "sweeps"_a, "seconds"_a, "max_bytes"_a, "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true, "halvings"_a = 0);
-  m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "cutoff"_a, "pyramid"_a, "texture"_a.none() = nb::none());
+  m.def("rd_lay_out", &lay_out, "parameters"_a, "data"_a, "prefix"_a, "texture"_a.none() = nb::none());
   m.def("rd_decode", &decode, "parameters"_a, "data"_a, "prefix"_a = false, "max_gaussians"_a = sg::kMaxGaussians);
 }

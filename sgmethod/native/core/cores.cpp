@@ -19,22 +19,22 @@ int whole_cores(long long quota, long long period) {
   return static_cast<int>(std::clamp<long long>(quota / period, 1, INT_MAX));
 }
 
-// Version 2: "250000 100000", or "max 100000" where nothing is limited.
+// Version 2: "250000 100000", or "max 100000" without a limit.
 int quota_v2(const std::string& group) {
   std::ifstream file(group + "/cpu.max");
   long long quota, period;
   return file >> quota >> period ? whole_cores(quota, period) : INT_MAX;
 }
 
-// Version 1: two files, with -1 where nothing is limited.
+// Version 1: two files, with -1 for no limit.
 int quota_v1(const std::string& group) {
   std::ifstream quota_file(group + "/cpu.cfs_quota_us"), period_file(group + "/cpu.cfs_period_us");
   long long quota, period;
   return quota_file >> quota && period_file >> period ? whole_cores(quota, period) : INT_MAX;
 }
 
-// The smallest quota from `group` up to the mount itself. A container may see its group's path as the host has it
-// while the mount shows only the group: folders that do not exist limit nothing.
+// The smallest quota from `group` up to the mount itself. A container may see its group's path on the host, while the
+// mount shows only the group: folders that do not exist limit nothing.
 template <typename Quota>
 int smallest(const std::string& mount, std::string group, const Quota& quota) {
   int cores = quota(mount);
@@ -49,7 +49,7 @@ bool lists_cpu(const std::string& controllers) { return ("," + controllers + ","
 #ifdef __linux__
 // The kernel refuses a mask that is smaller than its own, so the mask grows until it fits.
 int affinity_cores() {
-  constexpr int kMostCpus = 1 << 20;  // far beyond any machine: a mask that large is refused for another reason
+  constexpr int kMostCpus = 1 << 20;  // far beyond any machine: a larger mask would be refused for another reason
   for (int cpus = CPU_SETSIZE; cpus <= kMostCpus; cpus *= 2) {
     std::vector<unsigned long> mask(CPU_ALLOC_SIZE(cpus) / sizeof(unsigned long));
     auto* set = reinterpret_cast<cpu_set_t*>(mask.data());
@@ -65,14 +65,14 @@ int affinity_cores() { return std::max(1, static_cast<int>(std::thread::hardware
 int quota_cores(const std::string& root) {
   std::string v2, v1;  // the paths of the process's groups
   std::ifstream groups(root + "/proc/self/cgroup");
-  for (std::string line; std::getline(groups, line);) {  // "number:controllers:path", and "0::path" of version 2
+  for (std::string line; std::getline(groups, line);) {  // "number:controllers:path"; "0::path" for version 2
     const size_t first = line.find(':'), second = line.find(":/", first + 1);
     if (second == std::string::npos) continue;
     const std::string controllers = line.substr(first + 1, second - first - 1), group = line.substr(second + 1);
     if (controllers.empty()) v2 = group;
     if (lists_cpu(controllers)) v1 = group;
   }
-  // Where systems and containers mount the groups; "unified" is version 2 beside version 1.
+  // Usual mount points; "unified" is version 2 next to version 1.
   const std::string mount = root + "/sys/fs/cgroup";
   return std::min({smallest(mount, v2, quota_v2), smallest(mount + "/unified", v2, quota_v2),
                    smallest(mount + "/cpu", v1, quota_v1), smallest(mount + "/cpu,cpuacct", v1, quota_v1)});

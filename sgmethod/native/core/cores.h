@@ -1,18 +1,18 @@
-// How many processor cores this process may use.
+// Number of processor cores this process may use.
 #pragma once
 
 #include <string>
 
 namespace sg {
 
-// Both of what follows together; at least 1.
+// The smaller of affinity_cores() and quota_cores(); at least 1.
 int available_cores();
 
-// The cores that the process may run on, however many the machine has.
+// Cores in the process's affinity mask.
 int affinity_cores();
 
-// The cores that the smallest quota among the process's control group and those above it allows: at least 1, and
-// INT_MAX where there is none. `root` is the folder that holds proc/ and sys/.
+// Cores allowed by the smallest quota of the process's control group and its ancestors: at least 1, INT_MAX without a
+// quota. root: the folder that contains proc/ and sys/.
 int quota_cores(const std::string& root);
 
 }  // namespace sg

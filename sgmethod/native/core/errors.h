@@ -1,4 +1,4 @@
-// How the core says that something cannot be.
+// Throwing errors out of line, so that the checks before them stay small.
 #pragma once
 
 #include <stdexcept>

@@ -10,13 +10,13 @@ namespace sg {
 namespace {
 
 #if SG_X86
-// What the processor has, and the system keeps for each thread. Asked for once: a virtual machine may answer slowly. Not
-// by __builtin_cpu_supports, which some compilers' libraries lack.
+// Features of the processor that the system supports. Queried once, because a virtual machine may answer slowly. Not by
+// __builtin_cpu_supports, which some compilers' libraries lack.
 struct Processor {
   Processor() {
     unsigned a, b, c, d, extended = 0;
     if (!__get_cpuid(1, &a, &b, &c, &d)) return;
-    const bool avx = all(c, 1u << 27 | 1u << 28), fma = all(c, 1u << 12);  // bit 27: the system says what it keeps
+    const bool avx = all(c, 1u << 27 | 1u << 28), fma = all(c, 1u << 12);  // bit 27: xgetbv is available
     const unsigned kept = avx ? registers_kept() : 0;
     if (__get_cpuid(0x80000001, &a, &b, &c, &d)) extended = c;
     if (!__get_cpuid_count(7, 0, &a, &b, &c, &d)) return;
@@ -27,7 +27,7 @@ struct Processor {
     if (isa == kAvx2 && all(kept, 0xE6) && all(b, kAvx512Bits)) isa = kAvx512;
   }
   static bool all(unsigned value, unsigned bits) { return (value & bits) == bits; }
-  static unsigned registers_kept() {
+  static unsigned registers_kept() {  // register sets that the system saves for each thread
     unsigned low, high;
     asm volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
     return low;

@@ -1,4 +1,4 @@
-// The instruction sets that the kernels are compiled for. On processors other than x86-64 there is the first alone.
+// Instruction sets that the kernels are compiled for. Processors other than x86-64 have only the first.
 #pragma once
 
 namespace sg {
@@ -7,7 +7,7 @@ enum Isa { kBaseline = 0, kAvx2 = 1, kAvx512 = 2 };
 
 // The best instruction set this processor has.
 int best_isa();
-// Whether this processor, of x86-64, has BMI1, BMI2 and LZCNT.
+// Whether this processor has BMI1, BMI2 and LZCNT. On x86-64 only.
 bool has_bit_operations();
 
 }  // namespace sg

@@ -1,4 +1,4 @@
-// What differs between processors, compilers and systems. Vectors have simd.h, instruction sets isa.h.
+// Differences between processors, compilers and systems. For vectors see simd.h, for instruction sets isa.h.
 #pragma once
 
 #include <cstdint>
@@ -8,11 +8,11 @@
 #error "The kernels need the vector extensions of GCC or Clang; on Windows, of clang-cl."
 #endif
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
-#error "The kernels read numbers as little-endian machines keep them."
+#error "The kernels need a little-endian machine."
 #endif
 
-// x86-64 has several instruction sets, of which the best is chosen at run time. Elsewhere there is one: NEON on aarch64,
-// or what the compiler makes of vectors.
+// x86-64 has several instruction sets, of which the best is chosen at run time. Elsewhere there is one: NEON on
+// aarch64, or the compiler's own code for vectors.
 #ifdef __x86_64__
 #define SG_X86 1
 #include <xmmintrin.h>
@@ -27,16 +27,16 @@
 #define SG_FORKS 0
 #endif
 
-// For loops that the compiler makes vectors of by itself: a function for several instruction sets, of which the loader
-// picks one. Loaders other than glibc's cannot. Not under the thread sanitizer, which cannot watch it do so yet.
+// For functions with auto-vectorised loops: compiled for several instruction sets, of which the loader picks one. Only
+// glibc's loader can. Not under the thread sanitizer, which is not ready when the loader picks.
 #if SG_X86 && defined(__GLIBC__) && !defined(__SANITIZE_THREAD__)
 #define SG_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
 #else
 #define SG_CLONES
 #endif
 
-// The model of a thread's storage that needs no memory at the first use: there the system ends the process if it has none.
-// Where the C library is musl, no first use needs any, and a library of that model is refused once a program runs.
+// Thread-local storage that is allocated with the thread and not at its first use, where glibc ends the process if
+// there is no memory. musl always allocates it with the thread, and refuses to load a library of this model later.
 #if defined(__ELF__) && defined(__GLIBC__)
 #define SG_STORED_AT_START __attribute__((tls_model("initial-exec")))
 #else
@@ -45,7 +45,7 @@
 
 namespace sg {
 
-// The processor's mode for numbers with a point, of this thread, and its part that makes subnormal numbers zero.
+// The floating-point mode of this thread, and its bits that flush subnormal numbers to zero.
 #if SG_X86
 using FloatMode = unsigned;
 constexpr FloatMode kFlushMode = 0x8040;
@@ -67,7 +67,7 @@ inline FloatMode float_mode() { return 0; }
 inline void set_float_mode(FloatMode) {}
 #endif
 
-// Tells the processor that this thread only waits.
+// Tells the processor that this thread is waiting in a loop.
 inline void wait_a_moment() {
 #if SG_X86
   _mm_pause();
@@ -76,7 +76,7 @@ inline void wait_a_moment() {
 #endif
 }
 
-// Has `run` called in every child that is forked from now on.
+// Calls `run` in every child forked from now on.
 inline int in_children(void (*run)()) {
 #if SG_FORKS
   return pthread_atfork(nullptr, nullptr, run);

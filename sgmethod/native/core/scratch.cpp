@@ -15,18 +15,18 @@ namespace sg {
 namespace {
 
 constexpr size_t kMostKept = 8;
-constexpr size_t kMostFloats = 1 << 25;  // of all that are kept: 128 MB, or one huge picture would hold its memory for good
+constexpr size_t kMostFloats = 1 << 25;  // kept in all, 128 MB: a huge picture must not hold its memory for good
 
 struct Kept {
-  Kept() { blocks.reserve(kMostKept + 1); }  // so that handing one back never throws
+  Kept() { blocks.reserve(kMostKept + 1); }  // so that returning a block never throws
   std::mutex lock;
-  std::vector<std::vector<float>> blocks;  // none in use, that which was used longest ago first
+  std::vector<std::vector<float>> blocks;  // free ones, least recently used first
 };
 
-// It lives as long as the process: other threads may draw while it ends.
+// Never destroyed, because other threads may draw while the process ends.
 Kept* const kept = new Kept;
 
-// Another thread may have been at it when a child was forked.
+// Another thread may have held the lock when a child was forked.
 [[maybe_unused]] const int watched = in_children([] { new (kept) Kept; });
 
 size_t floats_of(const std::vector<std::vector<float>>& blocks) {
@@ -65,7 +65,7 @@ void release_memory() {
     const std::lock_guard<std::mutex> hold(kept->lock);
     kept->blocks.clear();
   }
-#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)  // whose allocator leaves glibc's without an arena
+#if defined(__GLIBC__) && !defined(__SANITIZE_ADDRESS__)  // its allocator replaces glibc's
   malloc_trim(0);
 #endif
 }

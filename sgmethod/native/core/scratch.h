@@ -1,5 +1,5 @@
-// Memory that calls hand on to each other. A fit needs the same some megabytes a thousand times, and pages that are new
-// to the process cost more time than what is computed in them.
+// Memory reused from call to call. A fit needs the same few megabytes a thousand times, and fresh pages cost more time
+// than the computation in them.
 #pragma once
 
 #include <cstddef>
@@ -20,7 +20,7 @@ class Scratch {
   std::vector<float> floats_;
 };
 
-// Gives back to the system what is kept for later calls, and what the C library keeps of freed memory.
+// Returns memory kept for later calls, and the C library's free memory, to the system.
 void release_memory();
 
 }  // namespace sg

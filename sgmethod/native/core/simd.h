@@ -1,5 +1,5 @@
-// Vectors of W floats and the few functions the kernels need, in the vector extensions of GCC and Clang, which both have
-// for every processor. What a compiler makes worse than the processor can stands here too, and nowhere else.
+// Vectors of W floats and the few functions the kernels need, in the vector extensions of GCC and Clang, which work on
+// every processor. Assembly, where a compiler does worse than the processor could, is here and nowhere else.
 #pragma once
 
 #include <cstdint>
@@ -22,7 +22,7 @@
 #define SG_GCC_ON_X86 0
 #endif
 
-// GCC takes vectors of half the width of AVX-512 unless it is told to prefer the whole. Clang has no such option.
+// GCC uses vectors of half the width of AVX-512 unless told to prefer the full width. Clang has no such option.
 #ifdef __clang__
 #define SG_AVX512 "avx512f,avx512dq,avx512vl"
 #else
@@ -32,7 +32,7 @@
 namespace sg {
 
 template <int W>
-struct Lanes;  // each width by itself: GCC takes no vector_size that depends on a parameter
+struct Lanes;  // specialised for each width: GCC does not accept a vector_size that depends on a parameter
 template <>
 struct Lanes<4> {
   typedef float F __attribute__((vector_size(16)));
@@ -49,8 +49,8 @@ struct Lanes<16> {
   typedef int32_t I __attribute__((vector_size(64)));
 };
 
-// Lanes of a and b, numbered as one, at the given places. Clang has this function for constant places alone, and finds it
-// in a loop that is unrolled.
+// Lanes of a and b, numbered consecutively, at the given places. Clang's builtin takes only constant places, but Clang
+// recognises the unrolled loop.
 template <typename V, typename Places>
 SG_INLINE V shuffle(V a, V b, Places places) {
 #ifdef __clang__
@@ -81,7 +81,7 @@ struct Simd {
   static SG_INLINE F min(F a, F b) { return a < b ? a : b; }
   static SG_INLINE F max(F a, F b) { return a > b ? a : b; }
 #else
-  // The same, b where either is not a number. GCC takes two instructions for it, a comparison and a choice.
+  // The same: b if either is NaN. GCC would take two instructions, a comparison and a selection.
   static SG_INLINE F min(F a, F b) {
     if constexpr (W == 4) {
       asm("minps %1, %0" : "+x"(a) : "x"(b));
@@ -117,7 +117,7 @@ struct Simd {
     return total;
   }
 
-  // Of 8 lanes: four from each place.
+  // For 8 lanes: four from each address.
   static SG_INLINE F halves(const float* low, const float* high) {
     static_assert(W == 8);
     F v;
@@ -132,7 +132,7 @@ struct Simd {
     return v;
   }
 
-  // Of 8 lanes, clamped to 0 ... 255: in each half four bytes of a, four of b and four of c, and these once more.
+  // For 8 lanes, clamped to 0 ... 255: in each half four bytes of a, four of b, and four of c twice.
   static SG_INLINE auto bytes(I a, I b, I c) {
     static_assert(W == 8);
     typedef uint8_t Bytes __attribute__((vector_size(32)));
@@ -149,11 +149,11 @@ struct Simd {
     return out;
   }
 
-  // out [8]: the sum of the lanes of each vector.
+  // out [8]: the sum of each vector's lanes.
   static SG_INLINE void sums(const F (&v)[8], float* out) {
     for (int half = 0; half < 2; ++half) {
       const F* four = v + 4 * half;
-      alignas(64) float parts[W];  // each group of four lanes: the four vectors' sums over that group
+      alignas(64) float parts[W];  // in each group of four lanes: the four vectors' sums over that group
       store(parts, pairs(pairs(four[0], four[1]), pairs(four[2], four[3])));
       for (int k = 0; k < 4; ++k) out[4 * half + k] = parts[k];
       for (int lane = 4; lane < W; lane += 4)
@@ -161,7 +161,7 @@ struct Simd {
     }
   }
 
-  // In each group of four lanes: the sums of neighbouring lanes, two of a and then two of b.
+  // In each group of four lanes: sums of neighbouring lanes, two of a and then two of b.
   static SG_INLINE F pairs(F a, F b) {
     I even, odd;
     for (int lane = 0; lane < W; ++lane) {
@@ -173,8 +173,8 @@ struct Simd {
 
   // x = exp(x) for -87 <= x <= 87, relative error below 3e-7 (measured against double).
   // exp(x) = 2^n exp(r), r = x - n ln 2 in two parts (Cody and Waite), |r| <= 0.35, Taylor to degree 6.
-  // Each operation waits for the one before, so those of all N come first in the code: a processor looks ahead no further
-  // than some dozens of operations.
+  // Operations on one vector depend on each other, so each is done for all N vectors before the next: a processor looks
+  // ahead only some dozens of operations.
   template <int N>
   static SG_INLINE void exp(F (&x)[N]) {
     const float magic = 12582912.0f;  // 1.5 * 2^23: adding it rounds to an integer in the low bits
@@ -199,18 +199,17 @@ struct Simd {
   }
 };
 
-// How many of 16 ascending numbers are no greater than a place. kSome: at least one is greater, which spares a step. p lies
-// at a multiple of 16 bytes.
-template <bool kSome>
+// Counts the numbers not greater than `place` among 16 ascending ones, of which the last is greater. p is aligned to 16
+// bytes.
 SG_INLINE uint32_t count_until(const int16_t* p, int place) {
 #if SG_X86
   __m128i at = _mm_shufflelo_epi16(_mm_cvtsi32_si128(place), 0);
   at = _mm_unpacklo_epi64(at, at);
   const auto* v = reinterpret_cast<const __m128i*>(p);
   const __m128i above = _mm_packs_epi16(_mm_cmpgt_epi16(_mm_load_si128(v), at), _mm_cmpgt_epi16(_mm_load_si128(v + 1), at));
-  return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above)) | (kSome ? 0u : 1u << 16)));
+  return static_cast<uint32_t>(__builtin_ctz(static_cast<unsigned>(_mm_movemask_epi8(above))));
 #elif defined(__ARM_NEON) && defined(__aarch64__)
-  const int16x8_t at = vdupq_n_s16(static_cast<int16_t>(place));  // a comparison that holds is -1
+  const int16x8_t at = vdupq_n_s16(static_cast<int16_t>(place));  // a true comparison is -1
   const uint16x8_t within = vaddq_u16(vcleq_s16(vld1q_s16(p), at), vcleq_s16(vld1q_s16(p + 8), at));
   return static_cast<uint32_t>(-vaddvq_s16(vreinterpretq_s16_u16(within)));
 #else

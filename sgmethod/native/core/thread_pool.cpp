@@ -19,15 +19,15 @@
 namespace sg {
 namespace {
 
-// A waiting thread polls this often before it sleeps: long enough to bridge the gap between the phases of
-// one render, short enough not to take a core from anyone.
+// A waiting thread polls this often before it sleeps: long enough to bridge the gap between the phases of one render,
+// short enough not to occupy a core for long.
 constexpr int kSpins = 10000;
 constexpr int kMaxThreads = 256;
 
-SG_STORED_AT_START thread_local bool inside_task = false;  // whether this thread is within a task
+SG_STORED_AT_START thread_local bool inside_task = false;  // whether this thread is running a task
 
-// Results far below one grey level need no subnormal numbers, and some processors are slow with them. No pixel depends on
-// them, so machines that keep them draw the same.
+// Flushes subnormal numbers to zero while a task runs, because some processors are slow with them. They are far below
+// one grey level and no pixel depends on them, so machines that keep them draw the same.
 class TaskMode {
  public:
   TaskMode() : saved_(float_mode()) {
@@ -55,7 +55,7 @@ int initial_thread_count() {
 
 class Pool {
  public:
-  // With as many of the threads as the system grants.
+  // Starts as many of the wanted threads as the system allows.
   explicit Pool(int wanted) : shares_(wanted) {
     workers_.reserve(wanted - 1);
     try {
@@ -92,7 +92,7 @@ class Pool {
     drain(0);
     {
       std::lock_guard<std::mutex> lock(mutex_);
-      open_ = false;  // a worker that wakes only now is not waited for: its core may be busy elsewhere
+      open_ = false;  // do not wait for a worker that wakes only now: its core may be busy elsewhere
     }
     for (int spin = 0; active_.load(std::memory_order_acquire) != 0;) {
       if (++spin < kSpins) wait_a_moment();
@@ -102,8 +102,8 @@ class Pool {
   }
 
  private:
-  // The tasks that a thread begins with. They follow each other, because neighbours share memory, and they are the same
-  // from call to call, because the phases of one render share memory. Then the thread takes what others have left.
+  // A thread's own tasks, done before it helps others: consecutive ones, because neighbours share memory, and the same
+  // from call to call, because the phases of one render share memory.
   struct alignas(64) Share {
     std::atomic<int> next{0};
     int end = 0;
@@ -121,7 +121,7 @@ class Pool {
     }
   }
 
-  // Keeps the first exception, and leaves out the tasks that have not begun.
+  // Keeps the first exception, and skips all tasks that have not begun.
   void fail(std::exception_ptr error) {
     std::lock_guard<std::mutex> lock(mutex_);
     if (!error_) error_ = std::move(error);
@@ -129,8 +129,8 @@ class Pool {
   }
 
   void work(int thread) {
-    // Makes the loader set up what exceptions need in this thread. At the first one there may be no memory for it, which
-    // would end the process.
+    // Makes the loader allocate this thread's exception state now. At the first exception there may be no memory for
+    // it, which would end the process.
     static_cast<void>(std::current_exception());
     unsigned seen = 0;
     while (true) {
@@ -152,9 +152,9 @@ class Pool {
     }
   }
 
-  std::vector<Share> shares_;  // one for each thread wanted
+  std::vector<Share> shares_;  // one per wanted thread
   std::vector<std::thread> workers_;
-  int size_;  // threads there are, the calling one included
+  int size_;  // actual threads, including the calling one
   std::mutex mutex_;
   std::condition_variable wake_;
   std::atomic<unsigned> generation_{0};
@@ -166,17 +166,17 @@ class Pool {
 };
 
 std::mutex entry;
-std::atomic<int> wanted{0};  // 0 until somebody asks
-Pool* pool = nullptr;        // lives as long as the process: joining at exit could wait on threads already gone
+std::atomic<int> wanted{0};  // 0 until first needed
+Pool* pool = nullptr;        // never destroyed: joining at exit could wait for threads already gone
 
-// A child has only the thread that forked. Another may have held the lock, and the pool's threads are gone: the child
-// gets a new lock, and its first call a new pool.
+// A forked child has only the thread that forked: the pool's threads are gone, and another thread may have held the
+// lock. It gets a new lock, and at its first call a new pool.
 void start_afresh() {
   new (&entry) std::mutex;
   pool = nullptr;
 }
 
-// At load: there is no moment at which a kernel could run and a fork go unnoticed.
+// Registered when the library is loaded, before any kernel can run.
 [[maybe_unused]] const int watched = in_children(start_afresh);
 
 }  // namespace
@@ -208,7 +208,7 @@ int parallel_while(int size, const std::function<void(const std::function<void(i
   std::atomic<int> there{0}, next{0};
   std::atomic<bool> ended{false};
   const auto come = [&] {
-    // However it ends, those that wait go on.
+    // Lets waiting threads continue even if bring() throws.
     struct End {
       std::atomic<bool>& ended;
       ~End() { ended.store(true, std::memory_order_release); }

@@ -1,5 +1,5 @@
-// One small thread pool for all kernels. Each thread begins with a share of its own and then helps others, so which
-// thread runs which task is not fixed; kernels therefore write only to memory that belongs to their task.
+// A small thread pool for all kernels. Each thread begins with its own share and then helps others, so it is not fixed
+// which thread runs which task; kernels therefore write only to memory that belongs to their task.
 #pragma once
 
 #include <algorithm>
@@ -7,14 +7,14 @@
 
 namespace sg {
 
-// Number of threads that parallel_for uses at most, the calling one included; there are fewer where the system refuses
-// more. Starts as SG_THREADS from the environment, else as the number of cores this process may use.
+// Most threads used by parallel_for, including the calling one; fewer if the system refuses more. Initially SG_THREADS
+// from the environment, else the number of cores this process may use.
 int thread_count();
 void set_thread_count(int count);
 
 // Runs task(0) ... task(count - 1) and returns when all are done. Calls from several threads take turns; a call from
-// within a task runs where it is. If a task throws, tasks that have not begun are left out, and the first exception
-// reaches the caller. After a fork the child starts with a pool of its own.
+// within a task runs on its thread. If a task throws, tasks that have not begun are skipped, and the first exception is
+// rethrown to the caller. A forked child starts its own pool.
 void parallel_for(int count, const std::function<void(int)>& task);
 
 // Calls body(first, last, chunk) for [0, count) in tasks of `size`.
@@ -25,8 +25,9 @@ void parallel_chunks(int count, int size, const Body& body) {
   });
 }
 
-// Calls body(first, last, chunk) for what comes one after the other, in chunks of `size` (the last may be smaller), while
-// more of it still comes. `bring` calls there(n) when the first n are there, which may be seldom. Returns how many came.
+// Processes items while they are still being produced: calls body(first, last, chunk) for chunks of `size` (the last
+// may be smaller). bring() produces them, and now and then calls there(n) once the first n are there. Returns their
+// number.
 int parallel_while(int size, const std::function<void(const std::function<void(int)>& there)>& bring,
                    const std::function<void(int, int, int)>& body);
 

@@ -1,5 +1,5 @@
-// What only fitting needs. Nothing here decides pixels of a file, so a multiplication and an addition may become one
-// instruction where there is one (see CMakeLists.txt).
+// Kernels for fitting only. They do not affect decoded pixels, so a multiplication and an addition may be fused
+// (CMakeLists.txt).
 #include <algorithm>
 
 #include "fit/fit_kernels.h"
@@ -8,7 +8,7 @@
 namespace sg {
 namespace {
 
-// Vectors of the target's values: each width by itself (core/simd.h).
+// Vectors of the target's values, specialised for each width (core/simd.h).
 template <int W>
 struct Shorts;
 template <>
@@ -28,18 +28,18 @@ template <int W>
 SG_INLINE typename Simd<W>::F load_target(const int16_t* in) {
   typename Shorts<W>::S values;
   std::memcpy(&values, in, sizeof values);
-  // By way of integers as wide as floats: GCC takes more instructions for both at once.
+  // In two steps, by integers as wide as floats: GCC uses more instructions for a direct conversion.
   return __builtin_convertvector(__builtin_convertvector(values, typename Simd<W>::I), typename Simd<W>::F);
 }
 
-// Puts the gradient of the squared error in the place of the tile's picture, and returns the squared error.
+// Replaces the tile's picture by the gradient of the squared error, and returns the squared error.
 template <int W>
 SG_INLINE double difference_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
   constexpr float kStep = 1.0f / kTargetWhite;
   constexpr int kVectors = kTileWidth / W;
-  const TileTarget t = target;  // a copy, which no store may change
-  typename V::F sums[3 * kVectors] = {};  // several, because each addition waits for the one before
+  const TileTarget t = target;  // a copy, so that the compiler knows that no store changes it
+  typename V::F sums[3 * kVectors] = {};  // several, so that additions need not wait for each other
   for (int row = 0; row < t.rows; ++row, values += 3 * kTileWidth)
     for (int k = 0; k < 3; ++k) {
       const int16_t* wanted = t.first + k * t.plane + row * t.stride;
@@ -66,7 +66,7 @@ SG_INLINE double difference_body(float* values, const TileTarget& target) {
   return V::sum(sum);
 }
 
-// The same of the error as it is seen.
+// The same for the error weighted by visibility.
 template <int W>
 SG_INLINE double seen_difference_body(float* values, const TileTarget& target) {
   using V = Simd<W>;
@@ -75,7 +75,7 @@ SG_INLINE double seen_difference_body(float* values, const TileTarget& target) {
   const TileTarget t = target;
   const float y0 = t.seen.luma[0], y1 = t.seen.luma[1], y2 = t.seen.luma[2], color = t.seen.color;
   F sum{};
-  int16_t part[4][kTileWidth] = {};  // of a row that the picture ends in: nothing is visible beyond
+  int16_t part[4][kTileWidth] = {};  // a row at the picture's right edge, with a visibility of 0 beyond
   for (int row = 0; row < t.rows; ++row, values += 3 * kTileWidth) {
     const int16_t* const first = t.first + row * t.stride;
     const int16_t* in[4] = {first, first + t.plane, first + 2 * t.plane, t.visibility + row * t.stride};
@@ -112,10 +112,10 @@ SG_INLINE void weigh_body(float* values, const int16_t* visibility, int64_t stri
 // Inside the ellipse the weight's derivative by sigma is -e. With g = (dL/dweight) e there, dL/dsigma = -g, and all
 // gradients of the geometry follow from five moments: the sums of g z1, g z2, g z1^2, g z1 z2 and g z2^2.
 //
-// z1 is constant down a lane, so the loop over rows needs the sums of g, g z2 and g z2^2 alone. It takes them without a
-// multiplication by z2. In a segment, d rows before its last row, z2 = last - d / l3. The sums of g d and of
-// g d (d - 1) / 2 are running sums of running sums, and z2 is put back after the loop. Little precision is lost, because
-// z2 changes by 9 at most within a segment.
+// z1 is constant down a lane, so the loop over rows needs only the sums of g, g z2 and g z2^2. It computes them without
+// a multiplication by z2: in a segment, d rows before its last row, z2 = last - d / l3. The sums of g d and of g d (d -
+// 1) / 2 are running sums of running sums, and z2 is substituted after the loop. Little precision is lost, because z2
+// changes by at most 9 within a segment.
 template <int W>
 SG_INLINE void backward_body(const Rasterization& raster, int tile, const Batch& batch, const float* colors,
                              const float* tile_gradient, float* pair_gradients) {
@@ -193,8 +193,8 @@ SG_INLINE double squared_error_body(const Rasterization& raster, int tile, const
   return error;
 }
 
-// Enlarging transposed, of a tile [kTileHeight][3][kTileWidth]: along y, and then along x. Along an axis, sample w of the
-// result is (t[2w - 3] + 3 t[2w - 2] + 3 t[2w - 1] + t[2w]) / 4 of the tile's samples t.
+// Transpose of enlarging, for a tile [kTileHeight][3][kTileWidth]: along y, then along x. Along an axis, sample w of
+// the result is (t[2w - 3] + 3 t[2w - 2] + 3 t[2w - 1] + t[2w]) / 4, with t the tile's samples.
 SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* aside, int64_t stride) {
   constexpr int W = kTileWidth / 2;
   using V = Simd<W>;
@@ -208,7 +208,7 @@ SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* as
         const auto row_of = [&](int t) SG_INLINE_LAMBDA { return V::load(gradient + (3 * t + k) * kTileWidth + i * W); };
         half[i] = (row_of(2 * w - 3) + row_of(2 * w)) * 0.25f + (row_of(2 * w - 2) + row_of(2 * w - 1)) * 0.75f;
       }
-      // Moved on by one sample: of a turned vector the first lane goes to the next one.
+      // Shifted by one sample: the first lane of a rotated vector belongs to the next one.
       const F even = shuffle(half[0], half[1], kEven) * 0.25f, odd = shuffle(half[0], half[1], kOdd) * 0.25f;
       const F odd_turned = shuffle(odd, odd, kTurned);
       const F other = (even + odd) * 3.0f + (kFirst ? F{} : odd_turned), other_turned = shuffle(other, other, kTurned);
@@ -221,8 +221,8 @@ SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* as
   for (int w = 0; w < kOverRows; ++w) reduced_row(kReducedRows - kOverRows + w, aside + w * 3 * stride);
 }
 
-// Calls visit(weights, pointer to the picture's values, the pixel's place among those of all strips) for each row and vector
-// of lanes that one Gaussian touches.
+// Calls visit(weights, pointer to the picture's values, index of the pixel in all strips) for each row and vector of
+// lanes that a Gaussian touches.
 template <int W, typename Visit>
 SG_INLINE void for_weights(const Footprint& f, float floor, const Span* spans, int count, const Strips& picture,
                            const Visit& visit) {

@@ -1,5 +1,5 @@
-// Gradients go the opposite way to drawing (raster/drawing.cpp): the gradient by a level's picture is that by the finer
-// level's, reduced. Reducing is enlarging transposed.
+// Backpropagation, in the opposite order of drawing (raster/drawing.cpp): the gradient by a level's picture is that by
+// the finer level's, reduced. Reducing is the transpose of enlarging.
 #include "fit/gradients.h"
 
 #include <algorithm>
@@ -17,11 +17,11 @@
 namespace sg {
 namespace {
 
-// The gradients by a Gaussian's mean [2] and factor [3] in pixels, from those by its mean, factor and gain in samples of
-// its coarse level. In place.
+// Converts gradients, in place, from those by a Gaussian's mean [2], factor [3] and gain in samples of its coarse level
+// to those by its mean and factor in pixels.
 //
-// With a = p1^2, b = p1 p2, c = p2^2 + p3^2: q1 = sqrt(a - v), q2 = b / q1, q3 = sqrt(c - v - q2^2), and the gain is
-// p1 p3 / (q1 q3). Here d_x is the gradient by x.
+// With a = p1^2, b = p1 p2, c = p2^2 + p3^2: q1 = sqrt(a - v), q2 = b / q1, q3 = sqrt(c - v - q2^2), and the gain is p1
+// p3 / (q1 q3). Here d_x is the gradient by x.
 void to_pixels(const float* factor, int level, float by_gain, float* by_mean, float* by_factor) {
   const double scale = power_of_two(-level);
   const auto [p1, p2, p3, q1, q2, q3] = Narrowed(factor, level);
@@ -36,7 +36,7 @@ void to_pixels(const float* factor, int level, float by_gain, float* by_mean, fl
   by_factor[2] = static_cast<float>((2 * d_c * p3 + d_log_gain / p3) * scale);
 }
 
-// In the order of each Gaussian's pairs, so that the sums are the same for every number of threads.
+// Sums in the order of each Gaussian's pairs, so that the result is the same for every number of threads.
 void sum_pairs(const Rasterization& raster, const float* colors, const float* pair_gradients, const Gradients& out) {
   raster.for_places([&](int64_t i, const int32_t* place, const int32_t* end) {
     float sum[kPairGradients] = {};
@@ -56,7 +56,7 @@ void sum_pairs(const Rasterization& raster, const float* colors, const float* pa
   });
 }
 
-// A tile of a coarse level [kTileHeight][3][kTileWidth].
+// Loads a tile of a coarse level to values [kTileHeight][3][kTileWidth].
 void load(const Rasterization& raster, int level, int tile, Planes& planes, float* values) {
   const int rows = raster.rows_of(tile);
   const int64_t stride = planes.stride(level);
@@ -66,8 +66,8 @@ void load(const Rasterization& raster, int level, int tile, Planes& planes, floa
   std::fill(values + rows * 3 * kTileWidth, values + kTileFloats, 0.0f);
 }
 
-// Reduces one level to the next. A task is a row of tiles, whose results overlap: they are added up while they are in the
-// processor's cache. Those of neighbouring rows of tiles overlap by two rows, which are kept aside and added at the end.
+// Reduces one level to the next. A task is a row of tiles, whose results overlap and are added while they are in the
+// cache. Neighbouring rows of tiles overlap by two rows, which are kept aside and added at the end.
 template <typename Load>
 void reduce(const Rasterization& raster, int level, Planes& planes, const Load& load_tile) {
   constexpr int kRows = kTileHeight / 2, kColumns = kTileWidth / 2, kOver = kOverRows;
@@ -84,7 +84,7 @@ void reduce(const Rasterization& raster, int level, Planes& planes, const Load& 
   const int x0 = coarse_of(grid.x, level), y0 = coarse_of(grid.y, level);
   const int64_t stride = planes.stride(level + 1), row_floats = 3 * stride;
   Scratch over(static_cast<size_t>(grid.blocks() * kOver * row_floats));
-  // What lies above and below all that is reduced belongs to no pixel.
+  // Rows above and below the reduced ones belong to no pixel.
   planes.clear(level + 1, below.y, y0);
   parallel_for(grid.blocks(), [&](int block) {
     const int y = y0 + block * kRows, rows = std::min(kRows, below.y + below.height - y);
@@ -109,8 +109,8 @@ void reduce(const Rasterization& raster, int level, Planes& planes, const Load& 
     }
 }
 
-// Reduces the picture to all coarse levels. Calls each(tile, values) for each tile of every level: it sets the values of
-// the picture's tiles, and reads those of the others.
+// Reduces the picture to all coarse levels. Calls each(tile, values) for each tile of every level, to set the values of
+// the picture's tiles, and to read those of the others.
 template <typename Each>
 void reduce_all(const Rasterization& raster, const Each& each, Planes& planes) {
   for (int level = 0; level <= planes.top(); ++level)
@@ -120,7 +120,7 @@ void reduce_all(const Rasterization& raster, const Each& each, Planes& planes) {
     });
 }
 
-// Calls fill(tile, gradient, pair gradients) for each tile of the picture, which sets both; gradient is
+// Computes gradients. fill(tile, gradient, pair_gradients) must set both for each tile of the picture; gradient is
 // [kTileHeight][3][kTileWidth].
 template <typename Fill>
 void gradients(const Rasterization& raster, const float* colors, const Fill& fill, const Gradients& out) {
@@ -147,7 +147,7 @@ TileTarget part(const Rasterization& raster, int tile, const int16_t* target, fl
   return {target + first, samples(raster) / 3, raster.width(), 0, a.columns, a.rows, scale};
 }
 
-// values of a tile of the picture times the visibility of their pixels.
+// Multiplies values of a tile of the picture by the visibility of their pixels.
 void weigh(const Rasterization& raster, int tile, const int16_t* visibility, float* values) {
   const Rasterization::Area a = raster.area(tile);
   const int16_t* first = visibility + static_cast<int64_t>(a.y) * raster.width() + a.x;
@@ -196,7 +196,7 @@ void gram(const Rasterization& raster, const float* colors, float* out_colors, c
   raster.draw_coarse(colors, 1, coarse);
   const auto fill = [&](int tile, float* picture, float* pair_gradients) {
     raster.draw_tile(tile, coarse, colors, picture);
-    const Rasterization::Area a = raster.area(tile);  // what lies beyond it is no part of the picture
+    const Rasterization::Area a = raster.area(tile);  // beyond it, values are set to zero
     for (int row = 0; row < kTileHeight * 3; ++row)
       std::fill(picture + row * kTileWidth + (row < a.rows * 3 ? a.columns : 0), picture + (row + 1) * kTileWidth, 0.0f);
     if (visibility != nullptr) weigh(raster, tile, visibility, picture);
@@ -216,8 +216,8 @@ double squared_error(const Rasterization& raster, const float* colors, const int
     const std::unique_ptr<float[]> first(new float[first_value_count(raster, tile)]);  // all written by the kernel
     raster.begin_tile(tile, coarse, gradient);
     TileTarget here = part(raster, tile, target, scale);
-    // The processor does not foresee the rows of a large picture, because they lie too far apart. So each kernel asks for
-    // those of the next tile.
+    // Rows of a large picture lie too far apart for the processor to prefetch them, so each kernel prefetches those of
+    // the next tile.
     here.ahead = 2 * kTileWidth - 1;
     if (visibility != nullptr) here.visibility = visibility + (here.first - target);
     here.seen = seen;

@@ -1,7 +1,7 @@
 // L_g = mean over pixels and channels of |Gx| (G'x - Gx)^2 + |Gy| (G'y - Gy)^2. The Sobel operator is linear, so
 // G'x - Gx = Sobel_x(D) with D = image - target, and with u = |Gx| Sobel_x(D) the gradient by D is 2 Sobel_x^T(u).
 // Sobel kernels are divided by 8 (a ramp of slope 1 has gradient 1). Pixels without a whole 3x3 neighbourhood have
-// weight 0, so the planes are padded by a frame of zeros and the transpose is the operator with its sign turned.
+// weight 0, so the planes are padded by a frame of zeros and the transpose is the operator with the opposite sign.
 #include "fit/loss.h"
 
 #include <algorithm>

@@ -11,7 +11,7 @@ struct Loss {
   double geometry;  // L_g, 0 when lambda_g is 0
 };
 
-// Refers to one target image [3, height, width], values in [0, 1], which must outlive it; holds what L_g needs of it.
+// The loss against one target image [3, height, width] in [0, 1], which must outlive it.
 class ReconstructionLoss {
  public:
   ReconstructionLoss(const float* target, int width, int height, float lambda_g);

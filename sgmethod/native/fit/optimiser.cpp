@@ -10,17 +10,18 @@
 namespace sg {
 namespace {
 
-constexpr int kBlock = 512;    // Gaussians of a task
-constexpr int kTogether = 32;  // whose values stay in the nearest cache
+constexpr int kBlock = 512;    // Gaussians per task
+constexpr int kTogether = 32;  // Gaussians whose values fit the level 1 cache
 
-// One over half the second derivative of the squared error by d, S and the colour, where a Gaussian lies alone: integrals
-// over pi l1 l3 of the squared derivative of w = exp(-sigma), as in rd/symbols.h. Those of d and S count |colour|^2 times.
+// Inverse of half the second derivative of the squared error by d, S and the colour, for an isolated Gaussian:
+// integrals over pi l1 l3 of the squared derivative of w = exp(-sigma), as in rd/symbols.h. For d and S, to be divided
+// by |colour|^2.
 constexpr float kInverseCurvature[kAdamValues] = {2.0f, 2.0f, 4.0f / 3.0f, 4.0f, 4.0f / 3.0f, 1.0f, 1.0f, 1.0f};
-constexpr int kOfShape = 5;  // the first values, of d and S
-constexpr float kFaint = 0.03f * 0.03f;  // |colour|^2 counts as at least this: a fainter Gaussian's shape would jump
+constexpr int kOfShape = 5;  // number of values of d and S, which come first
+constexpr float kFaint = 0.03f * 0.03f;  // least |colour|^2: without it, shapes of faint Gaussians would jump
 constexpr double kPi = 3.14159265358979;
 
-// Of up to kTogether Gaussians. What is computed for one value of them is a loop of its own, of which vectors are made.
+// A step of up to kTogether Gaussians. The element-wise computation has its own loop, which the compiler vectorises.
 SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const MutableGaussians& p,
                              const ConstGaussians& grad, float* first, float* second, float* bias) {
   float gradients[kTogether * kAdamValues], most[kTogether * kAdamValues], unbias[kTogether * 2];
@@ -28,7 +29,7 @@ SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const 
     const int i = begin + j;
     const float *l = p.factors + 3 * i, *color = p.colors + 3 * i;
     const float *gm = grad.means + 2 * i, *gl = grad.factors + 3 * i, *gc = grad.colors + 3 * i;
-    // By d, S and the colour.
+    // Gradients by d, S and the colour.
     const float g[kAdamValues] = {l[0] * gm[0] + l[1] * gm[1], l[2] * gm[1], l[0] * gl[0] + l[1] * gl[1], l[2] * gl[1],
                                   l[2] * gl[2], gc[0], gc[1], gc[2]};
     const float square = std::max(color[0] * color[0] + color[1] * color[1] + color[2] * color[2], kFaint);
@@ -42,7 +43,7 @@ SG_CLONES void step_together(const AdamSettings& s, int begin, int count, const 
     unbias[2 * j] = 1 / (1 - bias[2 * i]);
     unbias[2 * j + 1] = 1 / (1 - bias[2 * i + 1]);
   }
-  float* moves = gradients;  // in their place
+  float* moves = gradients;  // overwrites the gradients
   for (int j = 0; j < count; ++j)
     for (int k = 0; k < kAdamValues; ++k) {
       const int at = kAdamValues * j + k;

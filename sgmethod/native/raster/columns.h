@@ -1,8 +1,8 @@
-// The weight of a Gaussian is exp(-sigma), and down one column sigma is quadratic in the row. So
+// Weights of Gaussians by recurrence. The weight is exp(-sigma), and down one column sigma is quadratic in the row. So
 //     e[r + 1] = e[r] ratio[r],   ratio[r + 1] = ratio[r] exp(-1 / l3^2):
-// two multiplications take the place of an exponential. The recurrence cannot run for long. Its rounding error grows
-// with the square of the number of rows, and a value that has underflowed stays zero. So it starts anew after every
-// column segment of `segment` rows. footprint.h chooses that number: a lane whose weight is visible anywhere in a
+// two multiplications replace an exponential. The recurrence must not run for long, because its rounding error grows
+// with the square of the number of rows, and a value that has underflowed stays zero. So it restarts after every column
+// segment of `segment` rows. footprint.h chooses that number so that a lane whose weight is visible anywhere in a
 // segment has sigma < kFar in the segment's first row.
 #pragma once
 
@@ -12,9 +12,9 @@
 namespace sg {
 namespace {
 
-constexpr float kFar = 80.0f;  // a lane beyond this is zero in the whole segment; exp(-80) is still a normal number
+constexpr float kFar = 80.0f;  // a lane beyond is zero in the whole segment; exp(-80) is still a normal number
 
-// exp(-sigma) in one row, and its ratio to the next.
+// exp(-sigma) in one row, and the ratio of the next row's to it.
 template <int W>
 struct Column {
   typename Simd<W>::F e, ratio;
@@ -27,13 +27,13 @@ SG_INLINE typename Simd<W>::F lane_centres(float x) {
   return v;
 }
 
-// A vector of columns, from x on, in the row y: pixels, of their edges.
+// Start of a column segment: the left edge of the first of W columns, and the top edge of the row, in pixels.
 struct Start {
   const Footprint* f;
   float x, y;
 };
 
-// The values at N starts. They are independent of each other, and each takes long by itself.
+// The values at N starts, computed together, because they are independent and each has a long latency.
 template <int W, int N>
 SG_INLINE void columns(const Start* starts, Column<W>* out) {
   using V = Simd<W>;
@@ -61,21 +61,21 @@ SG_INLINE Column<W> column(const Start& start) {
   return c[0];
 }
 
-// The first row after the column segment that begins at `row`. Each kernel writes its loop over segments out. With a
-// shared loop that calls the kernel's body, the compiler kept the sums of the gradients in memory, which took a fifth
-// more time.
+// The first row after the column segment that begins at `row`. Each kernel has its own loop over segments: in a shared
+// one that calls the kernel's body, the compiler kept the sums of the gradients in memory, which took a fifth more
+// time.
 SG_INLINE int segment_end(const Footprint& f, int row, int last_row) {
   return row + f.segment <= last_row ? row + f.segment : last_row + 1;
 }
 
-// The lanes of a pair, in whole vectors.
+// The lanes of a pair, rounded to whole vectors.
 template <int W>
 SG_INLINE int lanes_begin(const Pair& pair) { return pair.first_lane / W * W; }
 template <int W>
 SG_INLINE int lanes_end(const Pair& pair) { return pair.last_lane / W * W + W; }
 
-// Some of a tile's pairs. first: the values in the first row of each of their column segments, 2 kTileWidth floats for
-// each segment, in the order in which first_values() writes and next_column() reads them.
+// Some of a tile's pairs. first: values in the first row of each of their column segments, at most 2 kTileWidth floats
+// per segment, in the order in which first_values() writes and next_column() reads them.
 struct Batch {
   const Pair *begin, *end;
   const float* first;
@@ -96,11 +96,11 @@ SG_INLINE void store_columns(const Start* starts, float* first) {
   }
 }
 
-// Computes the values in the first rows of column segments. It is a loop of its own, because the loops over rows would
-// have to wait for each of its exponentials.
+// Computes the values in the first rows of column segments, in advance, because the loops over rows would have to wait
+// for each exponential.
 template <int W>
 SG_INLINE void first_values(const Rasterization& raster, int tile, const Pair* begin, const Pair* end, float* first) {
-  constexpr int kTogether = W == 16 ? 4 : 2;  // as many as there are registers for
+  constexpr int kTogether = W == 16 ? 4 : 2;  // limited by the number of registers
   const int x0 = raster.tile_x(tile), y0 = raster.tile_y(tile);
   Start starts[kTogether];
   int waiting = 0;
@@ -127,7 +127,7 @@ SG_INLINE Column<W> next_column(const float*& first) {
 // Calls draw(batch) for pairs of a tile, in batches that fit a small array.
 template <int W, typename Draw>
 SG_INLINE void for_batches(const Rasterization& raster, int tile, const Pair* begin, const Pair* last, const Draw& draw) {
-  constexpr int kMost = 2 * kTileHeight;  // segments of a batch; one pair has kTileHeight at most
+  constexpr int kMost = 2 * kTileHeight;  // segments of a batch; one pair has at most kTileHeight
   alignas(64) float first[kMost * 2 * kTileWidth];
   while (begin != last) {
     const Pair* end = begin;

@@ -1,7 +1,7 @@
-// Pictures of a Rasterization.
+// Drawing a Rasterization.
 //
-// A picture is drawn from the top of the pyramid. All coarse levels draw their own Gaussians, each is enlarged and added
-// to the next, and each tile of the picture begins as its part of level 1, enlarged.
+// A picture is drawn from the top of the pyramid downwards. Each coarse level draws its own Gaussians on the enlarged
+// level above, and each tile of the picture begins with its part of level 1, enlarged.
 #include <algorithm>
 #include <cstring>
 
@@ -16,8 +16,8 @@ namespace {
 
 constexpr float kBlack[3] = {};
 
-// The part of the picture that one task draws: some strips of a row of tiles. The part of level 1 from which these are
-// enlarged begins anywhere within a strip of its own.
+// The part of the picture drawn by one task: some strips of a row of tiles. The part of level 1 to be enlarged to it
+// may begin anywhere within a strip of level 1.
 constexpr int kPartStrips = 16, kPartRows = kTileHeight / 2 + 2;
 constexpr int kPartColumns = kPartStrips * kTileWidth / 2 + kTileWidth;
 constexpr int kPartFloats = 3 * kPartColumns * kPartRows + kTileWidth;  // enlarging reads beyond the last row
@@ -44,7 +44,7 @@ void Rasterization::draw_coarse(const float* colors, int last, Planes& planes) c
     });
 }
 
-// Some rows of a tile of a coarse level, as enlarging wants them.
+// Draws some rows of a coarse level's tile, divided by 16 as enlarging expects.
 void Rasterization::draw_coarse_tile(int tile, Rows rows, Samples coarse, const float* colors, float* to,
                                      int64_t stride) const {
   alignas(64) float acc[kTileFloats];
@@ -54,7 +54,7 @@ void Rasterization::draw_coarse_tile(int tile, Rows rows, Samples coarse, const 
   kernels(isa_).sixteenth(acc + rows.first * 3 * kTileWidth, columns, rows.end - rows.first, to, stride);
 }
 
-// From where on the next level a tile is enlarged.
+// The samples of the next level that are enlarged to a tile.
 Rasterization::Samples Rasterization::below(Planes& planes, int tile) const {
   const int level = level_of_tile(tile);
   if (level == top()) return {};
@@ -62,7 +62,7 @@ Rasterization::Samples Rasterization::below(Planes& planes, int tile) const {
   return {planes.at(level + 1, coarse_of(x, level), coarse_of(y, level)), planes.stride(level + 1)};
 }
 
-// What lies below the Gaussians that a tile draws itself: its part of the next level, enlarged, on a background.
+// Starts a tile, before its own Gaussians: its part of the next level, enlarged, on a background.
 void Rasterization::begin_tile(Rows rows, Samples coarse, const float* background, float* accumulators) const {
   const int first = rows.first / 2 * 2;  // rows are enlarged in pairs
   float* const to = accumulators + first * 3 * kTileWidth;
@@ -75,7 +75,7 @@ void Rasterization::begin_tile(Rows rows, Samples coarse, const float* backgroun
     std::memcpy(accumulators + row * 3 * kTileWidth, to, 3 * kTileWidth * sizeof(float));
 }
 
-// Some rows of a tile. Their values do not depend on which are asked for; what is in the others means nothing.
+// Draws some rows of a tile. Their values do not depend on which rows are requested; the other rows are undefined.
 void Rasterization::draw_tile(int tile, Rows rows, Samples coarse, const float* background, const float* colors,
                               float* accumulators) const {
   begin_tile(rows, coarse, background, accumulators);
@@ -92,7 +92,7 @@ void Rasterization::draw_tile(int tile, Rows rows, Samples coarse, const float* 
     for (; begin != end && count < kTogether; ++begin) {
       Pair& pair = inside[count] = *begin;
       if (pair.last_row < rows.first || pair.first_row >= rows.end) continue;
-      // From the beginning of one of its column segments.
+      // Start at the beginning of a column segment.
       const int segment = footprints_[pair.gaussian].segment, before = std::max(rows.first - pair.first_row, 0);
       pair.first_row = static_cast<uint8_t>(pair.first_row + before / segment * segment);
       pair.last_row = static_cast<uint8_t>(std::min<int>(pair.last_row, rows.end - 1));
@@ -127,8 +127,8 @@ void Rasterization::render(const float* colors, float* image) const {
   });
 }
 
-// Level 1 has a quarter of the picture's samples: too many to come back from memory. So a task draws the part of it that it
-// enlarges, and rows and columns at the edges of a part are drawn twice.
+// Level 1 has a quarter of the picture's samples: too many to read back from memory. So each task draws the part that
+// it enlarges, and the rows and columns at the edges of parts are drawn twice.
 void Rasterization::render_bytes(const float* colors, const float* background, uint8_t* image) const {
   Planes coarse(grids_, Planes::Rows::kWhole, 2);
   draw_coarse(colors, 2, coarse);
@@ -147,7 +147,7 @@ void Rasterization::render_bytes(const float* colors, const float* background, u
   });
 }
 
-// The part of level 1 from which tiles of a block, from a strip on, are enlarged. samples: room for it.
+// Draws the part of level 1 that is enlarged to a block's tiles from a strip on. samples: memory for it.
 Rasterization::Samples Rasterization::draw_part(Planes& planes, int strip, int block, const float* colors,
                                                 float* samples) const {
   const Grid& grid = grids_[1];

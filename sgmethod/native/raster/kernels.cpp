@@ -5,10 +5,10 @@
 namespace sg {
 namespace {
 
-// One colour's levels of 16 columns.
+// Levels of one colour in 16 columns.
 typedef uint8_t Bytes __attribute__((vector_size(16)));
 
-// Each is the lowest byte of an integer: its lower half, and of that the lower half.
+// Levels fit the lowest byte of each integer: take the lower half, and the lower half of that.
 SG_INLINE Bytes levels(const float* in) {
   using V = Simd<4>;
   typedef int16_t Shorts __attribute__((vector_size(16)));
@@ -22,7 +22,7 @@ SG_INLINE Bytes levels(const float* in) {
   return shuffle(eight(0), eight(2), Bytes{0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30});
 }
 
-// For the baseline, which has no byte shuffle on x86-64.
+// Writes bytes for the baseline, which has no byte shuffle on x86-64.
 SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride) {
   for (int row = 0; row < rows; ++row, accumulators += 3 * kTileWidth, pixels += stride) {
     const Bytes r = levels(accumulators), g = levels(accumulators + kTileWidth), b = levels(accumulators + 2 * kTileWidth);
@@ -39,8 +39,8 @@ SG_INLINE void packed_bytes(const float* accumulators, int columns, int rows, ui
   }
 }
 
-// Where byte shuffles are quick: clamping is the processor's when it narrows, and then colours are mixed. What is not a
-// number becomes black, here as there.
+// Writes bytes where byte shuffles are fast: the processor clamps as it narrows, and then colours are interleaved. NaN
+// becomes black in both versions.
 [[maybe_unused]] SG_INLINE void shuffled_bytes(const float* accumulators, int columns, int rows, uint8_t* pixels,
                                               int64_t stride) {
   using V = Simd<8>;
@@ -78,13 +78,13 @@ SG_INLINE void bytes_body(const float* accumulators, int columns, int rows, uint
   else shuffled_bytes(accumulators, columns, rows, pixels, stride);
 }
 
-// Along an axis, sample 2u of the result is (3 c[u + 1] + c[u]) / 4 and sample 2u + 1 is (3 c[u + 1] + c[u + 2]) / 4, with
-// c the coarse samples: first along x, then along y. They come divided by 16 already, which changes no digit.
+// Along an axis, sample 2u of the result is (3 c[u + 1] + c[u]) / 4 and sample 2u + 1 is (3 c[u + 1] + c[u + 2]) / 4,
+// with c the coarse samples: first along x, then along y. c is already divided by 16, which is exact.
 template <int W>
 SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const float* background, float* accumulators) {
   using V = Simd<W>;
   using F = typename V::F;
-  // AVX2 is quicker within halves than across them, so the upper half comes by a load of its own.
+  // AVX2 shuffles faster within halves than across them, so the upper half is loaded separately.
   typename V::I near_places, far_places;
   for (int i = 0; i < W; ++i) {
     const int moved = W == 8 ? i / 4 * 2 : 0;
@@ -95,7 +95,7 @@ SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const
     else return V::load(p);
   };
   constexpr int kVectors = kTileWidth / W;
-  // One colour after the other, so that three rows of it stay in registers.
+  // One colour after the other, so that three of its rows stay in registers.
   for (int k = 0; k < 3; ++k, coarse += stride, accumulators += kTileWidth) {
     const auto along_x = [&](int row, F* out) SG_INLINE_LAMBDA {
       for (int i = 0; i < kVectors; ++i) {

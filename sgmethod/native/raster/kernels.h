@@ -12,16 +12,16 @@ struct TileKernels {
   // accumulators [kTileHeight][3][kTileWidth] += sum over pairs of the tile of colour times weight.
   void (*forward)(const Rasterization&, int tile, const Pair* begin, const Pair* end, const float* colors,
                   float* accumulators);
-  // accumulators = background [3] plus a part of the next level, enlarged. coarse: the first of its samples, rows of three
-  // colours `stride` floats long. rows: of the tile, as far as they are needed.
+  // accumulators = background [3] plus a part of the next level, enlarged. coarse: its first sample, in rows of three
+  // colours `stride` floats long. rows: number of the tile's rows needed.
   void (*enlarge)(const float* coarse, int64_t stride, int rows, const float* background, float* accumulators);
-  // samples = accumulators / 16, as enlarging wants them: rows of three colours `stride` floats long.
+  // samples = accumulators / 16, as enlarging expects: rows of three colours `stride` floats long.
   void (*sixteenth)(const float* accumulators, int columns, int rows, float* samples, int64_t stride);
   // Pixels [rows][columns][3] of 8 bits, rows `stride` bytes apart, from accumulators clamped to [0, 1].
   void (*bytes)(const float* accumulators, int columns, int rows, uint8_t* pixels, int64_t stride);
 };
 
-// Of an instruction set (core/isa.h).
+// The kernels for an instruction set (core/isa.h).
 const TileKernels& kernels(int isa);
 
 }  // namespace sg

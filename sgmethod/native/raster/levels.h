@@ -1,9 +1,9 @@
-// Drawing in a pyramid (docs/format.md, version 4). A wide Gaussian is smooth, so it is drawn on a coarser grid, which is
-// enlarged afterwards. The samples of level l are 2^l pixels wide. A Gaussian belongs to the highest level on which its
-// minor axis is still kNarrowest samples long.
+// Drawing in a pyramid (docs/format.md, version 2). A wide Gaussian is smooth, so it is drawn on a coarser grid, which
+// is enlarged afterwards. The samples of level l are 2^l pixels wide. A Gaussian belongs to the highest level on which
+// its minor axis is at least kNarrowest samples long.
 //
 // Enlarging by two, l times, blurs by a variance of v_l = (1 - 4^-l) / 4 samples of level l along each axis. So the
-// Gaussian is drawn narrower by that, with more weight: its covariance less v_l I, its colour times the root of the
+// Gaussian is drawn narrower and stronger to compensate: its covariance minus v_l I, its colour times the root of the
 // ratio of the determinants.
 #pragma once
 
@@ -21,13 +21,13 @@ namespace sg {
 constexpr int kMaxLevel = 12;
 constexpr double kNarrowest = 1.4;  // samples
 
-// Sample i of a coarse level has its centre at (i - kBorder + 0.5) 2^l pixels. Enlarging needs one sample beyond each edge
-// of the picture; two make the two nearest samples of an even one the same on every level.
+// Sample i of a coarse level has its centre at (i - kBorder + 0.5) 2^l pixels. Enlarging needs one sample beyond each
+// edge of the picture; with two, even and odd samples are the same ones on every level.
 constexpr int kBorder = 2;
 inline int border_of(int level) { return level == 0 ? 0 : kBorder; }
 
-// Both without a branch: of loops over many Gaussians the compiler makes vectors. And the same on every machine: double
-// precision, root and comparison alone.
+// This and level_of() have no branch, so that the compiler vectorises loops over many Gaussians. They give the same
+// result on every machine: only arithmetic, roots and comparisons in double precision.
 SG_INLINE double power_of_two(int exponent) {
   const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
   double value;
@@ -35,7 +35,7 @@ SG_INLINE double power_of_two(int exponent) {
   return value;
 }
 
-// The level of a Gaussian of factor (l1, l2, l3); 0 if they are not those of an ellipse.
+// The level of a Gaussian with factor (l1, l2, l3); 0 if it is not an ellipse.
 SG_INLINE int level_of(const float* factor) {
   const double l1 = factor[0], l2 = factor[1], l3 = factor[2];
   const double a = l1 * l1, c = l2 * l2 + l3 * l3;
@@ -48,14 +48,14 @@ SG_INLINE int level_of(const float* factor) {
   return wide ? std::min(octaves >> 1, kMaxLevel) : 0;
 }
 
-// A Gaussian in samples of its level.
+// A Gaussian to draw, in samples of its level.
 struct Levelled {
   SG_INLINE Levelled(const float* m, const float* l, int level);
   float mean[2], factor[3];
-  float gain;  // of its colour
+  float gain;  // factor on the colour
 };
 
-// A Gaussian's factor, and the covariance that is drawn, in samples of its level.
+// A Gaussian's factor before and after narrowing, in samples of its level.
 struct Narrowed {
   SG_INLINE Narrowed(const float* l, int level) {
     const double scale = power_of_two(-level), blur = (1.0 - scale * scale) * 0.25;
@@ -64,7 +64,7 @@ struct Narrowed {
     q1 = std::sqrt(a), q2 = b / q1, q3 = std::sqrt(a * c - b * b) / q1;
   }
   double p1, p2, p3;  // factor before narrowing
-  double q1, q2, q3;  // and after
+  double q1, q2, q3;  // factor after narrowing
 };
 
 SG_INLINE Levelled::Levelled(const float* m, const float* l, int level) {
@@ -80,10 +80,10 @@ SG_INLINE Levelled::Levelled(const float* m, const float* l, int level) {
   gain = on_level(1.0f, n.p1 * n.p3 / (n.q1 * n.q3));
 }
 
-// The grids of levels 0 to top that drawing pixels from (x, y) needs. Level 0 begins with the tile of the first pixel.
+// The grids of levels 0 to top needed to draw pixels from (x, y) on. Level 0 begins with the tile of the first pixel.
 std::vector<Grid> grids_of(int x, int y, int width, int height, int top);
 
-// Where the samples from which a tile is enlarged begin, on the next level: for a sample's place along one axis.
+// Along one axis: the first of the next level's samples that are enlarged to a tile beginning at `place`.
 inline int coarse_of(int place, int level) { return place / 2 + (level == 0 ? kBorder - 1 : 0); }
 
 }  // namespace sg

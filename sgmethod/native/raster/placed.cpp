@@ -27,7 +27,7 @@ float decay_of(float inv_l3) { return decay(inv_l3); }
 SG_CLONES void place(const float* means, const float* factors, int first, int count, bool pyramid, float reach, Placed& p) {
   means += 2 * static_cast<int64_t>(first), factors += 3 * static_cast<int64_t>(first);
   constexpr int kMost = Placed::kMost;
-  // What lies behind the last is computed too, of whatever it was before: whole vectors are quicker.
+  // The arrays are zero behind the last Gaussian, because whole vectors are computed.
   alignas(64) float mean_x[kMost] = {}, mean_y[kMost] = {}, l1[kMost] = {}, l2[kMost] = {}, l3[kMost] = {};
   for (int i = 0; i < count; ++i) {
     mean_x[i] = means[2 * i], mean_y[i] = means[2 * i + 1];

@@ -1,11 +1,11 @@
-// Gaussians laid on the levels of a pyramid, some at once.
+// Gaussians placed on the levels of a pyramid, several at a time.
 #pragma once
 
 #include "raster/levels.h"
 
 namespace sg {
 
-// One array for each value: of loops over them the compiler makes vectors.
+// One array per value, so that the compiler vectorises loops over Gaussians.
 struct Placed {
   static constexpr int kMost = 64;
 
@@ -24,36 +24,37 @@ struct Placed {
   }
 
   int first = 0, count = 0;  // Gaussians
-  // As in the footprint. The level is 0 where nothing is to be drawn.
+  // As in Footprint. The level is 0 if there is nothing to draw.
   alignas(64) int32_t level[kMost] = {}, segment[kMost] = {};
   alignas(64) float x[kMost] = {}, y[kMost] = {}, inv_l1[kMost] = {}, inv_l3[kMost] = {}, shear[kMost] = {};
   alignas(64) float decay[kMost] = {}, gain[kMost] = {};
-  // As in the ellipse.
+  // As in Ellipse.
   alignas(64) float l3[kMost] = {}, half_width[kMost] = {}, summit[kMost] = {}, left[kMost] = {}, right[kMost] = {};
   alignas(64) float top[kMost] = {}, bottom[kMost] = {};
   alignas(64) int32_t first_strip[kMost] = {}, last_strip[kMost] = {};
 };
 
-// Sets `placed` to Gaussians from `first` on, at most Placed::kMost of all means [n, 2] and factors [n, 3] in pixels.
+// Places `count` Gaussians from `first` on, at most Placed::kMost, of means [n, 2] and factors [n, 3] in pixels.
 // Without a pyramid all are on level 0.
 void place(const float* means, const float* factors, int first, int count, bool pyramid, float reach, Placed& placed);
 
-// Where Gaussians cross strips of tiles.
+// Crossings of Gaussians with strips of tiles.
 struct Crossings {
   static constexpr int kMost = 256;
   int count = 0;
   int32_t gaussian[kMost], tile[kMost];  // the tile in which the rows begin
-  int32_t within[kMost];                 // rows and lanes within that tile, a byte each: as in a Pair
+  int32_t within[kMost];                 // rows and lanes within that tile, one byte each, as in Pair
   int32_t last_row[kMost];               // counted from that tile's first
-  int32_t blocks[kMost];                 // tiles, one below the other; 0 where there are no rows
+  int32_t blocks[kMost];                 // number of tiles, one below the other; 0 if no rows are covered
 };
 
-// The next strip to look at: of which of the placed Gaussians, and counted from the picture's first.
+// The next strip to cross: index of the placed Gaussian, and strip counted from the picture's first.
 struct Cursor {
   int gaussian = 0, strip = 0;
 };
 
-// Adds crossings of placed Gaussians, from the cursor on, until none or no room is left. grids, first_tile: of each level.
+// Adds crossings of placed Gaussians, from the cursor on, until all are done or `out` is full. grids, first_tile: of
+// each level.
 template <int W>
 SG_INLINE void cross_strips(const Placed& p, const Grid* grids, const int* first_tile, float reach, Cursor& at,
                             Crossings& out) {
@@ -88,11 +89,10 @@ SG_INLINE void cross_strips(const Placed& p, const Grid* grids, const int* first
   }
 }
 
-// exp(-x) rounded from double: the C library's may differ from machine to machine, which pixels must not.
+// exp(-x), rounded from double. Not the C library's, which may differ from machine to machine.
 float exp_minus(double x);
 
-// exp(-inv_l3^2). In a segment it is multiplied up to 120 times, and its error with it: so it is computed in double
-// precision.
+// exp(-inv_l3^2), computed in double precision, because it is multiplied up to 120 times in a segment.
 float decay_of(float inv_l3);
 
 }  // namespace sg

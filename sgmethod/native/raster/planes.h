@@ -1,4 +1,4 @@
-// Values in memory for each sample of the coarse levels (levels.h): pictures, or gradients by them.
+// A value for each sample of the coarse levels (levels.h): pictures, or gradients by them.
 #pragma once
 
 #include <algorithm>
@@ -11,14 +11,14 @@
 
 namespace sg {
 
-// Rows of three colours, [height][3][stride], one level after the other. Values are not set at first.
+// Rows of three colours, [height][3][stride], one level after the other, initially undefined.
 class Planes {
  public:
-  // kWhole: as wide as their samples, to draw. Enlarging may then read beyond a row, but not beyond the memory. kRoom: with
-  // room for whole tiles and what is reduced from them, which is longer.
+  // kWhole: rows as wide as their samples, to draw; enlarging may read beyond a row, but not beyond the memory. kRoom:
+  // rows with room for whole tiles and for what is reduced from them, which is wider.
   enum class Rows { kWhole, kRoom };
 
-  // grids: of level 0, 1, ...; those below `lowest` take no memory.
+  // grids: of levels 0, 1, ...; levels below `lowest` take no memory.
   explicit Planes(std::vector<Grid> grids, Rows rows = Rows::kRoom, int lowest = 1)
       : grids_(std::move(grids)), rows_(rows), offsets_(offsets(lowest)), values_(offsets_.back() + 2 * kTileWidth) {}
 
@@ -28,12 +28,12 @@ class Planes {
   int64_t stride(int level) const {
     return rows_ == Rows::kWhole ? grid(level).width : (grid(level).strips() + 1) * kTileWidth;
   }
-  // A sample's red, by its place on the level.
+  // The red value of the sample at (x, y) on the level.
   float* at(int level, int x, int y) {
     return values_.get() + offsets_[static_cast<size_t>(level)] +
            static_cast<int64_t>(y - grid(level).y) * 3 * stride(level) + (x - grid(level).x);
   }
-  // Rows from `first` to before `end` become zero.
+  // Sets rows from `first` to before `end` to zero.
   void clear(int level, int first, int end) {
     if (first < end) std::fill_n(at(level, grid(level).x, first), (end - first) * 3 * stride(level), 0.0f);
   }

@@ -15,15 +15,15 @@
 namespace sg {
 namespace {
 
-constexpr int kChunk = 256;               // Gaussians of a bin, at least
+constexpr int kChunk = 256;               // least Gaussians in a bin
 constexpr int kMaxBins = 64;
 constexpr int kMaxGridSide = 1 << 20;     // pixels; the number of tiles stays within an int
 constexpr int kPairsExpected = 4;         // per Gaussian; a bin allocates for this many at once
 constexpr char kTooManyPairs[] = "too many pairs of Gaussian and tile";
-constexpr int64_t kPairsAtOnce = 1 << 20; // more are counted before they take memory: there may be far too many
+constexpr int64_t kPairsAtOnce = 1 << 20; // more are counted before memory is taken: there may be far too many
 
-// Gaussians in a bin. Each bin has a counter for every tile, so bins are few enough that going through their counters
-// takes no longer than finding the pairs.
+// Gaussians in a bin. Each bin has a counter for every tile, so there must be few bins: summing their counters should
+// take no longer than finding the pairs.
 int bin_size(int n, int tiles) {
   const int64_t bins = std::clamp<int64_t>(int64_t{8} * n / tiles, 1, kMaxBins);
   return std::max(kChunk, static_cast<int>((n + bins - 1) / bins));
@@ -68,13 +68,13 @@ Rasterization::Rasterization(const float* means, const float* factors, int n, co
   set_textures();
 }
 
-Rasterization::Rasterization(const Arrivals& arrivals, const Canvas& canvas, int isa)
-    : Rasterization(canvas, isa, arrivals.room) {
+Rasterization::Rasterization(const StreamedGaussians& stream, const Canvas& canvas, int isa)
+    : Rasterization(canvas, isa, stream.most) {
   factors_.resize(3 * static_cast<size_t>(n_));
   const std::unique_ptr<float[]> means(new float[2 * static_cast<size_t>(n_)]);
   const int64_t pairs = find_pairs(means.get(), kPairsAtOnce, kPairsAtOnce, [&](const Chunk& body) {
-    n_ = parallel_while(chunk_, arrivals.bring, [&](int first, int last, int k) {
-      arrivals.values(first, last, &means[2 * static_cast<size_t>(first)], &factors_[3 * static_cast<size_t>(first)]);
+    n_ = parallel_while(chunk_, stream.bring, [&](int first, int last, int k) {
+      stream.values(first, last, &means[2 * static_cast<size_t>(first)], &factors_[3 * static_cast<size_t>(first)]);
       body(first, last, k);
     });
   });
@@ -117,9 +117,9 @@ void Rasterization::set_levels(int top) {
   for (const Grid& grid : grids_) first_tile_.push_back(first_tile_.back() + grid.tiles());
 }
 
-// Prepares each Gaussian, and finds the tiles that it touches. Levels above the highest that a Gaussian has come last, so
-// that their tiles can be left out at the end. Returns the number of pairs, counted no further than the limit; beyond
-// most_kept they are counted alone.
+// Prepares each Gaussian, and finds the tiles that it touches. Tiles of coarser levels come last, so that those of
+// unused levels can be dropped at the end. Returns the number of pairs, counted up to about the limit; pairs beyond
+// most_kept are only counted.
 int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t most_kept, const EachChunk& each_chunk) {
   set_levels(canvas_.pyramid ? kMaxLevel : 0);
   chunk_ = bin_size(n_, tiles());
@@ -140,7 +140,7 @@ int64_t Rasterization::find_pairs(const float* means, int64_t limit, int64_t mos
       }
       for (Cursor at; at.gaussian < placed.count; crossings.count = 0) {
         kernels(isa_).cross(placed, grids_.data(), first_tile_.data(), reach_, at, crossings);
-        // An empty strip counts too: looking at it takes time.
+        // An empty strip counts too, because it takes time.
         int64_t found = 0, pairs = 0;
         for (int c = 0; c < crossings.count; ++c) {
           pairs += crossings.blocks[c];
@@ -182,9 +182,9 @@ void Rasterization::bin(const Crossings& c, int64_t pairs, Bin& bin) const {
   }
 }
 
-// A counting sort by tile. Bins come in order, so that each tile's Gaussians come in order of index.
+// A counting sort by tile. Bins are in order, so each tile's Gaussians are in order of index.
 void Rasterization::sort_pairs() {
-  // Bin by bin, since neighbouring tiles are then counted at once.
+  // Bin by bin, so that the loop over neighbouring tiles is vectorised.
   const int count = tiles();
   std::vector<int32_t> next(count);
   for (const Bin& bin : bins_)
@@ -202,7 +202,7 @@ void Rasterization::sort_pairs() {
       bin.next[tile] = next[tile];
       next[tile] += here;
     }
-  pairs_.reset(new Pair[total]);  // left unset: every place is written below
+  pairs_.reset(new Pair[total]);  // uninitialised: every element is written below
   parallel_for(static_cast<int>(bins_.size()), [&](int k) {
     Bin& bin = bins_[k];
     for (size_t i = 0; i < bin.pairs.size(); ++i) {

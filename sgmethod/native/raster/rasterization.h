@@ -1,9 +1,9 @@
-// The geometry of a set of Gaussians laid over a picture: which of them touch which tile, and in which rows. Built once
-// per geometry; rendering with any colours, and the gradients (fit/gradients.h), start from it.
+// The geometry of a set of Gaussians over a picture: which of them touch which tile, and in which rows. Built once per
+// geometry; drawing with any colours, and gradients (fit/gradients.h), start from it.
 //
-// A tile is one strip of kTileWidth columns and kTileHeight rows. A lane of a vector owns a column, so a Gaussian's value
-// down a column is a recurrence of two multiplications (see columns.h). In a pyramid the coarse levels (levels.h) have
-// tiles of their own, which are counted after those of the picture.
+// A tile has kTileWidth columns and kTileHeight rows. A lane of a vector is a column, so a Gaussian's value down a
+// column is a recurrence of two multiplications (columns.h). In a pyramid the coarse levels (levels.h) have their own
+// tiles, numbered after those of the picture.
 #pragma once
 
 #include <cstdint>
@@ -18,11 +18,11 @@
 
 namespace sg {
 
-constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // of a tile's picture [kTileHeight][3][kTileWidth]
-constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory ends long before
+constexpr int kTileFloats = 3 * kTileWidth * kTileHeight;  // values of a tile [kTileHeight][3][kTileWidth]
+constexpr int64_t kMaxPairs = INT32_MAX;  // of Gaussian and tile; memory runs out long before
 
-// The most pairs that n Gaussians over a picture need. Fitted ones come to at most a fifth of this (six pictures from 0.03
-// to 12 bpp, noise and a constant among them). A hostile file could make every Gaussian cover everything.
+// Most pairs that n Gaussians over a picture may need. Fitted ones need at most a fifth of this (six pictures from 0.03
+// to 12 bpp, among them noise and a constant). In a hostile file every Gaussian could cover everything.
 int64_t most_pairs(int n, int width, int height);
 
 struct Pair {
@@ -31,32 +31,32 @@ struct Pair {
   uint8_t first_lane, last_lane;  // the same
 };
 
-// What is drawn of a picture, and by which rules.
+// The part of a picture to draw, and the rules of drawing.
 struct Canvas {
   int x = 0, y = 0;    // of the first pixel
   int width, height;   // pixels
   float cutoff;        // sigma at which a Gaussian ends
   bool pyramid;        // whether wide Gaussians are drawn on coarser levels
-  std::shared_ptr<const Texture> texture = nullptr;  // which is drawn with them, in a pyramid
+  std::shared_ptr<const Texture> texture = nullptr;  // only with a pyramid
 };
 
-// Gaussians that come one after the other, at most `room`. bring(there) brings them all, and calls there(n) when the first
-// n are there. values() gives those of [first, last): means [last - first, 2] and factors [last - first, 3].
-struct Arrivals {
-  int room;
+// At most `most` Gaussians, produced one after the other. bring(there) produces them all, and calls there(n) once the
+// first n are there. values() writes those of [first, last): means [last - first, 2] and factors [last - first, 3].
+struct StreamedGaussians {
+  int most;
   std::function<void(const std::function<void(int)>& there)> bring;
   std::function<void(int first, int last, float* means, float* factors)> values;
 };
 
 class Rasterization {
  public:
-  // means [n, 2] in pixels, factors [n, 3] = (l1, l2, l3) in pixels. Gaussians that are not finite or have
-  // l1 or l3 <= 0 contribute nothing. Throws std::overflow_error if more than max_pairs (Gaussian, tile) pairs
-  // would be needed: memory and time follow that number. isa: one of core/isa.h, or below 0 for the best. Throws
-  // std::invalid_argument for a size, cutoff or instruction set that cannot be.
+  // means [n, 2] in pixels, factors [n, 3] = (l1, l2, l3) in pixels. Gaussians that are not finite or have l1 or l3 <=
+  // 0 contribute nothing. isa: one of core/isa.h, or below 0 for the best. Throws std::overflow_error for more than
+  // max_pairs pairs of Gaussian and tile, to which memory and time are proportional; std::invalid_argument for an
+  // invalid size, cutoff or instruction set.
   Rasterization(const float* means, const float* factors, int n, const Canvas& canvas, int isa, int64_t max_pairs);
-  // The same of Gaussians that still come: the first are laid over the picture meanwhile. The limit is most_pairs().
-  Rasterization(const Arrivals& arrivals, const Canvas& canvas, int isa);
+  // The same while the Gaussians are still being produced, with most_pairs() as the limit.
+  Rasterization(const StreamedGaussians& stream, const Canvas& canvas, int isa);
 
   // image [3, height, width] = sum of colours times weights.
   void render(const float* colors, float* image) const;
@@ -66,36 +66,36 @@ class Rasterization {
   int gaussians() const { return n_; }
   int width() const { return canvas_.width; }
   int height() const { return canvas_.height; }
-  const std::vector<Grid>& grids() const { return grids_; }  // of level 0 to that of the widest Gaussian
+  const std::vector<Grid>& grids() const { return grids_; }  // of levels 0 to that of the widest Gaussian
 
   float floor() const { return floor_; }  // exp(-cutoff)
   const Footprint& footprint(int gaussian) const { return footprints_[gaussian]; }
   const Pair* tile_begin(int tile) const { return pairs_.get() + tile_start_[tile]; }
   const Pair* tile_end(int tile) const { return pairs_.get() + tile_start_[tile + 1]; }
-  // Of a tile: its first sample, and its rows, as far as its level goes.
+  // A tile's first sample, and the number of its rows within its level.
   int tile_x(int tile) const { return corner(tile).x; }
   int tile_y(int tile) const { return corner(tile).y; }
   int rows_of(int tile) const;
 
-  // Tile by tile, for gradients (fit/).
+  // Access for gradients (fit/).
   const Canvas& canvas() const { return canvas_; }
   int isa() const { return isa_; }
   int level(int gaussian) const { return levels_[gaussian]; }
   const float* factor(int gaussian) const { return &factors_[3 * static_cast<int64_t>(gaussian)]; }
   int first_tile(int level) const { return first_tile_[level]; }
   int tiles(int level) const { return first_tile_[level + 1] - first_tile_[level]; }
-  int64_t first_pair(int tile) const { return tile_start_[tile]; }  // among those of all tiles
+  int64_t first_pair(int tile) const { return tile_start_[tile]; }  // index among the pairs of all tiles
   int64_t pairs() const { return tile_start_.back(); }
 
-  // A tile's place in the picture, as far as the picture goes. Rows and columns before `skip` are not asked for.
+  // The part of a tile within the picture: its place there, and the rows and columns to skip in the tile.
   struct Area {
     int x, y, columns, rows, skip_columns, skip_rows;
   };
   Area area(int tile) const;
-  // Draws the levels from the top down to `last`, each with all above it.
+  // Draws the levels from the top down to `last`, each including those above it.
   void draw_coarse(const float* colors, int last, Planes& planes) const;
-  // A tile of the picture [kTileHeight][3][kTileWidth], first without its own Gaussians, then with them. coarse: drawn down
-  // to level 1.
+  // A tile of the picture [kTileHeight][3][kTileWidth], without and with its own Gaussians. coarse: drawn down to level
+  // 1.
   void begin_tile(int tile, Planes& coarse, float* values) const;
   void draw_tile(int tile, Planes& coarse, const float* colors, float* values) const;
   // Calls take(tile, its values) for each tile of the picture.
@@ -104,7 +104,7 @@ class Rasterization {
   // Calls take(values, place in an image [3, height, width], columns) for the rows of a tile.
   template <typename Value, typename Take>
   void for_rows(int tile, Value* values, const Take& take) const;
-  // Calls take(gaussian, begin, end) for each Gaussian, with the places of its pairs among those of all tiles.
+  // Calls take(gaussian, begin, end) for each Gaussian, with the indices of its pairs among those of all tiles.
   template <typename Take>
   void for_places(const Take& take) const;
 
@@ -112,11 +112,11 @@ class Rasterization {
   struct Corner {
     int x, y;
   };
-  // Of a tile: the first, and that before which they end.
+  // Rows of a tile, from `first` to before `end`.
   struct Rows {
     int first, end;
   };
-  // Those of a level that are to be enlarged: rows of three colours, `stride` floats long. None at the top.
+  // A level's samples to be enlarged, in rows of three colours, `stride` floats long. None at the top.
   struct Samples {
     const float* first = nullptr;
     int64_t stride = 0;
@@ -126,10 +126,10 @@ class Rasterization {
     Bin() = default;
     Bin(int first_gaussian, int end, int tiles);
     int first = 0;                // Gaussian
-    std::vector<int32_t> counts;  // each Gaussian's pairs
-    std::vector<int32_t> places;  // where each pair lies in pairs_; before that is known, its tile
-    std::vector<Pair> pairs;      // until they lie in pairs_
-    std::vector<int32_t> next;    // [tiles] until then: the number of pairs in each tile, later the place of the next
+    std::vector<int32_t> counts;  // number of each Gaussian's pairs
+    std::vector<int32_t> places;  // each pair's index in pairs_; before sorting, its tile
+    std::vector<Pair> pairs;      // until they are sorted into pairs_
+    std::vector<int32_t> next;    // [tiles] number of pairs in each tile; while sorting, the index of the next one
   };
   int top() const { return static_cast<int>(grids_.size()) - 1; }
   int tiles() const { return first_tile_.back(); }
@@ -161,8 +161,8 @@ class Rasterization {
   std::vector<Footprint> footprints_;
   std::vector<float> factors_;  // in pixels
   std::vector<uint8_t> levels_;
-  std::vector<Grid> grids_;       // of level 0, 1, ...
-  std::vector<TextureLayer> texture_;  // of level 0, 1, ...; none without texture
+  std::vector<Grid> grids_;       // of levels 0, 1, ...
+  std::vector<TextureLayer> texture_;  // of levels 0, 1, ...; empty without texture
   std::vector<int> first_tile_;   // [levels + 1]
   std::vector<Bin> bins_;
   std::unique_ptr<Pair[]> pairs_;    // sorted by tile, then by Gaussian

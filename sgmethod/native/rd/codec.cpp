@@ -1,4 +1,4 @@
-// The stream of profile rd (docs/format.md, versions 3 and 4).
+// The stream of profile rd (docs/format.md, version 2).
 //
 // Classes of size come from the largest down. Each class divides the picture into cells about as wide as its Gaussians.
 // Within a class, Gaussians come in the order of their cells' Morton codes, and each cell is coded as the distance along
@@ -17,7 +17,6 @@
 #include "core/isa.h"
 #include "core/thread_pool.h"
 #include "rd/models.h"
-#include "rd/models_v3.h"
 
 namespace sg {
 namespace {
@@ -34,7 +33,7 @@ int raw_distance_bits(const RdParameters& p, int size_class, uint32_t count) {
   const uint64_t cells = static_cast<uint64_t>(cells_along(p.width, bits)) * cells_along(p.height, bits);
   int result = 0;
   for (uint64_t mean = cells / std::max(count, 1u); mean >= 8; mean /= 2) ++result;
-  return p.version == 3 ? result : std::min(result, kMostRawDistanceBits);
+  return std::min(result, kMostRawDistanceBits);
 }
 
 SizeClass class_of(const RdParameters& p, int number, uint32_t count) {
@@ -54,7 +53,6 @@ uint64_t most_in(const RdParameters& p, size_t bytes) {
 template <typename Visit>
 void for_each_quantised(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
                         const Visit& visit) {
-  if (p.version != 4) refuse<std::invalid_argument>("only version 4 is written");
   parallel_each(n, kQuantiseChunk, [&](int64_t i) {
     Symbols s{};
     int moved = 0;
@@ -63,38 +61,25 @@ void for_each_quantised(const RdParameters& p, const float* means, const float* 
   });
 }
 
-// Version 3 as decode_payload() needs it: it is read and not written.
-struct Version3 {
-  using Decoder = DecoderV3;
-  using Models = ModelsV3;
+template <typename Coder>
+uint32_t code_class_number(Coder& coder, uint32_t value = 0) {
+  coder.fetch(kClassBits);
+  return coder.raw(value, kClassBits);
+}
 
-  static uint32_t class_number(Decoder& coder, uint32_t) { return coder.raw(kClassBits); }
-  static uint32_t count(Decoder& coder, Models& models, uint32_t) { return number_v3(coder, models.count); }
-};
+template <typename Coder>
+uint32_t code_count(Coder& coder, Models& models, uint32_t value = 0) {
+  return code_whole(coder, kColorLane, models.count, value);
+}
 
-template <size_t kStates>
-struct Version4 {
-  using Decoder = DecoderOf<kStates>;
-  using Models = sg::Models;
-
-  template <typename Coder>
-  static uint32_t class_number(Coder& coder, uint32_t value) {
-    coder.fetch(kClassBits);
-    return coder.raw(value, kClassBits);
-  }
-  template <typename Coder>
-  static uint32_t count(Coder& coder, Models& models, uint32_t value) {
-    return code_whole(coder, kColorLane, models.count, value);
-  }
-  static void encode(sg::Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
-    if (s == end) return;
-    const SizeClass c = class_of(p, size_class, static_cast<uint32_t>(end - s));
-    ColorSize size;
-    models.pair<true, false>(coder, p, c, 0, size, *s, *s);
-    for (; s + 1 < end; ++s) models.pair<true, true>(coder, p, c, s->cell, size, s[1], s[0]);
-    models.pair<false, true>(coder, p, c, s->cell, size, *s, *s);
-  }
-};
+void encode_class(Encoder& coder, Models& models, const RdParameters& p, int size_class, Symbols* s, Symbols* end) {
+  if (s == end) return;
+  const SizeClass c = class_of(p, size_class, static_cast<uint32_t>(end - s));
+  ColorSize size;
+  models.pair<true, false>(coder, p, c, 0, size, *s, *s);
+  for (; s + 1 < end; ++s) models.pair<true, true>(coder, p, c, s->cell, size, s[1], s[0]);
+  models.pair<false, true>(coder, p, c, s->cell, size, *s, *s);
+}
 
 }  // namespace
 
@@ -109,19 +94,16 @@ struct Batch {
 
   // Of [first, last), which have come.
   void values(const RdParameters& p, size_t first, size_t last, float* means, float* factors, float* colors) const {
-    if (p.version == 4)
-      return dequantise(p, &symbols[first], &parts[first], static_cast<int>(last - first), means, factors, colors);
-    for (size_t i = first; i < last; ++i, means += 2, factors += 3, colors += 3)
-      dequantise(p, symbols[i], Geometry(symbols[i], Steps(p, symbols[i])), means, factors, colors);
+    dequantise(p, &symbols[first], &parts[first], static_cast<int>(last - first), means, factors, colors);
   }
 };
 
 namespace {
 
 // The state of a decoder. With prefix = true, it goes up to the first Gaussian that needs more.
-template <typename Version>
+template <size_t kStates>
 struct Decoding {
-  using Decoder = typename Version::Decoder;
+  using Decoder = DecoderOf<kStates>;
 
   const RdParameters& p;
   const size_t size;
@@ -129,7 +111,7 @@ struct Decoding {
   Batch& batch;
   const std::function<void()>& reached;  // the batch's stop: it sets another
   Decoder coder;
-  typename Version::Models models{};
+  Models models{};
 
   // All that follow take the decoder in its current state, since a loop has a copy of its own.
   bool overrun(const Decoder& now) const { return now.read() > size; }
@@ -142,42 +124,18 @@ struct Decoding {
   // Runs a loop that decodes by `now`. What is refused past the end of a prefix means nothing.
   template <typename Loop>
   SG_INLINE void attempt(const Decoder& now, const Loop& loop) const {
-#ifdef __cpp_exceptions
     try {
       loop();
     } catch (const std::runtime_error&) {
       if (!prefix || !overrun(now)) throw;
     }
-#else
-    static_cast<void>(now);
-    loop();
-#endif
   }
 };
-
-// At most `room` of `count` Gaussians of a class. Returns how many there are: less where a prefix ends.
-size_t read_class(Decoding<Version3>& d, int size_class, uint32_t count, size_t room) {
-  Symbols s{};
-  s.size_class = size_class;
-  const int raw_bits = raw_distance_bits(d.p, size_class, count);
-  size_t found = 0;
-  d.attempt(d.coder, [&] {
-    for (; found < room; ++found) {
-      s.cell = d.models.cell(d.coder, raw_bits, s.cell);
-      if (!in_grid(d.p, cell_bits(size_class), s.cell)) refuse<std::runtime_error>("a position is out of range");
-      d.models.gaussian(d.coder, d.p, s);
-      if (!d.whole(d.coder)) break;
-      if (d.batch.n == d.batch.stop) d.reached();
-      d.batch.symbols[d.batch.n++] = s;
-    }
-  });
-  return found;
-}
 
 // Adds `wanted` Gaussians of a class to the batch, or less where a prefix ends: the first of the class if `begin`, not its
 // last if `more`. of_next: of the Gaussian behind them.
 template <size_t kStates>
-SG_INLINE void decode_batch_body(Decoding<Version4<kStates>>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin,
+SG_INLINE void decode_batch_body(Decoding<kStates>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin,
                                  bool more) {
   Batch& batch = d.batch;
   auto coder = d.coder;  // copies, to be kept in registers
@@ -206,12 +164,12 @@ SG_INLINE void decode_batch_body(Decoding<Version4<kStates>>& d, ColorSize& of_n
   d.coder = coder;
 }
 template <size_t kStates>
-void decode_batch_baseline(Decoding<Version4<kStates>>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin, bool more) {
+void decode_batch_baseline(Decoding<kStates>& d, ColorSize& of_next, const SizeClass& c, int wanted, bool begin, bool more) {
   decode_batch_body(d, of_next, c, wanted, begin, more);
 }
 #if SG_X86
 template <size_t kStates>
-__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<Version4<kStates>>& d, ColorSize& of_next,
+__attribute__((target("avx2,bmi,bmi2,lzcnt"))) void decode_batch_avx2(Decoding<kStates>& d, ColorSize& of_next,
                                                                       const SizeClass& c, int wanted, bool begin,
                                                                       bool more) {
   decode_batch_body(d, of_next, c, wanted, begin, more);
@@ -227,7 +185,7 @@ auto best_decode_batch() {
 }
 
 template <size_t kStates>
-size_t read_class(Decoding<Version4<kStates>>& d, int size_class, uint32_t count, size_t room) {
+size_t read_class(Decoding<kStates>& d, int size_class, uint32_t count, size_t room) {
   static const auto decode_batch = best_decode_batch<kStates>();
   const SizeClass c = class_of(d.p, size_class, count);
   ColorSize of_next;
@@ -243,17 +201,17 @@ size_t read_class(Decoding<Version4<kStates>>& d, int size_class, uint32_t count
 }
 
 // Decodes a payload. False where a prefix ended. Throws std::runtime_error on what no encoder writes.
-template <typename Version>
-bool decode_payload(Decoding<Version>& d, uint64_t limit) {
+template <size_t kStates>
+bool decode_payload(Decoding<kStates>& d, uint64_t limit) {
   const uint64_t most = most_in(d.p, d.size);
   const bool begun = d.coder.begins();
-  const int first = kMaxClass - static_cast<int>(Version::class_number(d.coder, 0));
-  const int last = first - static_cast<int>(Version::class_number(d.coder, 0));
+  const int first = kMaxClass - static_cast<int>(code_class_number(d.coder));
+  const int last = first - static_cast<int>(code_class_number(d.coder));
   if (d.prefix && d.overrun(d.coder)) return false;
   if (!begun || last < kMinClass) refuse<std::runtime_error>("no encoder begins like this");
   size_t done = 0;
   for (int c = first; c >= last; --c) {
-    const uint32_t count = Version::count(d.coder, d.models, 0);
+    const uint32_t count = code_count(d.coder, d.models);
     if (!d.whole(d.coder)) return false;
     if (!d.prefix && count > most - done) refuse<std::runtime_error>("more Gaussians than the data can hold");
     const size_t room = std::min<uint64_t>(count, most - done);
@@ -266,12 +224,12 @@ bool decode_payload(Decoding<Version>& d, uint64_t limit) {
   return true;
 }
 
-template <typename Version>
-void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit, size_t behind,
-                 Batch& batch, const std::function<void()>& reached) {
-  std::vector<uint8_t> padded(size + Version::Decoder::kSlack);
-  std::copy_n(data, size + std::min(behind, Version::Decoder::kSlack), padded.begin());
-  Decoding<Version> d{p, size, prefix, batch, reached, typename Version::Decoder(padded.data())};
+template <size_t kStates>
+void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t limit, Batch& batch,
+                 const std::function<void()>& reached) {
+  std::vector<uint8_t> padded(size + DecoderOf<kStates>::kSlack);
+  std::copy_n(data, size, padded.begin());
+  Decoding<kStates> d{p, size, prefix, batch, reached, DecoderOf<kStates>(padded.data())};
   const bool ended = decode_payload(d, limit);
   const size_t read = std::min(d.coder.read(), size);
   if (ended && !prefix && std::any_of(data + read, data + size, [](uint8_t byte) { return byte != 0; }))
@@ -279,24 +237,20 @@ void decode_into(const RdParameters& p, const uint8_t* data, size_t size, bool p
   reached();
 }
 
-auto decode_into(const RdParameters& p) {
-  if (p.version == 3) return decode_into<Version3>;
-  return p.is_short ? decode_into<Version4<1>> : decode_into<Version4<kLanes>>;
-}
+auto decode_into(const RdParameters& p) { return p.is_short ? decode_into<1> : decode_into<kLanes>; }
 
 std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, Models& models) {
   Encoder coder;
   const int first = all.front().size_class, last = all.back().size_class;
-  using Written = Version4<kLanes>;
-  Written::class_number(coder, static_cast<uint32_t>(kMaxClass - first));
-  Written::class_number(coder, static_cast<uint32_t>(first - last));
+  code_class_number(coder, static_cast<uint32_t>(kMaxClass - first));
+  code_class_number(coder, static_cast<uint32_t>(first - last));
   Symbols* at = all.data();
   Symbols* const behind = at + all.size();
   for (int c = first; c >= last; --c) {
     Symbols* end = at;
     while (end < behind && end->size_class == c) ++end;
-    Written::count(coder, models, static_cast<uint32_t>(end - at));
-    Written::encode(coder, models, p, c, at, end);
+    code_count(coder, models, static_cast<uint32_t>(end - at));
+    encode_class(coder, models, p, c, at, end);
     at = end;
   }
   return coder.finish(p.is_short ? 1 : kLanes);
@@ -304,9 +258,8 @@ std::vector<uint8_t> encoded(const RdParameters& p, std::vector<Symbols>& all, M
 
 }  // namespace
 
-RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, int version, bool is_short)
-    : width(width), height(height), quantum(quantum), grey(grey), upright(upright), version(version), is_short(is_short) {
-  if (version != 3 && version != 4) refuse<std::invalid_argument>("no such version of profile rd");
+RdParameters::RdParameters(int width, int height, double quantum, bool grey, bool upright, bool is_short)
+    : width(width), height(height), quantum(quantum), grey(grey), upright(upright), is_short(is_short) {
   if (!(width > 0 && height > 0 && quantum > 0)) refuse<std::invalid_argument>("parameters must be positive");
   if (width > kMaxSide || height > kMaxSide) refuse<std::invalid_argument>("a side is more than 65535 pixels");
 }
@@ -327,7 +280,7 @@ void rd_quantise(const RdParameters& p, const float* means, const float* factors
                  float* out_means, float* out_factors, float* out_colors) {
   for_each_quantised(p, means, factors, colors, n, [&](int64_t i, const Symbols* s) {
     if (s) {
-      dequantise(p, *s, Geometry(*s, Steps(p, *s)), out_means + 2 * i, out_factors + 3 * i, out_colors + 3 * i);
+      dequantise(p, *s, Geometry(*s, Steps(*s)), out_means + 2 * i, out_factors + 3 * i, out_colors + 3 * i);
     } else {
       std::copy_n(means + 2 * i, 2, out_means + 2 * i);
       std::copy_n(factors + 3 * i, 3, out_factors + 3 * i);
@@ -356,8 +309,7 @@ std::vector<uint8_t> rd_encode(const RdParameters& p, const float* means, const 
   return encode_symbols(p, all, models);
 }
 
-GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians,
-                         size_t behind) {
+GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size, bool prefix, uint64_t max_gaussians) {
   GaussianArrays out;
   if (size == 0) return out;
   const size_t expected = std::min<uint64_t>(most_in(p, size), size / 2);  // in 16 bits each
@@ -365,7 +317,7 @@ GaussianArrays rd_decode(const RdParameters& p, const uint8_t* data, size_t size
   out.factors.reserve(3 * expected);
   out.colors.reserve(3 * expected);
   Batch batch(kBatch, kBatch);
-  decode_into(p)(p, data, size, prefix, max_gaussians, behind, batch, [&] {
+  decode_into(p)(p, data, size, prefix, max_gaussians, batch, [&] {
     const size_t done = out.means.size() / 2, all = done + batch.n;
     out.means.resize(2 * all);
     out.factors.resize(3 * all);
@@ -386,7 +338,7 @@ Arriving::~Arriving() = default;
 void Arriving::decode(const uint8_t* data, size_t size, bool prefix, const std::function<void(int)>& arrived) {
   if (size == 0) return;
   Batch& batch = *batch_;
-  decode_into(p_)(p_, data, size, prefix, room_, 0, batch, [&] {
+  decode_into(p_)(p_, data, size, prefix, room_, batch, [&] {
     arrived(static_cast<int>(batch.n));
     batch.stop = std::min(batch.n + batch.step, room_);
   });

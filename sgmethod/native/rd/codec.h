@@ -1,5 +1,4 @@
 // Profile rd: Gaussians <-> bytes. The model of the stream is written once, for both directions (codec.cpp, models.h).
-// Version 3 is only read: rd_quantise() and rd_encode() throw std::invalid_argument for it.
 #pragma once
 
 #include <cstddef>
@@ -12,12 +11,11 @@ namespace sg {
 
 struct RdParameters {
   // Throws std::invalid_argument for what no file can have.
-  RdParameters(int width, int height, double quantum, bool grey, bool upright, int version, bool is_short = false);
+  RdParameters(int width, int height, double quantum, bool grey, bool upright, bool is_short = false);
   int width, height;
   double quantum;   // about the root of the error energy of one step of any parameter; image in [0, 1]
   bool grey;        // no chroma in the stream
   bool upright;     // no shear in the stream
-  int version;      // of the payload: 3, or 4, which version 5 of the format has too
   bool is_short;    // the payload has one state for both lanes (entropy_coder.h)
 };
 
@@ -43,10 +41,9 @@ std::vector<uint8_t> rd_encode(const RdParameters& parameters, const float* mean
 
 // Throws std::runtime_error on data that no encoder writes. With prefix = true, data may be cut anywhere: the
 // Gaussians up to there are returned, at most 8 for each byte and 64. Throws std::overflow_error for more than
-// max_gaussians, before memory is taken for them. Where there are no exceptions, a prefix needs what follows it in the
-// payload, `behind` bytes: they do not change what is returned, but nothing in them is refused then.
+// max_gaussians, before memory is taken for them.
 GaussianArrays rd_decode(const RdParameters& parameters, const uint8_t* data, size_t size, bool prefix,
-                         uint64_t max_gaussians = kMaxGaussians, size_t behind = 0);
+                         uint64_t max_gaussians = kMaxGaussians);
 
 struct Batch;
 

@@ -1,11 +1,11 @@
-// Version 4: adaptive models of 16 symbols, and rANS over them with two states (J. Duda, "Asymmetric numeral systems",
+// Adaptive models of 16 symbols, and rANS over them with two states (J. Duda, "Asymmetric numeral systems",
 // 2013; interleaved as by F. Giesen, 2014). Integers only, so that every machine decodes the same. Decoding a symbol has no
 // division and no branch that depends on the data.
 //
 // A symbol waits for the one before it in the same state, for some 30 cycles. So there are two lanes, each with a state of
 // its own, and calling for the one and the other in turns decodes two symbols in that time. Raw bits wait for neither.
 //
-// In a short file (docs/format.md, version 5) both lanes share one state: two more would cost more than their time is worth.
+// In a short file (docs/format.md) both lanes share one state: two more would cost more than their time is worth.
 //
 // All come from one sequence of bytes. A lane takes two of them right after the symbol that leaves its state low; raw bits
 // take some right when they are fetched. So the bytes stand in the order in which a decoder needs them.
@@ -80,7 +80,7 @@ class Model {
   uint32_t edge(int i) const { return static_cast<uint32_t>(kOne + ends()[i - 1]); }
 
   // The symbol within whose share a place lies, which is given less kProbabilityOne.
-  SG_INLINE uint32_t find(int place) const { return count_until<true>(ends(), place); }
+  SG_INLINE uint32_t find(int place) const { return count_until(ends(), place); }
   struct Share {
     int low, size;  // low less kProbabilityOne
   };

@@ -1,5 +1,5 @@
-// Profile rd: the adaptive models of a stream of version 4, and the one order in which integers are coded, for
-// the encoder, the decoder and the estimate of bits alike. Version 3 has its own in models_v3.h.
+// Profile rd: the adaptive models of a stream, and the one order in which integers are coded, for the encoder, the decoder
+// and the estimate of bits alike.
 #pragma once
 
 #include <algorithm>
@@ -68,25 +68,14 @@ uint32_t code_whole(Coder& coder, Lane lane, Model& model, uint32_t value = 0) {
   return number.value;
 }
 
-template <typename M, size_t... I>
-std::array<M, sizeof...(I)> models_from(const uint8_t (*start)[kSymbols - 1], std::index_sequence<I...>) {
-  return {M(start[I])...};
+template <size_t... I>
+std::array<Model, sizeof...(I)> models_from(const uint8_t (*start)[kSymbols - 1], std::index_sequence<I...>) {
+  return {Model(start[I])...};
 }
-template <typename M, size_t N>
-std::array<M, N> models_from(const uint8_t (&start)[N][kSymbols - 1]) {
-  return models_from<M>(start, std::make_index_sequence<N>());
+template <size_t N>
+std::array<Model, N> models_from(const uint8_t (&start)[N][kSymbols - 1]) {
+  return models_from(start, std::make_index_sequence<N>());
 }
-
-// The models of both versions. There are few contexts, because a small picture has only a few hundred symbols for each to
-// learn from. Contexts by size class, by the neighbour along the curve, and of r by v were measured and gained next to
-// nothing (docs/design.md).
-template <typename M>
-struct ModelTables {
-  M count{kStartCount}, distance{kStartDistance}, luma{kStartLuma};
-  std::array<M, 4> a = models_from<M>(kStartA), b = models_from<M>(kStartB);
-  std::array<M, 8> color_signs = models_from<M>(kStartColorSigns), v = models_from<M>(kStartV), r = models_from<M>(kStartR);
-  std::array<M, 4> shape_signs = models_from<M>(kStartShapeSigns);
-};
 
 inline uint32_t magnitude(int value) { return value < 0 ? 0u - static_cast<uint32_t>(value) : static_cast<uint32_t>(value); }
 SG_INLINE int with_sign(uint32_t size, uint32_t negative) {
@@ -95,9 +84,9 @@ SG_INLINE int with_sign(uint32_t size, uint32_t negative) {
 inline uint32_t color_sign_bits(const Symbols& s) { return (s.y < 0) << 2 | (s.a < 0) << 1 | (s.b < 0); }
 inline uint32_t shape_sign_bits(const Symbols& s) { return (s.v < 0) << 1 | (s.r < 0); }
 
-SG_INLINE void check_color(const RdParameters& p, uint32_t y, uint32_t a, uint32_t b) {
+SG_INLINE void check_color(uint32_t y, uint32_t a, uint32_t b) {
   if ((y | a | b) == 0) refuse<std::runtime_error>("a Gaussian has no colour");
-  if ((y | a | b) >= kFirstEscaped && std::max({y, a, b}) > static_cast<uint32_t>(limits_of(p).color))
+  if ((y | a | b) >= kFirstEscaped && std::max({y, a, b}) > static_cast<uint32_t>(kMostColor))
     refuse<std::runtime_error>("a colour is out of range");
 }
 SG_INLINE void check_shape(const Steps& steps, uint32_t v, uint32_t r) {
@@ -118,7 +107,14 @@ struct SizeClass {
   uint32_t last_column, last_row;  // of the cells, as bits of a Morton code
 };
 
-struct Models : ModelTables<Model> {
+// There are few contexts, because a small picture has only a few hundred symbols for each to learn from. Contexts by size
+// class, by the neighbour along the curve, and of r by v were measured and gained next to nothing (docs/design.md).
+struct Models {
+  Model count{kStartCount}, distance{kStartDistance}, luma{kStartLuma};
+  std::array<Model, 4> a = models_from(kStartA), b = models_from(kStartB);
+  std::array<Model, 8> color_signs = models_from(kStartColorSigns), v = models_from(kStartV), r = models_from(kStartR);
+  std::array<Model, 4> shape_signs = models_from(kStartShapeSigns);
+
   // One turn. The Gaussians of a class come one after another, and each in two parts: cell and colour, then shape and
   // place. A turn has the former of one, `next`, and the latter of the Gaussian before it, `now`, whose cell is `from`.
   // Symbols of the two alternate, and with them the lanes. What chooses a symbol's model should not wait for raw bits of the
@@ -127,7 +123,7 @@ struct Models : ModelTables<Model> {
   template <bool kNext, bool kNow, typename Coder>
   SG_INLINE Parts pair(Coder& coder, const RdParameters& p, const SizeClass& c, uint32_t from, ColorSize& size,
                        Symbols& next, Symbols& now) {
-    const Steps steps(4, kNow ? size.y : 1, size.a, size.b);
+    const Steps steps(kNow ? size.y : 1, size.a, size.b);
     const auto bucket = static_cast<size_t>(steps.bucket());
     const uint32_t by = kNext ? next.cell - from : 0;
     Number distance, y, a, b, v, r;
@@ -165,7 +161,7 @@ struct Models : ModelTables<Model> {
       code_rest(coder, y, magnitude(next.y));
       code_rest(coder, a, magnitude(next.a));
       code_rest(coder, b, magnitude(next.b));
-      check_color(p, y.value, a.value, b.value);
+      check_color(y.value, a.value, b.value);
       size = {y.value, a.value, b.value};
       code_rest(coder, distance, by >> c.raw_bits);
       const uint64_t cell = from + (uint64_t{distance.value} << c.raw_bits) + low;

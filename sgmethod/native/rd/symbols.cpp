@@ -58,16 +58,8 @@ SG_INLINE double shape_u(const Symbols& s, const Steps& steps) {
   return ((s.u + 0.5) * Steps::power(-steps.u_bits()) - 0.5) * kClassWidth;
 }
 
-// Version 3: bits by which a cell is divided so that a part is at most one step: the first power of two above sqrt(square).
-int refine_bits(double square, int most) {
-  uint64_t bits;
-  std::memcpy(&bits, &square, sizeof bits);  // positive and normal
-  const int exponent = static_cast<int>(bits >> 52) - 1023;
-  return std::clamp((exponent >> 1) + 1, 0, most);
-}
-
 double color_step(const RdParameters& p, int size_class) {
-  return std::max(p.quantum / (class_size(size_class) * kColorScale), limits_of(p).color_step);
+  return std::max(p.quantum / (class_size(size_class) * kColorScale), kLeastColorStep);
 }
 
 // A coordinate of a mean, from that of its cell, the part of the cell, and by how many bits this is divided.
@@ -90,14 +82,7 @@ Geometry::Geometry(const Symbols& s, const Steps& steps) {
   l1 = std::max(size * e[0], kLeastScale);
   l3 = std::max(size * e[1], kLeastScale);
   l2 = r * l3;
-  if (steps.version == 4) {
-    parts = parts_of(s, steps);
-    return;
-  }
-  // (side / (sqrt(2) / m scale))^2
-  const double square = static_cast<double>(steps.square) * Steps::power(2 * cell_bits(s.size_class) - 1);
-  parts.x_bits = refine_bits(square * (1.0 + r * r) / (l1 * l1), steps.limits.part_bits);
-  parts.y_bits = refine_bits(square / (l3 * l3), steps.limits.part_bits);
+  parts = parts_of(s, steps);
 }
 
 uint32_t spread_bits(uint32_t v) {
@@ -111,10 +96,6 @@ uint32_t cells_along(int side, int bits) {
   return static_cast<uint32_t>(std::min((side >> bits) + 1 + 2 * kBorderCells, 1 << 16));
 }
 
-bool in_grid(const RdParameters& p, int bits, uint32_t cell) {
-  return gather_bits(cell) < cells_along(p.width, bits) && gather_bits(cell >> 1) < cells_along(p.height, bits);
-}
-
 bool quantise(const RdParameters& p, const float* mean, const float* factor, const float* color, Symbols& s, int& clipped) {
   const double l1 = factor[0], l3 = factor[2];
   const auto finite = [](const float* values, int n) {
@@ -126,24 +107,23 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
     return std::clamp(value, low, high);
   };
   const auto round_to = [&](double v, double limit) { return static_cast<int>(within(std::round(v), -limit, limit)); };
-  const Limits& limits = limits_of(p);
   const double u = 0.5 * std::log(l1 * l3);
   s.size_class = static_cast<int>(within(std::round(u / kClassWidth), kMinClass, kMaxClass));
   const double step = color_step(p, s.size_class);
   const Luma l = to_luma(color);
-  s.y = round_to(l.y / step, limits.color);
-  s.a = p.grey ? 0 : round_to(l.a / step, limits.color);
-  s.b = p.grey ? 0 : round_to(l.b / step, limits.color);
+  s.y = round_to(l.y / step, kMostColor);
+  s.a = p.grey ? 0 : round_to(l.a / step, kMostColor);
+  s.b = p.grey ? 0 : round_to(l.b / step, kMostColor);
   if (s.empty()) return false;
-  const Steps steps(p, s);
+  const Steps steps(s);
   const double levels = static_cast<double>(1u << steps.u_bits());
   s.u = static_cast<uint32_t>(std::clamp(std::floor(((u / kClassWidth - s.size_class) + 0.5) * levels), 0.0, levels - 1));
-  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::floor(limits.v / steps.v()));
+  s.v = round_to(0.5 * std::log(l1 / l3) / steps.v(), std::floor(kMostV / steps.v()));
   // r is chosen for the slope l2 / l1 to be right with the l1 and l3 that are decoded. If r = l2 / l3 were rounded instead,
   // the rounding error of v would turn a slanted needle, and count 1 + r^2 times.
   s.r = 0;
   const Geometry flat(s, steps);
-  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), std::floor(limits.r / steps.r()));
+  s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), std::floor(kMostR / steps.r()));
   const Geometry g(s, steps);
   const int cell = cell_bits(s.size_class);
   const auto place = [&](double position, int side, int refine, uint32_t& part) {
@@ -193,7 +173,7 @@ SG_INLINE void dequantise_body(const RdParameters& p, const Symbols* all, const 
     double l1[kBlock], l3[kBlock], slants[kBlock];
     uint32_t columns[kBlock], rows[kBlock];
     for (int i = 0; i < count; ++i) {
-      const Steps steps(4, s[i].y, s[i].a, s[i].b);
+      const Steps steps(s[i].y, s[i].a, s[i].b);
       const double u = shape_u(s[i], steps), v = s[i].v * steps.v();
       l1[i] = u + v;
       l3[i] = u - v;

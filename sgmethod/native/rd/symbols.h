@@ -25,21 +25,13 @@ namespace sg {
 
 constexpr int kMinClass = -4, kMaxClass = 28;  // size 2^(class / 2) pixels
 
-// What the integers of a version may be. In version 3 the range of v and r ends at a number of steps: the finer the steps,
-// the smaller the largest shear, so that a slanted needle in a fine file is drawn as something else. From version 4 on it
-// ends at values that do not depend on the steps, and steps are no finer than single precision can use.
-struct Limits {
-  int color;              // of each part of a colour, in steps
-  double v, r;            // of |v| and |r|
-  double shape_steps;     // of |v| and |r|, in steps
-  int exponent;           // of the length of the colour vector, as far as it decides steps
-  int u_bits, part_bits;  // by which a class, and a cell, are divided
-  double color_step;      // at least
-};
-constexpr Limits kLimitsV3 = {1 << 20, 20.0, 1e300, 65536.0, 64, 8, 12, 0.0};
-constexpr Limits kLimitsV4 = {1 << 22, 8.0, 4096.0, 1e300, 18, 12, 16, 1.0 / 65536};
-inline const Limits& limits_of(int version) { return version == 3 ? kLimitsV3 : kLimitsV4; }
-inline const Limits& limits_of(const RdParameters& p) { return limits_of(p.version); }
+// What the integers may be. The range of v and r ends at values that do not depend on the steps: a slanted needle in a fine
+// file is what it is in a coarse one. Steps are no finer than single precision can use.
+constexpr int kMostColor = 1 << 22;          // of each part of a colour, in steps
+constexpr int kMostV = 8, kMostR = 4096;     // of |v| and |r|
+constexpr int kMostExponent = 18;            // of the length of the colour vector, as far as it decides steps
+constexpr int kMostUBits = 12, kMostPartBits = 16;  // by which a class, and a cell, are divided
+constexpr double kLeastColorStep = 1.0 / 65536;
 
 // The integers of one Gaussian.
 struct Symbols {
@@ -55,27 +47,21 @@ struct Symbols {
 
 // The steps that follow from the colour: the class's width halved u_bits() times for u, powers of two for v and r.
 struct Steps {
-  Steps(const RdParameters& p, const Symbols& s) : Steps(p.version, s.y, s.a, s.b) {}
-  Steps(int version, int64_t y, int64_t a, int64_t b)
-      : version(version), limits(limits_of(version)), square(static_cast<uint64_t>(y * y + a * a + b * b)) {
+  explicit Steps(const Symbols& s) : Steps(s.y, s.a, s.b) {}
+  Steps(int64_t y, int64_t a, int64_t b) : square(static_cast<uint64_t>(y * y + a * a + b * b)) {
     const int nearest = (64 - __builtin_clzll(square)) >> 1;  // 2^(2 e - 1) <= m^2 < 2^(2 e + 1)
-    exponent = std::min(nearest, limits.exponent);
+    exponent = std::min(nearest, kMostExponent);
   }
-  int version;
-  const Limits& limits;
   uint64_t square;  // m^2
   int exponent;     // of the power of two nearest to m
-  int u_bits() const { return std::clamp(exponent - 1, 0, limits.u_bits); }  // 0.3466 / 2^bits against 0.707 / m
+  int u_bits() const { return std::clamp(exponent - 1, 0, kMostUBits); }  // 0.3466 / 2^bits against 0.707 / m
   double v() const { return power(-exponent); }
   double r() const { return kRStep * v(); }
   int bucket() const { return std::min(exponent, 7); }  // of m, for contexts
-  // Whether the version has a shape with these steps of v and r.
+  // Whether there is a shape with these steps of v and r.
   bool allow(uint32_t v_steps, uint32_t r_steps) const {
-    if (version == 4) {
-      const auto within = [&](uint32_t steps, double most) { return steps <= static_cast<uint64_t>(most) << exponent; };
-      return within(v_steps, kLimitsV4.v) && within(r_steps, kLimitsV4.r / kRStep);
-    }
-    return std::max(v_steps, r_steps) <= limits.shape_steps && v_steps * v() <= limits.v;
+    const auto within = [&](uint32_t steps, double most) { return steps <= static_cast<uint64_t>(most) << exponent; };
+    return within(v_steps, kMostV) && within(r_steps, kMostR / kRStep);
   }
   static double power(int exponent) {  // of two
     const uint64_t bits = static_cast<uint64_t>(1023 + exponent) << 52;
@@ -99,7 +85,7 @@ struct Geometry {
 // Side of a class's cell, a power of two.
 inline int cell_bits(int size_class) { return std::max(0, (size_class + 1) / 2); }
 
-// Version 4: the parts from integers alone, so that what follows need not wait for the geometry. Sizes are measured by the
+// The parts come from integers alone, so that what follows need not wait for the geometry. Sizes are measured by the
 // logarithms of their squares, in sixteenths.
 inline int log_16(uint64_t x) {  // linear between powers of two
   const int zeros = __builtin_clzll(x);
@@ -113,7 +99,7 @@ inline Parts parts_of(const Symbols& s, const Steps& steps) {
   const int v = static_cast<int>(46 * int64_t{s.v} >> h);  // 32 / log(2)
   const int slant = log_16((uint64_t{1} << 2 * h) + 4 * static_cast<uint64_t>(r * r)) - 32 * h;  // 1 + (l2 / l3)^2
   const int fineness = log_16(steps.square) + 32 * cell_bits(s.size_class) - 17;
-  const auto bits = [&](int step) { return std::clamp(((fineness - step) >> 5) + 1, 0, steps.limits.part_bits); };
+  const auto bits = [&](int step) { return std::clamp(((fineness - step) >> 5) + 1, 0, kMostPartBits); };
   const int size = 16 * s.size_class + u;
   return {bits(std::max(size + v, kLeast) - slant), bits(std::max(size - v, kLeast))};
 }
@@ -122,9 +108,8 @@ inline Parts parts_of(const Symbols& s, const Steps& steps) {
 uint32_t cells_along(int side, int bits);
 // Every bit but 16 two places apart, as the columns of a Morton code have them.
 uint32_t spread_bits(uint32_t v);
-bool in_grid(const RdParameters& p, int bits, uint32_t cell);
 
-// What fits keep to, so that no version's range is ever left: within kMaxSlant, kMaxAmplitude and kMaxScale (constants.h),
+// What fits keep to, so that no range is ever left: within kMaxSlant, kMaxAmplitude and kMaxScale (constants.h),
 // with room for the steps that refining takes.
 bool in_range(const float* factor, const float* color);
 

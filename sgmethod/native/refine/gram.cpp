@@ -14,7 +14,7 @@ namespace {
 
 constexpr int kLanes = 16;  // partial sums, so that their order does not depend on the instruction set
 
-// out = the sum of five rows, or of a row moved by five places, each times weights of its own.
+// out = weighted sum of five rows, or of one row at five offsets.
 SG_CLONES void weighted_sum(const float* const (&in)[Patch::kTaps], const float* const (&weights)[Patch::kTaps], float* out,
                             int count) {
   for (int i = 0; i < count; ++i)
@@ -64,7 +64,8 @@ void Patch::draw(const Footprint& f, float floor, const std::vector<Span>& spans
       .weights(f, floor, spans.data(), static_cast<int>(spans.size()), first, columns_, weights(kMarginRows) + kMarginColumns);
 }
 
-// Level by level: of fine samples i and j that both lie in the picture, each gives to two coarse ones, near and far.
+// Computed level by level: fine samples i and j that both lie in the picture each come from two coarse ones, near and
+// far.
 std::vector<Gram::Band> Gram::bands(const std::vector<int>& sizes) {
   std::vector<Band> all;
   for (size_t level = 0; level < sizes.size(); ++level) {
@@ -93,9 +94,10 @@ std::vector<Gram::Band> Gram::bands(const std::vector<int>& sizes) {
   return all;
 }
 
-// A sample of level l is as wide as two of level l - 1. Those beyond the picture are as visible as the nearest within.
+// A sample of level l is as wide as two of level l - 1. Samples beyond the picture have the visibility of the nearest
+// one within.
 void Gram::set_roots(const std::vector<Grid>& grids, const int16_t* visibility) {
-  std::vector<float> finer;  // of the level before
+  std::vector<float> finer;  // visibility on the previous level
   roots_.resize(grids.size());
   for (size_t level = 1; level < grids.size(); ++level) {
     const Grid &grid = grids[level], &below = grids[level - 1];
@@ -174,7 +176,7 @@ void Gram::apply(int level, Patch& patch) const {
 
 void Gram::add(int level, Planes& picture, Planes& reduced) const {
   constexpr int kTaps = Patch::kTaps, kReach = kTaps / 2;
-  constexpr float kDrawn = 16.0f;  // a level is drawn as a sixteenth of its values
+  constexpr float kDrawn = 16.0f;  // levels are drawn divided by 16
   const Grid& grid = picture.grid(level);
   const Band &across = across_[static_cast<size_t>(level)], &down = down_[static_cast<size_t>(level)];
   const size_t width = static_cast<size_t>(grid.width);
@@ -182,7 +184,7 @@ void Gram::add(int level, Planes& picture, Planes& reduced) const {
   Scratch halves(3 * width * static_cast<size_t>(grid.height));
   const auto half = [&](int y, int color) { return halves.get() + (static_cast<size_t>(y) * 3 + color) * width; };
   parallel_for(grid.height, [&](int y) {
-    std::vector<float> row(width + 2 * kReach);  // with zeros at both ends
+    std::vector<float> row(width + 2 * kReach);  // zeros at both ends
     const float* const root = root_of(y);
     for (int color = 0; color < 3; ++color) {
       const float* from = picture.at(level, 0, y) + color * picture.stride(level);

@@ -1,10 +1,10 @@
-// What the Gaussians of a coarse level are to each other as pictures. A Gaussian with weights w in samples of its level is
-// the picture U w, with U all enlarging down to the pixels. The energy of its picture is w U^T U w, and what it adds to the
-// reduced residual of its own level is U^T U w. Along an axis U^T U is a band of five: two samples further away, two samples'
-// pictures no longer overlap. Pixels outside the picture do not count.
+// Inner products of Gaussians of a coarse level, as pictures. A Gaussian with weights w in samples of its level has the
+// picture U w, where U enlarges all the way down to pixels. The energy of its picture is w U^T U w, and it contributes
+// U^T U w to the residual reduced to its level. Along an axis U^T U is a band of five diagonals, because the pictures
+// of samples more than two apart do not overlap. Pixels outside the picture do not count.
 //
-// With the pixels' visibility V it is U^T V U, which is taken for R U^T U R, R being the root of V's mean over each sample:
-// visibility changes little from one to the next.
+// With the pixels' visibility V this is U^T V U, approximated by R U^T U R, where R is the square root of V's mean over
+// each sample: visibility changes little from sample to sample.
 #pragma once
 
 #include <algorithm>
@@ -15,7 +15,7 @@
 
 namespace sg {
 
-// The weights of one Gaussian in samples of its level, in a rectangle with a margin around them; and their Gram product.
+// The weights of one Gaussian in samples of its level, in a rectangle with a margin; and their product with U^T U.
 class Patch {
  public:
   static constexpr int kMarginRows = 2, kMarginColumns = 8;
@@ -24,7 +24,7 @@ class Patch {
   // Sets the weights. spans: at least one.
   void draw(const Footprint& f, float floor, const std::vector<Span>& spans);
 
-  int x() const { return x_; }  // of the first column, margin included
+  int x() const { return x_; }  // place of the first column, including the margin
   int y() const { return y_; }
   int rows() const { return rows_; }
   int columns() const { return columns_; }
@@ -35,27 +35,28 @@ class Patch {
  private:
   friend class Gram;
   int x_ = 0, y_ = 0, rows_ = 0, columns_ = 0;
-  int begin_ = 0, end_ = 0;  // columns that the product reaches: two beyond the weights. Others may be another task's.
+  int begin_ = 0, end_ = 0;  // columns of the product: two beyond the weights. Others may belong to another task.
   std::vector<float> weights_, seen_, half_, product_;
 };
 
 class Gram {
  public:
-  // visibility: of the pixels (core/constants.h), or null.
+  // grids: of the levels; visibility: of the pixels (core/constants.h), or null.
   Gram(const std::vector<Grid>& grids, const int16_t* visibility);
 
-  // Sets the patch's product with U^T U of a level.
+  // Sets the patch's product with a level's U^T U.
   void apply(int level, Patch& patch) const;
-  // reduced += U^T U of a picture on a whole level, drawn by Rasterization::draw_coarse.
+  // reduced += U^T U times a picture of a whole level, drawn by Rasterization::draw_coarse.
   void add(int level, Planes& picture, Planes& reduced) const;
-  // Sums over the level: the patch's weights times the red, green and blue of a reduced residual, and times its own product.
+  // Sums over the level: the patch's weights times the red, green and blue of a reduced residual, and times its own
+  // product.
   static void project(const Patch& patch, int level, Planes& reduced, float* sums);
   // reduced += color [3] times the patch's product.
   static void add(const Patch& patch, int level, const float* color, Planes& reduced);
 
  private:
-  static constexpr int kPad = 32;  // places beyond both ends of an axis that a patch may touch
-  // U^T U along an axis: at(tap, place) belongs to the samples `place` and `place` + tap - 2.
+  static constexpr int kPad = 32;  // samples beyond both ends of an axis that a patch may touch
+  // U^T U along an axis: at(tap, place) is the element of samples `place` and `place` + tap - 2.
   struct Band {
     explicit Band(int size) : stride(size + 2 * kPad), values(static_cast<size_t>(Patch::kTaps) * stride) {}
     float* at(int tap, int place) { return values.data() + static_cast<size_t>(tap) * stride + place + kPad; }
@@ -64,7 +65,7 @@ class Gram {
     std::vector<float> values;
   };
   static std::vector<Band> bands(const std::vector<int>& sizes);
-  // Of a level; row() gives those from x on, which may lie as far beyond the picture as a patch does.
+  // R of a level. row() returns its values from x on, which may lie kPad beyond the picture.
   struct Roots {
     int stride = 0, rows = 0;
     std::vector<float> values;

@@ -1,13 +1,13 @@
-// A sweep visits every Gaussian once. Gaussians that share no pixels do not affect each other, so most of them are visited
-// in parallel.
+// A sweep visits every Gaussian once. Gaussians that share no pixels do not affect each other, so most of them are
+// visited in parallel.
 //
-// The picture is divided into square cells, and a Gaussian belongs to the cell that holds its centre. A task visits the
-// Gaussians of one cell in their order. It may use the pixels of the cell and of a border around it, half a cell wide.
-// These areas overlap for neighbouring cells. So a sweep has four phases, one for each combination of even or odd column
-// and row: the cells of one phase lie two apart, and their areas only touch.
+// The picture is divided into square cells, and a Gaussian belongs to the cell that contains its centre. A task visits
+// the Gaussians of one cell in order. It may use the pixels of the cell and of a border around it, half a cell wide.
+// These areas overlap for neighbouring cells. So a sweep has four phases, one for each combination of even or odd
+// column and row: the cells of one phase lie two apart, and their areas only touch.
 //
-// A Gaussian may need pixels beyond the area of its cell, for itself or for one of its candidates. Then its task leaves it
-// as it was, and the Gaussian waits. After the four phases those that wait are visited one by one, over the whole picture.
+// If a Gaussian, or one of its candidates, needs pixels beyond the area of its cell, its task leaves it unchanged and
+// the Gaussian waits. After the four phases the waiting ones are visited one by one, over the whole picture.
 //
 // The order of visits that share pixels is thus fixed, and the result does not depend on the number of threads.
 #include "refine/refine.h"
@@ -28,11 +28,12 @@
 namespace sg {
 namespace {
 
-constexpr double kConverged = 0.02;   // a sweep that changes a smaller part of the Gaussians is the last
+constexpr double kConverged = 0.02;   // a sweep that changes a smaller share of the Gaussians is the last
 constexpr int kCoarseSweeps = 2;
-constexpr double kSmallExcess = 0.004;  // of the bytes
+constexpr double kSmallExcess = 0.004;  // as a part of the payload
 constexpr int kPatience = 64;         // Gaussians between two looks at the clock
-// Samples along a cell's side, whose half is a multiple of kTileWidth. Coarse levels are small, and would be one cell.
+// Samples along a cell's side, half of which is a multiple of kTileWidth. Smaller on coarse levels, which would else be
+// one cell.
 constexpr int kCell = 128, kCoarseCell = 64;
 constexpr int kFar = 1 << 24;         // beyond all strips and rows
 using Clock = std::chrono::steady_clock;
@@ -63,14 +64,14 @@ class Refinement {
     for (int k = 0; k < state_.settings.sweeps; ++k)
       if (!sweep(k < kCoarseSweeps, payload)) break;
     if (drop_until_it_fits(payload)) {
-      sweep(true, payload);  // the Gaussians that stay take over from those that were left out
+      sweep(true, payload);  // lets the remaining Gaussians make up for those dropped
       drop_until_it_fits(payload);
     }
     return payload;
   }
 
  private:
-  // Returns whether another sweep may gain more. Coarse levels have few Gaussians, which settle early.
+  // Returns whether another sweep may gain more. coarse: includes coarse levels, whose few Gaussians converge early.
   bool sweep(bool coarse, std::vector<uint8_t>& payload) {
     if (Clock::now() >= until_) return false;
     const size_t changed = visit_everywhere(coarse);
@@ -78,19 +79,19 @@ class Refinement {
     return changed >= all_.size() * kConverged;
   }
 
-  // Draws the picture, and sets what it leaves of the target.
+  // Draws the picture, and sets the residual.
   void look() {
     drawn_ = all_;
     GaussianArrays g;
     levels_ = decode(all_, g);
     const Rasterization raster = rasterised(g);
-    reduced_.reset();  // before the next: they are a third of a picture
+    reduced_.reset();  // frees a third of a picture before the next is allocated
     reduced_ = std::make_unique<Planes>(raster.grids());
     state_.reduced = reduced_.get();
     leave(raster, g.colors.data(), target_, state_.left, *reduced_, state_.settings.visibility);
   }
 
-  // Takes what has changed above a level since look() from the residual there, which is less work than to look again.
+  // Updates the residual of a level for changes on levels above it since look(), which is less work than to look again.
   void follow(int level) {
     std::vector<Symbols> changed, now;
     for (size_t i = 0; i < all_.size(); ++i) {
@@ -109,7 +110,7 @@ class Refinement {
     gram_.add(level, picture, *reduced_);
   }
 
-  // Sets the Gaussians of symbols, in samples of the target, and returns their levels.
+  // Sets g to the Gaussians of symbols, in samples of the target, and returns their levels.
   std::vector<int> decode(const std::vector<Symbols>& symbols, GaussianArrays& g) const {
     const size_t n = symbols.size();
     g = {std::vector<float>(2 * n), std::vector<float>(3 * n), std::vector<float>(3 * n)};
@@ -129,7 +130,7 @@ class Refinement {
     return Rasterization(g.means.data(), g.factors.data(), static_cast<int>(g.means.size() / 2), canvas, -1, kMaxPairs);
   }
 
-  // Visits all Gaussians once, level by level from the top, and returns how many have changed.
+  // Visits all Gaussians once, level by level from the top. Returns the number of changed ones.
   size_t visit_everywhere(bool coarse) {
     look();
     std::vector<std::vector<size_t>> waiting(static_cast<size_t>(reduced_->top()) + 1);
@@ -145,7 +146,7 @@ class Refinement {
     return changed;
   }
 
-  // The four phases on one level. Visits the Gaussians in `waiting`, and leaves there those that have to wait.
+  // The four phases on one level. Visits the Gaussians in `waiting`, and leaves there those that still have to wait.
   size_t visit_cells(int level, std::vector<size_t>& waiting) {
     const Grid& grid = reduced_->grid(level);
     const int side = level == 0 ? kCell : kCoarseCell, half = side / 2;
@@ -175,8 +176,8 @@ class Refinement {
     return changed;
   }
 
-  // Visits the Gaussians in `waiting` that stay within a part of the picture, and leaves the others there. Returns how
-  // many have changed.
+  // Visits the Gaussians in `waiting` that stay within a part of the picture, and leaves the others there. Returns the
+  // number of changed ones.
   size_t visit_all(const Part& part, std::vector<size_t>& waiting) {
     Visitor visitor(state_, part);
     size_t changed = 0, left = 0;
@@ -197,16 +198,16 @@ class Refinement {
     return encode_symbols(state_.p, all_, state_.models);
   }
 
-  // Leaves out Gaussians until the payload has no more than max_bytes. Returns whether any had to go.
+  // Drops Gaussians until the payload has at most max_bytes. Returns whether any were dropped.
   bool drop_until_it_fits(std::vector<uint8_t>& payload) {
     bool dropped = false;
     for (; payload.size() > state_.settings.max_bytes && !all_.empty(); dropped = true) drop_least(payload);
     return dropped;
   }
 
-  // Leaves out Gaussians, beginning with those that lower the error least for each of their bits, until the payload fits.
-  // The neighbours of those that have gone are worth more than before, so this also ends once more than a small excess
-  // would go in the order of before.
+  // Drops Gaussians, beginning with those that lower the error least for each of their bits, until the payload fits.
+  // The neighbours of dropped ones gain in worth, so the order becomes stale: unless the excess is small, this stops
+  // after one round, to be called again.
   void drop_least(std::vector<uint8_t>& payload) {
     look();
     std::vector<std::pair<double, size_t>> order(all_.size());
@@ -227,7 +228,7 @@ class Refinement {
     size_t next = 0;
     const auto excess = [&] { return static_cast<double>(payload.size()) - static_cast<double>(state_.settings.max_bytes); };
     do {
-      double bits = 0.6 * 8.0 * excess();  // a part of them: they are estimates
+      double bits = 0.6 * 8.0 * excess();  // less than the excess, because the sizes are estimates
       for (; next < order.size() && bits > 0; ++next) {
         Symbols& s = staying[order[next].second];
         bits -= sizes[order[next].second];
@@ -243,11 +244,11 @@ class Refinement {
   const Gram gram_;
   State state_;
   std::vector<Symbols> all_;
-  std::vector<Symbols> drawn_;  // all_, when last looked at
-  std::vector<float> values_;  // of state_.left
-  std::vector<float> visibility_;  // of state_.visibility
+  std::vector<Symbols> drawn_;  // all_ at the last look()
+  std::vector<float> values_;  // memory of state_.left
+  std::vector<float> visibility_;  // memory of state_.visibility
   std::unique_ptr<Planes> reduced_;
-  std::vector<int> levels_;  // of all_, when last looked at
+  std::vector<int> levels_;  // of all_ at the last look()
   Clock::time_point until_;
 };
 
@@ -255,7 +256,6 @@ class Refinement {
 
 std::vector<uint8_t> rd_refine(const RdParameters& p, const float* means, const float* factors, const float* colors, int n,
                                const int16_t* target, const RefineSettings& settings) {
-  if (p.version != 4) refuse<std::invalid_argument>("only version 4 is refined");
   return Refinement(p, quantised(p, means, factors, colors, n), target, settings).run();
 }
 

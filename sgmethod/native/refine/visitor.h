@@ -1,11 +1,11 @@
-// One visit of a Gaussian. Rounding each Gaussian by itself ignores that they overlap, and that their rounding errors add
-// up. A visit looks at what the other Gaussians leave of the target, and takes the cheapest of these candidates: the
-// Gaussian unchanged; one of its integers one up or one down; each of them with the colour that is then best; and no
-// Gaussian at all. The cost is squared error plus price times bits.
+// A visit of one Gaussian. Rounding each Gaussian alone ignores that they overlap, and that their rounding errors add
+// up. A visit compares candidates against the residual of all other Gaussians, and takes the cheapest: the Gaussian
+// unchanged; one of its integers one up or one down; each of these with the then best colour; and no Gaussian at all.
+// The cost is squared error plus price times bits.
 //
-// Let e be what the others leave, w the weights of a candidate and c its colour. The squared error is
-// |e|^2 - 2 c <w, e> + |c|^2 <w, w>. So four sums over the candidate's pixels give the error for every colour. For a
-// Gaussian of a coarse level the sums are over its level (gram.h). A visit leaves it on its level.
+// Let e be the residual of the others, w the weights of a candidate and c its colour. The squared error is |e|^2 - 2 c
+// <w, e> + |c|^2 <w, w>, so four sums over the candidate's pixels give the error for every colour. For a Gaussian of a
+// coarse level the sums are over samples of its level (gram.h), on which it stays.
 #pragma once
 
 #include <cmath>
@@ -22,8 +22,8 @@
 namespace sg {
 namespace {
 
-constexpr double kPositionBits = 8.0;  // of a Gaussian's cell, about, which the models of its integers do not count
-constexpr double kBitsOfColor = 6.0;   // that another colour may save; with fewer, candidates are lost that would win
+constexpr double kPositionBits = 8.0;  // about the bits of a Gaussian's cell, which the models do not count
+constexpr double kBitsOfColor = 6.0;   // most bits that another colour is expected to save; fewer would miss winners
 
 // A coder that only counts bits. The models do not adapt.
 struct BitCounter {
@@ -46,24 +46,24 @@ struct Candidate {
   float mean[2], factor[3], color[3];  // in pixels of the picture
   float place[2], shape[3];            // mean and factor in samples of the target
   int level;
-  double cost;  // less that of no Gaussian at all
+  double cost;  // minus that of no Gaussian
 };
 
-// What all Gaussians share.
+// State shared by the visits of all Gaussians.
 struct State {
   const RdParameters& p;
   const RefineSettings& settings;
   float floor, reach;
-  Strips left;  // what all Gaussians leave of the target
-  Planes* reduced;  // and what that comes to on coarse levels
+  Strips left;  // residual of all Gaussians
+  Planes* reduced;  // the residual reduced to coarse levels
   const Gram& gram;
-  const float* visibility;  // of each pixel, laid out as one colour of `left` is; or null
+  const float* visibility;  // of each pixel, in the layout of one colour of `left`; or null
   Models models;
 
   Candidate decoded(const Symbols& s) const {
     Candidate c{s, {}, {}, {}, {}, {}, 0, 0};
-    if (s.empty()) return c;  // scales of 0 draw nothing
-    dequantise(p, s, Geometry(s, Steps(p, s)), c.mean, c.factor, c.color);
+    if (s.empty()) return c;  // with scales of 0, which draw nothing
+    dequantise(p, s, Geometry(s, Steps(s)), c.mean, c.factor, c.color);
     const float samples = std::ldexp(1.0f, -settings.halvings);
     for (int k = 0; k < 2; ++k) c.place[k] = c.mean[k] * samples;
     for (int k = 0; k < 3; ++k) c.shape[k] = c.factor[k] * samples;
@@ -71,8 +71,8 @@ struct State {
     return c;
   }
 
-  // What the error changes by if the Gaussian is taken from what is left, with times = -2, or added to it, with 2. products:
-  // of FitKernels::project.
+  // Change of the error if the Gaussian is subtracted from the residual (times = -2), or added to it (times = 2).
+  // products: of FitKernels::project.
   double change(const Candidate& c, const float* products, double times) const {
     float seen[3] = {c.color[0], c.color[1], c.color[2]};
     if (visibility != nullptr) settings.seen.weigh(seen);
@@ -99,7 +99,7 @@ struct Part {
 
 enum class Outcome { kSame, kChanged, kOutside };
 
-// Visits Gaussians one by one. Those that need pixels outside a part of the picture are left as they were.
+// Visits Gaussians one by one. Those that need pixels outside a part of the picture are left unchanged.
 class Visitor {
  public:
   Visitor(State& state, const Part& part) : state_(state), part_(part) {}
@@ -110,13 +110,13 @@ class Visitor {
     outside_ = false;
     add(now, 1.0f);
     if (outside_) return Outcome::kOutside;
-    Candidate best{};  // none at all
+    Candidate best{};  // no Gaussian
     best.cost = 0;
     consider(now, best);
-    const Steps steps(state_.p, s);
+    const Steps steps(s);
     const Geometry g(s, steps);
     for (int sign = -1; sign <= 1 && !outside_; sign += 2) {
-      // One step of u may lead to another class of size, so the Gaussian grows and is rounded again.
+      // One step of u may lead to another size class, so the Gaussian is scaled and rounded again.
       const float grow = std::exp(static_cast<float>(sign * 0.34657359 * Steps::power(-steps.u_bits())));
       const float grown[3] = {now.factor[0] * grow, now.factor[1] * grow, now.factor[2] * grow};
       Candidate c;
@@ -136,12 +136,12 @@ class Visitor {
         if (!steps.allow(std::abs(moved.v), std::abs(moved.r))) continue;
         if (moved.px >> g.parts.x_bits || moved.py >> g.parts.y_bits) continue;
         c = state_.decoded(moved);
-        // Another shape divides the cell into other parts, so the mean is rounded again.
+        // Another shape divides the cell differently, so the mean is rounded again.
         if (which < 2 && !quantised(now.mean, c.factor, c.color, c)) continue;
         consider(c, best);
       }
     }
-    if (outside_) {  // so everything is restored
+    if (outside_) {  // restore the residual
       add(now, -1.0f);
       return Outcome::kOutside;
     }
@@ -195,7 +195,7 @@ class Visitor {
     return true;
   }
 
-  // Sets the patch to a Gaussian of a coarse level. Returns the gain of its colour; 0 if nothing of it is there.
+  // Sets the patch to a Gaussian of a coarse level. Returns the gain of its colour; 0 if it covers no samples.
   float draw(const Candidate& c) {
     const Levelled g(c.place, c.shape, c.level);
     const Footprint f = footprint(g.mean, g.factor);
@@ -210,7 +210,7 @@ class Visitor {
     return state_.change(c, products, -2.0) + state_.settings.price * state_.bits(c.symbols);
   }
 
-  // Compares c with the best so far, and then c with the colour that is best for its geometry.
+  // Compares c with the best so far, first with its own colour, then with the best colours for its geometry.
   void consider(Candidate c, Candidate& best) {
     if (c.level != level_) return;
     float products[4];
@@ -218,14 +218,14 @@ class Visitor {
     if (products[3] <= 0.0f) return;
     c.cost = cost(c, products);
     if (c.cost < best.cost) best = c;
-    Candidate ideal = c;  // in the colour that leaves least error, unrounded
+    Candidate ideal = c;  // with the unrounded colour of least error
     for (int k = 0; k < 3; ++k) ideal.color[k] = products[k] / products[3];
-    // Nothing more to win, even for fewer bits by more than another colour is likely to save.
+    // No other colour can win, even with the most bits that it is expected to save.
     const double gained = state_.change(c, products, -2.0) - state_.change(ideal, products, -2.0);
     if (c.cost - gained - kBitsOfColor * state_.settings.price >= best.cost) return;
     Symbols rounded{};
     if (!in_range(c.factor, ideal.color) || !quantise(state_.p, c.mean, c.factor, ideal.color, rounded)) return;
-    for (int toward = 0; toward < 4; ++toward) {  // the rounded colour; then one of its three parts a step nearer to zero
+    for (int toward = 0; toward < 4; ++toward) {  // the rounded colour; then each component one step nearer to zero
       Symbols s = rounded;
       if (toward > 0) {
         int& part = toward == 1 ? s.y : toward == 2 ? s.a : s.b;
@@ -237,13 +237,13 @@ class Visitor {
     }
   }
 
-  // Compares c in the colour of s with the best so far. Another colour may change the steps, and with them the geometry:
-  // then its pixels are summed anew.
+  // Compares c, with the colour of s, with the best so far. Another colour may change the steps, and so the geometry:
+  // then the products are computed again.
   void weigh(const Symbols& s, const Candidate& c, const float* products, Candidate& best) {
     if (s.y == c.symbols.y && s.a == c.symbols.a && s.b == c.symbols.b) return;
     Symbols same = c.symbols;
     same.y = s.y, same.a = s.a, same.b = s.b;
-    const Steps before(state_.p, c.symbols), after(state_.p, same);
+    const Steps before(c.symbols), after(same);
     Candidate found;
     if (same.size_class == s.size_class && before.exponent == after.exponent) {
       const Geometry old_geometry(c.symbols, before), geometry(same, after);
@@ -262,12 +262,12 @@ class Visitor {
     if (found.cost < best.cost) best = found;
   }
 
-  // The spans of a Gaussian; none, and outside_ is set, where one of them lies outside the part.
+  // The spans of a Gaussian. If one of them lies outside the part, returns none and sets outside_.
   const std::vector<Span>& spans_of(const Footprint& f, const float* factor, int level) {
     spans_.clear();
     bool within = true;
     spans(f, factor, state_.reach, state_.reduced->grid(level), [&](const Span& s) {
-      // What a Gaussian of a coarse level adds reaches two samples beyond it.
+      // The product of a coarse level's Gaussian extends two samples beyond its weights.
       const int beyond = level == 0 ? 0 : Patch::kMarginRows, column = s.strip * kTileWidth;
       within = within && column + s.first_lane - beyond >= part_.strip0 * kTileWidth &&
                column + s.last_lane + beyond < part_.strip1 * kTileWidth && s.first_row - beyond >= part_.row0 &&
@@ -284,7 +284,7 @@ class Visitor {
   State& state_;
   const Part part_;
   bool outside_ = false;
-  int level_ = 0;  // of the Gaussian that is visited
+  int level_ = 0;  // of the Gaussian being visited
   std::vector<Span> spans_;
   Patch patch_;
 };

@@ -12,19 +12,18 @@
 namespace sg {
 namespace {
 
-// Places repeat after this many output pixels, as those of Gaussians do in views (sgmethod/view.py).
-constexpr int kRepeat = 1 << 16;
-// An octave that would be enlarged at scale 1, and is not in a smaller view, stands for the finer one as well.
+// Factor on the strength of an octave that is drawn at level 0 of a reduced view, where it is not blurred by enlarging
+// and also replaces the finer octave.
 constexpr float kUnenlarged = 0.75f;
 
-// Banded noise, plus 128: a table that repeats after so many samples, in words for four rows. There are more in each row, for
-// vectors that reach beyond.
+// The noise, plus 128: a periodic table, in words of four rows. Rows are longer than the period, for vectors that reach
+// beyond it.
 constexpr int kSide = 256, kBeyond = kTileWidth;
-constexpr float kMiddle = 128.0f, kWhiteMiddle = 127.5f;
-struct Banded {
+constexpr float kMiddle = 128.0f;
+struct Noise {
   uint32_t words[kSide / 4][kSide + kBeyond];
 };
-const Banded& banded(int octave);
+const Noise& noise_of(int octave);
 
 typedef uint32_t Unsigned4 __attribute__((vector_size(16)));
 typedef uint32_t Unsigned8 __attribute__((vector_size(32)));
@@ -38,9 +37,8 @@ struct UnsignedLanes<8> { using U = Unsigned8; };
 template <>
 struct UnsignedLanes<16> { using U = Unsigned16; };
 
-// A bijection that mixes all bits ("lowbias32" of C. Wellons, hash-prospector, 2018). For numbers, and for vectors of them.
-template <typename U>
-SG_INLINE U mixed(U h) {
+// A bijection that mixes all bits ("lowbias32" of C. Wellons, hash-prospector, 2018).
+uint32_t mixed(uint32_t h) {
   h ^= h >> 16;
   h *= 0x7feb352du;
   h ^= h >> 15;
@@ -49,43 +47,33 @@ SG_INLINE U mixed(U h) {
   return h;
 }
 
-// What all rows of a tile that lie between the same cells share.
+// Data shared by all rows of a tile that lie between the same rows of cells.
 struct Strip {
-  uint32_t first;              // place of the first column
-  uint32_t mask;               // of places, which repeat
+  uint32_t first;              // coordinate of the first column
   const float *upper, *lower;  // strengths in the rows of cells above and below
-  const Banded* banded;  // none where noise is white
+  const Noise* noise;
 };
 
-// Rows of a tile from `first` to before `end`; place: of row 0; part: of the way from upper to lower, for each row. A word
-// of noise is for four rows, a byte for each.
+// Adds noise to rows of a tile from `first` to before `end`. place: coordinate of row 0; part: position of each row
+// from upper to lower, 0 to 1. A word of noise has one byte for each of four rows.
 template <int W>
-SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const float* part, int first, int end,
-                        float* accumulators) {
+SG_INLINE void add_body(const Strip& strip, int place, const float* part, int first, int end, float* accumulators) {
   using V = Simd<W>;
   using F = typename V::F;
   using I = typename V::I;
   using U = typename UnsignedLanes<W>::U;
   constexpr int kVectors = kTileWidth / W;
-  const float middle = strip.banded ? kMiddle : kWhiteMiddle;
   F upper[kVectors], change[kVectors];
-  U columns[kVectors];
   for (int i = 0; i < kVectors; ++i) {
     upper[i] = V::load(strip.upper + i * W);
     change[i] = V::load(strip.lower + i * W) - upper[i];
-    for (int lane = 0; lane < W; ++lane) columns[i][lane] = (strip.first + static_cast<uint32_t>(i * W + lane)) & strip.mask;
   }
   for (int row = first; row < end;) {
-    const int at = (place + row) & static_cast<int>(strip.mask);
+    const int at = (place + row) & (kSide - 1);
     U noise[kVectors];
-    if (strip.banded) {
-      const auto& words = strip.banded->words;
-      std::memcpy(noise, &words[at / 4 % (kSide / 4)][strip.first % kSide], sizeof noise);
-      __builtin_prefetch(&words[(at / 4 + 2) % (kSide / 4)][strip.first % kSide]);
-    } else {
-      const uint32_t key = mixed(mixed(octave + 1) + static_cast<uint32_t>(at >> 2));
-      for (int i = 0; i < kVectors; ++i) noise[i] = mixed(columns[i] + key);
-    }
+    const auto& words = strip.noise->words;
+    std::memcpy(noise, &words[at / 4][strip.first % kSide], sizeof noise);
+    __builtin_prefetch(&words[(at / 4 + 2) % (kSide / 4)][strip.first % kSide]);
     for (int i = 0; i < kVectors; ++i) noise[i] >>= 8 * (at & 3);
     for (const int next = std::min(row + 4 - (at & 3), end); row < next; ++row) {
       float* out = accumulators + row * 3 * kTileWidth;
@@ -93,7 +81,7 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const fl
         const U bytes = noise[i] & 255u;
         I whole;
         std::memcpy(&whole, &bytes, sizeof whole);
-        const F value = (__builtin_convertvector(whole, F) - middle) * (upper[i] + change[i] * part[row]);
+        const F value = (__builtin_convertvector(whole, F) - kMiddle) * (upper[i] + change[i] * part[row]);
         for (int k = 0; k < 3; ++k) V::store(out + k * kTileWidth, V::load(out + k * kTileWidth) + value);
         noise[i] >>= 8;
       }
@@ -101,12 +89,11 @@ SG_INLINE void add_body(const Strip& strip, uint32_t octave, int place, const fl
   }
 }
 
-using Add = void (*)(const Strip&, uint32_t, int, const float*, int, int, float*);
+using Add = void (*)(const Strip&, int, const float*, int, int, float*);
 
 #define SG_TEXTURE(name, width, attribute)                                                                       \
-  attribute void add_##name(const Strip& s, uint32_t octave, int place, const float* part, int first, int end,    \
-                            float* accumulators) {                                                               \
-    add_body<width>(s, octave, place, part, first, end, accumulators);                                            \
+  attribute void add_##name(const Strip& s, int place, const float* part, int first, int end, float* accumulators) { \
+    add_body<width>(s, place, part, first, end, accumulators);                                                    \
   }
 
 SG_TEXTURE(baseline, 4, )
@@ -119,10 +106,10 @@ constexpr Add kAdd[] = {add_baseline, add_avx2, add_avx512};
 constexpr Add kAdd[] = {add_baseline};
 #endif
 
-// Between which cells samples of a level lie, along one axis: the cell before each, or the last or the first of all, and the
-// part of the way to the next.
+// Positions of a level's samples between cells, along one axis: the cell before each sample (clamped), and the position
+// from it to the next, 0 to 1.
 struct Between {
-  // cell, corner: output pixels. From a place on, a number of them.
+  // cell, corner: output pixels; number: of cells; place, count: of samples.
   Between(int level, double cell, double corner, int number, int place, int count) : cells(count), parts(count) {
     const double step = std::ldexp(1.0, level) / cell, first = 0.5 * step - corner / cell - 0.5, last = number - 1;
     for (int i = 0; i < count; ++i) {
@@ -135,16 +122,16 @@ struct Between {
   std::vector<float> parts;
 };
 
-// The strength of a code: half a level for code 1, and half a power of two more for each that follows. White noise, from
-// -127.5 to 127.5, has a spread of 74, and banded noise of kBandedSpreads.
-constexpr double kWhiteSpread = 74.0, kBandedSpreads[kTextureOctaves] = {34.1, 29.7};
+// The strength of a code: half a level for code 1, and a factor of sqrt(2) for each further code. The noise has these
+// spreads.
+constexpr double kSpreads[kTextureOctaves] = {34.1, 29.7};
 float strength_of(int code, double spread) {
   if (code == 0) return 0.0f;
   const double half_levels = std::ldexp((code - 1) % 2 == 0 ? 1.0 : 1.4142135623730951, (code - 1) / 2);
   return static_cast<float>(half_levels / (2.0 * spread * 255.0));
 }
 
-// Sums of neighbours in a plane that repeats, weighted along both axes.
+// Separable filter of a periodic plane.
 using Plane = std::vector<int>;
 template <int N>
 Plane filtered(const Plane& plane, const int (&weights)[N]) {
@@ -159,8 +146,8 @@ Plane filtered(const Plane& plane, const int (&weights)[N]) {
   return sums;
 }
 
-// White noise, from -128 to 127, less its mean around each sample. The finest octave is also smoothed: nothing enlarges it.
-Banded make_banded(int octave) {
+// White noise, from -128 to 127, minus its local mean. The finest octave is also smoothed, because it is not enlarged.
+Noise make_noise(int octave) {
   Plane noise(kSide * kSide), white(kSide * kSide);
   for (int row = 0; row < kSide; ++row) {
     const uint32_t key = mixed(mixed(uint32_t{1}) + static_cast<uint32_t>(row >> 2));
@@ -171,7 +158,7 @@ Banded make_banded(int octave) {
   const int whole = octave == 0 ? 256 : 16, shift = octave == 0 ? 14 : 5;
   for (size_t i = 0; i < noise.size(); ++i) noise[i] = whole * white[i] - mean[i];
   if (octave == 0) noise = filtered(noise, {1, 6, 1});
-  Banded table{};
+  Noise table{};
   for (int row = 0; row < kSide; ++row)
     for (int i = 0; i < kSide + kBeyond; ++i) {
       const int value = (noise[row * kSide + i % kSide] + (1 << shift >> 1)) >> shift;
@@ -180,8 +167,8 @@ Banded make_banded(int octave) {
   return table;
 }
 
-const Banded& banded(int octave) {
-  static const Banded tables[kTextureOctaves] = {make_banded(0), make_banded(1)};
+const Noise& noise_of(int octave) {
+  static const Noise tables[kTextureOctaves] = {make_noise(0), make_noise(1)};
   return tables[octave];
 }
 
@@ -219,7 +206,7 @@ std::vector<uint8_t> unpack_texture(const uint8_t* data, size_t size, int width,
   return codes;
 }
 
-Texture::Texture(const uint8_t* codes, const TextureGrid& grid, bool is_banded) : grid_(grid), is_banded_(is_banded) {
+Texture::Texture(const uint8_t* codes, const TextureGrid& grid) : grid_(grid) {
   const auto fits = [](double v) { return std::abs(v) <= 1e9; };
   const bool possible = grid.columns > 0 && grid.rows > 0 && grid.cell_x >= 0.5 && grid.cell_y >= 0.5 && fits(grid.cell_x) &&
                         fits(grid.cell_y) && fits(grid.x) && fits(grid.y) && std::abs(grid.shift) <= 8;
@@ -231,19 +218,19 @@ Texture::Texture(const uint8_t* codes, const TextureGrid& grid, bool is_banded) 
     const float share = level == 0 && grid.shift < 0 ? kUnenlarged : 1.0f;
     for (size_t i = octave * cells; i < (octave + 1) * cells; ++i) {
       if (codes[i] >= kTextureStrengths) refuse<std::invalid_argument>("there is no such strength of texture");
-      strengths_[i] = share * strength_of(codes[i], is_banded ? kBandedSpreads[octave] : kWhiteSpread);
+      strengths_[i] = share * strength_of(codes[i], kSpreads[octave]);
       if (codes[i] != 0) top_ = std::max(top_, level);
     }
   }
 }
 
 TextureLayer::TextureLayer(const Texture& texture, int level, int x, int y, int columns, int rows)
-    : is_banded_(texture.is_banded_), octave_(level - texture.grid_.shift), mask_((kRepeat >> level) - 1), x_(x), y_(y), strips_(columns / kTileWidth) {
+    : octave_(level - texture.grid_.shift), x_(x), y_(y), strips_(columns / kTileWidth) {
   const TextureGrid& grid = texture.grid_;
   if (octave_ < 0 || octave_ >= kTextureOctaves || level > texture.top()) return;
   const Between across(level, grid.cell_x, grid.x, grid.columns, x, columns);
   Between down(level, grid.cell_y, grid.y, grid.rows, y, rows);
-  const int first = down.cells.front(), end = down.cells.back() + 2;  // one more, which the last rows go towards
+  const int first = down.cells.front(), end = down.cells.back() + 2;  // including the cell after the last sample
   strengths_.resize(static_cast<size_t>(end - first) * static_cast<size_t>(columns));
   busy_.resize(static_cast<size_t>(end - first) * static_cast<size_t>(strips_));
   float* strength = strengths_.data();
@@ -266,7 +253,7 @@ void TextureLayer::add(int isa, int x, int y, int first_row, int end_row, float*
   if (strengths_.empty()) return;
   const int* cells = &cells_[y - y_];
   const int across = (x - x_) / kTileWidth, stride = strips_ * kTileWidth;
-  Strip strip{static_cast<uint32_t>(x), static_cast<uint32_t>(mask_), nullptr, nullptr, is_banded_ ? &banded(octave_) : nullptr};
+  Strip strip{static_cast<uint32_t>(x), nullptr, nullptr, &noise_of(octave_)};
   for (int row = first_row; row < end_row;) {
     int end = row + 1;
     while (end < end_row && cells[end] == cells[row]) ++end;
@@ -274,7 +261,7 @@ void TextureLayer::add(int isa, int x, int y, int first_row, int end_row, float*
     if (busy_[cell * strips_ + across] || busy_[(cell + 1) * strips_ + across]) {
       strip.upper = &strengths_[cell * stride + across * kTileWidth];
       strip.lower = strip.upper + stride;
-      kAdd[isa](strip, static_cast<uint32_t>(octave_), y, &parts_[y - y_], row, end, accumulators);
+      kAdd[isa](strip, y, &parts_[y - y_], row, end, accumulators);
     }
     row = end;
   }

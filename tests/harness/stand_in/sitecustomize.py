@@ -1,6 +1,6 @@
 """A stand-in for the codec, which Python loads at its start where PYTHONPATH names this folder.
 
-The encoder process of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
+The sandbox of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
 2.5 s of a core. The stand-in takes the time limit to the letter unless it is asked to end early, no core, and makes a
 file of one Gaussian.
 """
@@ -35,7 +35,7 @@ def encode(
     import numpy as np
 
     from sgmethod.bitstream import container
-    from sgmethod.bitstream.v5 import StreamV5
+    from sgmethod.bitstream.v2 import StreamV2
     from sgmethod.io.inputs import read_input
     from sgmethod.scene import Gaussians
     from sgmethod.trace import TracePoint
@@ -51,7 +51,7 @@ def encode(
     height, width = pixels.shape[:2]
     middle, shape = (width / 2, height / 2), (width / 4, 0, height / 4)
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
-    data = container.serialise(StreamV5.of(one, (width, height), 0.5, (0, 0, 0), False))
+    data = container.serialise(StreamV2.of(one, (width, height), 0.5, (0, 0, 0), False))
     bpp = 8 * len(data) / (width * height)
     figures = {"bytes": len(data), "bpp": bpp, "psnr": 24.0, "gaussians": 1, "steps": STEPS, "seconds": time_limit_s}
     figures |= {"width": width, "height": height, "profile": profile, "tune": "psnr", "effort": 5, "warnings": []}

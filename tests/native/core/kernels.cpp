@@ -76,7 +76,7 @@ TEST(kernels_of_every_instruction_set_draw_the_same) {
       const sg::GaussianArrays g = scattered(300, wild);
       std::vector<std::vector<uint8_t>> pictures;
       for (int isa = sg::kBaseline; isa <= sg::best_isa(); ++isa) {
-        const sg::Rasterization raster = rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV3, pyramid}, isa);
+        const sg::Rasterization raster = rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV2, pyramid}, isa);
         pixels(raster, g.colors);  // whatever that gives
         pictures.push_back(pixels(raster, finite(g.colors)));
         CHECK(pictures.back() == pictures.front());
@@ -88,12 +88,12 @@ TEST(kernels_draw_a_part_as_it_is_in_the_whole) {
   for (const bool wild : {false, true}) {
     const sg::GaussianArrays g = scattered(300, wild);
     const std::vector<float> colors = finite(g.colors);
-    const std::vector<uint8_t> whole = pixels(rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV3, true}, -1), colors);
+    const std::vector<uint8_t> whole = pixels(rasterized(g, {0, 0, kWidth, kHeight, sg::kCutoffV2, true}, -1), colors);
     for (int k = 0; k < 60; ++k) {
       const int x = static_cast<int>(random_numbers()() % kWidth), y = static_cast<int>(random_numbers()() % kHeight);
       const int width = 1 + static_cast<int>(random_numbers()() % (kWidth - x));
       const int height = 1 + static_cast<int>(random_numbers()() % (kHeight - y));
-      const sg::Canvas part{x, y, width, height, sg::kCutoffV3, true};
+      const sg::Canvas part{x, y, width, height, sg::kCutoffV2, true};
       std::vector<uint8_t> crop;
       for (int row = y; row < y + height; ++row)
         crop.insert(crop.end(), whole.begin() + 3 * (row * kWidth + x), whole.begin() + 3 * (row * kWidth + x + width));
@@ -153,22 +153,15 @@ TEST(kernels_refuse_what_cannot_be) {
   CHECK(check::throws<std::invalid_argument>([&] {
     sg::squared_error(rasterized({{0, 0}, {1, 0, 1}, {1, 1, 1}}, {1, 0, 1, 1, 3.0f, true}, -1), nullptr, nullptr, {});
   }));
-  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false, 4); }));
-  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false, 4); }));
-  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 1, std::nan(""), false, false, 4); }));
-  CHECK(check::throws<std::invalid_argument>([] {
-    sg::rd_refine({1, 1, 1.0, false, false, 3}, nullptr, nullptr, nullptr, 0, nullptr, {sg::kCutoffV3, 0.01, 1, 60.0, 100});
-  }));
-  CHECK(check::throws<std::invalid_argument>(
-      [] { sg::rd_encode({1, 1, 1.0, false, false, 3}, nullptr, nullptr, nullptr, 0); }));
-  for (const int version : {2, 5})
-    CHECK(check::throws<std::invalid_argument>([&] { sg::RdParameters(1, 1, 1.0, false, false, version); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(0, 1, 1.0, false, false); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 65536, 1.0, false, false); }));
+  CHECK(check::throws<std::invalid_argument>([] { sg::RdParameters(1, 1, std::nan(""), false, false); }));
 }
 
 TEST(codec_gives_back_what_rounding_leaves) {
   constexpr int kMany = 200;
   for (const bool wild : {false, true}) {
-    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false, 4);
+    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
     const sg::GaussianArrays g = scattered(kMany, wild);
     sg::GaussianArrays rounded = g;
     sg::rd_quantise(p, g.means.data(), g.factors.data(), g.colors.data(), kMany, rounded.means.data(), rounded.factors.data(),
@@ -186,9 +179,9 @@ TEST(codec_gives_back_what_rounding_leaves) {
 }
 
 TEST(codec_refuses_nonsense) {
-  const sg::RdParameters versions[] = {{kWidth, kHeight, 0.05, false, false, 3}, {kWidth, kHeight, 0.05, false, false, 4}};
+  const sg::RdParameters kinds[] = {{kWidth, kHeight, 0.05, false, false, true}, {kWidth, kHeight, 0.05, false, false, false}};
   for (int k = 0; k < 20000; ++k) {
-    const sg::RdParameters& p = versions[k % 2];
+    const sg::RdParameters& p = kinds[k % 2];
     std::vector<uint8_t> bytes(random_numbers()() % 60);
     for (uint8_t& byte : bytes) byte = static_cast<uint8_t>(random_numbers()());
     for (const bool prefix : {false, true}) {
@@ -203,11 +196,11 @@ TEST(codec_refuses_nonsense) {
 
 TEST(refining_keeps_the_limit_of_bytes) {
   for (const bool wild : {false, true}) {
-    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false, 4);
+    const sg::RdParameters p(kWidth, kHeight, 0.05, false, false);
     const sg::GaussianArrays g = scattered(100, wild);
     const std::vector<int16_t> target(3 * kPixels, sg::kTargetWhite / 2);
     const std::vector<uint8_t> bytes = sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), 100, target.data(),
-                                                     {sg::kCutoffV3, 0.01, 1, 60.0, 100});
+                                                     {sg::kCutoffV2, 0.01, 1, 60.0, 100});
     CHECK(bytes.size() <= 100);
   }
 }
@@ -216,7 +209,7 @@ TEST(refining_keeps_the_limit_of_bytes) {
 // of them touch, from both sides.
 TEST(refining_is_the_same_for_every_number_of_threads) {
   constexpr int kLong = 1300, kShort = 40, kMany = 24;
-  const sg::RdParameters p(kLong, kShort, 0.05, false, false, 4);
+  const sg::RdParameters p(kLong, kShort, 0.05, false, false);
   sg::GaussianArrays g;
   for (int i = 0; i < kMany; ++i) {
     const int touching = 64 + 128 * (1 + i % 4), side = i / 4 % 2 ? 1 : -1;
@@ -230,7 +223,7 @@ TEST(refining_is_the_same_for_every_number_of_threads) {
   for (const int threads : {1, 2, 5}) {
     sg::set_thread_count(threads);
     found.push_back(sg::rd_refine(p, g.means.data(), g.factors.data(), g.colors.data(), kMany, target.data(),
-                                  {sg::kCutoffV3, 0.01, 1, 60.0, 200}));
+                                  {sg::kCutoffV2, 0.01, 1, 60.0, 200}));
     CHECK(found.back() == found.front());
   }
 }

@@ -51,7 +51,7 @@ sg::GaussianArrays scattered(int width, int height) {
 // What a picture leaves of a grey target: in pixels, and reduced.
 struct Residual {
   Residual(int width, int height, const sg::GaussianArrays& g)
-      : raster(g.means.data(), g.factors.data(), kAll, {0, 0, width, height, sg::kCutoffV3, true}, -1, sg::kMaxPairs),
+      : raster(g.means.data(), g.factors.data(), kAll, {0, 0, width, height, sg::kCutoffV2, true}, -1, sg::kMaxPairs),
         strips(static_cast<size_t>(raster.grids()[0].strips() * height * 3 * sg::kTileWidth)),
         left{strips.data(), width, height}, reduced(raster.grids()) {
     const std::vector<int16_t> target(static_cast<size_t>(3 * width * height), sg::kTargetWhite / 2);
@@ -148,11 +148,11 @@ void for_patches(const sg::GaussianArrays& g, const std::vector<sg::Grid>& grids
     sg::Footprint f(own.mean, own.factor);
     f.decay = sg::decay_of(f.inv_l3);
     std::vector<sg::Span> spans;
-    sg::spans(f, own.factor, std::sqrt(2 * sg::kCutoffV3), grids[static_cast<size_t>(level)],
+    sg::spans(f, own.factor, std::sqrt(2 * sg::kCutoffV2), grids[static_cast<size_t>(level)],
               [&](const sg::Span& span) { spans.push_back(span); });
     if (spans.empty()) continue;
     sg::Patch patch;
-    patch.draw(f, sg::exp_minus(sg::kCutoffV3), spans);
+    patch.draw(f, sg::exp_minus(sg::kCutoffV2), spans);
     gram.apply(level, patch);
     visit(i, level, patch, own.gain);
   }

@@ -1,8 +1,8 @@
 """Compiles the core for other machines and runs what can be run: python -m tests.native.cross [NAME ...].
 
-Each target is one line: what was compiled, and whether the core's tests passed and every golden file and view came
-out with the pixels that this machine's decoder draws. GCC, Clang, qemu and Wine are Debian's; zig (PyPI's ziglang)
-brings the C and C++ libraries of the other systems. What cannot be run is compiled as a library, and not linked.
+Each target is one line: what was compiled, and whether the core's tests passed, one of which draws a golden file. GCC,
+Clang, qemu and Wine are Debian's; zig (PyPI's ziglang) brings the C and C++ libraries of the other systems. What cannot
+be run is compiled as a library, and not linked.
 """
 
 from __future__ import annotations
@@ -20,10 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tests.native.harness.build import BUILDS, PATH, build
-from tests.native.harness.decoders import damaged_questions, differing, golden_questions
 
 TOOLS = BUILDS / "cross" / "tools"
-DAMAGED = 60
 ARM = "qemu-aarch64-static"
 WINE = "/usr/lib/wine/wine64"  # where Debian's package wine64 has it
 
@@ -120,23 +118,17 @@ def outcome(target: Target) -> tuple[bool, str]:
         return True, "compiled, not linked, not run"
     if target.runner and not shutil.which(target.runner):
         return True, f"compiled, not run: {target.runner} is missing"
-    before = [target.runner] if target.runner else []
-    count = "the core's tests are for Linux"
-    if target.system == "Linux":
-        tests = subprocess.run([*before, str(built / "sg_tests")], capture_output=True, text=True, check=False)
-        count = tests.stdout.splitlines()[-1] if tests.stdout else "no tests ran"
-        if tests.returncode != 0:
-            return False, f"compiled; TESTS FAIL: {count}\n{tests.stderr}"
+    program = built / ("sg_tests" if target.system == "Linux" else "sg_tests.exe")
+    command = [*([target.runner] if target.runner else []), str(program)]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         # Wine's own files have a link to the whole machine among them, which a walk of the tree would follow.
-        os.environ |= {"WINEPREFIX": f"{folder}/wine", "WINEDEBUG": "-all"}
-        questions = [*golden_questions(Path(folder)), *damaged_questions(Path(folder), DAMAGED)]
-        (decoder,) = built.glob("sg_decode" if target.system == "Linux" else "sg_decode.exe")
-        wrong = differing([*before, str(decoder)], questions)
-    if wrong:
-        return False, f"compiled, {count}; OTHER PIXELS: {', '.join(wrong[:5])}"
+        environment = {**os.environ, "WINEPREFIX": f"{folder}/wine", "WINEDEBUG": "-all"}
+        tests = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    count = tests.stdout.splitlines()[-1] if tests.stdout else "no tests ran"
+    if tests.returncode != 0:
+        return False, f"compiled; TESTS FAIL: {count}\n{tests.stderr}"
     where = f" under {Path(target.runner).name}" if target.runner else ""
-    return True, f"compiled; run{where}: {count}, {len(questions)} decodes with equal pixels"
+    return True, f"compiled; run{where}: {count}"
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Fuzzes the decoder with new random seeds: python -m tests.native.fuzz [--minutes N] [--target NAME].
 
-entropy: the entropy decoder and the drawing, in C++ alone; v1, rd: whole files of version 1, and of versions 3 to 5,
+entropy: the entropy decoder and the drawing, in C++ alone; v1, rd: whole files of version 1, and of version 2,
 through the decoder in Python. All are built by Clang with the sanitizers of addresses and of undefined behaviour. New
 finds go to build/fuzz/.
 An input that fails is kept, and the command that repeats it printed: python -m tests.native.fuzz --repeat NAME FILE.
@@ -19,12 +19,11 @@ from pathlib import Path
 from typing import TextIO
 
 from sgmethod.bitstream import container
-from sgmethod.bitstream.texture import unpack
-from sgmethod.bitstream.v5 import StreamV5, quantum_code
-from tests.harness.data import NEW, ROOT, golden
+from sgmethod.bitstream.v2 import StreamV2, quantum_code
+from tests.harness.data import ROOT, golden
 from tests.native.harness.build import BUILDS, PATH, build, imports, layout, nanobind
 
-TARGETS = {"entropy": (3, 4, 5), "v1": (1,), "rd": (3, 4, 5)}  # and their versions of the format
+TARGETS = {"entropy": 2, "v1": 1, "rd": 2}  # and their versions of the format
 CORPUS = Path(__file__).parent / "corpus"  # what was found once
 FOUND = BUILDS / "fuzz" / "found"
 CLANG = {"CC": "clang", "CXX": "clang++"}
@@ -53,7 +52,7 @@ def command_of(target: str, built: Path) -> tuple[list[str], dict[str, str]]:
 
     runtime = Path(atheris.path()) / "asan_with_fuzzer.so"
     return (
-        [sys.executable, "-S", "-m", "tests.native.fuzz.containers", ",".join(map(str, TARGETS[target]))],
+        [sys.executable, "-S", "-m", "tests.native.fuzz.containers", str(TARGETS[target])],
         # What Python keeps to its end looks like leaks.
         {"PYTHONPATH": imports(layout(built)), "LD_PRELOAD": str(runtime), "ASAN_OPTIONS": "detect_leaks=0"},
     )
@@ -75,27 +74,19 @@ def corpora(target: str) -> list[Path]:
     found, begin = FOUND / target, FOUND / f"golden-{target}"
     for folder in (found, begin):
         folder.mkdir(parents=True, exist_ok=True)
-    for version in TARGETS[target]:
-        for name, data in golden(version).items():
-            (begin / name).write_bytes(bare(data) if target == "entropy" else data)
+    for name, data in golden(TARGETS[target]).items():
+        (begin / name).write_bytes(bare(data) if target == "entropy" else data)
     return [found, begin, *CORPUS.glob(target)]
 
 
 def bare(data: bytes) -> bytes:
     """A file of profile rd as entropy.cpp takes it."""
-    if data.startswith(NEW):
-        stream = container.parse(data)
-        assert isinstance(stream, StreamV5)
-        code = quantum_code(stream.quantum)
-        flags = 8 | stream.grey | stream.upright << 1 | (stream.texture is not None) * (32 | 128) | stream.is_short << 6
-        size = stream.width, stream.height
-        return struct.pack(">HHBBB", *size, 13 - (code >> 8), code & 255, flags) + stream.payload
-    flags, *size, quantum = struct.unpack_from(">BHHH", data, 8)
-    version = 8 if data[3] == 4 else 0
-    textured, payload = 0, data[18:]
-    if flags & 4:
-        textured, payload = 32, payload[unpack(payload, *size)[1] :]
-    return struct.pack(">HHBBB", *size, 14 - (quantum >> 8), quantum & 255, flags & 3 | version | textured) + payload
+    stream = container.parse(data)
+    assert isinstance(stream, StreamV2)
+    code = quantum_code(stream.quantum)
+    flags = stream.grey | stream.upright << 1 | (stream.texture is not None) << 4 | stream.is_short << 5
+    size = stream.width, stream.height
+    return struct.pack(">HHBBB", *size, 13 - (code >> 8), code & 255, flags) + stream.payload
 
 
 def fuzz(target: str, built: Path, minutes: float) -> bool:

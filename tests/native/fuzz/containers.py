@@ -1,36 +1,30 @@
-"""Fuzz target (atheris, which is libFuzzer): whole files of some versions of the format, through the decoder in Python.
+"""Fuzz target (atheris, which is libFuzzer): whole files of one version of the format, through the decoder in Python.
 
-python -m tests.native.fuzz.containers 1|3,4,5 [libFuzzer's arguments]. Magic, version and checksum are put right before
-a file is decoded, or hardly any would get past them. Whatever the rest is, there are pixels or one of the package's
-errors.
+python -m tests.native.fuzz.containers 1|2 [libFuzzer's arguments]. Signature and checksum are put right before a file
+is decoded, or hardly any would get past them. Whatever the rest is, there are pixels or one of the package's errors.
 """
 
 from __future__ import annotations
 
 import sys
-import zlib
 
 import atheris
 
 with atheris.instrument_imports(include=["sgmethod"], enable_loader_override=False):
     from sgmethod import BitstreamError, View, ViewError, decode, info, set_threads
 
-from tests.harness.data import NEW, with_checksum
+from tests.harness.data import SIGNATURES, with_checksum
 
 MAX_PIXELS = 1 << 14
 MAX_GAUSSIANS = 1 << 14
-PREFIX_BYTES = 8  # magic, version, CRC-32 of all that follows
 VIEWS = (View(), View(scale=0.3), View(scale=1.7, prefix=0.6), View(region=(1, 2, 5, 4)))
 
 
-def target(data: bytes, versions: bytes) -> None:
-    """Decodes a file with everything but its checksum; of the first version if its own is another."""
-    version, body = data[3:4], data[PREFIX_BYTES:]
-    if data.startswith(NEW) and 5 in versions and len(data) > 6:
-        file = with_checksum(data)
-    else:
-        begin = b"SGM" + (version if version and version in versions else versions[:1])
-        file = begin + zlib.crc32(body).to_bytes(4, "big") + body
+def target(data: bytes, version: int) -> None:
+    """Decode a file with everything but its signature and checksum."""
+    if len(data) < 7:
+        return
+    file = with_checksum(SIGNATURES[version - 1] + data[2:])
     try:
         info(file, MAX_GAUSSIANS)
         for view in VIEWS:
@@ -44,9 +38,9 @@ def target(data: bytes, versions: bytes) -> None:
 
 
 def main() -> None:
-    versions = bytes(int(version) for version in sys.argv.pop(1).split(","))
+    version = int(sys.argv.pop(1))
     set_threads(1)
-    atheris.Setup(sys.argv, lambda data: target(data, versions))
+    atheris.Setup(sys.argv, lambda data: target(data, version))
     atheris.Fuzz()
 
 

@@ -10,7 +10,8 @@ import pytest
 from service.jobs import sql
 from service.jobs.job import EncodeResult, JobError, new_job_id
 from service.jobs.sql import JobTable
-from service.jobs.table import Census, KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.jobs.table import Census, Claim, KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.jobs.totals import BUCKETS_S, ENDINGS, SECONDS, bucket
 from service.storage.files import bitstream_key, source_key
 from tests.harness.job_table import (
     CRASH,
@@ -246,3 +247,24 @@ def test_quotas(table: JobTable) -> None:
         table.submit(new(owner="cat"), Room(10, quota=3 * size - 1, own_quota=size))
     assert not refusal.value.of_owner
     table.submit(new(owner="cat"), Room(10, quota=3 * size, own_quota=size))
+
+
+def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
+    """Whether or not the jobs are still there."""
+    done, crashed, refused, cancelled = (submitted(table) for _ in range(4))
+    assert table.finish(claimed(table), RESULT)
+    assert table.finish(Claim(done, 1, REQUEST), RESULT)  # once more, as after an answer that was lost
+    for _ in range(3):  # of RULES
+        assert table.fail(claimed(table), CRASH, retry=True)
+    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
+    for job_id in (done, crashed, refused, cancelled):
+        table.remove(job_id)
+    totals = table.census().totals
+    assert {name: totals.get(name, 0) for name in ENDINGS} == {
+        "finished": 1,
+        "retried": 2,
+        "failed": 2,
+        "cancelled": 1,
+    }
+    assert sum(totals.get(bucket(most), 0) for most in BUCKETS_S) == 1
+    assert totals[SECONDS] >= 0

@@ -132,27 +132,3 @@ def test_delivery_wakes_at_once_and_ends_when_told(jobs: PostgresJobTable) -> No
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert jobs.census().jobs["running"] == 3
-
-
-def test_a_table_of_the_last_release_is_brought_up_to_date(url: str, jobs: PostgresJobTable) -> None:
-    """It did not count bytes, nothing could be stopped, and it knew of no workers and webhooks."""
-    waiting = submitted(jobs)
-    size = jobs.stored_bytes()
-    jobs.close()
-    with psycopg.connect(url) as db:
-        for column in ("stored_bytes", "stopped"):
-            db.execute(f"ALTER TABLE sgmethod.jobs DROP COLUMN {column}".encode())
-        for table in ("notices", "workers"):
-            db.execute(f"DROP TABLE sgmethod.{table}".encode())
-        db.execute("UPDATE sgmethod.version SET version = '1' WHERE part = 'jobs'")
-    again = PostgresJobTable(url, RULES)
-    try:
-        job = again.get(waiting)
-        assert job is not None
-        assert again.stored_bytes() == size == job.image.size_bytes > 0
-        claimed(again)
-        assert again.stop(waiting)
-        again.sign("one")
-        assert list(again.census().workers) == ["one"]
-    finally:
-        again.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 import sqlite3
 from pathlib import Path
@@ -13,7 +12,6 @@ from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTableError
 from tests.harness.job_table import (
     RULES,
-    claimed,
     submitted,
 )
 
@@ -64,27 +62,4 @@ def test_rule_6_durability_settings(tmp_path: Path) -> None:
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
         }
     assert values == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 30_000}
-    table.close()
-
-
-def test_a_table_of_the_last_release_is_brought_up_to_date(tmp_path: Path) -> None:
-    """It did not count bytes, nothing could be stopped, and it knew of no workers and webhooks."""
-    path = tmp_path / "jobs.sqlite3"
-    table = SqliteJobTable(path, RULES)
-    waiting = submitted(table)
-    table.close()
-    with contextlib.closing(sqlite3.connect(path)) as connection, connection as db:
-        for column in ("stored_bytes", "stopped"):
-            db.execute(f"ALTER TABLE jobs DROP COLUMN {column}")
-        for table_name in ("notices", "workers"):
-            db.execute(f"DROP TABLE {table_name}")
-        db.execute("PRAGMA user_version = 2")
-    table = SqliteJobTable(path, RULES)
-    job = table.get(waiting)
-    assert job is not None
-    assert table.stored_bytes() == job.image.size_bytes > 0
-    claimed(table)
-    assert table.stop(waiting)
-    table.sign("one")
-    assert list(table.census().workers) == ["one"]
     table.close()

@@ -6,14 +6,13 @@ import asyncio
 
 import pytest
 
-from service.web.guards.addresses import UNKNOWN, address_of
-from service.web.guards.problems import ProblemError
-from service.web.guards.shares import Shares
-from service.web.guards.turns import Turns
+from service.api.callers import UNKNOWN, address_of
+from service.api.problems import ProblemError
+from service.api.turns import Streams, Turns
 
 
 class Clients:
-    """Tasks in turns, or at a pace; each runs until it is told to end. begun: all that have ever run."""
+    """Tasks in turns; each runs until it is told to end. begun: all that have ever run."""
 
     def __init__(self, turns: Turns) -> None:
         self.turns = turns
@@ -176,20 +175,11 @@ def test_a_client_is_an_address_or_a_customers_network(peer: tuple[str, int] | N
     assert address_of(peer) == client
 
 
-def test_shares_of_what_there_is_so_much_of() -> None:
-    shares = Shares(5, "places", "places are taken")
-
-    def refused(client: str, more: int = 1) -> int:
-        refusal = shares.refusal(client, more)
-        return 0 if refusal is None else refusal.status
-
-    assert (refused("eve", 3), refused("eve", 4), refused("eve", 6)) == (0, 429, 503)
-    with shares.taken("eve", 3), shares.taken("ann", 2):
-        assert (refused("eve"), refused("ann")) == (503, 503)
-        shares.give_back("ann")
-        assert (refused("eve"), refused("ann"), refused("bob")) == (429, 0, 0)
-        with pytest.raises(ProblemError) as caught:
-            shares.check("eve")
-        assert (caught.value.reason, caught.value.status) == ("own_places", 429)
-        shares.take("ann")
-    assert (refused("eve", 3), refused("ann", 3)) == (0, 0)
+def test_streams_are_counted() -> None:
+    streams = Streams(2)
+    with streams.one(), streams.one():
+        assert streams.full
+        with pytest.raises(ProblemError) as refusal, streams.one():
+            pass
+        assert (refusal.value.status, refusal.value.headers["Retry-After"]) == (503, "5")
+    assert (streams.open, streams.full) == (0, False)

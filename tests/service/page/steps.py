@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 import sgmethod
-from service.web.app import STATIC
+from service.api.app import STATIC
 from tests.harness.browser import Browser
 from tests.harness.data import golden_path
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 
-OLD = golden_path("v3-color.sg").read_bytes()
+OTHER = golden_path("v1-paper.sg").read_bytes()  # which the page does not read
 COFFEE = (STATIC / "samples" / "coffee.sg").read_bytes()
 COFFEE_SAYS = f"{sgmethod.info(COFFEE).gaussians:,} Gaussians"
 
@@ -87,7 +87,7 @@ def decoded(page: Browser, data: bytes, options: str = "{}") -> np.ndarray[Any, 
     """By the decoder of the page: RGBA."""
     text = page.run(f"""
         const bytes = Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0));
-        return import("/static/decoder/decoder.js").then(({{ decode }}) => {{
+        return import("/static/sgmethod/decoder.js").then(({{ decode }}) => {{
             const {{ width, height, data }} = decode(bytes, {options});
             return [width, height, [...data].map((level) => String.fromCharCode(level)).join("")];
         }});

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.web.app import STATIC
+from service.api.app import STATIC
 from tests.harness.browser import Chromium
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import wait_until

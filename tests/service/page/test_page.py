@@ -17,7 +17,7 @@ from tests.harness.data import DATA, golden_path
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import encoder_of, wait_until
 from tests.harness.service import Service, StartService
-from tests.service.page.steps import COFFEE, COFFEE_SAYS, OLD, complaints, give, hold_back, open_page, says
+from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, complaints, give, hold_back, open_page, says
 
 SNIPPET_BYTES = 200_000
 AXE = (DATA / "axe.min.js").read_text()
@@ -95,14 +95,14 @@ def test_going_back(page: Chromium, web: Service) -> None:
     open_page(page, web)
     page.click("#sample-cat")
     says(page, "5.4 kB", "#right-label")
-    give(page, "drop", OLD, "old.sg")
-    says(page, "48 × 40 pixels", "#figures")
+    give(page, "drop", OTHER, "other.sg")
+    says(page, "40 × 56 pixels", "#figures")
     page.run("history.back()")
     says(page, "5.4 kB", "#right-label")
     page.run("history.back()")
     says(page, "4.7 kB", "#right-label")
     page.run("history.go(2)")
-    says(page, "48 × 40 pixels", "#figures")
+    says(page, "40 × 56 pixels", "#figures")
 
 
 @pytest.mark.thorough
@@ -124,13 +124,13 @@ def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Servi
     hold_back(page, "cat.webp")
     page.click("#sample-cat")
     says(page, "5.4 kB", "#right-label")
-    give(page, "drop", OLD, "old.sg")
-    says(page, "48 × 40 pixels", "#figures")
+    give(page, "drop", OTHER, "other.sg")
+    says(page, "40 × 56 pixels", "#figures")
     page.run("window.goOn()")
     original = f"{web.url}/static/samples/cat.webp"
     wait_until(lambda: page.run(f"return performance.getEntriesByName('{original}').length"))
     page.run("return new Promise((done) => setTimeout(done, 300))")
-    assert "48 × 40 pixels" in page.text("#figures")
+    assert "40 × 56 pixels" in page.text("#figures")
 
 
 @pytest.mark.thorough
@@ -213,9 +213,9 @@ def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:
     give(page, "drop", COFFEE, "my coffee.sg")
     says(page, COFFEE_SAYS, "#figures")
     assert page.run("return performance.getEntriesByName(location.origin + '/decode.png?').length") == 0
-    give(page, "drop", OLD, "old.sg")
+    give(page, "drop", OTHER, "other.sg")
     says(page, "Drawn by the service", "#note")
-    says(page, "48 × 40 pixels", "#figures")
+    says(page, "40 × 56 pixels", "#figures")
     page.click("#rows li:first-child .pick")
     says(page, COFFEE_SAYS, "#figures")
     give(page, "drop", COFFEE[:-1], "cut.sg")
@@ -310,7 +310,7 @@ def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path)
     open_page(page, web)
     html = page.run("""
         return (async () => {
-            const { snippetOf } = await import("/static/decoder/snippet.js");
+            const { snippetOf } = await import("/static/page/snippet.js");
             const sg = new Uint8Array(await (await fetch("/static/samples/coffee.sg")).arrayBuffer());
             return snippetOf({ sg, size: [432, 288], name: 'my "cup" & <b>.webp' });
         })();

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from service.web.app import STATIC
+from service.api.app import STATIC
 from tests.harness.browser import Chromium
 from tests.harness.data import golden
 from tests.harness.pictures import SMALL, page_of_text
@@ -18,7 +18,7 @@ from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService
 from tests.service.page.steps import (
     COFFEE,
-    OLD,
+    OTHER,
     assert_as_python,
     complaints,
     decoded,
@@ -33,7 +33,7 @@ from tests.service.page.steps import (
 pytestmark = pytest.mark.thorough
 
 FIRST_LOOK_BYTES = 150_000
-TEXTURED = golden(5)["v5-texture"]
+TEXTURED = golden(2)["v2-texture"]
 
 
 def largest_step(page: Chromium) -> int:
@@ -172,7 +172,7 @@ def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
 
 def test_texture_on_and_off(page: Chromium, web: Service) -> None:
     open_page(page, web)
-    give(page, "drop", golden(5)["v5-color"], "smooth.sg")
+    give(page, "drop", golden(2)["v2-color"], "smooth.sg")
     wait_until(lambda: not page.is_seen("#texture-field"))
     give(page, "drop", TEXTURED, "textured.sg")
     wait_until(lambda: page.is_seen("#texture"))
@@ -196,7 +196,7 @@ def test_texture_on_and_off(page: Chromium, web: Service) -> None:
 def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
     open_page(page, web)
     for name, lacking in (("grey", "Colour"), ("upright", "Slants"), ("color", "Texture"), ("texture", "Transparency")):
-        data = golden(5)[f"v5-{name}"]
+        data = golden(2)[f"v2-{name}"]
         give(page, "drop", data, f"{name}.sg")
         says(page, f"{len(data)} B", "#right-label")
         rows = page.run("return [...document.querySelectorAll('#contents tbody tr')].map((row) => row.innerText)")
@@ -204,7 +204,7 @@ def test_where_the_bytes_go(page: Chromium, web: Service) -> None:
         assert not any(row.startswith(lacking) for row in rows)
         sizes = [int(found[1]) for row in rows if (found := re.search(r"(\d+) B", row))]
         assert abs(sum(sizes) - len(data)) <= len(sizes) / 2
-    give(page, "drop", OLD, "old.sg")
+    give(page, "drop", OTHER, "other.sg")
     says(page, "Drawn by the service", "#note")
     assert not page.is_seen("#contents")
 
@@ -237,15 +237,15 @@ def assert_same(page: Chromium, data: bytes, options: str, **view: Any) -> None:
 
 def test_the_decoder_of_the_page(page: Chromium, web: Service) -> None:
     open_blank(page, web)
-    for data in golden(5).values():
+    for data in golden(2).values():
         assert_same(page, data, "{}")
     assert_same(page, COFFEE, "{}")
     assert_same(page, COFFEE, "{ scale: 0.3 }", scale=0.3)
     assert_same(page, COFFEE, "{ scale: 3, region: [100, 50, 60, 40] }", scale=3, region=(100, 50, 60, 40))
     assert_same(page, COFFEE, "{ prefix: 0.2 }", prefix=0.2)
-    assert_same(page, golden(5)["v5-texture"], "{ scale: 0.4 }", scale=0.4)
-    assert_same(page, golden(5)["v5-texture"], "{ scale: 2, region: [5, 60, 50, 90] }", scale=2, region=(5, 60, 50, 90))
-    for hostile in (OLD, COFFEE[:100], b"", COFFEE[:-1] + b"\1"):
+    assert_same(page, golden(2)["v2-texture"], "{ scale: 0.4 }", scale=0.4)
+    assert_same(page, golden(2)["v2-texture"], "{ scale: 2, region: [5, 60, 50, 90] }", scale=2, region=(5, 60, 50, 90))
+    for hostile in (OTHER, COFFEE[:100], b"", COFFEE[:-1] + b"\1"):
         with pytest.raises(AssertionError, match=r"not known here|is damaged|no \.sg file"):
             decoded(page, hostile)
 
@@ -256,7 +256,7 @@ def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) ->
     levels = page.run(f"""
         return (async () => {{
             const {{ openGpu }} = await import("/static/viewer/gpu.js");
-            const {{ readFile }} = await import("/static/decoder/file.js");
+            const {{ readFile }} = await import("/static/sgmethod/file.js");
             const file = readFile(Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0)));
             const [width, height] = [{width}, {height}];
             const context = new OffscreenCanvas(width, height).getContext("2d", {{ willReadFrequently: true }});

@@ -11,18 +11,17 @@ import numpy as np
 import pytest
 
 import sgmethod
-from service.web.app import STATIC
 from sgmethod.bitstream.text import to_text
 from tests.harness.browser import Browser, Chromium
-from tests.harness.data import golden
+from tests.harness.data import JAVASCRIPT, golden
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 from tests.service.page.steps import assert_as_python, complaints, open_blank
 
 SIZE = 96  # of the longer side, pixels
-SHORT = [golden(5)[name] for name in ("v5-color", "v5-grey", "v5-empty")]
+SHORT = [golden(2)[name] for name in ("v2-color", "v2-grey", "v2-empty")]
 GOOD = to_text(SHORT[0])
-TEXTURED, LONG = to_text(golden(5)["v5-short-alpha"]), to_text(golden(5)["v5-long"])
+TEXTURED, LONG = to_text(golden(2)["v2-short-alpha"]), to_text(golden(2)["v2-long"])
 BAD = ["", "x", "no preview", GOOD[:-4], GOOD[:200] + "A" + GOOD[201:], TEXTURED, LONG, "A" + GOOD[1:]]
 DECODE = """
 const answers = %s.map((text) => {
@@ -64,10 +63,10 @@ def test_in_node(files: list[bytes]) -> None:
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")
     texts = json.dumps([*map(to_text, files), *BAD])
-    module = (STATIC / "decoder" / "preview.js").as_uri()
+    module = (JAVASCRIPT / "preview.js").as_uri()
     start, end = f"const {{ decodePreview }} = await import('{module}');", "console.log(JSON.stringify(answers));"
     script = start + DECODE % (texts, SIZE) + end
-    command = ["node", "--input-type=module", "--no-warnings", "--eval", script]
+    command = ["node", "--input-type=module", "--eval", script]
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert_decoded(json.loads(done.stdout), files)
 
@@ -79,7 +78,7 @@ def test_in_a_browser(request: pytest.FixtureRequest, name: str, web: Service, f
     open_blank(browser, web)
     texts = json.dumps([*map(to_text, files), *BAD])
     found = browser.run(f"""
-        return import("/static/decoder/preview.js").then(({{ decodePreview }}) => {{
+        return import("/static/sgmethod/preview.js").then(({{ decodePreview }}) => {{
             if (!(decodePreview({texts}[0]) instanceof ImageData)) throw new Error("no ImageData");
             {DECODE % (texts, SIZE)}
             return answers;
@@ -92,7 +91,7 @@ def show(page: Browser, html: str) -> None:
     """Elements at the top of a page with the strict policy of the service's."""
     page.run(f"""
         document.body.insertAdjacentHTML("afterbegin", {json.dumps(html)});
-        return import("/static/preview/sg-img.js").then(() => undefined);
+        return import("/static/sgmethod/sg-img.js").then(() => undefined);
     """)
 
 

@@ -45,7 +45,7 @@ def blocks(heading: str) -> list[str]:
 
 @pytest.mark.thorough
 def test_plain_html(page: Chromium, web: Service) -> None:
-    text = to_text(golden(5)["v5-color"])
+    text = to_text(golden(2)["v2-color"])
     open_blank(page, web)
     within, rules, alone = blocks("Plain HTML")
     within, alone = (re.sub(r"photo(-2x)?\.avif", "static/samples/cat.webp", html) for html in (within, alone))

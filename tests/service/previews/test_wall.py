@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from service.web.app import STATIC
+from service.api.app import STATIC
 from sgmethod.bitstream.text import from_text
 from tests.harness.browser import Chromium
 from tests.harness.processes import wait_until

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from collections.abc import Callable
 from itertools import chain, repeat
@@ -12,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from service import logs
+from service.api import app
 from service.jobs import engine
 from service.jobs.sql import JobTable
 from service.keys import KeyRing, digest
@@ -19,7 +22,6 @@ from service.process.background import failures
 from service.process.stopping import StopSignal
 from service.settings import Settings
 from service.storage.disk import DiskStorage
-from service.web import app
 from service.worker import heartbeat, notifying, sweeping
 from service.worker.heartbeat import SignsOfLife
 from service.worker.notifying import Notifier
@@ -110,3 +112,20 @@ def test_keys_are_read_until_they_can_be(tmp_path: Path, monkeypatch: pytest.Mon
 
     asyncio.run(follow())
     assert ring.owner_of("a key") == "ann"
+
+
+def test_what_comes_again_and_again_is_logged_once_a_minute(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A full disk filled the log, which lay on it."""
+    now = 0.0
+    monkeypatch.setattr(logs.time, "monotonic", lambda: now)
+    monkeypatch.setattr(logs, "_said", {})
+    for now in (0.0, 1.0, 59.0, 60.0, 61.0):
+        logs.log_seldom(logging.getLogger("disk"), "no room for %d", now)
+        logs.log_seldom(logging.getLogger("disk"), "something else")
+    assert [record.getMessage() for record in caplog.records if "room" in record.msg] == [
+        "no room for 0",
+        "no room for 60",
+    ]
+    assert len(caplog.records) == 4

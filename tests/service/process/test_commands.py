@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from service.__main__ import _for_whom, _where
+from service.api.options import EncodeOptions
+from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
 from service.jobs.table import Room
 from service.keys import digest
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import source_key
-from service.web.guards.problems import ProblemError
-from service.web.submitting.fields import EncodeFields
 from tests.harness.data import ROOT
 from tests.harness.pictures import SMALL
 from tests.harness.postgres_server import PostgresServer
@@ -40,13 +40,13 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
 
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two profiles do; the service does not."""
-    paper = EncodeFields(profile="paper")
+    paper = EncodeOptions(profile="paper")
     assert paper.asked(60).request.profile == "paper"
     monkeypatch.setitem(sys.modules, "torch", None)  # as if it were not installed
     result = run_command("check", data_dir=tmp_path)
     assert verdicts(result)["kernels"] == "ok"
     assert "profiles paper and baseline need PyTorch" in result.stdout
-    assert EncodeFields().asked(60).request.profile == "rd"
+    assert EncodeOptions().asked(60).request.profile == "rd"
     with pytest.raises(ProblemError, match="profile paper needs PyTorch") as refusal:
         paper.asked(60)
     assert refusal.value.status == 422
@@ -90,11 +90,13 @@ def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], word
     assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
 
 
-def test_for_whom_it_is() -> None:
+def test_for_whom_it_is(tmp_path: Path) -> None:
     assert _for_whom(Settings()) == "open to everyone who can reach it"
     keys = [f"{name}:{digest(name)}" for name in ("ann", "bob")]
-    assert _for_whom(Settings(api_keys=keys[0])) == "for 1 API key"
-    assert _for_whom(Settings(api_keys=",".join(keys))) == "for 2 API keys"
+    file = tmp_path / "keys"
+    for count, words in ((1, "for 1 API key"), (2, "for 2 API keys")):
+        file.write_text("\n".join(keys[:count]))
+        assert _for_whom(Settings(api_keys_file=file)) == words
 
 
 def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:

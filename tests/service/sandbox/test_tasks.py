@@ -42,7 +42,7 @@ from tests.harness.processes import encoder_of, processes, wait_until
 from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task, until_end
 from tests.harness.service import STAND_IN
 
-BITSTREAM = golden_path("v3-color.sg").read_bytes()
+BITSTREAM = golden_path("v2-color.sg").read_bytes()
 LIMITS: dict[str, Any] = {"memory_bytes": 2**31, "cpu_s": 100, "max_pixels": 10**6}
 FORMATS = ("PNG", "JPEG", "WebP", "TIFF", "BMP", "GIF", "AVIF", "PPM")
 

@@ -13,24 +13,17 @@ import pytest
 
 from tests.harness.data import golden_path
 from tests.harness.processes import wait_until
-from tests.harness.service import STAND_IN, Service, StartService, assert_problem
+from tests.harness.service import STAND_IN, StartService, assert_problem
 from tests.service.jobs.test_jobs import grow_older
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 STALL_S = 1000  # which no test waits for
 
 
-@pytest.mark.parametrize("path", ["/livez", "/healthz"])
-def test_probes(web: Service, path: str) -> None:
-    answer = web.client.get(path)
-    assert (answer.status_code, answer.json()["status"]) == (200, "ok")
-    assert web.client.head(path).status_code == 200
-
-
 def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> None:
-    web = start_service("web", stall_s=2)
+    web = start_service("web", lease_s=1)
     assert web.client.get("/readyz").status_code == web.client.head("/readyz").status_code == 200
     job_id = web.accepted()
     problem = wait_until(lambda: (answer := web.client.get("/readyz")).status_code == 503 and answer)
@@ -47,7 +40,7 @@ def test_a_queue_without_workers_is_not_ready(start_service: StartService) -> No
 
 def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
     """Its worker's heartbeats tell that it lives."""
-    service = start_service(stall_s=STALL_S, extra=STAND_IN)
+    service = start_service(lease_s=STALL_S / 4, extra=STAND_IN)
     service.wait(service.accepted_slow(), "running")
     service.accepted()
     started = service.figures()["process_start_time_seconds"]
@@ -108,8 +101,7 @@ def test_figures(start_service: StartService) -> None:
     web.client.request("BREW", "/no/such/path")
     seen = web.figures()
     assert seen["sgmethod_jobs_accepted_total"] == 1
-    limited = {name for name in seen if name.startswith("sgmethod_taken")}
-    assert limited == {f'sgmethod_taken{{what="{what}"}}' for what in ("streams", "answers", "uploads")}
+    assert seen["sgmethod_streams"] == 0
     assert (seen['sgmethod_jobs{state="queued"}'], seen['sgmethod_jobs{state="done"}']) == (1, 1)
     route = "/decode/{job_id}.{kind}"
     assert seen[f'sgmethod_requests_total{{method="GET",route="{route}",status="200"}}'] == 3
@@ -117,15 +109,16 @@ def test_figures(start_service: StartService) -> None:
     assert seen['sgmethod_requests_total{method="GET",route="none",status="404"}'] == 1
     assert (seen['sgmethod_decode_cache_total{found="yes"}'], seen["sgmethod_decode_seconds_count"]) == (2, 1)
     assert seen["sgmethod_decode_cache_bytes"] > 0
+    endings = {name: seen[f"sgmethod_jobs_{name}_total"] for name in ("finished", "failed", "retried", "cancelled")}
+    assert endings == {"finished": 1, "failed": 0, "retried": 0, "cancelled": 0}
+    assert seen["sgmethod_encode_seconds_count"] == seen['sgmethod_encode_seconds_bucket{le="+Inf"}'] == 1
     assert seen["sgmethod_job_table_up"] == 1
     assert seen['sgmethod_background_failures{process="web"}'] == 0
-    refused = {reason: seen[f'sgmethod_refusals_total{{reason="{reason}"}}'] for reason in ("unknown", "malformed")}
-    assert refused == {"unknown": 2, "malformed": 1}
+    assert seen['sgmethod_refusals_total{reason="unknown"}'] == 2
     assert not [name for name in seen if re.search(r"such|BREW", name)]
 
 
 def test_refusals_by_reason(start_service: StartService) -> None:
-    """Where it is the application that refuses, and where the connection never comes so far."""
     web = start_service("web", queue_length=1)
     web.post(key="once")
     web.post(key="once")
@@ -133,9 +126,6 @@ def test_refusals_by_reason(start_service: StartService) -> None:
     for answer in (web.post(), web.post(b"", key="once"), web.post(bpp=-1)):
         assert answer.status_code in (422, 429)
     web.client.get("/livez?x=1")
-    web.client.get("/livez", headers={"Upgrade": "websocket", "Connection": "upgrade"})
-    web.raw(b"GET /livez HTTP/1.1\r\nHost: test\r\nX: " + b"x" * 33_000)
-    web.raw(b"nonsense\r\n\r\n")
     reasons = {name: number for name, number in web.figures().items() if name.startswith("sgmethod_refusals_total")}
-    expected = {"queue": 2, "invalid": 2, "websocket": 1, "head": 1, "malformed": 1}
+    expected = {"queue": 2, "invalid": 2}
     assert reasons == {f'sgmethod_refusals_total{{reason="{reason}"}}': number for reason, number in expected.items()}

@@ -14,9 +14,9 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from service.api import models
+from service.api.routes import HOST
 from service.keys import digest
-from service.web.routes import answers
-from service.web.routes.answers import HOST
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S
@@ -24,14 +24,14 @@ from tests.harness.service import STAND_IN, StartService
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 # Valid against the document and refused all the same: a region beyond the picture, a form with two budgets.
 NOT_CHECKED = "positive_data_acceptance"
 
 
 KEY = "key-of-ann"
 OPEN = {"link_secret": "x" * 32}
-GUARDED = {**OPEN, "api_keys": f"ann:{digest(KEY)}", "max_queued_per_key": 0}
+GUARDED = {**OPEN, "api_keys": f"ann:{digest(KEY)}"}
 
 
 @pytest.mark.parametrize("settings", [OPEN, GUARDED], ids=["open", "guarded"])
@@ -55,7 +55,7 @@ def test_no_answer_is_beyond_the_document(
 
 
 def test_examples_are_what_they_are_examples_of() -> None:
-    for view in (answers.AcceptedView, answers.JobSummary, answers.TraceView, answers.JobView, answers.PreviewView):
+    for view in (models.AcceptedView, models.JobSummary, models.TraceView, models.JobView, models.PreviewView):
         (example,) = view.model_json_schema()["examples"]
         assert set(example) == set(view.model_fields)
         view.model_validate(example)
@@ -107,7 +107,7 @@ def test_every_operation_has_a_summary_and_a_command_that_works(start_service: S
         assert operation["description"], (method, path)
         assert operation["summary"].lower() != operation["operationId"].partition("_")[0], "nobody has written it"
         (sample,) = operation["x-codeSamples"]
-        command = sample["source"].replace(HOST, service.url).replace(answers.EXAMPLE_ID, done)
+        command = sample["source"].replace(HOST, service.url).replace(models.EXAMPLE_ID, done)
         answer = curl(command, tmp_path)
         assert answer.is_success, (command, answer.text)
         assert answer.request.method == method.upper()

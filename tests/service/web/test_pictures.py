@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
+from service.api.app import STATIC
 from service.sandbox.picture_files import Rival, as_large
-from service.web.app import STATIC
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, golden_path
 from tests.harness.pictures import SMALL, page_of_text
 from tests.harness.service import Service, StartService, assert_problem
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
-TEXTURED = golden_path("v5-texture.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
+TEXTURED = golden_path("v2-texture.sg").read_bytes()
 PHOTOGRAPH = (PHOTOGRAPHS / "kodim23-crop.png").read_bytes()
 OTHER = golden_path("v1-paper.sg").read_bytes()
 TEXT = page_of_text()
@@ -65,7 +65,7 @@ def test_views_of_a_job_and_of_a_body(web: Service, done: str, query: str, view:
 
 
 def test_alpha_is_kept_where_a_format_has_it(web: Service) -> None:
-    data = golden_path("v5-alpha.sg").read_bytes()
+    data = golden_path("v2-alpha.sg").read_bytes()
     job, pixels = web.published(data), sgmethod.decode(data)
     np.testing.assert_array_equal(pixels_of(web.client.get(f"/decode/{job}.png")), pixels)
     shapes = {kind: pixels_of(web.client.get(f"/decode/{job}.{kind}")).shape for kind in ("webp", "avif", "jpg")}
@@ -107,31 +107,6 @@ def test_rivals_are_as_large(start_service: StartService) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("fallback", ["webp", "avif"])
-def test_a_fallback_takes_the_place_of_gaussians(service: Service, fallback: str) -> None:
-    """Of a page of text, and of no photograph."""
-    page, photograph = (
-        service.accepted(image, bpp=2, effort=1, time_limit_s=0.5, fallback=fallback) for image in (TEXT, SMALL)
-    )
-    job = service.wait(page)
-    file = service.client.get(job["bitstream_url"])
-    assert file.headers["content-type"] == f"image/{fallback}"
-    assert file.headers["content-disposition"].endswith(f'.{fallback}"')
-    result = job["result"]
-    assert (result["format"], result["better"], result["bytes"]) == (fallback, "webp", len(file.content))
-    assert (result["gaussians"], result["ssimulacra2"], result["warnings"]) == (None, None, [])
-    whole = pixels_of(service.client.get(job["decode_url"]))
-    np.testing.assert_array_equal(whole, pixels_of(file))
-    error = np.square(whole.astype(float) - np.asarray(Image.open(io.BytesIO(TEXT)))).mean()
-    assert result["psnr"] == (None if fallback == "webp" else pytest.approx(10 * np.log10(255**2 / error)))
-    assert service.client.get(f"/decode/{page}.{fallback}").content == file.content
-    assert_problem(service.client.get(f"/decode/{page}.png?scale=0.5"), 422, fallback.upper(), "at its own size")
-    other = service.wait(photograph)
-    assert (other["result"]["format"], other["result"]["better"]) == ("sg", None)
-    assert sgmethod.info(service.client.get(other["bitstream_url"]).content).gaussians
-
-
-@pytest.mark.thorough
 def test_rivals_of_a_page_of_text_keep_it_sharp(start_service: StartService) -> None:
     """Lossless WebP where it is no larger, with its transparency; AVIF whose colours are as sharp as the rest."""
     web = start_service("web", source_retention_s=1000)
@@ -155,7 +130,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size() -> None:
         assert len(Rival("jpg", wanted).made_of(pixels)) >= 0.97 * wanted
 
 
-def test_the_older_version_of_the_file(web: Service) -> None:
+def test_the_other_version_of_the_file(web: Service) -> None:
     answer = web.client.get(f"/decode/{web.published(OTHER)}.png?scale=0.5")
     np.testing.assert_array_equal(pixels_of(answer), sgmethod.decode(OTHER, view=View(0.5)))
 
@@ -233,7 +208,7 @@ def test_a_preview_is_answered_at_once_and_decoded_from_its_text(web: Service) -
         ("", PHOTOGRAPH[:-500], 422, "truncated"),
         ("?bytes=11", PHOTOGRAPH, 422, "bytes"),
         ("?bytes=4097", PHOTOGRAPH, 422, "bytes"),
-        ("?size=100", PHOTOGRAPH, 422, "unknown query parameter"),
+        ("?size=100", PHOTOGRAPH, 422, "query.size: unknown query parameter"),
         ("", bytes(200_001), 413, "larger than 200000"),
     ],
 )

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from service.web.app import STATIC
+from service.api.app import STATIC
+from tests.harness.data import JAVASCRIPT
 from tests.harness.pictures import SMALL, png
 from tests.harness.service import SMALL_QUEUE, Service, assert_problem
 
@@ -50,7 +51,8 @@ def test_page_names_nothing_elsewhere(web: Service) -> None:
     assert page.headers["content-type"].startswith("text/html")
     assert "script-src 'self'" in page.headers["content-security-policy"]
     files = [f"/static/{file.relative_to(STATIC)}" for kind in ("js", "css") for file in STATIC.rglob(f"*.{kind}")]
-    assert len(files) > 10
+    files += [f"/static/sgmethod/{file.name}" for file in JAVASCRIPT.iterdir()]
+    assert len(files) > 20
     for path in ("/", "/docs", *files):
         answer = web.client.get(path)
         assert answer.status_code == 200
@@ -278,10 +280,12 @@ def test_the_users_file_name_goes_nowhere(web: Service) -> None:
 
 
 def test_image_larger_than_the_limit(web: Service) -> None:
-    assert assert_problem(web.post(SMALL + b"\0" * 200_000), 413)["max_bytes"] == 200_000
-    padding = 200_000 - len(SMALL)
-    assert web.post(SMALL + b"\0" * padding).status_code == 202
-    assert_problem(web.post(SMALL + b"\0" * (padding + 1)), 413)
+    image = {"Content-Type": "image/png"}
+    for size, status in ((200_000, 202), (200_001, 413)):
+        answer = web.client.post("/encode?bpp=1", content=SMALL.ljust(size, b"\0"), headers=image)
+        assert answer.status_code == status
+    assert assert_problem(answer, 413)["max_bytes"] == 200_000
+    assert_problem(web.post(SMALL.ljust(200_000, b"\0")), 413)
 
 
 @given(

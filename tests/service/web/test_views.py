@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from service.api.models import MAX_TRACE_POINTS, summary, with_trace
 from service.jobs.job import EncodeRequest, Job, JobError, JobState, SourceImage
 from service.settings import Settings
-from service.web.routes.answers import MAX_TRACE_POINTS, summary, with_trace
 
 SETTINGS = Settings()
 

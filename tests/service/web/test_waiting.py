@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
+import socket
 import sqlite3
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,14 +14,15 @@ import pytest
 from PIL import Image
 
 import sgmethod
+from service.api import waiting
 from service.keys import digest
-from service.web.routes import waiting
+from service.settings import Settings
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import STAND_IN, Service, StartService, assert_problem
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 BODY = {"Content-Type": "image/png"}
 QUICK = "time_limit_s=0.1"
 
@@ -112,36 +113,37 @@ def test_who_waits_is_told_when_the_service_stops(start_service: StartService) -
         assert asking.result().status_code == 202
 
 
-@pytest.fixture(scope="module")
-def one_place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A web process where one alone may wait or watch."""
-    service = Service(tmp_path_factory.mktemp("one") / "data", "web", max_streams=1)
-    yield service
-    assert service.stop() == 0
+def watching(web: Service, job: str) -> socket.socket:
+    """A stream of events."""
+    stream = web.connect()
+    stream.sendall(f"GET /jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+    return stream
 
 
 def taken(web: Service) -> float:
     """How many wait or watch."""
-    return web.figures()['sgmethod_taken{what="streams"}']
+    return web.figures()["sgmethod_streams"]
 
 
 @pytest.mark.thorough
-def test_too_many_that_wait_get_a_job_at_once(one_place: Service) -> None:
-    with one_place.connect() as stream:
-        stream.sendall(f"GET /jobs/{one_place.accepted()}/events HTTP/1.1\r\nHost: test\r\n\r\n".encode())
-        wait_until(lambda: taken(one_place) == 1)
-        assert one_place.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
+def test_too_many_that_wait_get_a_job_at_once(start_service: StartService) -> None:
+    web = start_service("web")
+    job = web.accepted()
+    crowd = [watching(web, job) for _ in range(Settings.max_streams)]
+    wait_until(lambda: taken(web) == len(crowd))
+    assert web.client.post("/encode?wait=300", content=SMALL, headers=BODY).status_code == 202
+    assert_problem(web.client.get(f"/jobs/{job}/events"), 503, "streams")
+    for stream in crowd:
+        stream.close()
+    wait_until(lambda: taken(web) == 0)
 
 
-def test_who_goes_leaves_a_job_and_no_place_taken(one_place: Service) -> None:
-    web = one_place
-    web.clear()
-    wait_until(lambda: taken(web) == 0)  # the test before has given its place back
+@pytest.mark.thorough
+def test_who_goes_leaves_a_job_and_no_place_taken(start_service: StartService) -> None:
+    web = start_service("web")
     with web.connect() as gone:
-        head = (
-            f"POST /encode?wait=300 HTTP/1.1\r\nHost: test\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}"
-        )
-        gone.sendall(head.encode() + b"\r\n\r\n" + SMALL)
+        head = f"Host: localhost\r\nContent-Type: image/png\r\nContent-Length: {len(SMALL)}\r\n\r\n"
+        gone.sendall(b"POST /encode?wait=300 HTTP/1.1\r\n" + head.encode() + SMALL)
         wait_until(lambda: taken(web) == 1)
     assert len(web.client.get("/jobs").json()["jobs"]) == 1
     wait_until(lambda: taken(web) == 0)
@@ -161,7 +163,7 @@ def test_an_image_that_is_encoded_again(start_service: StartService) -> None:
 @pytest.mark.thorough
 def test_whose_image_is_encoded_again_and_how(start_service: StartService) -> None:
     keys = ",".join(f"{name}:{digest(name)}" for name in ("ann", "bob"))
-    web = start_service("web", source_retention_s=1000, api_keys=keys, queue_length=4)
+    web = start_service("web", source_retention_s=1000, api_keys=keys, queue_length=8)
     web.client.headers["Authorization"] = "Bearer ann"
     done, waiting = web.accepted(), web.accepted()
     web.publish(done, PICTURE)
@@ -184,7 +186,7 @@ def test_whose_image_is_encoded_again_and_how(start_service: StartService) -> No
     assert_problem(again("0" * 32), 404)
     assert again(waiting).status_code == 202  # as long as a job is not finished its image is there anyway
     assert again(waiting).status_code == 202
-    assert_problem(again(waiting), 429, "full")
+    assert_problem(again(waiting), 429, "4 jobs")
 
 
 @pytest.mark.thorough

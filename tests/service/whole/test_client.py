@@ -38,7 +38,7 @@ from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import SMALL_QUEUE, STAND_IN, Service, StartService
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 
 
 def test_an_encode(service: Service) -> None:

@@ -244,7 +244,7 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
 
 
 def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
-    """The encoder process alone dies: its worker starts the job again at once."""
+    """The encode's process alone dies: its worker starts the job again at once."""
     service = solo
     job_id = service.accepted_slow()
     encoder = running(job_id)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,8 +13,10 @@ from sgmethod import Budget
 from sgmethod.cli import encoding
 from sgmethod.cli import main as cli
 from sgmethod.client import Client, encode_many
+from sgmethod.client.connection import Connection
+from sgmethod.errors import ServerError
 from tests.harness.pictures import png
-from tests.harness.service import Service
+from tests.harness.service import STAND_IN, Service, StartService
 
 pytestmark = pytest.mark.thorough
 
@@ -52,4 +55,25 @@ def test_many_pictures(service: Service, tmp_path: Path, monkeypatch: pytest.Mon
     data = Path("a/1.sg").read_bytes()
     assert data == Path("b/1.sg").read_bytes()
     assert by_name["1.sg"]["figures"]["bytes"] == len(data)
+    assert service.client.get("/jobs").json()["jobs"] == []
+
+
+def test_a_killed_run_finds_its_jobs_again(
+    start_service: StartService, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its pictures were encoded twice."""
+    service = start_service(extra=STAND_IN)
+    pictures = [(str(number), png(64, 48, number)) for number in range(2)]
+    ask = Connection.ask
+
+    def killed(connection: Connection, method: str, path: str, **request: Any) -> Any:
+        ask(connection, method, path, **request)
+        raise ServerError("the client was killed before it heard of its job")
+
+    with Client(service.url) as client:
+        with monkeypatch.context() as patch:
+            patch.setattr(Connection, "ask", killed)
+            assert encode_many(client, pictures, tmp_path, time_limit_s=0.1).failed == 2
+        assert encode_many(client, pictures, tmp_path, resume=True, time_limit_s=0.1).encoded == 2
+    assert service.figures()["sgmethod_jobs_accepted_total"] == 2
     assert service.client.get("/jobs").json()["jobs"] == []

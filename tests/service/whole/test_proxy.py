@@ -1,4 +1,4 @@
-"""Behind nginx with TLS, set up as docs/deploy.md says: two web processes, under / and under a path, with large bodies,
+"""Behind nginx with TLS, set up by docs/nginx.conf: two web processes, under / and under a path, with large bodies,
 long waits and events; and with a database and a store that restart.
 """
 
@@ -6,14 +6,10 @@ from __future__ import annotations
 
 import io
 import os
-import re
-import shutil
 import signal
-import socket
-import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -26,7 +22,7 @@ import sgmethod
 from sgmethod.client import client, encode_many
 from sgmethod.many.manifest import Row
 from tests.harness.browser import Chromium
-from tests.harness.data import ROOT
+from tests.harness.nginx import Nginx
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, wait_until
@@ -36,96 +32,22 @@ from tests.service.page.steps import complaints, give
 
 pytestmark = pytest.mark.thorough
 
-NGINX = shutil.which("nginx") or shutil.which("nginx", path="/usr/sbin")
-REQUIRED = "SGMETHOD_TEST_NGINX"  # set to "required", a missing nginx fails the tests
-HINT = "nginx is not installed, so nothing was tested behind it: sudo apt install nginx"
-(BLOCK,) = re.findall(r"```nginx\n(.*?)```", (ROOT / "docs" / "deploy.md").read_text(), re.DOTALL)
-AROUND = """
-daemon off; {user} pid {folder}/pid; error_log {folder}/error.log; events {{}}
-http {{
-    access_log off; include /etc/nginx/mime.types;
-    client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy; fastcgi_temp_path {folder}/fastcgi;
-    uwsgi_temp_path {folder}/uwsgi; scgi_temp_path {folder}/scgi;
-    {block}
-}}
-"""
 PREFIX = "/sg"
 PICTURES = 12
-StartProxy = Callable[[Sequence[Service], str, bool], str]
+StartProxy = Callable[..., Nginx]
 
 
-def replaced(text: str, old: str, new: str) -> str:
-    assert old in text
-    return text.replace(old, new)
-
-
-@pytest.fixture(scope="module")
-def certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A certificate for this machine, which clients trust, beside its key."""
-    file = tmp_path_factory.mktemp("tls") / "certificate"
-    names = ["-subj", "/CN=localhost", "-addext", "subjectAltName=IP:127.0.0.1", "-days", "2"]
-    kind = ["-x509", "-nodes", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"]
-    files = ["-out", str(file), "-keyout", str(file.with_name("key"))]
-    subprocess.run(["openssl", "req", *kind, *names, *files], check=True, capture_output=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SSL_CERT_FILE", str(file))
-        yield file
-
-
-@pytest.fixture(scope="module")
-def start_proxy(tmp_path_factory: pytest.TempPathFactory, certificate: Path) -> Iterator[StartProxy]:
-    """Starts nginx before two web processes, under a prefix that it may cut off; where it is then."""
-    if NGINX is None:
-        if os.environ.get(REQUIRED) == "required":
-            pytest.fail(HINT)
-        pytest.skip(HINT)
-    started: list[subprocess.Popen[bytes]] = []
-
-    def start(webs: Sequence[Service], prefix: str, cut: bool) -> str:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            port = free.getsockname()[1]
-        block = replaced(BLOCK, "listen 443 ssl;", f"listen 127.0.0.1:{port} ssl;")
-        for number, web in enumerate(webs):
-            block = replaced(block, f"127.0.0.1:{8000 + number};", f"{web.url.removeprefix('http://')};")
-        block = replaced(block, "/etc/ssl/certs/pictures.example.pem", str(certificate))
-        block = replaced(block, "/etc/ssl/private/pictures.example.key", str(certificate.with_name("key")))
-        block = replaced(block, "http://sgmethod;", "http://sgmethod/;" if cut else "http://sgmethod;")
-        block = replaced(block, "location / {", f"location {prefix}/ {{")
-        user = "user root;" if os.geteuid() == 0 else ""  # no other may enter the folder
-        folder = tmp_path_factory.mktemp("nginx")
-        (folder / "nginx.conf").write_text(AROUND.format(folder=folder, block=block, user=user))
-        command = [str(NGINX), "-c", str(folder / "nginx.conf"), "-e", str(folder / "error.log")]
-        started.append(subprocess.Popen(command))
-        root = f"https://127.0.0.1:{port}{prefix}"
-        wait_until(lambda: answers(root))
-        return root
-
-    yield start
-    for process in started:
-        process.terminate()
-        process.wait(PATIENCE_S)
-
-
-def answers(root: str) -> bool:
-    try:
-        return httpx.get(f"{root}/livez").is_success
-    except httpx.TransportError:
-        return False
-
-
-@pytest.fixture(
-    scope="module", params=[("", False), (PREFIX, False), (PREFIX, True)], ids=["root", "prefix", "prefix-cut"]
-)
+@pytest.fixture(scope="module", params=["", PREFIX], ids=["root", "prefix"])
 def proxied(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory, start_proxy: StartProxy
 ) -> Iterator[tuple[Service, str]]:
     """A service with a stand-in for the codec, whose images are kept, and where it is to be found."""
-    prefix, cut = request.param
-    settings = {"trusted_proxies": "127.0.0.1", "path_prefix": prefix, "link_secret": "x" * 32}
+    prefix = request.param
+    settings = {"trusted_proxies": "127.0.0.1", "root_path": prefix, "link_secret": "x" * 32}
     data_dir = tmp_path_factory.mktemp("proxied") / "data"
     service = Service(data_dir, source_retention_s=1000, extra=STAND_IN, **settings)
     second = Service(data_dir, "web", source_retention_s=1000, **settings)
-    yield service, start_proxy((service, second), prefix, cut)
+    yield service, start_proxy((service.url, second.url), prefix).url
     assert service.stop() == second.stop() == 0
 
 
@@ -202,18 +124,6 @@ def test_events_are_not_held_back(behind: str) -> None:
     assert httpx.delete(f"{behind}/jobs/{job}").status_code == 204
 
 
-def test_parts_of_files(behind: str) -> None:
-    """Of either web process."""
-    fields = {"time_limit_s": "0.1"}
-    first = httpx.post(f"{behind}/encode?wait=50", files={"image": SMALL}, data=fields, timeout=PATIENCE_S)
-    job = urlsplit(first.headers["location"]).path.rpartition("/")[2]
-    for _ in range(4):
-        part = httpx.get(f"{behind}/bitstreams/{job}.sg", headers={"Range": "bytes=2-5"})
-        assert (part.status_code, part.content) == (206, first.content[2:6])
-        tag = {"If-None-Match": part.headers["etag"]}
-        assert httpx.get(f"{behind}/bitstreams/{job}.sg", headers=tag).status_code == 304
-
-
 def test_clients_keep_their_addresses(proxied: tuple[Service, str]) -> None:
     """Whatever they say of themselves; and both web processes get requests."""
     service, root = proxied
@@ -244,7 +154,7 @@ def test_everything_restarts(
     }
     environment = {**store.environment, **STAND_IN}
     webs = [start_service(command, **shared, extra=environment) for command in ("serve", "web")]
-    root = start_proxy(webs, "", False)
+    root = start_proxy([web.url for web in webs]).url
     rows: list[Row] = []
 
     def encode() -> None:

@@ -27,7 +27,7 @@ from tests.harness.service import STAND_IN, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 DISK_BYTES = 4 * 2**20
 SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
 

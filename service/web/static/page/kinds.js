@@ -32,7 +32,7 @@ export const COMMON = ["PNG", "JPEG", "GIF", "WebP"];
  * service takes. */
 export async function kindOf(file) {
   const bytes = new Uint8Array(await file.slice(0, 64).arrayBuffer());
-  if (text(bytes, 0, 3) === "SGM" || text(bytes, 0, 2) === "\xd3\xc5") return { kind: "sg" };
+  if (["\xd3\xc1", "\xd3\xc2"].includes(text(bytes, 0, 2))) return { kind: "sg" };
   for (const [matches, name] of REFUSED) {
     if (matches(bytes)) return { refused: `${file.name} is ${name}, not a photograph. Save it as PNG or JPEG first.` };
   }

@@ -233,7 +233,7 @@ async function copyLink(item) {
 }
 
 async function copyHtml(item) {
-  const { snippetOf } = await import("../decoder/snippet.js");
+  const { snippetOf } = await import("./snippet.js");
   const html = await snippetOf(item);
   await copy(html);
   return `The HTML (${size(html.length)}) is in the clipboard. In its aria-label, say what the picture shows.`;
@@ -263,7 +263,7 @@ addEventListener("hashchange", begin);
 requestAnimationFrame(() =>
   setTimeout(() => {
     begin();
-    const thumbnails = new Remote("static/decoder/worker.js");
+    const thumbnails = new Remote("static/page/decoder_worker.js");
     showSamples(sample, async (bytes) => {
       await thumbnails.ask("open", { key: 0, bytes });
       return thumbnails.ask("draw", { key: 0, scale: 0.5 });

@@ -1,7 +1,7 @@
 // Gaussians drawn by the graphics processor: instanced quads added up in floating point (WebGL2), and texture upon them.
 
-import { NOISE_UNITS, SIDE, noiseOf, octavesOf } from "../decoder/drawing.js";
-import { CELL } from "../decoder/header.js";
+import { NOISE_UNITS, SIDE, noiseOf, octavesOf } from "../sgmethod/drawing.js";
+import { CELL } from "../sgmethod/header.js";
 
 const STRIDE = 32;
 const NO_LEVEL = -1;

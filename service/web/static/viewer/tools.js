@@ -1,6 +1,6 @@
 // The tools of the large picture: zoom, blink, overlays, texture, the first bytes alone.
 
-import { countInPart } from "../decoder/file.js";
+import { countInPart } from "../sgmethod/file.js";
 import { $ } from "../page/parts.js";
 import { count, size } from "../page/words.js";
 

@@ -1,6 +1,6 @@
 // Photographs as previews, beside other placeholders of at most as many characters; then the photographs themselves.
 
-import "../preview/sg-img.js";
+import "../sgmethod/sg-img.js";
 import { element } from "../page/parts.js";
 
 const NOTES = [

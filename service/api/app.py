@@ -1,0 +1,159 @@
+"""The web application: its context, its routes, and what stands around them."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from anyio import to_thread
+from fastapi import FastAPI, Security
+from fastapi.security import HTTPBearer
+from starlette.middleware.cors import CORSMiddleware
+from starlette.responses import FileResponse, Response
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+
+from service.api.callers import Gate
+from service.api.context import Context
+from service.api.health import VERSION
+from service.api.metrics import Metrics
+from service.api.middleware import BodyLimit, RequestLog
+from service.api.problems import install_problem_handlers
+from service.api.routes import add_routes
+from service.api.tasks import ClientTasks
+from service.api.turns import Streams, Turns
+from service.api.views import PictureCache
+from service.keys import KeyRing
+from service.opening import open_job_table, open_storage
+from service.process.background import survived
+from service.sandbox.client import Sandbox
+from service.settings import Settings
+
+STATIC = Path(__file__).parents[1] / "web" / "static"
+PAGE_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self';"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+FILE_POLICY = "default-src 'none'; script-src 'self'"
+UPLOADS_IN_MEMORY = 4
+PICTURE_CACHE_BYTES = 64 << 20
+KEYS_POLL_S = 1.0
+
+log = logging.getLogger(__name__)
+
+
+class PageFiles(StaticFiles):
+    """The files of the pages. A worker keeps to the policy of its own file, and has to load modules: Firefox holds it
+    to that, Chromium to the page's.
+    """
+
+    def file_response(self, *args: Any, **options: Any) -> Response:
+        response = super().file_response(*args, **options)
+        response.headers["Content-Security-Policy"] = FILE_POLICY
+        return response
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    context: Context = app.state.context
+    # What is there now stays. Looking through all of it for garbage again and again held the loop for 70 ms each.
+    gc.collect()
+    gc.freeze()
+    reloading = asyncio.create_task(_reload_keys(context))
+    yield
+    reloading.cancel()
+    context.table.close()
+
+
+async def _reload_keys(context: Context) -> None:
+    """Follow the file of keys. What cannot be read leaves the keys as they were: nobody is let in by a mistake."""
+    path = context.settings.api_keys_file
+    if path is None:
+        return
+    seen = await to_thread.run_sync(_version_of, path)
+    while True:
+        await asyncio.sleep(KEYS_POLL_S)
+        with survived("reloading the API keys"):
+            version = await to_thread.run_sync(_version_of, path)
+            if version == seen:
+                continue
+            try:
+                context.keys.replace(await to_thread.run_sync(context.settings.read_keys))
+                log.info("reloaded the API keys")
+            except ValueError as error:
+                log.error("kept the previous API keys: %s", error)
+                if isinstance(error.__cause__, OSError):  # which may pass: read it again
+                    continue
+            seen = version
+
+
+def _version_of(path: Path) -> tuple[int, int, int] | None:
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_ctime_ns, found.st_ino, found.st_size
+
+
+def create_app(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping: Callable[[], bool]) -> ASGIApp:
+    """The application with its middleware, ready for a server; stopping: whether the server is to stop.
+
+    Raises JobTableError, MissingPackagesError, OSError.
+    """
+    app = FastAPI(
+        title="sgmethod",
+        version=VERSION,
+        description="Encode photographs as 2D Gaussians, and decode them.",
+        lifespan=_lifespan,
+        docs_url=None,  # both pages load scripts from elsewhere, and break the policy of ours
+        redoc_url=None,
+        redirect_slashes=False,  # it would repeat whatever host the client named
+    )
+    context = app.state.context = Context(
+        settings,
+        open_job_table(settings),
+        open_storage(settings),
+        ClientTasks(settings, sandbox),
+        PictureCache(PICTURE_CACHE_BYTES),
+        Turns(UPLOADS_IN_MEMORY, settings.max_streams),
+        Streams(settings.max_streams),
+        stopping,
+        KeyRing(settings.key_names),
+        metrics,
+    )
+    context.metrics.watch(context.streams)
+    install_problem_handlers(app)
+    # The gate does the work; this is how the document says so.
+    add_routes(app, [Security(HTTPBearer(auto_error=False))] if settings.key_names else [])
+    app.mount("/static/sgmethod", PageFiles(packages=[("sgmethod", "javascript/src")]))  # the decoder and <sg-img>
+    app.mount("/static", PageFiles(directory=STATIC))
+    for path, file in (("/", "index.html"), ("/docs", "docs.html")):
+        app.add_api_route(path, _page(STATIC / file), include_in_schema=False)
+    return _with_middleware(app, context)
+
+
+def _page(path: Path) -> Callable[[], FileResponse]:
+    return lambda: FileResponse(path, headers={"Content-Security-Policy": PAGE_POLICY})
+
+
+def _with_middleware(app: ASGIApp, context: Context) -> ASGIApp:
+    """The middleware, from the inside out. It stands outside FastAPI, whose answer to an unexpected error skips its
+    own.
+    """
+    settings = context.settings
+    app = Gate(app, context.keys, settings)
+    app = BodyLimit(app, settings.max_upload_bytes)
+    if settings.cors_origins:
+        app = CORSMiddleware(
+            app,
+            allow_origins=[origin.strip() for origin in settings.cors_origins.split(",")],
+            allow_methods=["GET", "HEAD", "POST", "DELETE"],
+            allow_headers=["Authorization", "Idempotency-Key", "Prefer", "X-Request-Id"],
+            expose_headers=["ETag", "Location", "Preference-Applied", "Retry-After", "X-Request-Id"],
+        )
+    return RequestLog(app, context.metrics)

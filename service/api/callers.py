@@ -1,0 +1,155 @@
+"""Identifies and authorises callers before a byte of the body is read."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from urllib.parse import parse_qs, urlsplit
+
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.api.problems import ProblemError, refused
+from service.keys import KeyRing, Link
+from service.settings import Settings
+
+# A page must load before a person can give it a key, and probes have none.
+OPEN_PATHS = frozenset({"/", "/docs", "/livez", "/readyz", "/openapi.json"})
+OPEN_PREFIX = "/static/"
+NETWORK_BITS = 64  # of an IPv6 address: one customer has at least as many as the rest can tell apart
+UNKNOWN = "unknown"
+SAFE_METHODS = ("GET", "HEAD", "OPTIONS")
+CHALLENGE = {"WWW-Authenticate": "Bearer"}
+
+_LINKED_PATH = re.compile(r"/(decode|bitstreams)/([0-9a-f]{32})(\.[a-z]{2,4})?")
+
+
+@dataclass(frozen=True)
+class Caller:
+    """client: takes turns with others, the owner of a key or else an address; owner: whose key came with the
+    request; linked_job: the one job that a link lets its bearer read.
+
+    The latter two are None where the service has no keys, and everything is everyone's.
+    """
+
+    client: str
+    owner: str | None = None
+    linked_job: str | None = None
+
+
+def address_of(peer: Sequence[object] | None) -> str:
+    """Who a peer (host, port) is: an IPv4 address or an IPv6 network."""
+    try:
+        address = ipaddress.ip_address(str(peer[0])) if peer else None
+    except ValueError:
+        address = None
+    if isinstance(address, ipaddress.IPv6Address):
+        mapped = address.ipv4_mapped
+        address = mapped or ipaddress.ip_network((int(address), NETWORK_BITS), strict=False).network_address
+    return UNKNOWN if address is None else str(address)
+
+
+def header_line(headers: Headers, name: str) -> str | None:
+    """All lines of a header as one (RFC 9110, 5.3); None without any. Where one value alone is allowed, several are
+    none.
+    """
+    lines = headers.getlist(name)
+    return ", ".join(lines) if lines else None
+
+
+def _name_in(host: str) -> str:
+    """The name or address in a Host header; empty if it cannot be read."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def path_of(scope: Scope) -> str:
+    """The path without the prefix under which a proxy shows the service."""
+    path: str = scope["path"]
+    return path.removeprefix(scope.get("root_path", ""))
+
+
+def _without_link(scope: Scope) -> bytes:
+    """The query as the routes know it. A link that is not needed, as beside a key, does no harm."""
+    query: bytes = scope["query_string"]
+    if _LINKED_PATH.fullmatch(path_of(scope)) is None:
+        return query
+    return b"&".join(part for part in query.split(b"&") if not part.startswith((b"expires=", b"signature=")))
+
+
+class Gate:
+    """Middleware that identifies the caller for the routes, or refuses.
+
+    Where there are no keys, whatever a browser on this machine loads could call the service, so pages of other sites
+    are kept out: by the name that they have reached it under, and by their origin where something would change.
+    """
+
+    def __init__(self, app: ASGIApp, keys: KeyRing, settings: Settings) -> None:
+        self._app = app
+        self._keys = keys
+        self._link_secret = settings.link_secret.get_secret_value()
+        self._host_names = {"localhost", *settings.host_names.replace(",", " ").split()}
+        self._origins = set(settings.cors_origins.replace(",", " ").split())
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            try:
+                scope.setdefault("state", {})["caller"] = self._caller(scope)
+                scope["query_string"] = _without_link(scope)
+            except ProblemError as problem:
+                await refused(Request(scope), problem)(scope, receive, send)
+                return
+        await self._app(scope, receive, send)
+
+    def _caller(self, scope: Scope) -> Caller:
+        path, address = path_of(scope), address_of(scope["client"])
+        if not self._keys:
+            self._check_site(Headers(scope=scope), scope["method"])
+        if not self._keys or path in OPEN_PATHS or path.startswith(OPEN_PREFIX):
+            return Caller(address)
+        scheme, _, key = (header_line(Headers(scope=scope), "authorization") or "").partition(" ")
+        # A key that comes with a link stands for itself: if it is not known, the link does not help.
+        return self._key_bearer(scheme, key.strip()) if scheme else self._link_bearer(scope, address)
+
+    def _check_site(self, headers: Headers, method: str) -> None:
+        """Raises ProblemError 421 or 403."""
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if not {"*", _name_in(host)} & self._host_names and not _is_address(_name_in(host)):
+            raise ProblemError(421, "the service does not answer to this name; SG_HOST_NAMES may list it")
+        if method in SAFE_METHODS or origin is None or {"*", origin} & self._origins:
+            return
+        if origin.partition("://")[2] != host:
+            raise ProblemError(403, "a page of another site may not change anything here", reason="origin")
+
+    def _key_bearer(self, scheme: str, key: str) -> Caller:
+        owner = self._keys.owner_of(key) if scheme.lower() == "bearer" else None
+        if owner is None:
+            raise ProblemError(401, "unknown API key", headers=CHALLENGE)
+        return Caller(f"key {owner}", owner)
+
+    def _link_bearer(self, scope: Scope, address: str) -> Caller:
+        match = _LINKED_PATH.fullmatch(path_of(scope))
+        query = parse_qs(scope["query_string"].decode("latin-1"))
+        expires, signature = (query.get(name, [""])[0] for name in ("expires", "signature"))
+        if match is None or not signature or not self._link_secret or scope["method"] not in ("GET", "HEAD"):
+            raise ProblemError(401, "an API key is needed: Authorization: Bearer KEY", headers=CHALLENGE)
+        link = Link(match[1], match[2], int(expires) if re.fullmatch(r"[0-9]{1,12}", expires, re.ASCII) else 0)
+        if not link.is_signed(self._link_secret, signature):
+            raise ProblemError(401, "this link is not valid", headers=CHALLENGE)
+        if link.expires < time.time():
+            raise ProblemError(401, "this link has expired", headers=CHALLENGE)
+        return Caller(address, linked_job=link.job_id)

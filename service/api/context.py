@@ -1,0 +1,90 @@
+"""What handlers work with: made once, and given to each by FastAPI."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import Depends, Request
+from fastapi import Path as PathParameter
+
+from service.api.callers import Caller
+from service.api.metrics import Metrics
+from service.api.problems import ProblemError
+from service.api.tasks import ClientTasks
+from service.api.turns import Streams, Turns
+from service.api.views import PictureCache
+from service.jobs.job import Job, is_job_id
+from service.jobs.sql import JobTable
+from service.keys import KeyRing
+from service.settings import Settings
+from service.storage.files import Storage
+
+log = logging.getLogger(__name__)
+
+PROBE_THREADS = 4
+JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", examples=["0123456789abcdef" * 2])]
+
+
+@dataclass(frozen=True)
+class Context:
+    """The pieces of the running service.
+
+    tasks: what the sandbox does for clients; accepting: turns in which an upload is held in memory, which bounds what
+    all of them take together; streams: of events, and waits; stopping: whether the service is to stop; watching:
+    threads of probes, which must not queue behind other work.
+    """
+
+    settings: Settings
+    table: JobTable
+    storage: Storage
+    tasks: ClientTasks
+    pictures: PictureCache
+    accepting: Turns
+    streams: Streams
+    stopping: Callable[[], bool]
+    keys: KeyRing
+    metrics: Metrics
+    watching: CapacityLimiter = field(default_factory=lambda: CapacityLimiter(PROBE_THREADS))
+
+    def discard(self, key: str) -> None:
+        """Remove a file that no job needs. Where that fails it is left to the sweep: what was asked for is done."""
+        try:
+            self.storage.delete(key)
+        except OSError as error:
+            log.warning("%s cannot be removed yet: %s", key, error)
+
+
+def _context(request: Request) -> Context:
+    context: Context = request.app.state.context
+    return context
+
+
+def _caller(request: Request) -> Caller:
+    caller: Caller = request.state.caller
+    return caller
+
+
+UseContext = Annotated[Context, Depends(_context)]
+UseCaller = Annotated[Caller, Depends(_caller)]
+
+
+def no_such_job() -> ProblemError:
+    """The answer to an id without a job, well formed or not."""
+    return ProblemError(404, "there is no such job")
+
+
+async def _known_job(job_id: JobId, context: UseContext, caller: UseCaller) -> Job:
+    """The job, if the caller may know of it; a foreign one looks the same as none."""
+    if not is_job_id(job_id) or caller.linked_job not in (None, job_id):
+        raise no_such_job()
+    job = await to_thread.run_sync(context.table.get, job_id, caller.owner)
+    if job is None:
+        raise no_such_job()
+    return job
+
+
+KnownJob = Annotated[Job, Depends(_known_job)]

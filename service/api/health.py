@@ -1,0 +1,77 @@
+"""Whether the service lives, is ready and is busy: answers that never wait behind work."""
+
+from __future__ import annotations
+
+import logging
+import math
+from contextlib import suppress
+from importlib.metadata import version
+
+from anyio import fail_after, to_thread
+from fastapi import Response
+from prometheus_client import CONTENT_TYPE_LATEST
+
+from service.api import models
+from service.api.context import Context, UseContext
+from service.api.problems import ProblemError
+from service.jobs.table import Census, JobTableError
+
+log = logging.getLogger(__name__)
+
+VERSION = version("sgmethod")
+PATIENCE_S = 2.0  # a table that takes longer is no better than none
+
+
+async def live() -> models.HealthView:
+    """200 as long as the web process answers."""
+    return models.HealthView(status="ok", version=VERSION)
+
+
+async def ready(context: UseContext) -> models.HealthView:
+    """200 if jobs are accepted and processed: the job table and storage respond, and workers take jobs."""
+    census = await _census(context)
+    if census is None:
+        raise ProblemError(503, "the job table is not responding", reason="table")
+    free_bytes = await _free_bytes(context)
+    if free_bytes < context.settings.min_free_bytes:
+        raise ProblemError(503, f"the disk is almost full: {free_bytes:,.0f} bytes free", reason="disk")
+    if census.waiting_s is not None:
+        stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
+        if stalled_s > context.settings.stall_s:
+            detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
+            raise ProblemError(503, detail, reason="stall")
+    return models.HealthView(status="ok", version=VERSION)
+
+
+async def metrics(context: UseContext) -> Response:
+    """Metrics in Prometheus' text format."""
+    context.metrics.observe(await _census(context))
+    with suppress(ProblemError):
+        context.metrics.free_bytes.set(await _free_bytes(context))
+    context.metrics.cache_bytes.set(context.pictures.bytes)
+    return Response(context.metrics.text(), media_type=CONTENT_TYPE_LATEST)
+
+
+async def _census(context: Context) -> Census | None:
+    try:
+        with fail_after(PATIENCE_S):
+            return await to_thread.run_sync(context.table.census, limiter=context.watching, abandon_on_cancel=True)
+    except (JobTableError, TimeoutError) as error:
+        log.error("the job table is not responding: %r", error)
+        return None
+
+
+async def _free_bytes(context: Context) -> float:
+    """Room that is left in the storage. Raises ProblemError 503 if it does not answer."""
+    try:
+        with fail_after(PATIENCE_S):
+            return await to_thread.run_sync(_room, context, limiter=context.watching, abandon_on_cancel=True)
+    except (OSError, TimeoutError) as error:
+        log.error("the storage is not responding: %r", error)
+        raise ProblemError(503, "the storage is not responding", reason="storage") from error
+
+
+def _room(context: Context) -> float:
+    context.storage.check()
+    free_bytes = context.storage.free_bytes()
+    return math.inf if free_bytes is None else free_bytes

@@ -1,0 +1,95 @@
+"""What stands before the application: a line in the log for each request, and a limit on its body."""
+
+from __future__ import annotations
+
+import logging
+import re
+import secrets
+import time
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.metrics import Metrics
+from service.api.problems import REFUSAL, ProblemError
+from service.logs import request_id
+
+log = logging.getLogger("access")
+
+ID_HEADER = "X-Request-Id"
+RESPONSE_HEADERS = {  # unless an answer sets them itself
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": "default-src 'none'; frame-ancestors 'none'",
+}
+_GIVEN_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+
+class RequestLog:
+    """Middleware: logs and counts each request, by an id that the client gives or that is made, and completes its
+    answer with headers. Queries are left out of the log: they may hold the signature of a link.
+    """
+
+    def __init__(self, app: ASGIApp, metrics: Metrics) -> None:
+        self._app = app
+        self._metrics = metrics
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        given = Headers(scope=scope).get(ID_HEADER, "")
+        name = given if _GIVEN_ID.fullmatch(given) else secrets.token_hex(8)
+        method, path, state = scope["method"], scope["path"], scope.setdefault("state", {})
+        if method == "HEAD" and not path.endswith("/events"):  # streams of events do not end
+            scope = {**scope, "method": "GET"}  # the server sends no body
+        status, size, started = 0, 0, time.monotonic()
+
+        async def note(message: Message) -> None:
+            nonlocal status, size
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(raw=list(message["headers"]))
+                for header, value in RESPONSE_HEADERS.items():
+                    headers.setdefault(header, value)
+                headers[ID_HEADER] = name
+                message = {**message, "headers": headers.raw}
+                self._metrics.note({**scope, "method": method}, status, time.monotonic() - started)
+            size += len(message.get("body", b""))
+            await send(message)
+
+        token = request_id.set(name)
+        try:
+            await self._app(scope, receive, note)
+        finally:
+            client = state["caller"].client if "caller" in state else ""
+            ms = 1000 * (time.monotonic() - started)
+            words = f"{method} {path!a} {status} {ms:.1f} ms {size} bytes, {client} {state.get(REFUSAL, '')}"
+            log.info("%s", words.rstrip())
+            request_id.reset(token)
+
+
+class BodyLimit:
+    """Middleware: reading a body of more than max_bytes raises ProblemError 413 in the application."""
+
+    def __init__(self, app: ASGIApp, max_bytes: int) -> None:
+        self._app = app
+        self._max_bytes = max_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        length = Headers(scope=scope).get("content-length", "0")
+        declared, received = int(length) if length.isdecimal() else 0, 0
+
+        async def limited() -> Message:
+            nonlocal received
+            message = await receive() if declared <= self._max_bytes else {}
+            received += len(message.get("body", b""))
+            if max(declared, received) > self._max_bytes:
+                detail = f"the body is larger than {self._max_bytes} bytes"
+                raise ProblemError(413, detail, max_bytes=self._max_bytes)
+            return message
+
+        await self._app(scope, limited, send)

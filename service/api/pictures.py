@@ -1,0 +1,231 @@
+"""Finished jobs as pictures and as bitstreams, what running ones have so far, what other codecs make of as many bytes,
+and pictures of bitstreams that nobody keeps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time
+from collections.abc import Callable, Coroutine
+from email.utils import format_datetime
+from typing import Annotated, Any, BinaryIO
+
+from anyio import to_thread
+from fastapi import Query, Request, Response
+
+from service.api import models
+from service.api.context import Context, KnownJob, UseContext, no_such_job
+from service.api.files import BITSTREAM_TYPE, IMMUTABLE, NEVER_STORED, VARIES, accepted_format, not_modified
+from service.api.problems import RETRY_SOON_S, ProblemError
+from service.api.uploads import body_as_file
+from service.api.views import ViewQuery
+from service.api.waiting import while_client_waits
+from service.jobs.job import EncodeResult, Job
+from service.sandbox.client import RefusedError, TaskError
+from service.sandbox.drawing import Drawing, Wish
+from service.sandbox.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
+from service.storage.files import bitstream_key, source_key
+from sgmethod.errors import BitstreamError, ViewError
+
+log = logging.getLogger(__name__)
+
+LATE_S = 60.0
+MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: a few kilobytes can hold millions of equal ones
+
+
+async def picture(
+    job: KnownJob, kind: PictureFormat, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+) -> Response:
+    """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
+    return await picture_answer(request, job, query, kind, context)
+
+
+async def picture_as_accepted(
+    job: KnownJob, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+) -> Response:
+    """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
+    answer = await picture_answer(request, job, query, accepted_format(request), context)
+    answer.headers.update(VARIES)
+    return answer
+
+
+async def picture_answer(
+    request: Request, job: Job, query: ViewQuery, kind: PictureFormat, context: Context
+) -> Response:
+    """The picture of a job, from memory if it was asked for lately."""
+    result = _result_of(job)
+    wish = query.wish(kind)
+    size = (int(result.stats["width"]), int(result.stats["height"]))
+    try:
+        drawing = Drawing.of(wish, size, context.settings.max_pixels)
+    except ViewError as error:
+        raise ProblemError(422, str(error)) from error
+    headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
+
+    async def made() -> bytes:
+        with await to_thread.run_sync(_open_bitstream, context, job, result) as bitstream:
+            try:
+                return await _drawn(request, context, bitstream, wish)
+            except BitstreamError as error:
+                raise _damaged(job, error) from error
+
+    return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
+
+
+async def _remembered(
+    request: Request,
+    context: Context,
+    headers: dict[str, str],
+    kind: PictureFormat,
+    make: Callable[[], Coroutine[Any, Any, bytes]],
+) -> Response:
+    """The picture file of an entity tag, from memory if it was asked for lately; simultaneous requests share one."""
+    context.metrics.cache.labels("yes" if headers["ETag"] in context.pictures else "no").inc()
+    try:
+        file = await while_client_waits(request, context.pictures.get_or_make(headers["ETag"], make))
+    except TaskError as error:
+        raise ProblemError(422, str(error)) from error
+    return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
+
+
+async def _drawn(
+    request: Request, context: Context, bitstream: BinaryIO, wish: Wish, max_gaussians: int | None = None
+) -> bytes:
+    """The picture file. Raises BitstreamError, ProblemError 422, 429 or 503."""
+    try:
+        with context.metrics.decode_seconds.time():
+            return await context.tasks.draw(request.state.caller.client, bitstream, wish, max_gaussians)
+    except RefusedError as error:
+        if error.kind is BitstreamError:
+            raise BitstreamError(str(error)) from error
+        raise ProblemError(422, str(error)) from error
+    except TaskError as error:
+        raise ProblemError(422, str(error)) from error
+
+
+async def picture_of_body(query: Annotated[ViewQuery, Query()], context: UseContext, request: Request) -> Response:
+    """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
+    answer = await picture_of_body_as(accepted_format(request), query, context, request)
+    answer.headers.update(VARIES)
+    return answer
+
+
+async def picture_of_body_as(
+    kind: PictureFormat, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+) -> Response:
+    """Decode the bitstream in the body. Nothing is stored."""
+    wish = query.wish(kind)
+    async with body_as_file(request) as upload:
+        try:
+            file = await while_client_waits(request, _drawn(request, context, upload.file, wish, MAX_GAUSSIANS))
+        except BitstreamError as error:
+            raise ProblemError(422, str(error)) from error
+    return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])
+
+
+async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Response:
+    """The .sg file."""
+    return await bitstream_answer(request, job, context)
+
+
+async def bitstream_answer(request: Request, job: Job, context: Context) -> Response:
+    """The bitstream of a job."""
+    result = _result_of(job)
+    headers = {
+        "ETag": f'"{result.sha256[:32]}"',
+        **_kept(job, context),
+        "Content-Disposition": f'attachment; filename="{job.id}.sg"',
+    }
+    if (answer := not_modified(request, headers)) is not None:
+        return answer
+    data = await to_thread.run_sync(_bitstream, context, job, result)
+    return Response(data, headers=headers, media_type=BITSTREAM_TYPE)
+
+
+async def preview(job: KnownJob, context: UseContext, request: Request) -> Response:
+    """A bitstream about as large as the final one, but coarser; the final one once the job is done. Profile rd updates
+    it at most once a second; the other profiles have no preview.
+    """
+    headers = {"Cache-Control": "private, no-cache"}
+    key = job.result.bitstream_key if job.result else bitstream_key(job.id, job.attempt)
+    try:
+        data = await to_thread.run_sync(context.storage.get, key)
+    except FileNotFoundError:
+        return Response(status_code=204, headers=headers)
+    headers["ETag"] = f'"{hashlib.sha256(data).hexdigest()[:32]}"'
+    return not_modified(request, headers) or Response(data, headers=headers, media_type=BITSTREAM_TYPE)
+
+
+async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: Request) -> Response:
+    """The job's image as a JPEG, WebP or AVIF of the same size as its bitstream, or up to 3 % smaller. If no quality
+    setting gives such a file, the next larger one. Of a screenshot or a drawing, WebP is lossless where that is no
+    larger, and AVIF in 4:4:4. 410 once the image has been deleted.
+    """
+    size = int(_result_of(job).stats["bytes"])
+    if max(job.image.width, job.image.height) > MAX_SIDES[kind]:
+        raise ProblemError(422, f"the picture has more than {MAX_SIDES[kind]:,} pixels per side, too many for {kind}")
+    headers = {"ETag": f'"{job.id}-rival.{kind}"', **_kept(job, context)}
+
+    async def made() -> bytes:
+        with await to_thread.run_sync(open_image, context, job) as image:
+            return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size))
+
+    return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
+
+
+def open_image(context: Context, job: Job) -> BinaryIO:
+    """The image of a job. Raises ProblemError 410 if it is kept no longer, whether or not it has been removed yet."""
+    kept_s = context.settings.source_retention_s
+    if job.finished_at is None or time.time() < job.finished_at + kept_s:
+        try:
+            return context.storage.open(source_key(job.id))
+        except FileNotFoundError:
+            if (refusal := _late(job.created_at)) is not None:
+                raise refusal from None
+    raise ProblemError(410, "the image of this job has been deleted; send it again")
+
+
+def _result_of(job: Job) -> EncodeResult:
+    """Raises ProblemError 409 with the state if the job is not done."""
+    if job.result is not None:
+        return job.result
+    detail = f"the job is {job.state}"
+    if job.state == "failed" and job.error is not None:
+        detail += f": {job.error.detail}"
+    raise ProblemError(409, detail, state=job.state)
+
+
+def _open_bitstream(context: Context, job: Job, result: EncodeResult) -> BinaryIO:
+    try:
+        return context.storage.open(result.bitstream_key)
+    except FileNotFoundError as error:
+        if context.table.get(job.id) is None:  # removed while we looked
+            raise no_such_job() from None
+        raise _late(job.finished_at) or _damaged(job, error) from error
+
+
+def _bitstream(context: Context, job: Job, result: EncodeResult) -> bytes:
+    with _open_bitstream(context, job, result) as file:
+        return file.read()
+
+
+def _late(stored_at: float | None) -> ProblemError | None:
+    """The refusal of a file that the storage lacks, if it was stored just now: a store that copies between places may
+    have it in a moment.
+    """
+    if stored_at is None or time.time() > stored_at + LATE_S:
+        return None
+    detail = "the storage does not have this file yet"
+    return ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S})
+
+
+def _damaged(job: Job, error: Exception) -> ProblemError:
+    log.error("job %s: its bitstream is damaged: %s", job.id, error)
+    return ProblemError(500, "the bitstream of this job is missing or damaged")
+
+
+def _kept(job: Job, context: Context) -> dict[str, str]:
+    """How long clients may cache the file, and how long it is kept here."""
+    expires = models.expires_at(job, context.settings)
+    return {"Cache-Control": IMMUTABLE, **({} if expires is None else {"Expires": format_datetime(expires, True)})}

@@ -1,0 +1,168 @@
+"""Every error answer is an RFC 9457 problem document."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
+
+from service.jobs.table import JobTableError
+from service.logs import log_seldom
+
+log = logging.getLogger(__name__)
+
+MEDIA_TYPE = "application/problem+json"
+METHODS = ("DELETE", "GET", "POST")  # that any route has
+PROBLEM: dict[str, Any] = {
+    "schema": {
+        "type": "object",
+        "required": ["type", "title", "status", "detail"],
+        "properties": {
+            "type": {"type": "string"},
+            "title": {"type": "string"},
+            "status": {"type": "integer"},
+            "detail": {"type": "string", "description": "one sentence"},
+        },
+    },
+    "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
+}
+RETRY_SOON_S = "5"
+# What figures and logs call a refusal, unless it has a word of its own.
+REASONS = {
+    **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
+    **{409: "state", 410: "gone", 413: "large", 415: "type", 421: "host"},
+    **{422: "invalid", 500: "fault"},
+}
+REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
+
+
+class ProblemError(Exception):
+    """An answer that refuses: HTTP status, one sentence, extra members and headers.
+
+    reason: one word of those that the code holds, and nothing that a client has chosen: there is a figure for each.
+    429 and 503 have many causes, and name theirs.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        detail: str,
+        *,
+        reason: str = "",
+        headers: Mapping[str, str] | None = None,
+        **members: Any,
+    ) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.detail = detail
+        self.reason = reason or REASONS[status]
+        self.headers = dict(headers or {})
+        self.members = members
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The statuses as responses of the OpenAPI document."""
+    return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
+
+
+def problem_document(problem: ProblemError) -> dict[str, Any]:
+    """The problem as JSON; extra members stand beside the standard ones."""
+    return {
+        "type": "about:blank",
+        "title": HTTPStatus(problem.status).phrase,
+        "status": problem.status,
+        "detail": problem.detail,
+        **problem.members,
+    }
+
+
+def problem_response(problem: ProblemError) -> JSONResponse:
+    """The problem as an answer."""
+    headers = {"Cache-Control": "no-store", **problem.headers}
+    return JSONResponse(problem_document(problem), problem.status, headers, media_type=MEDIA_TYPE)
+
+
+def refused(request: Request, problem: ProblemError) -> Response:
+    """The problem as the answer to a request, whose state then holds the reason."""
+    setattr(request.state, REFUSAL, problem.reason)
+    return problem_response(problem)
+
+
+async def _on_problem(request: Request, error: Exception) -> Response:
+    assert isinstance(error, ProblemError)
+    return refused(request, error)
+
+
+async def _on_http_exception(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    headers = dict(error.headers or {})
+    if error.status_code == 405:
+        headers["Allow"] = ", ".join(sorted(_allowed_methods(request)))
+    return refused(request, ProblemError(error.status_code, error.detail, headers=headers))
+
+
+def _allowed_methods(request: Request) -> set[str]:
+    """Methods of all routes at this path; the exception knows those of the first alone."""
+    methods: set[str] = set()
+    for method in METHODS:
+        scope = {**request.scope, "method": method}
+        if any(route.matches(scope)[0] is Match.FULL for route in request.app.routes):
+            methods.add(method)
+    if "GET" in methods and not request.url.path.endswith("/events"):
+        methods.add("HEAD")
+    return methods
+
+
+async def _on_invalid_parameters(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    if any(e["loc"][0] == "path" for e in error.errors()):
+        return refused(request, ProblemError(404, "there is nothing at this address"))
+    errors = [{"where": ".".join(map(str, e["loc"])), "detail": _in_words(e)} for e in error.errors()]
+    detail = "; ".join(f"{e['where']}: {e['detail']}" for e in errors)
+    return refused(request, ProblemError(422, detail, errors=errors))
+
+
+def _in_words(error: Mapping[str, Any]) -> str:
+    if error["type"] == "extra_forbidden":
+        return "unknown query parameter"
+    return str(error["msg"]).removeprefix("Value error, ")
+
+
+async def _on_table_unavailable(request: Request, error: Exception) -> Response:
+    log_seldom(log, "the job table is unreachable: %s", error)
+    detail = "the job table is unreachable right now"
+    return refused(request, ProblemError(503, detail, reason="table", headers={"Retry-After": RETRY_SOON_S}))
+
+
+async def _on_storage_unavailable(request: Request, error: Exception) -> Response:
+    log_seldom(log, "the storage is unreachable: %s", error)
+    detail = "the storage is unreachable right now"
+    return refused(request, ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S}))
+
+
+async def _on_disconnect(request: Request, _error: Exception) -> Response:
+    return refused(request, ProblemError(400, "the request ended before its body did", reason="cut"))
+
+
+async def _on_anything(request: Request, _error: Exception) -> Response:
+    # The server logs the traceback; the client learns nothing of the inside.
+    return refused(request, ProblemError(500, "an error of the service; it has been logged"))
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Make every error of the application a problem document."""
+    app.add_exception_handler(ProblemError, _on_problem)
+    app.add_exception_handler(HTTPException, _on_http_exception)
+    app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
+    app.add_exception_handler(JobTableError, _on_table_unavailable)
+    app.add_exception_handler(OSError, _on_storage_unavailable)
+    app.add_exception_handler(ClientDisconnect, _on_disconnect)
+    app.add_exception_handler(Exception, _on_anything)

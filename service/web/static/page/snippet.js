@@ -1,0 +1,30 @@
+// HTML that holds a picture and the decoder that draws it.
+
+import { withoutSuffix } from "./words.js";
+
+const SOURCES = ["math", "models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
+
+/** HTML that shows a picture from its .sg file, and needs no other file. The picture's name is its label. */
+export async function snippetOf(item) {
+  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/sgmethod/${name}.js`)).text()));
+  const decoder = sources
+    .join("\n")
+    .replace(/^(import|export) \{.*$/gm, "")
+    .replace(/^export /gm, "")
+    .replace(/^ *(\/\/|\/?\*).*\n/gm, "")
+    .replace(/\n\s*\n/g, "\n");
+  let binary = "";
+  for (const byte of item.sg) binary += String.fromCharCode(byte);
+  const [width, height] = item.size;
+  const id = `sg-${Math.random().toString(36).slice(2)}`; // one page may hold several
+  const name = withoutSuffix(item.name).replace(/[&<>"]/g, (letter) => `&#${letter.charCodeAt(0)};`);
+  const looks = `width="${width}" height="${height}" style="max-width: 100%; height: auto"`;
+  return `<canvas id="${id}" ${looks} role="img" aria-label="${name}"></canvas>
+<script type="module">
+${decoder}
+const file = Uint8Array.from(atob("${btoa(binary)}"), (letter) => letter.charCodeAt(0));
+const { data } = decode(file);
+document.getElementById("${id}").getContext("2d").putImageData(new ImageData(data, ${width}), 0, 0);
+</script>
+`;
+}

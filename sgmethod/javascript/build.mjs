@@ -1,0 +1,51 @@
+// Bundles src/ into the package's modules in dist/, checks their sizes, and compares what they decode: node build.mjs.
+
+import { build } from "esbuild";
+import assert from "node:assert/strict";
+import { mkdirSync, writeFileSync } from "node:fs";
+import { gzipSync } from "node:zlib";
+import { minify } from "terser";
+import { decodePreview } from "./src/preview.js";
+
+const MOST_PREVIEW = 4000; // bytes with gzip
+const MOST_ALL = 10_000;
+const SAMPLE = "xdIByWwsTlAkACGPAQBW0I8ielU25A1yzyRNnyNcrWwBow"; // with alpha
+// Properties that no user and no browser sees.
+const INTERNAL = /^(isShort|quantum|background|grey|upright|parts|payload|samples|left|top|sx|sy|dx|dy)$/;
+
+const preview = 'export { SgError, decodePreview } from "./src/preview.js";';
+const element = 'export { SgImage } from "./src/sg-img.js";';
+const decoder = 'export { decode } from "./src/decoder.js";';
+const ENTRIES = {
+  preview: { contents: preview, isWhole: false },
+  "sg-img": { contents: preview + element, isWhole: false },
+  decoder: { contents: preview + decoder, isWhole: true },
+  all: { contents: preview + element + decoder, isWhole: true },
+};
+
+mkdirSync("dist", { recursive: true });
+const sizes = {};
+for (const [name, { contents, isWhole }] of Object.entries(ENTRIES)) {
+  const bundled = await build({
+    stdin: { contents, resolveDir: process.cwd() },
+    bundle: true,
+    minify: true,
+    format: "esm",
+    target: "es2022",
+    write: false,
+    mangleProps: INTERNAL,
+    dropLabels: isWhole ? [] : ["WHOLE"],
+  });
+  const compress = { passes: 3, unsafe_arrows: true };
+  const { code } = await minify(bundled.outputFiles[0].text, { module: true, compress });
+  writeFileSync(`dist/${name}.js`, code);
+  sizes[name] = gzipSync(code, { level: 9 }).length;
+  console.log(`${name}.js: ${code.length} bytes, ${sizes[name]} with gzip`);
+}
+assert(sizes.preview <= MOST_PREVIEW && sizes.all <= MOST_ALL, "the package is larger than it may be");
+
+for (const name of Object.keys(ENTRIES)) {
+  const built = await import(`./dist/${name}.js`);
+  assert.deepEqual(built.decodePreview(SAMPLE), decodePreview(SAMPLE), `${name}.js decodes otherwise`);
+  assert.throws(() => built.decodePreview(SAMPLE.slice(0, -4)), built.SgError);
+}

@@ -1,0 +1,120 @@
+// A view of a file: docs/format.md, "Views" and "Texture".
+
+import { CELL, OCTAVES, SgError, unknown } from "./header.js";
+import { TOP_LEVEL, drawGaussians, rounded, setAlpha } from "./planes.js";
+
+export const MOST_PIXELS = 50e6;
+export const MOST_SCALE = 64; // and 1 / 64 at least
+
+/** Which part of the picture a view shows, and how large. Throws SgError. */
+function viewOf(file, scale = 1, region = null) {
+  const [x, y, w, h] = region ?? [0, 0, file.width, file.height];
+  const within = x >= 0 && y >= 0 && w >= 1 && h >= 1 && x + w <= file.width && y + h <= file.height;
+  const isScale = scale >= 1 / MOST_SCALE && scale <= MOST_SCALE;
+  if (!isScale || !within) throw new SgError("this view is not in the picture");
+  const [width, height] = [Math.max(rounded(w * scale), 1), Math.max(rounded(h * scale), 1)];
+  if (width * height > MOST_PIXELS) throw unknown("the picture is too large to be drawn here");
+  const [sx, sy] = [width / w, height / h];
+  const [left, top] = [Math.floor(x * sx) % 65536, Math.floor(y * sy) % 65536];
+  return { x, y, left, top, width, height, sx, sy, dx: left - x * sx, dy: top - y * sy };
+}
+
+/** A hash of 32 bits. */
+function mix(h) {
+  h ^= h >>> 16;
+  h = Math.imul(h, 0x7feb352d);
+  h ^= h >>> 15;
+  h = Math.imul(h, 0x846ca68b);
+  return h ^ (h >>> 16);
+}
+
+export const SIDE = 256; // samples after which noise repeats
+export const NOISE_UNITS = [2 * 34.1 * 255, 2 * 29.7 * 255]; // by octave: divides noise to a spread of 0.5 / 255
+const tables = [null, null];
+
+/** Sums of neighbours in a plane that repeats, weighted along both axes. */
+function filtered(plane, weights) {
+  const middle = weights.length >> 1;
+  const sums = (from, x, y) =>
+    from.map((_, i) =>
+      weights.reduce((sum, weight, k) => {
+        const [column, row] = [i + x * (k - middle), (i >> 8) + y * (k - middle)];
+        return sum + weight * from[SIDE * (row & (SIDE - 1)) + (column & (SIDE - 1))];
+      }, 0),
+    );
+  return sums(sums(plane, 1, 0), 0, 1);
+}
+
+/** Noise of an octave, row by row: white noise less its mean around each sample; the finest octave is smoothed. */
+export function noiseOf(octave) {
+  if (tables[octave]) return tables[octave];
+  const white = Int32Array.from({ length: SIDE * SIDE }, (_, i) => {
+    const row = i >> 8;
+    return ((mix((i & (SIDE - 1)) + mix(mix(1) + (row >> 2))) >>> (8 * (row & 3))) & 255) - 128;
+  });
+  const mean = filtered(white, octave ? [1, 2, 1] : [1, 4, 6, 4, 1]);
+  const detail = white.map((value, i) => (octave ? 16 : 256) * value - mean[i]);
+  const noise = octave
+    ? detail.map((value) => (value + 16) >> 5)
+    : filtered(detail, [1, 6, 1]).map((value) => (value + 8192) >> 14);
+  return (tables[octave] = Int8Array.from(noise));
+}
+
+/** The two neighbouring cells of a position, and the fraction between them. */
+function between(place, cells) {
+  const at = Math.min(Math.max(place / CELL - 0.5, 0), cells - 1);
+  const low = Math.floor(at);
+  return [low, Math.min(low + 1, cells - 1), at - low];
+}
+
+/** Add an octave's noise to a level of a view, as strong as its codes say. */
+function addTexture(plane, texture, octave, level, { sx, sy, dx, dy }, gain) {
+  const { columns, rows } = texture;
+  const strengths = Float64Array.from(texture.octaves[octave], (code) =>
+    code === 0 ? 0 : (255 * gain * 2 ** ((code - 1) / 2)) / NOISE_UNITS[octave],
+  );
+  const side = 2 ** level;
+  const table = noiseOf(octave);
+  const across = Array.from({ length: plane.width }, (_, i) =>
+    between(((plane.left + i + 0.5) * side - dx) / sx, columns),
+  );
+  for (let j = 0, at = 0; j < plane.height; j++) {
+    const down = ((plane.top + j + 0.5) * side - dy) / sy;
+    const [above, below, share] = between(down, rows);
+    const row = SIDE * ((plane.top + j) & (SIDE - 1));
+    for (let i = 0; i < plane.width; i++, at += 3) {
+      const [left, right, part] = across[i];
+      const along = (r) => strengths[r * columns + left] * (1 - part) + strengths[r * columns + right] * part;
+      const strength = along(above) * (1 - share) + along(below) * share;
+      if (strength === 0) continue;
+      const value = table[row + ((plane.left + i) & (SIDE - 1))] * strength;
+      for (let c = 0; c < 3; c++) plane.samples[at + c] += value;
+    }
+  }
+}
+
+/** The level of a view on which each octave is drawn, and its gain; octaves finer than the view are left out. */
+export function octavesOf({ sx, sy }) {
+  const n = Math.floor(Math.log2(2 * sx * sy) / 2);
+  const found = [];
+  for (let octave = 0; octave < OCTAVES; octave++) {
+    const level = octave + n;
+    if (level >= 0 && level <= TOP_LEVEL) found.push({ octave, level, gain: n < 0 && level === 0 ? 0.75 : 1 });
+  }
+  return found;
+}
+
+/** The first `count` Gaussians of a file as a picture: { width, height, data }, RGBA of 8 bits. Throws SgError. */
+export function draw(file, { scale = 1, region = null, count = file.count, texture = true } = {}) {
+  const view = viewOf(file, scale, region);
+  const octaves = texture && file.texture ? octavesOf(view) : [];
+  const top = Math.max(...octaves.map(({ level }) => level), 0);
+  const gaussians = Array.from({ length: count }, (_, i) => file.values.subarray(8 * i, 8 * i + 8));
+  const data = drawGaussians(gaussians, file.background, view, top, (plane, level) => {
+    for (const drawn of octaves) {
+      if (drawn.level === level) addTexture(plane, file.texture, drawn.octave, level, view, drawn.gain);
+    }
+  });
+  if (file.alpha) setAlpha(data, draw(file.alpha, { scale, region }).data);
+  return { width: view.width, height: view.height, data };
+}

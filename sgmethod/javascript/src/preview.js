@@ -1,0 +1,28 @@
+// Pictures of a few hundred bytes, from their text: docs/format.md, "A file as text".
+
+import { readHeader, refuseUnless } from "./header.js";
+import { readGaussians } from "./payload.js";
+import { drawGaussians, rounded, setAlpha } from "./planes.js";
+
+export { SgError } from "./header.js";
+
+/** The picture that a text holds, `size` pixels along its longer side: an ImageData, or in Node an object like it.
+ * Throws an Error for a text that holds none. */
+export function decodePreview(text, size = 256) {
+  const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
+  const bytes = Uint8Array.from(`\xd3${binary}`, (letter) => letter.charCodeAt(0));
+  // Version 2, short, without texture.
+  refuseUnless(bytes[1] === 0xc2 && (bytes[2] & 160) === 128, "it is no preview");
+  const header = readHeader(bytes);
+  const sides = [header.width, header.height];
+  const [width, height] = sides.map((side) => Math.max(rounded((side * size) / Math.max(...sides)), 1));
+  const view = { left: 0, top: 0, width, height, sx: width / header.width, sy: height / header.height, dx: 0, dy: 0 };
+  const pixels = (of) => {
+    const gaussians = [];
+    readGaussians(of, of.payload, (values) => values && gaussians.push(values));
+    return drawGaussians(gaussians, of.background, view);
+  };
+  const data = pixels(header);
+  if (header.alpha) setAlpha(data, pixels(header.alpha));
+  return globalThis.ImageData ? new ImageData(data, width) : { width, height, data };
+}

@@ -1,0 +1,148 @@
+// <sg-img preview="wo0a..."><img src="photo.avif" width height></sg-img>: draws the preview over the photograph, and
+// fades it out once that has loaded. Without an <img> within, src, alt and so on on the element itself work as on one.
+// All that is drawn is in the element's shadow tree: nothing is written to the page's own elements.
+
+import { decodePreview } from "./preview.js";
+
+const SLICE_MS = 8; // of drawing at a time, so that a page of many stays responsive
+const FADE_MS = 300;
+// Properties of an <img>; in lower case, its attributes.
+const OF_IMG = "loading decoding fetchPriority crossOrigin referrerPolicy alt width height sizes srcset src".split(" ");
+const SHADOW_STYLE = `
+:host { display: block; overflow: hidden; object-fit: cover }
+:host([hidden]), [hidden] { display: none }
+div { display: grid; grid: minmax(0, 1fr) / minmax(0, 1fr); position: relative; height: 100% }
+img, canvas, ::slotted(*) { grid-area: 1 / 1; width: 100%; height: 100% }
+div, slot, img, canvas, ::slotted(*) { object-fit: inherit; object-position: inherit }
+::slotted(picture) { display: contents }
+canvas { position: absolute; pointer-events: none }
+@media print { canvas { display: none } }`;
+// For what ::slotted() does not reach. The page's own rules win, since they are in no layer.
+const PAGE_STYLE = `@layer { sg-img > picture > img {
+  grid-area: 1 / 1; width: 100%; height: 100%; object-fit: inherit; object-position: inherit } }`;
+
+const waiting = new Set(); // elements' turns to draw, in order
+const sheets = new WeakMap(); // by document, since a style sheet belongs to one
+
+function later(turn) {
+  waiting.add(turn);
+  if (waiting.size === 1) setTimeout(takeTurns);
+}
+
+function takeTurns() {
+  const until = performance.now() + SLICE_MS;
+  for (const turn of waiting) {
+    turn();
+    waiting.delete(turn);
+    if (performance.now() > until) break;
+  }
+  if (waiting.size) setTimeout(takeTurns);
+}
+
+function sheetsOf(page) {
+  if (!sheets.has(page)) {
+    const { CSSStyleSheet } = page.defaultView;
+    const made = [SHADOW_STYLE, PAGE_STYLE].map((text) => {
+      const sheet = new CSSStyleSheet();
+      sheet.replaceSync(text);
+      return sheet;
+    });
+    sheets.set(page, made);
+  }
+  return sheets.get(page);
+}
+
+export class SgImage extends (globalThis.HTMLElement ?? Object) {
+  static observedAttributes = ["preview", ...OF_IMG.map((name) => name.toLowerCase())];
+  #own = document.createElement("img");
+  #frame = document.createElement("div");
+  #canvas = null; // shows the preview until the photograph is there
+  #drawn = null; // the text of that preview
+
+  static {
+    for (const name of ["preview", ...OF_IMG]) {
+      Object.defineProperty(this.prototype, name, {
+        configurable: true,
+        enumerable: true,
+        get() {
+          return name === "preview" ? (this.getAttribute(name) ?? "") : this.#img[name];
+        },
+        set(value) {
+          if (value == null) this.removeAttribute(name);
+          else this.setAttribute(name, value);
+        },
+      });
+    }
+  }
+
+  constructor() {
+    super();
+    Object.assign(this.#own, { part: "img", loading: "lazy", decoding: "async" });
+    const slot = document.createElement("slot");
+    this.#frame.append(slot, this.#own);
+    const root = this.attachShadow({ mode: "open" });
+    root.append(this.#frame);
+    const decoded = () => this.#img.decode().then(this.#update, this.#update);
+    root.addEventListener("load", decoded, true); // of an <img> of the page too
+    slot.addEventListener("slotchange", () => later(this.#update)); // the parser brings an <img> later
+  }
+
+  connectedCallback() {
+    for (const name of ["preview", ...OF_IMG]) {
+      if (!Object.hasOwn(this, name)) continue;
+      const value = this[name]; // set before this module had loaded
+      delete this[name];
+      this[name] = value;
+    }
+    const [shadowSheet, pageSheet] = sheetsOf(this.ownerDocument);
+    this.shadowRoot.adoptedStyleSheets = [shadowSheet];
+    const page = this.getRootNode();
+    if (!page.adoptedStyleSheets.includes(pageSheet)) page.adoptedStyleSheets.push(pageSheet);
+    later(this.#update);
+  }
+
+  attributeChangedCallback(name, _, value) {
+    if (name === "preview") later(this.#update);
+    else if (this.#img !== this.#own) return;
+    else if (value === null) this.#own.removeAttribute(name);
+    else this.#own.setAttribute(name, value);
+  }
+
+  get #img() {
+    return this.querySelector("img") ?? this.#own;
+  }
+
+  /** Bring the preview in line with the photograph, whatever has happened to either. */
+  #update = () => {
+    if (!this.isConnected) return;
+    const [img, text] = [this.#img, this.preview];
+    this.#own.hidden = img !== this.#own;
+    if (!text || (img.complete && img.naturalWidth)) return this.#uncover();
+    if (text === this.#drawn) return;
+    try {
+      const preview = decodePreview(text);
+      const canvas = document.createElement("canvas");
+      [canvas.width, canvas.height] = [preview.width, preview.height];
+      canvas.getContext("2d").putImageData(preview, 0, 0);
+      // The canvas reserves the space if the photograph does not.
+      if (!img.hasAttribute("width") || !img.hasAttribute("height")) canvas.style.position = "static";
+      this.#canvas?.remove();
+      this.#frame.append(canvas);
+      [this.#canvas, this.#drawn] = [canvas, text];
+    } catch (error) {
+      this.#uncover();
+      console.warn("sg-img has no preview:", error.message, this);
+    }
+  };
+
+  #uncover() {
+    const canvas = this.#canvas;
+    this.#canvas = this.#drawn = null;
+    if (!canvas) return;
+    canvas.style.opacity = 0; // also if the animation is cancelled
+    const duration = matchMedia("(prefers-reduced-motion: reduce)").matches ? 0 : FADE_MS;
+    canvas.animate([{ opacity: 1 }, { opacity: 0 }], duration).onfinish = () => canvas.remove();
+  }
+}
+
+if (globalThis.customElements && !customElements.get("sg-img")) customElements.define("sg-img", SgImage);

@@ -1,0 +1,29 @@
+export * from "./preview.js";
+
+type ImgProperty =
+  | "loading"
+  | "decoding"
+  | "fetchPriority"
+  | "crossOrigin"
+  | "referrerPolicy"
+  | "alt"
+  | "width"
+  | "height"
+  | "sizes"
+  | "srcset"
+  | "src";
+
+/** <sg-img>: draws a preview over the <img> within, or over one of its own, until that has loaded. Importing the module
+ * defines it. */
+export class SgImage extends HTMLElement {
+  /** What `sgmethod preview` prints. */
+  preview: string;
+}
+/** As on an <img>. Setting them sets attributes of the element, which hold without an <img> within. */
+export interface SgImage extends Pick<HTMLImageElement, ImgProperty> {}
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "sg-img": SgImage;
+  }
+}

@@ -1,0 +1,60 @@
+"""Files of a caller's pictures in a folder that has a manifest."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sized
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from sgmethod.errors import SgError
+from sgmethod.io.files import checked_path, write_atomically
+from sgmethod.io.inputs import Input
+from sgmethod.many.manifest import Manifest, Row
+from sgmethod.many.run import Finished, OnRow, Run, Tally, Task
+
+MAX_JOBS = 256
+Item = str | os.PathLike[str] | tuple[str, Input]
+Made = tuple[bytes, Mapping[str, Any], list[str]]  # a file, its figures, what was dropped from the picture
+
+
+def into_folder(
+    items: Iterable[Item],
+    output_dir: str | os.PathLike[str],
+    options: Mapping[str, object],
+    finish: Callable[[Path, Iterator[Task[Row]]], Finished[Row]],
+    resume: bool,
+    on_row: OnRow[Row] | None,
+) -> Tally:
+    """Make files of pictures in a folder that has a manifest.
+
+    options: everything besides the pictures that decides the files; finish: writes the files of tasks into a folder.
+    Raises SgError and OSError, as encode_many() does.
+    """
+    folder = checked_path(output_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    with Manifest(folder, options) as manifest:
+        run = Run[Row](manifest, resume, len(items) if isinstance(items, Sized) else None)
+        return run.finish(finish(folder, run.rest(_tasks(items))), on_row)
+
+
+def _tasks(items: Iterable[Item]) -> Iterator[Task[Row]]:
+    """Yield a task for each picture. Raises SgError for a name that is invalid or used twice."""
+    names = set()
+    for item in items:
+        name, picture = item if isinstance(item, tuple) else (checked_path(item).stem, item)
+        if not isinstance(name, str) or not name or checked_path(name).name != name:
+            raise SgError(f"the name of a picture must be a file name without folders, got {name!r}")
+        if name in names:
+            raise SgError(f"two pictures are named {name!r}: give other names, as pairs (name, picture)")
+        names.add(name)
+        path = os.fsdecode(picture) if isinstance(picture, str | os.PathLike) else None
+        yield Task(picture, Row(f"{name}.sg", path))
+
+
+def written(make: Callable[[Any], Made], folder: Path, task: Task[Row]) -> Row:
+    """Make a picture's file and write it into the folder."""
+    data, figures, notes = make(task.picture)
+    write_atomically(folder / task.row.name, data)
+    return replace(task.row, bytes=len(data), figures=figures, notes=notes)

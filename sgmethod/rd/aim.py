@@ -1,0 +1,189 @@
+"""Rate control for a quality to reach in as few bytes as possible: a PSNR, or looks."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from sgmethod.backend.protocol import NO_LIMIT
+from sgmethod.bitstream.texture import Codes
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, quantum_code
+from sgmethod.budget import MAX_PSNR_DB
+from sgmethod.errors import BudgetError
+from sgmethod.metrics.looks import SMALLEST_SIDE
+from sgmethod.rd.rate_control import Coded, Fitted, Measured, RateControl, looks_db
+from sgmethod.settings.rd import RdSettings, Times
+
+
+@dataclass(frozen=True)
+class Aim(RateControl, ABC):
+    """Rate control for a quality of aim_db.
+
+    tries: limit on the files with different quanta; steering_limit: largest factor by which the quantum changes at one
+    time; refined_db: quality that refining will add; below_best_db: distance below the best try that will do if the aim
+    is out of reach; round_slack_db: a smaller miss is not worth another round.
+    """
+
+    aim_db: float = 0.0
+    tries: int = 1
+    steering_limit: float = 1.0
+    refined_db: float = 0.0
+    below_best_db: float = 0.0
+    round_slack_db: float = 0.0
+
+    @abstractmethod
+    def reached(self, picture: Measured) -> float:
+        """Measure the quality of a picture in dB."""
+
+    def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
+        """Steer towards the quality; early in the growth, a larger error than the final one is right."""
+        if at < times.steering_from:
+            return quantum
+        s = self.settings.rate
+        missing = max(1 - (at - times.steering_from) / (times.early_until - times.steering_from), 0)
+        above = self.reached(fitted) - self.aim_db + self.refined_db
+        exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
+        ratio = 2 ** ((above + times.early_db * missing) / s.db_per_doubling * exponent)
+        # If rounding loses next to nothing, a finer quantum cannot add what is missing.
+        if ratio < 1 and at > times.growth_at[-1] and fitted.lost_db < min(s.missed_db, -above):
+            return quantum
+        return float(quantum * min(max(ratio, 1 / self.steering_limit), self.steering_limit))
+
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
+        return quantum
+
+    def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
+        """Return the one that should just reach the quality, unless it was tried."""
+        found = self._nearer(tried) if len(tried) < self.tries else None
+        known = {quantum_code(one.stream.quantum) for one in tried}
+        return None if found is None or quantum_code(found) in known else found
+
+    def chosen(self, tried: Sequence[Coded]) -> Coded:
+        """Choose the best file for the quality that is within reach."""
+        return replace(self, aim_db=self._reachable(tried)).best(tried)
+
+    def relaxed_bytes(self, coded: Coded) -> int:
+        """Size at which a file that is better than asked should have about the quality asked for."""
+        s = self.settings.refine
+        above = self.reached(coded) - self.aim_db
+        if above < 0:
+            return NO_LIMIT
+        return int(coded.size * (1 - s.relaxed_gain - min(s.size_per_db * above, s.most_spared)))
+
+    def is_missed(self, files: Iterable[Coded]) -> bool:
+        return max(map(self.reached, files)) < self.aim_db - self.round_slack_db
+
+    def merit(self, coded: Coded) -> tuple[float, float]:
+        """Quality up to the one asked for, then size."""
+        return min(self.reached(coded), self.aim_db), -coded.size
+
+    def raised(self, by_db: float) -> Aim:
+        """Return the same with an aim that is higher by this and a little more."""
+        return replace(self, aim_db=min(self.aim_db + by_db + self.settings.rate.slack_db / 2, MAX_PSNR_DB))
+
+    def _reachable(self, tried: Sequence[Coded]) -> float:
+        """Quality to aim at, in dB: about that of the best try, if a finer quantum hardly helps any more."""
+        s, reached = self.settings.rate, self.reached
+        best = max(map(reached, tried))
+        if len(tried) < 2 or best >= self.aim_db:
+            return self.aim_db
+        finest, finer = sorted(tried, key=lambda one: one.stream.quantum)[:2]
+        octaves = math.log2(finer.stream.quantum / finest.stream.quantum)
+        if reached(finest) - reached(finer) >= s.least_gain * s.db_per_doubling * octaves:
+            return self.aim_db
+        return best - self.below_best_db
+
+    def _nearer(self, tried: Sequence[Coded]) -> float | None:
+        """Quantum at which the line through the two nearest tries reaches the aim, or a little more."""
+        s, aim = self.settings.rate, self._reachable(tried)
+        above = [self.reached(one) - aim for one in tried]
+        if 0 <= above[-1] <= s.slack_db:
+            return None
+        slope = -s.db_per_doubling
+        points = ((math.log2(one.stream.quantum), y) for one, y in zip(tried, above, strict=True))
+        (x, y), *others = sorted(points, key=lambda point: abs(point[1]))
+        if others and others[0][0] != x:
+            x1, y1 = others[0]
+            slope = min(max((y1 - y) / (x1 - x), 2 * slope), slope / 4)
+        # Near the aim, chance decides, so each near miss asks for a little more.
+        near_misses = sum(-s.slack_db < y < 0 for y in above)
+        at = x + (0.4 * (1 + near_misses) * s.slack_db - y) / slope
+        return float(2 ** min(max(at, math.log2(MIN_QUANTUM)), math.log2(MAX_QUANTUM)))
+
+
+@dataclass(frozen=True)
+class PsnrAim(Aim):
+    """Rate control for a PSNR to reach."""
+
+    @classmethod
+    def of(cls, psnr: float, pixels: int, settings: RdSettings) -> PsnrAim:
+        """Create the aim for a picture of `pixels` pixels, with about the quantum that a photograph needs."""
+        s = settings.rate
+        quantum = min(0.1 * 2 ** ((34 - psnr) / s.db_per_doubling), s.coarsest_of_aim)
+        return cls(
+            settings,
+            pixels,
+            quantum,
+            further_rounds=settings.schedule.rounds_for_psnr,
+            aim_db=psnr,
+            tries=s.aim_tries,
+            steering_limit=s.steering_limit,
+            below_best_db=s.missed_db,
+        )
+
+    def reached(self, picture: Measured) -> float:
+        """PSNR in dB."""
+        return picture.psnr
+
+    def allows(self, psnr: Callable[[], float]) -> bool:
+        """Whether about the PSNR is left: after growth, no Gaussian would come back."""
+        return psnr() >= self.aim_db - self.settings.prune.missed_db
+
+
+@dataclass(frozen=True)
+class LooksAim(Aim):
+    """Rate control for a SSIMULACRA 2 to reach, as looks_db() counts it."""
+
+    @classmethod
+    def of(cls, looks: float, size: tuple[int, int], settings: RdSettings) -> LooksAim:
+        """Create the aim for a picture of size (width, height), with about the quantum that a photograph needs.
+
+        Raises BudgetError for sides that are too small for SSIMULACRA 2.
+        """
+        if min(size) < SMALLEST_SIDE:
+            raise BudgetError(f"looks are undefined for sides below {SMALLEST_SIDE} pixels")
+        s, aim = settings.rate, looks_db(looks)
+        known, quantum = s.looks_quantum
+        quantum *= 2 ** ((looks_db(known) - aim) / s.db_per_doubling)
+        if min(size) < s.looks_small[0]:
+            quantum *= s.looks_small[1]
+        return cls(
+            settings,
+            size[0] * size[1],
+            min(quantum, s.coarsest_of_aim),
+            further_rounds=settings.schedule.rounds_for_looks,
+            aim_db=aim,
+            tries=s.looks_tries,
+            steering_limit=s.looks_limit,
+            refined_db=s.looks_refined_db if settings.effort.refine_sweeps else 0.0,
+            round_slack_db=s.slack_db,
+        )
+
+    def reached(self, picture: Measured) -> float:
+        """SSIMULACRA 2, as looks_db() counts it."""
+        return picture.looks_db
+
+    def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
+        """Steer seldom: measuring looks takes as long as steps."""
+        return super().steered(quantum, times, at, fitted) if at in times.looks_at else quantum
+
+    def affords(self, texture: Codes) -> bool:
+        """Never: SSIMULACRA 2 counts texture as an error."""
+        return False
+
+    def finer(self, quantum: float, files: Iterable[Coded]) -> float:
+        """Return the quantum for a further round, given the files that missed the looks."""
+        s, reached = self.settings.rate, max(map(self.reached, files))
+        return float(quantum * max(2 ** ((reached - self.aim_db) / s.db_per_doubling), 1 / s.looks_limit))

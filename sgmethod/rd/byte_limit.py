@@ -1,0 +1,109 @@
+"""Rate control of a budget of bytes, which is never exceeded."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from sgmethod.bitstream.texture import Codes, pack
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM, SHORT_BYTES, SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
+from sgmethod.errors import BudgetError
+from sgmethod.rd.rate_control import Coded, Fitted, RateControl, excess
+from sgmethod.settings.rd import RdSettings, Times
+
+LONG_FILE = 32  # bytes that certainly hold a header that is not short, with alpha
+
+
+@dataclass(frozen=True)
+class ByteLimit(RateControl):
+    """Rate control for a file of at most max_bytes whose quantum is fixed."""
+
+    max_bytes: int = 0
+
+    def expected_gaussians(self) -> int:
+        """The quantum's number, if there are bytes for it."""
+        return min(super().expected_gaussians(), max(self._gaussians_by_size(), 1))
+
+    def _gaussians_by_size(self) -> int:
+        return int(8 * self.max_bytes / self.settings.rate.bits_per_gaussian)
+
+    def most_gaussians(self, settings: RdSettings, times: Times, at: float) -> int:
+        """Several times the expected number: some take few bits."""
+        return min(self.pixels, int(settings.densify.most * self.expected_gaussians()))
+
+    def payload_limit(self, empty: StreamV2) -> int:
+        return max(self.max_bytes - empty.file_bytes, 0)
+
+    def affords(self, texture: Codes) -> bool:
+        """Whether a texture's bytes are a small part of the budget."""
+        return len(pack(texture)) <= self.settings.objective.texture.share * self.max_bytes
+
+    def merit(self, coded: Coded) -> tuple[float, float]:
+        return -coded.error, -coded.size
+
+
+@dataclass(frozen=True)
+class ByteBudget(ByteLimit):
+    """Rate control for a budget of bytes: the quantum is steered so that the file uses them."""
+
+    @classmethod
+    def of(cls, max_bytes: int, pixels: int, settings: RdSettings, *, has_alpha: bool) -> ByteBudget:
+        """Create the budget for a picture of `pixels` pixels. Raises BudgetError if no file is as small."""
+        least = SMALLEST_FILE + has_alpha * SMALLEST_ALPHA
+        if max_bytes < least:
+            kind = "a file with alpha" if has_alpha else "a file of profile rd"
+            raise BudgetError(f"{kind} takes at least {least} bytes, the budget is {max_bytes}")
+        return cls(settings, pixels, 0.0, is_short=max_bytes <= SHORT_BYTES).for_bytes(max_bytes)
+
+    def for_bytes(self, max_bytes: int) -> ByteBudget:
+        """Return the same for another number of bytes, at most as many as a file can use."""
+        max_bytes = min(max_bytes, SMALLEST_FILE + self.settings.rate.most_bytes * self.pixels)
+        bits, s = 8 * max_bytes, self.settings
+        # Of a picture with more pixels than its Gaussians need, reduced to as many. Quanta grow with a picture's side.
+        pixels = min(self.pixels, s.pyramid.pixels_per_gaussian * bits / s.rate.bits_per_gaussian)
+        quantum = 0.15 * (0.25 * pixels / bits) ** 1.1 * math.sqrt(self.pixels / pixels)
+        return replace(self, quantum=quantum, max_bytes=max_bytes)
+
+    def for_exact_background(self) -> ByteBudget:
+        """Return the same for a file that keeps all bits of its background, if the budget has the bytes for that."""
+        return replace(self, is_short=self.max_bytes < LONG_FILE)
+
+    def expected_gaussians(self) -> int:
+        return max(min(self._gaussians_by_size(), self.pixels), 1)
+
+    def steered(self, quantum: float, times: Times, at: float, fitted: Fitted) -> float:
+        """Steer towards the whole size, and a surplus early.
+
+        Few Gaussians are served well by the fine steps that this means. Later there are more than can stay, and those
+        that gain least for their bits go.
+        """
+        s = self.settings.rate
+        if at < times.steering_from:
+            return quantum
+        exponent = s.steering_exponent if at in times.growth_at else s.trim_exponent
+        ratio: float = (fitted.file_bytes / (self.max_bytes * excess(times, at))) ** exponent
+        return quantum * min(max(ratio, 1 / s.steering_limit), s.steering_limit)
+
+    def first_quantum(self, quantum: float, payload: Callable[[float], int], limit: int) -> float:
+        """Bisect for the finest quantum at which all Gaussians fit. If even the coarsest fails, refining drops some."""
+        low, high = math.log(0.8 * quantum), math.log(1.02 * quantum)
+        while payload(math.exp(high)) > limit and high < math.log(MAX_QUANTUM):
+            low, high = high, high + math.log(2)
+        while payload(math.exp(low)) < limit and low > math.log(MIN_QUANTUM):
+            low, high = low - math.log(2), low
+        for _ in range(8):
+            middle = (low + high) / 2
+            low, high = (low, middle) if payload(math.exp(middle)) <= limit else (middle, high)
+        return math.exp(high)
+
+    def next_quantum(self, tried: Sequence[Coded], limit: int, size_tries: int) -> float | None:
+        """Return a finer one while bytes are left: refining saves a percent or, after a short fit, a fifth."""
+        s, last = self.settings.rate, tried[-1]
+        used = last.size / max(limit, 1)
+        if len(tried) > size_tries or used >= s.least_used or used == 0:
+            return None
+        return last.stream.quantum * float(used**s.quantum_per_size)
+
+    def is_cut_short(self, size: int, limit: int) -> bool:
+        return size > self.settings.rate.far_from_size * limit

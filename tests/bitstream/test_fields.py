@@ -1,0 +1,113 @@
+"""Headers: what Python reads and writes, and the same tables in the text and in JavaScript."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from sgmethod import BitstreamError
+from sgmethod.bitstream import v1, v2
+from sgmethod.bitstream.fields import BitField, BitReader, Field, Header, write_bits
+from sgmethod.bitstream.stream import SIGNATURE_BYTES
+from tests.bitstream.test_format_v1 import table
+from tests.harness.data import JAVASCRIPT
+
+pytestmark = pytest.mark.thorough
+
+HEADERS = (v1.HEADER, v1.GROUP)
+BIT_FIELDS = (*v2.HEADER, *v2.ALPHA_HEADER)
+EVERY = [(header, field) for header in HEADERS for field in header.fields]
+SCRIPT = (JAVASCRIPT / "header.js").read_text()
+
+
+def least(header: Header) -> dict[str, int]:
+    return {field.name: field.low for field in header.fields}
+
+
+@pytest.mark.parametrize(("header", "field"), EVERY)
+def test_a_field_is_read_as_it_was_written(header: Header, field: Field) -> None:
+    for value in {field.low, field.low + 1, field.high - 1, field.high}:
+        data = header.write({**least(header), field.name: value})
+        assert len(data) == header.size
+        assert header.read(data + b"more") == {**least(header), field.name: value}
+        with pytest.raises(BitstreamError, match="truncated in"):
+            header.read(data[:-1])
+
+
+@pytest.mark.parametrize(("header", "field"), EVERY)
+def test_a_value_outside_of_its_range_is_refused(header: Header, field: Field) -> None:
+    at = sum(before.bytes for before in header.fields[: header.fields.index(field)])
+    most = 256**field.bytes - 1
+    beyond = {value for value in (0, field.low - 1, field.high + 1, most) if 0 <= value <= most}
+    for value in beyond - {field.low, field.high}:
+        with pytest.raises(ValueError, match=f"{field.name} = {value} is outside"):
+            header.write({**least(header), field.name: value})
+        data = header.write(least(header))
+        data = data[:at] + value.to_bytes(field.bytes, "big") + data[at + field.bytes :]
+        with pytest.raises(BitstreamError, match=f"{field.name} is {value}, outside"):
+            header.read(data)
+
+
+@pytest.mark.parametrize(
+    ("section", "header", "offset"),
+    [
+        ("## Header of version 1", v1.HEADER, SIGNATURE_BYTES),
+        ("## Group list", v1.GROUP, 0),
+    ],
+)
+def test_the_text_has_the_table(section: str, header: Header, offset: int) -> None:
+    rows = table(section)
+    assert len(rows) == len(header.fields)
+    for row, field in zip(rows, header.fields, strict=True):
+        assert (int(row["offset"]), int(row["size"]), row["field"]) == (offset, field.bytes, field.name)
+        assert row["range"] == field.range
+        offset += field.bytes
+
+
+@pytest.mark.parametrize("is_short", [False, True])
+@pytest.mark.parametrize("field", BIT_FIELDS, ids=lambda field: field.name)
+def test_bits_are_read_as_they_were_written(field: BitField, is_short: bool) -> None:
+    held = [value for value in range(field.low, min(field.high, 70_000) + 1) if field.allows(value, is_short)]
+    if not field.grows:
+        assert len(held) == 2 ** (field.short_bits if is_short else field.bits)
+    ones = BitField("ones", 3, 3)
+    for value in [*held[:: max(len(held) // 50, 1)], field.high]:
+        data = write_bits([(ones, 7), (field, value), (ones, 7)], is_short)
+        reader = BitReader(data + b"more")
+        assert list(reader.read([ones, field, ones], is_short)) == [7, value, 7]
+        assert reader.end() == len(data)
+        with pytest.raises(BitstreamError, match="ends within"):
+            list(BitReader(data[:-1]).read([ones, field, ones], is_short))
+    for value in {field.low - 1, field.high + 1, *({1} if is_short and field.bits > field.short_bits else set())}:
+        with pytest.raises(ValueError, match=f"cannot hold {field.name} = {value}"):
+            write_bits([(field, value)], is_short)
+
+
+def test_the_text_has_the_tables_of_bits() -> None:
+    for line, header in (
+        ("## Header", v2.HEADER),
+        ("If there is alpha, its fields follow at once:", v2.ALPHA_HEADER),
+    ):
+        rows = [(row["field"], row["bits"], row["in a short file"]) for row in table(line)]
+        for (name, bits, short), field in zip(rows, header, strict=True):
+            more = " + n" if field.grows else ""
+            assert (name, bits, short) == (field.name, f"{field.bits}{more}", f"{field.short_bits}{more}")
+    meaning = table("## Header")[0]["meaning"]
+    flags = {v2.FLAG_GREY: "grey", v2.FLAG_UPRIGHT: "upright", v2.FLAG_TEXTURE: "texture"}
+    for flag, word in {**flags, v2.FLAG_ALPHA: "alpha", v2.FLAG_SHORT: "short"}.items():
+        assert f"{flag}: {word}" in meaning
+
+
+def test_javascript_has_the_tables() -> None:
+    """Those of version 2, the only one that it reads."""
+    for name, header in {"HEADER": v2.HEADER, "ALPHA_HEADER": v2.ALPHA_HEADER}.items():
+        part = SCRIPT.split(f"const {name} = [\n", 1)[1].split("];", 1)[0]
+        rows = re.findall(r"\[(\d+), (\d+), (true|false)\], // (\w+)", part)
+        found = tuple(BitField(said, int(bits), int(short), more == "true") for bits, short, more, said in rows)
+        assert found == header
+    flags = {"GREY": v2.FLAG_GREY, "UPRIGHT": v2.FLAG_UPRIGHT, "TEXTURE": v2.FLAG_TEXTURE}
+    for name, flag in {**flags, "ALPHA": v2.FLAG_ALPHA}.items():
+        assert f"const {name} = {flag};" in SCRIPT
+    assert v2.FLAG_SHORT << 3 == 128  # it looks at the whole byte
+    assert "isShort = bytes[2] > 127;" in SCRIPT

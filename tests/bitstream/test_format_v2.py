@@ -1,0 +1,316 @@
+"""Version 2 in docs/format.md against the code, a decoder written from it alone against ours, and pinned bytes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sgmethod import BitstreamError, decode, encode
+from sgmethod.bitstream import container
+from sgmethod.bitstream.stream import Limits
+from sgmethod.bitstream.texture import Codes, cells, pack
+from sgmethod.bitstream.v2 import (
+    MIN_QUANTUM,
+    SMALLEST_ALPHA,
+    SMALLEST_FILE,
+    StreamV2,
+    alpha_bytes,
+    coded_background,
+)
+from sgmethod.native import native
+from sgmethod.scene import Gaussians
+from sgmethod.view import MAX_COORDINATE, MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, View, variance
+from tests.bitstream import plain_decoder_v2
+from tests.bitstream.plain_decoder_v2 import Gaussian, Header, RefusedError
+from tests.bitstream.test_format_v1 import MAX_LEVELS, MAX_SHARE, TEXT, table
+from tests.harness.data import ROOT, damaged, golden, with_checksum
+
+GOLDEN = golden(2)
+NATIVE = ROOT / "sgmethod" / "native"
+NOTHING = Gaussians(*(np.zeros((0, n), np.float32) for n in (2, 3, 3)))
+PARTS = (0.01, 0.1, 0.25, 0.5, 0.77, 0.99)
+DRAWN = sorted(GOLDEN.keys() - {"v2-busy"})  # which the plain decoder would draw for a minute
+VIEWED = sorted({*DRAWN} - {"v2-long"})  # of which one sample of 912 differs at 0.4: more than MAX_SHARE
+
+
+def rows(gaussians: Gaussians) -> list[Gaussian]:
+    return [(*m, *f, tuple(c)) for m, f, c in zip(*(a.tolist() for a in gaussians.arrays), strict=True)]
+
+
+def assert_same_pixels(plain: tuple[int, int, bytes], pixels: np.ndarray) -> None:
+    width, height, samples = plain
+    assert pixels.shape == (height, width, len(samples) // (height * width))
+    difference = np.abs(np.frombuffer(samples, np.uint8).reshape(pixels.shape).astype(int) - pixels)
+    assert difference.max() <= MAX_LEVELS
+    assert np.mean(difference > 0) < MAX_SHARE
+
+
+def number_of(value: str) -> float:
+    base, _, exponent = value.partition("^")
+    return float(base) ** float(exponent or 1)
+
+
+def test_the_constants_are_the_codes() -> None:
+    """The text's table, the plain decoder's constants and the kernels'."""
+    plain = plain_decoder_v2
+    of = {row["name"]: row["value"] for row in table("These constants appear below:")}
+    said = {name: number_of(value) for name, value in of.items()}
+    assert said == {
+        "most colour": plain.MOST_COLOUR,
+        "most exponent": plain.MOST_EXPONENT,
+        "most u bits": plain.MOST_U_BITS,
+        "most part bits": plain.MOST_PART_BITS,
+        "most raw bits": plain.MOST_RAW_BITS,
+        "most V": plain.MOST_V,
+        "most R": plain.MOST_R,
+        "least colour step": plain.LEAST_COLOUR_STEP,
+        "narrowest": plain.NARROWEST,
+        "top level": plain.TOP_LEVEL,
+        "octaves": plain.OCTAVES,
+        "cell": plain.CELL,
+        "most strength": plain.MOST_STRENGTH,
+    }
+    symbols, codec, levels, reference = (
+        (NATIVE / path).read_text() for path in ("rd/symbols.h", "rd/codec.cpp", "raster/levels.h", "reference.py")
+    )
+    assert f"kMostColor = 1 << {plain.MOST_COLOUR.bit_length() - 1};" in symbols
+    assert f"kMostV = {plain.MOST_V}, kMostR = {plain.MOST_R};" in symbols
+    assert f"kMostExponent = {plain.MOST_EXPONENT};" in symbols
+    assert f"kMostUBits = {plain.MOST_U_BITS}, kMostPartBits = {plain.MOST_PART_BITS};" in symbols
+    assert f"kLeastColorStep = 1.0 / {1 / plain.LEAST_COLOUR_STEP:.0f};" in symbols
+    assert f"kMostRawDistanceBits = {plain.MOST_RAW_BITS};" in codec
+    assert f"kNarrowest = {plain.NARROWEST:g};" in levels
+    assert f"kMaxLevel = {plain.TOP_LEVEL};" in levels
+    assert "kBorder = 2;" in levels
+    assert f"\nNARROWEST = {plain.NARROWEST:g}  #" in reference
+    assert f"\nMAX_LEVEL = {plain.TOP_LEVEL}\n" in reference
+    of_texture = native.TEXTURE_OCTAVES, native.TEXTURE_CELL, native.TEXTURE_STRENGTHS - 1
+    assert of_texture == (plain.OCTAVES, plain.CELL, plain.MOST_STRENGTH)
+
+
+def test_the_version_and_the_views_in_the_text() -> None:
+    text = " ".join(TEXT.split())
+    assert f"# Version {StreamV2.VERSION} " in text
+    assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
+    assert f"/ ({1 / PIXEL_VARIANCE:g} k)" in text
+    assert f"OX = floor(X * sx) mod {MAX_COORDINATE} " in text
+    assert MAX_COORDINATE % 2**plain_decoder_v2.TOP_LEVEL == 0
+    assert f"C = 3: k = {variance(native.CUTOFF_V2):.4f}" in text
+    assert f"C = 5.5: k = {variance(native.CUTOFF_V1):.4f}" in text
+
+
+def test_start_tables() -> None:
+    """The tables beside the text, which the plain decoder reads, are the kernels'."""
+    code = (NATIVE / "rd" / "start_tables.h").read_text()
+    found = [[int(n) for n in row.split(",")] for row in re.findall(r"\{([\d, ]+)\}", code)]
+    tables = plain_decoder_v2.start_tables()
+    assert found == [row for rows in tables.values() for row in rows]
+    assert {row["name"]: int(row["rows"]) for row in table("The models are")} == {
+        name: len(rows) for name, rows in tables.items()
+    }
+
+
+def stream_of(name: str) -> StreamV2:
+    stream = container.parse(GOLDEN[name])
+    assert isinstance(stream, StreamV2)
+    return stream
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_the_plain_decoder_finds_the_same(name: str) -> None:
+    file, s = plain_decoder_v2.read(GOLDEN[name]), stream_of(name)
+    assert file.header == Header(s.grey, s.upright, s.is_short, s.width, s.height, s.quantum, s.background)
+    assert (file.alpha is None) == (s.alpha is None)
+    if s.alpha is not None and file.alpha is not None:
+        same = s.alpha.width, s.alpha.height, s.alpha.quantum, s.alpha.background
+        assert file.alpha[0] == Header(True, False, s.is_short, *same)
+        assert rows(s.alpha.gaussians()) == file.alpha_gaussians()
+    assert file.codes == ([] if s.texture is None else s.texture.tolist())
+    assert rows(s.gaussians()) == file.gaussians()
+    for part in PARTS:
+        assert rows(s.gaussians(part)) == file.part(part)
+    assert container.serialise(s) == GOLDEN[name]
+    assert s.file_bytes == len(GOLDEN[name])
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_the_plain_decoder_draws_the_same_picture(name: str) -> None:
+    """Seen, here and in the views below: one sample of v2-upright differs."""
+    assert_same_pixels(plain_decoder_v2.decode(GOLDEN[name]), decode(GOLDEN[name]))
+
+
+@pytest.mark.parametrize("name", VIEWED)
+@pytest.mark.parametrize("scale", [0.4, 1.0, 2.3])
+def test_the_plain_decoder_draws_the_same_views(name: str, scale: float) -> None:
+    """Views of all, and of a region that begins at odd places."""
+    s = stream_of(name)
+    region = s.width // 3, s.height // 2, (s.width + 2) // 3, (s.height + 3) // 4
+    for view in (View(scale), View(scale, region)):
+        plain = plain_decoder_v2.view(GOLDEN[name], view.scale, view.region)
+        assert_same_pixels(plain, decode(GOLDEN[name], view=view))
+
+
+def test_the_plain_decoder_draws_the_same_views_far_out() -> None:
+    """Where places are counted modulo MAX_COORDINATE, and just before and across that."""
+    rng = np.random.default_rng(5)
+    n, size = 60, (60_000, 50)
+    factors = np.exp(rng.uniform(0, 4, (n, 1)) + rng.normal(0, 0.4, (n, 3))) * (1, rng.choice([-1, 1]), 1)
+    for x in (MAX_COORDINATE // 2 - 10, 50_001):
+        means = rng.uniform(0, 1, (n, 2)) * (60, 50) + (x - 20, 0)
+        gaussians = Gaussians(*(a.astype(np.float32) for a in (means, factors, rng.normal(0, 0.1, (n, 3)))))
+        data = container.serialise(StreamV2.of(gaussians, size, 0.01, (120, 110, 100), grey=False))
+        view = View(2.0, (x, 11, 20, 12))
+        assert_same_pixels(plain_decoder_v2.view(data, view.scale, view.region), decode(data, view=view))
+
+
+def test_the_plain_decoder_shares_nothing() -> None:
+    source = Path(plain_decoder_v2.__file__).read_text()
+    imports = re.findall(r"^(?:from|import) ([\w.]+)", source, re.MULTILINE)
+    standard = {
+        "__future__",
+        "collections.abc",
+        "dataclasses",
+        "functools",
+        "json",
+        "math",
+        "pathlib",
+        "struct",
+        "zlib",
+    }
+    assert set(imports) == standard
+
+
+def textured(codes: Codes, size: tuple[int, int], gaussians: Gaussians = NOTHING, grey: bool = False) -> StreamV2:
+    return replace(StreamV2.of(gaussians, size, 0.05, (120, 110, 100), grey), texture=codes)
+
+
+def some_codes(size: tuple[int, int], seed: int) -> Codes:
+    """Strengths of which half are 0."""
+    rng = np.random.default_rng(seed)
+    codes = rng.integers(1, native.TEXTURE_STRENGTHS, (native.TEXTURE_OCTAVES, *cells(*size)))
+    return (codes * rng.integers(0, 2, codes.shape)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (64, 64), (65, 128), (300, 200), (1, 5000)])
+def test_texture_survives_packing(size: tuple[int, int]) -> None:
+    for codes in (some_codes(size, 1), 0 * some_codes(size, 1), 0 * some_codes(size, 1) + 15):
+        data = container.serialise(textured(codes, size))
+        stream = container.parse(data)
+        assert isinstance(stream, StreamV2)
+        assert np.array_equal(stream.texture, codes)
+        assert plain_decoder_v2.read(data).codes == codes.tolist()
+        bits = container.info(data).bits
+        assert bits["texture"] == 8 * len(pack(codes)) > 0
+        assert sum(bits.values()) == 8 * len(data)
+        assert container.info(data).to_dict()["texture"] is True
+
+
+@pytest.mark.parametrize(
+    ("part", "why"),
+    [(b"", "within its texture"), (b"\xff" * 9, "within its texture"), (b"\x80", "range"), (b"\x20", "padding")],
+)
+def test_texture_that_is_refused(part: bytes, why: str) -> None:
+    """A picture of one cell: -1, and a bit behind the last code."""
+    stream = textured(some_codes((9, 7), 1), (9, 7))
+    assert stream.texture is not None
+    header = stream.body()[: -len(pack(stream.texture))]
+    data = with_checksum(b"\xd3\xc2" + header + part + bytes(4))
+    with pytest.raises(BitstreamError, match=why):
+        container.parse(data)
+    with pytest.raises(RefusedError):
+        plain_decoder_v2.read(data)
+
+
+@given(
+    st.sampled_from([*GOLDEN]),
+    st.floats(0, 1),
+    st.binary(min_size=1, max_size=4),
+    st.integers(-3, 12),
+    st.sampled_from([1.0, 0.5]),
+)
+def test_both_take_and_refuse_the_same_files(name: str, place: float, value: bytes, growth: int, part: float) -> None:
+    """Bytes changed, the end moved, the checksum made to fit."""
+    data = damaged(GOLDEN[name], place, value, growth)
+    try:
+        ours = rows(container.parse(data, Limits(1 << 20)).gaussians(part))
+    except BitstreamError as error:
+        if "limit" not in str(error):
+            with pytest.raises(RefusedError):
+                plain_gaussians(data, part)
+    else:
+        assert ours == plain_gaussians(data, part)
+
+
+def plain_gaussians(data: bytes, part: float) -> list[Gaussian]:
+    file = plain_decoder_v2.read(data)
+    return file.gaussians() if part == 1 else file.part(part)
+
+
+def test_headers_of_known_sizes() -> None:
+    """Bytes without any Gaussian."""
+    for size, is_short, grey, least in [
+        ((64, 64), True, False, 9),
+        ((64, 64), False, False, 14),
+        ((768, 512), True, False, 10),
+        ((768, 512), True, True, 9),
+        ((768, 512), False, False, 15),
+        ((65535, 65535), True, False, SMALLEST_FILE),
+        ((1, 1), True, True, StreamV2.MIN_BYTES),
+    ]:
+        background = coded_background((100, 100, 100) if grey else (255, 3, 120), is_short)
+        stream = StreamV2(*size, StreamV2.coded_quantum(0.3, is_short), background, grey, False, b"", is_short=is_short)
+        data = container.serialise(stream)
+        assert len(data) == stream.file_bytes == least
+        assert container.parse(data) == stream
+        assert container.info(data).to_dict()["short"] is is_short
+    alpha = replace(stream, background=(255, 255, 255))
+    for _ in range(3):
+        assert replace(stream, alpha=alpha).file_bytes - stream.file_bytes <= alpha_bytes(alpha) <= SMALLEST_ALPHA + 2
+        alpha = replace(alpha, payload=alpha.payload + b"\1")
+
+
+@pytest.mark.parametrize("is_short", [False, True])
+def test_quanta_are_near_to_those_asked_for(is_short: bool) -> None:
+    most = 1 / 18 if is_short else 1 / 512  # by how much of the next, at the finest
+    for quantum in np.geomspace(MIN_QUANTUM, 15.4, 300):
+        coded = StreamV2.coded_quantum(quantum, is_short)
+        assert abs(coded / quantum - 1) <= most * 1.01
+        assert StreamV2.coded_quantum(coded, is_short) == coded
+    assert StreamV2.coded_quantum(1e-9, is_short) >= MIN_QUANTUM
+    assert 15 < StreamV2.coded_quantum(1e9, is_short) < 16
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"\xd3", "too short"),
+        (b"\xd3\xc2\x80\0\0\0", "too short"),
+        (b"\xd3\xc5" + bytes(9), "version 5"),
+        (b"\xd3\xc0" + bytes(9), r"not an \.sg"),
+        (b"\xd3\xd0" + bytes(9), r"not an \.sg"),
+        (b"SGM\1" + bytes(20), r"not an \.sg"),
+        (b"\xd3\xc2\0" + bytes(20), "checksum"),
+        (with_checksum(b"\xd3\xc2\x87\xff\xff\xff\0"), "within its header"),
+        (with_checksum(b"\xd3\xc2\x88\0\0\1\0"), "padding"),
+        (with_checksum(GOLDEN["v2-alpha"][:40] + bytes(4)), "cut short"),
+    ],
+)
+def test_what_is_refused(data: bytes, why: str) -> None:
+    with pytest.raises(BitstreamError, match=why):
+        container.parse(data)
+    with pytest.raises(RefusedError):
+        plain_decoder_v2.read(data)
+
+
+def test_small_budgets_make_short_files() -> None:
+    picture = np.random.default_rng(1).integers(0, 256, (12, 16, 3), np.uint8)
+    for budget, is_short in (40, True), (1024, True), (1025, False):
+        stream = container.parse(encode(picture, bytes=budget, effort=1).data)
+        assert isinstance(stream, StreamV2)
+        assert stream.is_short == is_short

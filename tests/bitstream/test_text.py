@@ -1,0 +1,49 @@
+"""A file as text."""
+
+from __future__ import annotations
+
+import base64
+import re
+
+import pytest
+
+from sgmethod import BitstreamError
+from sgmethod.bitstream.stream import Limits
+from sgmethod.bitstream.text import from_text, to_text
+from tests.harness.data import golden
+
+GOLDEN = {**golden(1), **golden(2)}
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_a_text_is_a_file(name: str) -> None:
+    text = to_text(GOLDEN[name])
+    assert re.fullmatch(r"w[A-Za-z0-9_-]*", text)
+    assert len(text) == -(-4 * (len(GOLDEN[name]) - 1) // 3)
+    assert from_text(text) == GOLDEN[name]
+
+
+def test_a_text_that_is_none_is_one_clear_error() -> None:
+    text = to_text(GOLDEN["v2-color"])
+    for end in range(0, len(text), 7):
+        with pytest.raises(BitstreamError):
+            from_text(text[:end])
+    refused = 0
+    for at in range(len(text)):
+        other = text[:at] + ("A" if text[at] != "A" else "B") + text[at + 1 :]
+        try:
+            from_text(other)
+        except BitstreamError:
+            refused += 1
+    assert refused >= 0.98 * len(text)  # a short file's checksum is one byte; 1.0 seen
+    for wrong in (text + "=", text + "A", " " + text, text + "é", text.replace("w", "+", 1), ""):
+        with pytest.raises(BitstreamError):
+            from_text(wrong)
+    padded = base64.urlsafe_b64encode(GOLDEN["v2-pixel"][1:]).decode()
+    assert padded.endswith("=")
+    with pytest.raises(BitstreamError, match="not the text"):
+        from_text(padded)
+    with pytest.raises(BitstreamError, match="exceed the limit"):
+        from_text(text, Limits(max_pixels=10))
+    with pytest.raises(BitstreamError, match=r"not an \.sg"):
+        to_text(b"SGM\1" + bytes(20))
