@@ -21,10 +21,10 @@ from service.api.options import IMAGE_FIELD, OPTION_SCHEMAS, Asked, feasible
 from service.api.pictures import bitstream_answer, open_image, picture_answer
 from service.api.problems import ProblemError
 from service.api.uploads import FORM_TYPE, image_and_options, image_type, options_alone, read_header
-from service.api.views import ViewQuery
+from service.api.views import PictureQuery
 from service.api.waiting import WAIT_PARAMETERS, job_within, wanted_wait_s
 from service.jobs.job import Job, NewJob, SourceImage, new_job_id
-from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, SubmitLimits
 from service.logs import log_seldom
 from service.storage.files import source_key
 
@@ -161,9 +161,9 @@ def _submit(context: Context, new: NewJob) -> tuple[Job, bool]:
     # If the table fails, the image stays for the sweep: the row may have been written anyway.
     limits = context.settings
     own_limit, own_quota = (limits.max_queued_per_key, limits.quota_bytes_per_key) if new.owner is not None else (0, 0)
-    room = Room(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
+    most = SubmitLimits(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
     try:
-        return context.table.submit(new, room)
+        return context.table.submit(new, most)
     except QuotaError as error:
         whose, reason = ("this API key", "own_quota") if error.of_owner else ("the service", "quota")
         detail = f"{whose} has reached its storage quota; remove jobs first"
@@ -202,6 +202,6 @@ async def _outcome(request: Request, job: Job, context: Context, headers: Mappin
     if BITSTREAM_TYPE in accept or "image/" not in accept:
         answer = await bitstream_answer(request, job, context)
     else:
-        answer = await picture_answer(request, job, ViewQuery(), accepted_format(request), context)
+        answer = await picture_answer(request, job, PictureQuery(), accepted_format(request), context)
     answer.headers.update({**headers, **VARIES})
     return answer

@@ -19,11 +19,11 @@ from service.api.context import Context, KnownJob, UseContext, no_such_job
 from service.api.files import BITSTREAM_TYPE, IMMUTABLE, NEVER_STORED, VARIES, accepted_format, not_modified
 from service.api.problems import RETRY_SOON_S, ProblemError
 from service.api.uploads import body_as_file
-from service.api.views import ViewQuery
+from service.api.views import PictureQuery
 from service.api.waiting import while_client_waits
 from service.jobs.job import EncodeResult, Job
 from service.sandbox.client import RefusedError, TaskError
-from service.sandbox.drawing import Drawing, Wish
+from service.sandbox.drawing import Drawing, PictureOptions
 from service.sandbox.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
 from service.storage.files import bitstream_key, source_key
 from sgmethod.errors import BitstreamError, ViewError
@@ -35,14 +35,14 @@ MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: a few kilobytes can hold mil
 
 
 async def picture(
-    job: KnownJob, kind: PictureFormat, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
     return await picture_answer(request, job, query, kind, context)
 
 
 async def picture_as_accepted(
-    job: KnownJob, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
     answer = await picture_answer(request, job, query, accepted_format(request), context)
@@ -51,14 +51,13 @@ async def picture_as_accepted(
 
 
 async def picture_answer(
-    request: Request, job: Job, query: ViewQuery, kind: PictureFormat, context: Context
+    request: Request, job: Job, query: PictureQuery, kind: PictureFormat, context: Context
 ) -> Response:
     """The picture of a job, from memory if it was asked for lately."""
     result = _result_of(job)
-    wish = query.wish(kind)
     size = (int(result.stats["width"]), int(result.stats["height"]))
     try:
-        drawing = Drawing.of(wish, size, context.settings.max_pixels)
+        drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
     except ViewError as error:
         raise ProblemError(422, str(error)) from error
     headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
@@ -66,7 +65,7 @@ async def picture_answer(
     async def made() -> bytes:
         with await to_thread.run_sync(_open_bitstream, context, job, result) as bitstream:
             try:
-                return await _drawn(request, context, bitstream, wish)
+                return await _drawn(request, context, bitstream, query, kind)
             except BitstreamError as error:
                 raise _damaged(job, error) from error
 
@@ -90,12 +89,17 @@ async def _remembered(
 
 
 async def _drawn(
-    request: Request, context: Context, bitstream: BinaryIO, wish: Wish, max_gaussians: int | None = None
+    request: Request,
+    context: Context,
+    bitstream: BinaryIO,
+    options: PictureOptions,
+    kind: PictureFormat,
+    max_gaussians: int | None = None,
 ) -> bytes:
     """The picture file. Raises BitstreamError, ProblemError 422, 429 or 503."""
     try:
         with context.metrics.decode_seconds.time():
-            return await context.tasks.draw(request.state.caller.client, bitstream, wish, max_gaussians)
+            return await context.tasks.draw(request.state.caller.client, bitstream, options, kind, max_gaussians)
     except RefusedError as error:
         if error.kind is BitstreamError:
             raise BitstreamError(str(error)) from error
@@ -104,7 +108,7 @@ async def _drawn(
         raise ProblemError(422, str(error)) from error
 
 
-async def picture_of_body(query: Annotated[ViewQuery, Query()], context: UseContext, request: Request) -> Response:
+async def picture_of_body(query: Annotated[PictureQuery, Query()], context: UseContext, request: Request) -> Response:
     """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
     answer = await picture_of_body_as(accepted_format(request), query, context, request)
     answer.headers.update(VARIES)
@@ -112,13 +116,12 @@ async def picture_of_body(query: Annotated[ViewQuery, Query()], context: UseCont
 
 
 async def picture_of_body_as(
-    kind: PictureFormat, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+    kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """Decode the bitstream in the body. Nothing is stored."""
-    wish = query.wish(kind)
     async with body_as_file(request) as upload:
         try:
-            file = await while_client_waits(request, _drawn(request, context, upload.file, wish, MAX_GAUSSIANS))
+            file = await while_client_waits(request, _drawn(request, context, upload.file, query, kind, MAX_GAUSSIANS))
         except BitstreamError as error:
             raise ProblemError(422, str(error)) from error
     return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])

@@ -8,9 +8,9 @@ from service.api.problems import ProblemError
 from service.api.turns import RETRY_AFTER, Turns
 from service.jobs.job import SourceImage
 from service.sandbox.client import Sandbox, SandboxGoneError
-from service.sandbox.drawing import Wish
+from service.sandbox.drawing import PictureOptions
 from service.sandbox.frames import Draw, HeaderFigures, MakePreview, MakeRival, PreviewFigures, ReadHeader, Result, Task
-from service.sandbox.picture_files import Rival
+from service.sandbox.picture_files import PictureFormat, Rival
 from service.settings import Settings
 
 # The header of a photograph takes milliseconds and little memory. What takes more was made to.
@@ -49,10 +49,15 @@ class ClientTasks:
         return SourceImage(header.format, header.width, header.height, size_bytes)
 
     async def draw(
-        self, client: str, file: BinaryIO, wish: Wish, max_gaussians: int | None = None, *, is_image: bool = False
+        self,
+        client: str,
+        file: BinaryIO,
+        options: PictureOptions,
+        kind: PictureFormat,
+        max_gaussians: int | None = None,
     ) -> bytes:
-        """The picture file of a bitstream, or of an image as a whole."""
-        task = Draw(**self._limits, wish=wish, max_gaussians=max_gaussians, is_image=is_image)
+        """The picture file of a bitstream."""
+        task = Draw(**self._limits, options=options, file_kind=kind, max_gaussians=max_gaussians)
         return (await self._ask(self._drawings, client, file, task)).file
 
     async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:

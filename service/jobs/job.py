@@ -33,7 +33,7 @@ def is_job_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's. fallback: None for a new job."""
+    """What the client asked for; the names are sgmethod's."""
 
     budget_kind: BudgetKind
     budget_value: float
@@ -41,7 +41,6 @@ class EncodeRequest:
     time_limit_s: float
     tune: Tune = "psnr"
     effort: int = DEFAULT_EFFORT
-    fallback: Literal["avif", "webp"] | None = None
 
 
 @dataclass(frozen=True)

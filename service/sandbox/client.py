@@ -33,7 +33,7 @@ class TooMuchError(TaskError):
 
 
 class RefusedError(TaskError):
-    """The file, or what is wished of it, was refused. kind: the class of the error, of sgmethod.errors."""
+    """The file, or what is asked of it, was refused. kind: the class of the error, of sgmethod.errors."""
 
     def __init__(self, kind: type[Exception], detail: str) -> None:
         super().__init__(detail)

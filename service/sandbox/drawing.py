@@ -2,47 +2,67 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 import sgmethod
 from service.sandbox.picture_files import DEFAULT_QUALITY, MAX_SIDES, PictureFormat, Pixels, encode_picture
 from sgmethod.errors import ViewError
-from sgmethod.view import View
+from sgmethod.view import MAX_SCALE, MIN_SCALE, View
 
 Fit = Literal["contain", "cover", "crop"]
 Region = tuple[int, int, int, int]
+REGION = r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$"
+Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in pixels, instead of scale")]
 
 
-@dataclass(frozen=True)
-class Wish:
-    """What a client asks for, before the size of the picture is known.
+def matching(pattern: str, detail: str) -> AfterValidator:
+    """Refuses a text that does not match, as Field(pattern=...) does, but with a sentence instead of the pattern."""
 
-    kind: of file; scale: output pixels for a pixel; width, height: of the output, in pixels; fit: where both are given,
-    whether the picture stays within them, covers them, or is cropped to them around its middle; region: x, y, width and
-    height of the part that is drawn, in pixels of the picture; prefix: part of the file that may be used; texture:
-    whether it is drawn; quality: of the file, 1 to 100.
-    """
+    def checked(text: str | None) -> str | None:
+        if text is not None and re.fullmatch(pattern, text) is None:
+            raise ValueError(detail)
+        return text
 
-    kind: PictureFormat = "png"
-    scale: float | None = None
-    width: int | None = None
-    height: int | None = None
-    fit: Fit = "contain"
-    region: Region | None = None
-    prefix: float = 1.0
-    texture: bool = True
-    quality: int | None = None
+    return AfterValidator(checked)
 
-    def __post_init__(self) -> None:
+
+class PictureOptions(BaseModel):
+    """What to draw of a picture, before its size is known: part of a request's query, and of a task."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    scale: Annotated[float | None, Field(ge=MIN_SCALE, le=MAX_SCALE, description="output pixels per pixel")] = None
+    width: Side = None
+    height: Side = None
+    fit: Annotated[
+        Fit,
+        Field(description="with width and height: fit inside them, cover them, or crop to them from the centre"),
+    ] = "contain"
+    region: Annotated[
+        str | None,
+        matching(REGION, "give four whole numbers of pixels: x,y,width,height"),
+        Field(
+            json_schema_extra={"pattern": REGION},
+            description="x,y,width,height: decode only this part, in pixels of the picture",
+            examples=["0,0,8,8"],
+        ),
+    ] = None
+    prefix: Annotated[float, Field(gt=0, le=1, description="fraction of the file to decode; less is coarser")] = 1.0
+    texture: Annotated[bool, Field(description="draw the file's synthesised texture")] = True
+    quality: Annotated[int | None, Field(ge=1, le=100, description="quality of a jpg, webp or avif file")] = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> PictureOptions:
         if self.scale is not None and (self.width, self.height) != (None, None):
-            raise ViewError("use either scale or width and height, not both")
+            raise ValueError("use either scale or width and height, not both")
         if self.fit != "contain" and None in (self.width, self.height):
-            raise ViewError(f"fit={self.fit} needs both width and height")
-        if self.quality is not None and self.kind not in DEFAULT_QUALITY:
-            raise ViewError(f"quality does not apply to {self.kind} files")
+            raise ValueError(f"fit={self.fit} needs both width and height")
+        return self
 
 
 @dataclass(frozen=True)
@@ -56,32 +76,28 @@ class Drawing:
     quality: int | None
 
     @classmethod
-    def of(cls, wish: Wish, size: tuple[int, int], max_pixels: int) -> Drawing:
-        """What the wish comes to for a picture of that size (width, height).
+    def of(cls, options: PictureOptions, kind: PictureFormat, size: tuple[int, int], max_pixels: int) -> Drawing:
+        """What the options come to for a picture of that size (width, height).
 
         Raises ViewError if that is no picture, or one beyond max_pixels or what the kind of file holds.
         """
-        part = View(1.0, wish.region).area(*size)
-        scale = wish.scale or 1.0
-        wanted = (wish.width, wish.height)
-        ratios = [want / have for want, have in zip(wanted, part[2:], strict=True) if want is not None]
+        if options.quality is not None and kind not in DEFAULT_QUALITY:
+            raise ViewError(f"quality does not apply to {kind} files")
+        part = View(1.0, _region(options)).area(*size)
+        scale, box = options.scale or 1.0, (options.width, options.height)
+        ratios = [want / have for want, have in zip(box, part[2:], strict=True) if want is not None]
         if ratios:
-            scale = min(ratios) if wish.fit == "contain" else max(ratios)
-        crop = (wish.width, wish.height) if wish.fit == "crop" else (None, None)
+            scale = min(ratios) if options.fit == "contain" else max(ratios)
+        crop = box if options.fit == "crop" else (None, None)
         if crop[0] is not None and crop[1] is not None:
             part = _middle(part, crop[0] / scale, crop[1] / scale)
-        view = View(scale, None if part == (0, 0, *size) else part, wish.prefix, wish.texture)
+        view = View(scale, None if part == (0, 0, *size) else part, options.prefix, options.texture)
         width, height = view.size(*size)
-        if width * height > max_pixels or max(width, height) > MAX_SIDES[wish.kind]:
-            limit = f"{max_pixels:,} pixels and {MAX_SIDES[wish.kind]:,} per side"
+        if width * height > max_pixels or max(width, height) > MAX_SIDES[kind]:
+            limit = f"{max_pixels:,} pixels and {MAX_SIDES[kind]:,} per side"
             raise ViewError(f"{width} x {height} pixels exceed the limit of {limit}")
-        return cls(
-            wish.kind,
-            view,
-            min(width, crop[0] or width),
-            min(height, crop[1] or height),
-            wish.quality or DEFAULT_QUALITY.get(wish.kind),
-        )
+        quality = options.quality or DEFAULT_QUALITY.get(kind)
+        return cls(kind, view, min(width, crop[0] or width), min(height, crop[1] or height), quality)
 
     def etag(self, sha256: str) -> str:
         """An entity tag: the same bitstream and the same drawing give the same bytes."""
@@ -98,6 +114,13 @@ class Drawing:
     def _kept(self, pixels: Pixels) -> Pixels:
         y, x = ((have - want) // 2 for have, want in zip(pixels.shape, (self.height, self.width), strict=False))
         return np.ascontiguousarray(pixels[y : y + self.height, x : x + self.width])
+
+
+def _region(options: PictureOptions) -> Region | None:
+    if options.region is None:
+        return None
+    x, y, width, height = map(int, options.region.split(","))
+    return x, y, width, height
 
 
 def _middle(part: Region, width: float, height: float) -> Region:

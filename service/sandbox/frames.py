@@ -28,8 +28,8 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.drawing import Wish
-from service.sandbox.picture_files import Rival
+from service.sandbox.drawing import PictureOptions
+from service.sandbox.picture_files import PictureFormat, Rival
 
 END_EARLY = signal.SIGUSR1  # how the sandbox tells an encode
 FRAME_HEADER = struct.Struct(">cI")
@@ -86,12 +86,12 @@ class ReadHeader(Task):
 
 
 class Draw(Task):
-    """Make a picture file of a bitstream, or with is_image of an image. max_gaussians: of the bitstream."""
+    """Make a picture file of a bitstream. max_gaussians: of the bitstream."""
 
     kind: Literal["draw"] = "draw"
-    wish: Wish
+    options: PictureOptions
+    file_kind: PictureFormat = "png"
     max_gaussians: int | None = None
-    is_image: bool = False
 
 
 class MakeRival(Task):
@@ -132,7 +132,7 @@ class EncodeFigures(Model):
     psnr: Figure
     ms_ssim: Figure
     ssimulacra2: Figure
-    gaussians: int | None
+    gaussians: int
     steps: int
     seconds: float
     width: int
@@ -144,7 +144,6 @@ class EncodeFigures(Model):
     psnr_missed_db: Figure
     looks_missed: Figure
     warnings: list[Sentence] = Field(max_length=20)
-    format: Literal["sg", "avif", "webp"]
     advice: Sentence | None
     better: Literal["avif", "webp"] | None
     notes: list[Sentence] = Field(default=[], max_length=20)
@@ -189,7 +188,7 @@ Refusal = Literal["ImageError", "BitstreamError", "ViewError", "BudgetError", "S
 
 
 class Refused(Model):
-    """The codec refused the file, or what is wished of it. error: the name of the class, of sgmethod.errors."""
+    """The codec refused the file, or what is asked of it. error: the name of the class, of sgmethod.errors."""
 
     error: Refusal
     detail: Sentence

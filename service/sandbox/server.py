@@ -214,7 +214,9 @@ def _whole(file: int) -> bytes:
 def main() -> None:
     """Serve at the socket of the command line."""
     for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
-        signal.signal(number, signal.SIG_IGN)  # it ends with its clients, and a task's wish to end may be too early
+        signal.signal(
+            number, signal.SIG_IGN
+        )  # it ends with its clients, and a request that a task end may be too early
     requests = socket.socket(fileno=int(sys.argv[1]))
     warm_up()
     gc.collect()

@@ -18,7 +18,7 @@ from PIL import Image
 
 import sgmethod
 from service.sandbox import frames
-from service.sandbox.drawing import Drawing, Wish
+from service.sandbox.drawing import Drawing, PictureOptions
 from service.sandbox.picture_files import MEDIA_TYPES, encode_picture
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, ImageWarning, SgError
@@ -53,7 +53,7 @@ IMPORTED_LATE = (
 
 
 class Answer:
-    """A task's end of its socket, and its client's wish that it end early."""
+    """A task's end of its socket, and its client's request that it end early."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -110,7 +110,7 @@ def warm_fork() -> None:
     if mallopt is not None:  # another C library than glibc may have none
         mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
         mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
-    Drawing.of(Wish(), TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
+    Drawing.of(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
 
 
 def prepare(task: frames.Task) -> None:
@@ -163,12 +163,9 @@ def _read_header(task: frames.ReadHeader, file: bytes, answer: Answer) -> None:
 
 
 def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
-    if task.is_image:
-        pixels = read_image_8_bit(file, ImageLimits(task.max_pixels), keep_alpha=True)
-        answer.send(frames.FILE, encode_picture(pixels, task.wish.kind, task.wish.quality))
-        return
     info = sgmethod.info(file, task.max_gaussians)  # a few kilobytes can hold millions of equal ones
-    answer.send(frames.FILE, Drawing.of(task.wish, (info.width, info.height), task.max_pixels).draw(file))
+    drawing = Drawing.of(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
+    answer.send(frames.FILE, drawing.draw(file))
 
 
 def _make_rival(task: frames.MakeRival, file: bytes, answer: Answer) -> None:
@@ -191,6 +188,7 @@ def _make_preview(task: frames.MakePreview, file: bytes, answer: Answer) -> None
 
 
 def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
+    from sgmethod.advice import advice, better_file
     from sgmethod.codec import encode
 
     request = task.request
@@ -209,31 +207,12 @@ def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
             on_preview=answer.show,
             measure=True,
         )
-        figures, data = _with_advice(encoded, pixels, task)
+        size, db = len(encoded.data), encoded.stats.psnr
+        figures = {**encoded.stats.to_dict(), **advice(better_file(pixels, size, db), size, db)}
     notes = [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]
     figures |= {"source_bytes": len(file), **({"notes": notes} if notes else {})}
     answer.say(frames.EncodeFigures.model_validate(frames.finite(figures)))
-    answer.send(frames.FILE, data)
-
-
-def _with_advice(encoded: Any, pixels: Any, task: frames.Encode) -> tuple[dict[str, Any], bytes]:
-    """The figures with advice, and the job's file: the better one, if the client wants it in place of Gaussians."""
-    from sgmethod.advice import advice, better_file
-
-    size, db, wanted = len(encoded.data), encoded.stats.psnr, task.request.fallback
-    better = better_file(pixels, size, db)
-    figures = {**encoded.stats.to_dict(), "format": "sg", **advice(better, size, db)}
-    if wanted is None:
-        return figures, encoded.data
-    if better is None or better.kind != wanted:
-        better = better_file(pixels, size, db, (wanted,))
-    if better is None:
-        return figures, encoded.data
-    size = len(better.data)
-    unknown = dict.fromkeys(("ms_ssim", "ssimulacra2", "psnr_missed_db", "looks_missed", "gaussians"))
-    bpp = 8 * size / (figures["width"] * figures["height"])
-    own = {"format": better.kind, "bytes": size, "bpp": bpp, "psnr": better.psnr, "warnings": []}
-    return {**figures, **unknown, **own}, better.data
+    answer.send(frames.FILE, encoded.data)
 
 
 PERFORM: dict[type[frames.Task], Callable[[Any, bytes, Answer], None]] = {

@@ -11,6 +11,7 @@ import socket
 import time
 from typing import BinaryIO
 
+from service.jobs.job import JobError
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
 from service.logs import log_seldom
@@ -22,7 +23,7 @@ from service.settings import Settings
 from service.storage.files import Storage, bitstream_key, source_key
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat, SignsOfLife
 from service.worker.notifying import Notifier
-from service.worker.publishing import Crashed, Encoded, Outcome, Publisher, Refused, StoppedError, TimedOut
+from service.worker.publishing import Encoded, Publisher, StoppedError
 from service.worker.sweeping import Sweeper
 
 log = logging.getLogger(__name__)
@@ -97,7 +98,7 @@ class Worker:
         self._publisher.tidy(claim)
         return True
 
-    def _encode(self, claim: Claim, heartbeat: Heartbeat) -> Outcome:
+    def _encode(self, claim: Claim, heartbeat: Heartbeat) -> Encoded | JobError:
         """Encode in the sandbox. Nothing goes on there when this returns.
 
         Raises ClaimLostError, StoppedError, OSError.
@@ -105,12 +106,12 @@ class Worker:
         try:
             source = self._source(claim, heartbeat)
         except FileNotFoundError:
-            return Crashed("the source image is gone")
+            return JobError("crashed", "the source image is gone")
         with source, self._sandbox.start(self._task(claim), source) as running:
             try:
                 return self._follow(running, heartbeat, bitstream_key(claim.job_id, claim.attempt))
             except frames.FrameError as error:
-                return Crashed(f"the encoder spoke nonsense: {error}")
+                return JobError("crashed", f"the encoder spoke nonsense: {error}")
 
     def _source(self, claim: Claim, heartbeat: Heartbeat) -> BinaryIO:
         """The image, once the storage has it. Raises FileNotFoundError if it still lacks it after MISSING_S, and
@@ -142,7 +143,7 @@ class Worker:
             max_pixels=job.image.width * job.image.height,
         )
 
-    def _follow(self, running: RunningTask, heartbeat: Heartbeat, key: str) -> Outcome:
+    def _follow(self, running: RunningTask, heartbeat: Heartbeat, key: str) -> Encoded | JobError:
         """Relay progress to the job table, and previews to where the bitstream will lie, until there is an outcome, or
         the encode must be ended.
         """
@@ -162,24 +163,25 @@ class Worker:
             if not running.begun and seconds > BEGINS_S:
                 raise SandboxGoneError("the sandbox cannot be started")
             if seconds > self._settings.job_timeout_s:
-                return TimedOut(self._settings.job_timeout_s)
+                limit_s = self._settings.job_timeout_s
+                return JobError("timed_out", f"the encode took longer than {limit_s:g} s")
             heartbeat.beat()
             if heartbeat.stop_wanted:
                 running.end_early()
         raise StoppedError
 
 
-def _outcome(message: frames.Message) -> Outcome:
+def _outcome(message: frames.Message) -> Encoded | JobError:
     match message:
         case frames.Result(figures=figures, file=file):
             return Encoded(figures.model_dump(exclude_unset=True), file)
         case frames.Refused(error="MemoryError"):
-            return Refused("the encode exceeds the memory limit")
+            return JobError("refused", "the encode exceeds the memory limit")
         case frames.Refused(detail=detail):
-            return Refused(detail)
+            return JobError("refused", detail)
         case frames.Crashed(detail=detail):
-            return Crashed(f"the encoder crashed: {detail}")
+            return JobError("crashed", f"the encoder crashed: {detail}")
         case frames.Ended(status=status):
             how = f"exit status {status}" if status >= 0 else signal.strsignal(-status)
-            return Crashed(f"the encoder crashed ({how})")
+            return JobError("crashed", f"the encoder crashed ({how})")
     raise AssertionError(message)

@@ -19,35 +19,11 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Refused:
-    """The codec refused the image or the budget, with one sentence."""
-
-    detail: str
-
-
-@dataclass(frozen=True)
 class Encoded:
     """The encode is done."""
 
     stats: JsonObject
     bitstream: bytes
-
-
-@dataclass(frozen=True)
-class Crashed:
-    """The encode ended without an outcome, or its source image was gone; one sentence."""
-
-    detail: str
-
-
-@dataclass(frozen=True)
-class TimedOut:
-    """The encode ran for longer than limit_s, the limit of the settings."""
-
-    limit_s: float
-
-
-Outcome = Encoded | Refused | Crashed | TimedOut
 
 
 class StoppedError(Exception):
@@ -66,23 +42,17 @@ class Publisher:
         self._stop = stop
         self._keeps_sources = keeps_sources
 
-    def conclude(self, claim: Claim, outcome: Outcome, heartbeat: Heartbeat) -> None:
-        """Publish the bitstream, or tell the job table why there is none.
+    def conclude(self, claim: Claim, outcome: Encoded | JobError, heartbeat: Heartbeat) -> None:
+        """Publish the bitstream, or tell the job table why there is none. A job that crashed is tried again.
 
         Raises ClaimLostError, StoppedError, JobTableError.
         """
-        match outcome:
-            case Encoded():
-                self._publish(claim, outcome, heartbeat)
-                return
-            case Refused(detail):
-                error, retry = JobError("refused", detail), False
-            case Crashed(detail):
-                error, retry = JobError("crashed", detail), True
-            case TimedOut(limit_s):
-                error, retry = JobError("timed_out", f"the encode took longer than {limit_s:g} s"), False
-        log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, error.code, error.detail)
-        if not self._insist(claim, lambda: self._table.fail(claim, error, retry=retry)):
+        if isinstance(outcome, Encoded):
+            self._publish(claim, outcome, heartbeat)
+            return
+        log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, outcome.code, outcome.detail)
+        retry = outcome.code == "crashed"
+        if not self._insist(claim, lambda: self._table.fail(claim, outcome, retry=retry)):
             raise ClaimLostError
 
     def _publish(self, claim: Claim, encoded: Encoded, heartbeat: Heartbeat) -> None:

@@ -9,7 +9,7 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.drawing import Wish
+from service.sandbox.drawing import PictureOptions
 from service.sandbox.frames import (
     FILE_BYTES,
     FRAME_HEADER,
@@ -31,12 +31,12 @@ from service.sandbox.frames import (
 
 LIMITS: dict[str, Any] = {"memory_bytes": 1, "cpu_s": 1.0, "max_pixels": 64}
 ENCODE = Encode(**LIMITS, job_id="0" * 32, request=EncodeRequest("psnr", 30.5, "baseline", 2.5), threads=2)
-DRAW = Draw(**LIMITS, wish=Wish(region=(0, 0, 8, 8), quality=5, kind="jpg"))
+DRAW = Draw(**LIMITS, options=PictureOptions(region="0,0,8,8", quality=5), file_kind="jpg")
 POINT = TracePoint(seconds=0.5, step=1, steps=2, psnr=None, bytes=3, gaussians=4, phase="joint")
 FIGURES: dict[str, Any] = {
     **{"bytes": 3, "bpp": 0.3, "psnr": None, "ms_ssim": 0.9, "ssimulacra2": None, "gaussians": 1, "steps": 2},
     **{"seconds": 0.1, "width": 8, "height": 8, "profile": "rd", "tune": "psnr", "effort": 5, "source_bytes": 10},
-    **{"psnr_missed_db": None, "looks_missed": None, "warnings": [], "format": "sg", "advice": None, "better": None},
+    **{"psnr_missed_db": None, "looks_missed": None, "warnings": [], "advice": None, "better": None},
 }
 
 
@@ -89,7 +89,7 @@ def test_answers_of_words_alone() -> None:
         (ENCODE, figures(warnings=["x" * 1001]), "warnings"),
         (ENCODE, figures(psnr=float("nan")), "psnr"),
         (ENCODE, figures(more=1), "extra_forbidden"),
-        (ENCODE, figures(format="exe"), "format"),
+        (ENCODE, figures(better="exe"), "better"),
         (ENCODE, figures(width=None), "width"),
         (ENCODE, packed(b"F", b"x"), "without its figures"),
         (ENCODE, packed(b"T", b'{"step": 1}'), "missing"),

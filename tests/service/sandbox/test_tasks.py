@@ -17,7 +17,7 @@ from PIL import Image
 import sgmethod
 from service.jobs.job import EncodeRequest, new_job_id
 from service.sandbox.client import RefusedError, Sandbox, SandboxGoneError, TaskError, TooMuchError
-from service.sandbox.drawing import Drawing, Wish
+from service.sandbox.drawing import Drawing, PictureOptions
 from service.sandbox.frames import (
     Crashed,
     Draw,
@@ -85,9 +85,9 @@ def asked(tasks: Sandbox, what: Task, data: bytes) -> Result:
 def test_pictures_are_those_of_the_codec(real: Sandbox, kind: Any) -> None:
     """Byte for byte, on two threads as on any number."""
     info = sgmethod.info(BITSTREAM)
-    for wish in (Wish(kind), Wish(kind, scale=1.5, region=(2, 3, 20, 9))):
-        made = asked(real, Draw(**LIMITS, wish=wish), BITSTREAM).file
-        assert made == Drawing.of(wish, (info.width, info.height), 10**6).draw(BITSTREAM)
+    for options in (PictureOptions(), PictureOptions(scale=1.5, region="2,3,20,9")):
+        made = asked(real, Draw(**LIMITS, options=options, file_kind=kind), BITSTREAM).file
+        assert made == Drawing.of(options, kind, (info.width, info.height), 10**6).draw(BITSTREAM)
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -163,10 +163,10 @@ def test_a_profile_that_brings_torch(real: Sandbox) -> None:
 @pytest.mark.parametrize(
     ("what", "data", "error", "words"),
     [
-        (Draw(**LIMITS, wish=Wish()), b"not a bitstream", BitstreamError, "not"),
-        (Draw(**LIMITS, wish=Wish(), max_gaussians=1), BITSTREAM, BitstreamError, "limit of 1 "),
-        (Draw(**LIMITS, wish=Wish(region=(0, 0, 9999, 5))), BITSTREAM, ViewError, "not inside"),
-        (Draw(**LIMITS, wish=Wish(scale=60)), BITSTREAM, ViewError, "exceed the limit"),
+        (Draw(**LIMITS, options=PictureOptions()), b"not a bitstream", BitstreamError, "not"),
+        (Draw(**LIMITS, options=PictureOptions(), max_gaussians=1), BITSTREAM, BitstreamError, "limit of 1 "),
+        (Draw(**LIMITS, options=PictureOptions(region="0,0,9999,5")), BITSTREAM, ViewError, "not inside"),
+        (Draw(**LIMITS, options=PictureOptions(scale=60)), BITSTREAM, ViewError, "exceed the limit"),
         (ReadHeader(**LIMITS), b"hello", ImageError, "not a PNG"),
         (MakePreview(**LIMITS, most_bytes=100), SMALL[:-40], ImageError, "."),
     ],
@@ -267,7 +267,7 @@ def test_the_sandbox_dies() -> None:
 
 
 def test_too_much(real: Sandbox) -> None:
-    large = Draw(**{**LIMITS, "memory_bytes": 2**20, "max_pixels": 10**9}, wish=Wish(scale=60))
+    large = Draw(**{**LIMITS, "memory_bytes": 2**20, "max_pixels": 10**9}, options=PictureOptions(scale=60))
     with pytest.raises(TooMuchError, match="memory limit"):
         asked(real, large, BITSTREAM)
     with pytest.raises(TooMuchError, match="time limit"):

@@ -72,7 +72,7 @@ def duo(two_workers: Service) -> Iterator[Service]:
     two_workers.clear()
 
 
-PICTURE = golden_path("v3-color.sg").read_bytes()
+PICTURE = golden_path("v2-color.sg").read_bytes()
 
 
 def running(job_id: str) -> int:

@@ -11,9 +11,9 @@ from typing import BinaryIO
 
 import pytest
 
-from service.jobs.job import EncodeRequest, EncodeResult, JsonObject, NewJob, SourceImage, new_job_id
+from service.jobs.job import EncodeRequest, EncodeResult, JobError, JsonObject, NewJob, SourceImage, new_job_id
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTableError, Room
+from service.jobs.table import Claim, JobRules, JobTableError, SubmitLimits
 from service.process.background import failures
 from service.process.stopping import StopSignal
 from service.sandbox.client import Sandbox
@@ -24,7 +24,7 @@ from service.worker import heartbeat as heartbeat_module
 from service.worker import loop, publishing
 from service.worker.heartbeat import ClaimLostError, Heartbeat
 from service.worker.loop import Worker
-from service.worker.publishing import Encoded, Publisher, Refused, StoppedError
+from service.worker.publishing import Encoded, Publisher, StoppedError
 
 LONG_S = 60.0
 
@@ -95,7 +95,7 @@ def publisher(table: Unsteady, storage: Full, stop: StopSignal, monkeypatch: pyt
 @pytest.fixture
 def claim(table: Unsteady, storage: DiskStorage) -> Claim:
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), Room(10))
+    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), SubmitLimits(10))
     storage.put(source_key(job.id), b"image")
     claim = table.claim("w")
     assert claim is not None
@@ -208,9 +208,9 @@ def test_a_heartbeat_that_nobody_hears_goes_on(table: Unsteady, claim: Claim, mo
     assert table.trace(claim.job_id) == [{"step": 0}]
 
 
-@pytest.mark.parametrize("outcome", [Refused("no"), Encoded({}, b"data")])
+@pytest.mark.parametrize("outcome", [JobError("refused", "no"), Encoded({}, b"data")])
 def test_an_end_is_written_down_however_long_it_takes(
-    table: Unsteady, publisher: Publisher, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | Refused
+    table: Unsteady, publisher: Publisher, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | JobError
 ) -> None:
     """Rule 7: else the lease would run out, and that counts as a crash."""
     refusals = iter([JobTableError("out of reach")] * 5)
