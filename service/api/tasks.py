@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, BinaryIO, TypedDict
+from typing import Any, BinaryIO
 
 from service.api.problems import ProblemError
 from service.api.turns import RETRY_AFTER, Turns
@@ -19,14 +19,6 @@ HEADER_CPU_S = 1.0
 HEADER_MEMORY_BYTES = 256 << 20  # beside the file itself
 
 
-class Limits(TypedDict):
-    """What a task that draws may take."""
-
-    memory_bytes: int
-    cpu_s: float
-    max_pixels: int
-
-
 class ClientTasks:
     """Tasks of the sandbox. client: whose turn a task takes.
 
@@ -37,14 +29,17 @@ class ClientTasks:
         self._sandbox = sandbox
         self._headers = Turns(HEADERS_AT_ONCE, settings.max_streams)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
-        self._limits = Limits(
-            memory_bytes=settings.decode_memory_bytes, cpu_s=settings.decode_time_s, max_pixels=settings.max_pixels
-        )
+        self._max_pixels = settings.max_pixels
+        self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
+            "memory_bytes": settings.decode_memory_bytes,
+            "cpu_s": settings.decode_time_s,
+            "max_pixels": settings.max_pixels,
+        }
 
     async def read_header(self, client: str, file: BinaryIO, size_bytes: int) -> SourceImage:
         """What an image's header says."""
-        memory_bytes, most = HEADER_MEMORY_BYTES + size_bytes, self._limits["max_pixels"]
-        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=most)
+        memory_bytes = HEADER_MEMORY_BYTES + size_bytes
+        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=self._max_pixels)
         header: HeaderFigures = (await self._ask(self._headers, client, file, task)).figures
         return SourceImage(header.format, header.width, header.height, size_bytes)
 

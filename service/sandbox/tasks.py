@@ -40,7 +40,7 @@ NOT_IMPORTED = {
     f"sgmethod.{name}"
     for name in (
         *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch", "backend.reference"),
-        *("backend.tensors", "backend.pairs", "native.reference", "metrics.perceptual", "metrics.wasserstein"),
+        *("backend.tensors", "backend.pairs", "native.reference", "metrics.perceptual"),
     )
 }
 

@@ -150,16 +150,6 @@ def test_the_better_file_is_offered(page: Chromium, start_service: StartService)
     assert complaints(page) == []
 
 
-def test_a_job_whose_file_is_no_sg(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "drop", SMALL, "disc.png")
-    says(page, "in the queue")
-    job = page.run("return location.hash").removeprefix("#")
-    web.publish(job, b"RIFF", format="webp", width=64, height=48)
-    says(page, f"Its file is webp, as was asked for: /bitstreams/{job}.sg")
-    says(page, "No Gaussians", "#work h2")
-
-
 def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
     """This service keeps no images; the page knows, and does not ask."""
     open_page(page, web)

@@ -160,11 +160,6 @@ export class Item {
       this.budget ??= { kind, value, tune: job.tune, effort: job.effort, timeLimit: null };
       this.originalBytes ??= job.image.bytes;
       if (job.state === "done") {
-        const { format = "sg" } = job.result;
-        if (format !== "sg") {
-          const words = `Its file is ${format}, as was asked for: ${job.bitstream_url}`;
-          return void this.tell({ state: "other", words, done: null, soFar: null, job });
-        }
         const sg = await bytesOf(job.bitstream_url, { signal: this.#asking.signal });
         Object.assign(this, { job, trace: job.trace });
         return void (await this.setFile(sg));

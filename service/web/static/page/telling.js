@@ -4,7 +4,7 @@ import { $, element, refill } from "./parts.js";
 import { drawTrace } from "./watching.js";
 import { closeness, count, decibels, size, smaller } from "./words.js";
 
-export const TITLES = { failed: "That did not work", cancelled: "Cancelled", other: "No Gaussians" };
+export const TITLES = { failed: "That did not work", cancelled: "Cancelled" };
 
 /** For screen readers, and not more often than something really is new. */
 function say(words) {
