@@ -13,7 +13,7 @@ import sgmethod
 from service.api.app import STATIC
 from tests.harness.browser import Chromium
 from tests.harness.data import golden
-from tests.harness.pictures import SMALL, page_of_text
+from tests.harness.pictures import page_of_text
 from tests.harness.processes import wait_until
 from tests.harness.service import Service, StartService
 from tests.service.page.steps import (

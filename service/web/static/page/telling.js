@@ -77,7 +77,7 @@ function figuresOf({ sg, file, size: [width, height], originalBytes, job, measur
 function stateInShort({ state, sg, done }) {
   if (state === "done") return size(sg.length);
   if (state === "running") return `${Math.round(100 * (done ?? 0))} %`;
-  const short = { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled", other: "no Gaussians" };
+  const short = { sending: "sending", queued: "waiting", failed: "not encoded", cancelled: "cancelled" };
   return short[state] ?? "";
 }
 
