@@ -118,7 +118,7 @@ def create_app(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping:
         settings,
         open_job_table(settings),
         open_storage(settings),
-        ClientTasks(settings, sandbox),
+        ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
         Turns(UPLOADS_IN_MEMORY, settings.max_streams),
         Streams(settings.max_streams),

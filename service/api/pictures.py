@@ -23,7 +23,7 @@ from service.api.views import PictureQuery
 from service.api.waiting import while_client_waits
 from service.jobs.job import EncodeResult, Job
 from service.sandbox.client import RefusedError, TaskError
-from service.sandbox.drawing import Drawing, PictureOptions
+from service.sandbox.drawing import Drawing
 from service.sandbox.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
 from service.storage.files import bitstream_key, source_key
 from sgmethod.errors import BitstreamError, ViewError
@@ -65,9 +65,11 @@ async def picture_answer(
     async def made() -> bytes:
         with await to_thread.run_sync(_open_bitstream, context, job, result) as bitstream:
             try:
-                return await _drawn(request, context, bitstream, query, kind)
-            except BitstreamError as error:
-                raise _damaged(job, error) from error
+                return await context.tasks.draw(request.state.caller.client, bitstream, query, kind)
+            except RefusedError as error:
+                if error.kind is BitstreamError:
+                    raise _damaged(job, error) from error
+                raise
 
     return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
 
@@ -88,26 +90,6 @@ async def _remembered(
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
 
-async def _drawn(
-    request: Request,
-    context: Context,
-    bitstream: BinaryIO,
-    options: PictureOptions,
-    kind: PictureFormat,
-    max_gaussians: int | None = None,
-) -> bytes:
-    """The picture file. Raises BitstreamError, ProblemError 422, 429 or 503."""
-    try:
-        with context.metrics.decode_seconds.time():
-            return await context.tasks.draw(request.state.caller.client, bitstream, options, kind, max_gaussians)
-    except RefusedError as error:
-        if error.kind is BitstreamError:
-            raise BitstreamError(str(error)) from error
-        raise ProblemError(422, str(error)) from error
-    except TaskError as error:
-        raise ProblemError(422, str(error)) from error
-
-
 async def picture_of_body(query: Annotated[PictureQuery, Query()], context: UseContext, request: Request) -> Response:
     """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
     answer = await picture_of_body_as(accepted_format(request), query, context, request)
@@ -120,9 +102,10 @@ async def picture_of_body_as(
 ) -> Response:
     """Decode the bitstream in the body. Nothing is stored."""
     async with body_as_file(request) as upload:
+        drawing = context.tasks.draw(request.state.caller.client, upload.file, query, kind, MAX_GAUSSIANS)
         try:
-            file = await while_client_waits(request, _drawn(request, context, upload.file, query, kind, MAX_GAUSSIANS))
-        except BitstreamError as error:
+            file = await while_client_waits(request, drawing)
+        except TaskError as error:
             raise ProblemError(422, str(error)) from error
     return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 

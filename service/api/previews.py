@@ -45,4 +45,4 @@ async def preview(
         except TaskError as error:
             raise ProblemError(422, f"the image cannot be encoded: {error}") from error
     response.headers.update(NEVER_STORED)
-    return models.PreviewView(**made)
+    return models.PreviewView(**made.model_dump())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, BinaryIO
 
+from service.api.metrics import Metrics
 from service.api.problems import ProblemError
 from service.api.turns import RETRY_AFTER, Turns
 from service.jobs.job import SourceImage
@@ -25,11 +26,11 @@ class ClientTasks:
     All raise TaskError, ProblemError 429 or 503, and OSError.
     """
 
-    def __init__(self, settings: Settings, sandbox: Sandbox) -> None:
+    def __init__(self, settings: Settings, sandbox: Sandbox, metrics: Metrics) -> None:
         self._sandbox = sandbox
+        self._metrics = metrics
         self._headers = Turns(HEADERS_AT_ONCE, settings.max_streams)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
-        self._max_pixels = settings.max_pixels
         self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
             "memory_bytes": settings.decode_memory_bytes,
             "cpu_s": settings.decode_time_s,
@@ -38,8 +39,8 @@ class ClientTasks:
 
     async def read_header(self, client: str, file: BinaryIO, size_bytes: int) -> SourceImage:
         """What an image's header says."""
-        memory_bytes = HEADER_MEMORY_BYTES + size_bytes
-        task = ReadHeader(memory_bytes=memory_bytes, cpu_s=HEADER_CPU_S, max_pixels=self._max_pixels)
+        limits = {**self._limits, "memory_bytes": HEADER_MEMORY_BYTES + size_bytes, "cpu_s": HEADER_CPU_S}
+        task = ReadHeader(**limits)
         header: HeaderFigures = (await self._ask(self._headers, client, file, task)).figures
         return SourceImage(header.format, header.width, header.height, size_bytes)
 
@@ -53,17 +54,18 @@ class ClientTasks:
     ) -> bytes:
         """The picture file of a bitstream."""
         task = Draw(**self._limits, options=options, file_kind=kind, max_gaussians=max_gaussians)
-        return (await self._ask(self._drawings, client, file, task)).file
+        with self._metrics.decode_seconds.time():
+            return (await self._ask(self._drawings, client, file, task)).file
 
     async def make_rival(self, client: str, file: BinaryIO, rival: Rival) -> bytes:
         """The rival that is made of an image."""
         return (await self._ask(self._drawings, client, file, MakeRival(**self._limits, rival=rival))).file
 
-    async def preview(self, client: str, file: BinaryIO, most_bytes: int) -> dict[str, Any]:
-        """The preview of an image, as Preview.to_dict()."""
+    async def preview(self, client: str, file: BinaryIO, most_bytes: int) -> PreviewFigures:
+        """The preview of an image."""
         task = MakePreview(**self._limits, most_bytes=most_bytes)
         made: PreviewFigures = (await self._ask(self._drawings, client, file, task)).figures
-        return made.model_dump()
+        return made
 
     async def _ask(self, turns: Turns, client: str, file: BinaryIO, task: Task) -> Result:
         async with turns.turn(client):

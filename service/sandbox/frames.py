@@ -104,11 +104,11 @@ class MakeRival(Task):
 class PreviewFigures(Model):
     """The answer of MakePreview, as Preview.to_dict() has it."""
 
-    text: str = Field(max_length=8192)
-    width: int
-    height: int
-    color: str = Field(pattern=r"^#[0-9a-f]{6}$")
-    dark: bool
+    text: str = Field(max_length=8192, description="base64url of an .sg file, for the preview attribute of an <sg-img>")
+    width: int = Field(description="pixels of the image as displayed")
+    height: int = Field(description="pixels of the image as displayed")
+    color: str = Field(pattern=r"^#[0-9a-f]{6}$", description="average colour, #rrggbb")
+    dark: bool = Field(description="whether white text reads better on that colour than black")
 
 
 class MakePreview(Task):
@@ -233,8 +233,8 @@ def packed(kind: bytes, payload: bytes) -> bytes:
 
 
 def packed_words(message: Model) -> bytes:
-    """One frame of words."""
-    return packed(KINDS[type(message)], message.model_dump_json().encode())
+    """One frame of words, or of figures."""
+    return packed(KINDS.get(type(message), FIGURES), message.model_dump_json(exclude_unset=True).encode())
 
 
 def finite(figures: dict[str, Any]) -> dict[str, Any]:

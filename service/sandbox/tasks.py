@@ -62,20 +62,22 @@ class Answer:
 
     def send(self, kind: bytes, payload: bytes) -> None:
         """Write one frame."""
-        left = memoryview(frames.packed(kind, payload))
-        while left:
-            left = left[os.write(self._descriptor, left) :]
+        self._write(frames.packed(kind, payload))
 
     def say(self, message: frames.Model) -> None:
         """Write one frame of words, or of figures."""
-        kind = frames.KINDS.get(type(message), frames.FIGURES)
-        self.send(kind, message.model_dump_json(exclude_unset=True).encode())
+        self._write(frames.packed_words(message))
 
     def show(self, file: bytes) -> None:
         """Write a preview, unless the last one is not long ago."""
         if time.monotonic() - self._shown >= PREVIEW_EVERY_S:
             self._shown = time.monotonic()
             self.send(frames.PREVIEW, file)
+
+    def _write(self, frame: bytes) -> None:
+        left = memoryview(frame)
+        while left:
+            left = left[os.write(self._descriptor, left) :]
 
 
 def set_threads(count: int) -> None:
