@@ -27,9 +27,13 @@ RUN groupadd --gid 10001 sgmethod \
     && useradd --uid 10001 --gid 10001 --no-create-home --shell /usr/sbin/nologin sgmethod \
     && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
 COPY --from=build /opt/sgmethod /opt/sgmethod
+# Whoever publishes the port decides who reaches it. Without API keys the service answers under localhost and addresses
+# alone; SG_HOST_NAMES lists other names.
 ENV PATH=/opt/sgmethod/bin:$PATH \
     PYTHONUNBUFFERED=1 \
+    PYTHONSAFEPATH=1 \
     SG_HOST=0.0.0.0 \
+    SG_HOST_NAMES=localhost \
     SG_PORT=8000 \
     SG_DATA_DIR=/data
 USER 10001:10001

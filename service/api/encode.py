@@ -119,7 +119,7 @@ def _check_queue(context: Context, key: str | None, owner: str | None) -> None:
     own_limit = context.settings.max_queued_per_key
     if context.table.queued() >= context.settings.queue_length:
         refusal = _queue_full()
-    elif owner is not None and own_limit and context.table.queued(owner) >= own_limit:
+    elif owner is not None and context.table.queued(owner) >= own_limit:
         refusal = _queue_full(own_limit)
     else:
         return

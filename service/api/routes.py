@@ -11,6 +11,7 @@ from fastapi.sse import EventSourceResponse
 from pydantic import BaseModel, ConfigDict
 
 from service.api import encode, events, health, jobs, pictures, previews
+from service.api.callers import OPEN_PATHS
 from service.api.files import BITSTREAM_TYPE
 from service.api.models import EXAMPLE_ID, AcceptedView
 from service.api.problems import ProblemError, problems
@@ -187,7 +188,6 @@ ROUTES = [
         options=FILE,
     ),
 ]
-OPEN_PATHS = ("/livez", "/readyz")  # which need no key, beside the pages
 
 
 def add_routes(app: FastAPI, key_check: Sequence[Any]) -> None:

@@ -17,9 +17,9 @@ INSERT INTO totals VALUES (?, ?) ON CONFLICT (name) DO UPDATE SET amount = total
 """
 
 
-def count(db: Database, ending: Ending, amount: int = 1) -> None:
-    """So many more jobs have come to this."""
-    db.execute(ADD, (ending, amount))
+def count(db: Database, ending: Ending) -> None:
+    """One more job has come to this."""
+    db.execute(ADD, (ending, 1))
 
 
 def count_finished(db: Database, job_id: str) -> None:

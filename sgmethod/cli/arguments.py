@@ -15,7 +15,7 @@ BUDGET_HELP = {
     "bytes": ("N", "maximum size in bytes: 20000, 20k, 1.5MB"),
     "looks": ("Q", "target SSIMULACRA 2, up to 100, or preview, web, archive; in as few bytes as possible"),
     "psnr": ("DB", "target PSNR in dB, in as few bytes as possible"),
-    "quality": ("Q", argparse.SUPPRESS),  # for old scripts
+    "quality": ("Q", "round everything this finely, up to 100; what it looks like differs from picture to picture"),
     "gaussians": ("N", "number of Gaussians"),
 }
 MAX_SEED = 2**32 - 1
@@ -216,10 +216,9 @@ def _add_budget_arguments(parser: argparse.ArgumentParser) -> None:
     budget = parser.add_mutually_exclusive_group()
     for kind in BUDGET_KINDS:
         metavar, text = BUDGET_HELP[kind]
-        flags = ["-q", "--quality"] if kind == "quality" else [f"--{kind}"]
         # Whole numbers are read as floats too, so that Budget reports what is wrong with 1.5 bytes.
         read = {"bytes": _size, "looks": _looks}.get(kind, float)
-        budget.add_argument(*flags, type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
+        budget.add_argument(f"--{kind}", type=read, metavar=metavar, help=text.format(default=DEFAULT_BUDGET.value))
 
 
 def _add_preview_arguments(parser: argparse.ArgumentParser) -> None:

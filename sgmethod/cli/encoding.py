@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from sgmethod.client import Client
     from sgmethod.client.client import Priority
 
-OLD_QUALITY = "this scale is kept for old scripts; --looks is one that can be measured"
 PATIENCE_S, MANY_PATIENCE_S = 60.0, 3600.0  # time to wait for a server that is busy or restarts
 
 
@@ -37,8 +36,6 @@ def run_encode(arguments: argparse.Namespace) -> int:
     traces = [] if arguments.trace is None else [files.output(arguments.trace)]
     files.check_outputs([one.source for one in conversions], [*(one.target for one in conversions), *traces])
     budget = _only_budget(arguments)
-    if budget.kind == "quality" and not arguments.quiet:
-        files.print_lines("note", "--quality", [OLD_QUALITY])
     if arguments.server is not None:
         if arguments.seed != 0:
             raise CommandError("--seed cannot be combined with --server")

@@ -58,7 +58,7 @@ def say_done(outcome: Outcome, out: TextIO) -> None:
 
 
 def without_those_there(conversions: list[Conversion], arguments: argparse.Namespace, out: TextIO) -> list[Conversion]:
-    """With --no-clobber, drop conversions whose output exists, and say so."""
+    """Drop conversions whose output exists if --no-clobber is given, and say so."""
     kept = []
     for one in conversions:
         if arguments.no_clobber and one.target != STREAM and Path(one.target).is_file():

@@ -9,7 +9,7 @@ import { decodePreview } from "./src/preview.js";
 
 const MOST_PREVIEW = 4000; // bytes with gzip
 const MOST_ALL = 10_000;
-const SAMPLE = "xdIByWwsTlAkACGPAQBW0I8ielU25A1yzyRNnyNcrWwBow"; // with alpha
+const SAMPLE = "wtIByWwsTlAkACGPAQBW0I8ielU25A1yzyRNnyNcrWwBeg"; // with alpha
 // Properties that no user and no browser sees.
 const INTERNAL = /^(isShort|quantum|background|grey|upright|parts|payload|samples|left|top|sx|sy|dx|dy)$/;
 

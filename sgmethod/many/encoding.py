@@ -11,9 +11,8 @@ from typing import Any
 
 from sgmethod.budget import checked_integer
 from sgmethod.codec import encode
-from sgmethod.errors import ImageWarning, SgError
+from sgmethod.errors import ImageWarning
 from sgmethod.io.inputs import Input
-from sgmethod.many.cluster import in_ray
 from sgmethod.many.folder import MAX_JOBS, Item, Made, into_folder, written
 from sgmethod.many.manifest import Row
 from sgmethod.many.run import Finished, OnRow, Tally, Task, caught, here
@@ -25,7 +24,6 @@ def encode_many(
     *,
     jobs: int = 1,
     resume: bool = False,
-    engine: str = "local",
     on_row: OnRow[Row] | None = None,
     **options: Any,
 ) -> Tally:
@@ -37,8 +35,6 @@ def encode_many(
     more than one needs `if __name__ == "__main__":`, as for every use of multiprocessing.
     resume: skip pictures that the manifest has, if their files are there, options and version are the same and, for
     paths, the picture's size and time; pictures in memory are known by name alone.
-    engine: "local", or "ray" for a Ray cluster (pip install 'sgmethod[ray]'): one core for each picture, and absolute
-    paths in folders that its machines share. Call ray.init() first, or Ray chooses the cluster.
     on_row: called with each finished picture's line of the manifest, and with the run so far.
     options: of encode().
 
@@ -46,12 +42,10 @@ def encode_many(
     invalid or used twice and for a manifest that cannot be written, and OSError if the folder cannot be created.
     """
     jobs = checked_integer(jobs, "the number of jobs", 1, MAX_JOBS)
-    if engine not in ("local", "ray"):
-        raise SgError(f'the engine must be "local" or "ray", got {engine!r}')
 
     def finish(folder: Path, tasks: Iterator[Task[Row]]) -> Finished[Row]:
         make = partial(caught, partial(written, partial(_encode, options), folder.absolute()))
-        return in_ray(make, tasks, jobs) if engine == "ray" else here(make, tasks, jobs)
+        return here(make, tasks, jobs)
 
     return into_folder(items, output_dir, options, finish, resume, on_row)
 

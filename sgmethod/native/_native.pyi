@@ -26,7 +26,7 @@ TEXTURE_STRENGTHS: int  # codes of a strength; 0 is none
 VISIBLE: int  # 1 in the visibility of a picture's errors, int16 [height, width]
 SEEN_COLOR: float
 SEEN_LUMA: tuple[float, float, float]
-"""For the eye, an error e [3] counts SEEN_COLOR |e|^2 + (SEEN_LUMA e)^2, times its pixel's visibility."""
+"""Weights for the eye: an error e [3] counts SEEN_COLOR |e|^2 + (SEEN_LUMA e)^2, times its pixel's visibility."""
 TILE_WIDTH: int
 TILE_HEIGHT: int
 

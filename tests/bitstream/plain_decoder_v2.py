@@ -51,7 +51,7 @@ def body_of(data: bytes, version: int) -> bytes:
     return data[2:end]
 
 
-# Version 2: constants
+# Version 2: limits
 
 MOST_COLOUR = 2**22
 MOST_EXPONENT = 18
@@ -59,7 +59,7 @@ MOST_U_BITS, MOST_PART_BITS, MOST_RAW_BITS = 12, 16, 24
 MOST_V, MOST_R = 8, 4096
 LEAST_COLOUR_STEP = 2.0**-16
 NARROWEST, TOP_LEVEL = 1.4, 12
-OCTAVES, CELL, MOST_STRENGTH = 2, 64, 15
+OCTAVES, PATCH, MOST_STRENGTH = 2, 64, 15
 
 
 # Header
@@ -120,8 +120,8 @@ def read_header(bits: Bits) -> tuple[Header, bool, tuple[Header, int] | None]:
     alpha = None
     if has_alpha:
         quantum = quantum_of(bits.upper(12, 8, is_short))
-        level = bits.upper(8, 5, is_short)
-        alpha = Header(True, False, is_short, width, height, quantum, (level,) * 3), bits.grown(5) - 1
+        value = bits.upper(8, 5, is_short)
+        alpha = Header(True, False, is_short, width, height, quantum, (value,) * 3), bits.grown(5) - 1
     bits.fill()
     return header, has_texture, alpha
 
@@ -136,7 +136,7 @@ Codes = list[list[list[int]]]  # of strengths, by octave, row and column
 
 
 def read_texture(header: Header, bits: Bits) -> Codes:
-    rows, columns = -(-header.height // CELL), -(-header.width // CELL)
+    rows, columns = -(-header.height // PATCH), -(-header.width // PATCH)
     codes: Codes = []
     for octave in range(OCTAVES):
         codes.append([])
@@ -254,7 +254,7 @@ class Number:
     symbol: int = 0
 
     @property
-    def level(self) -> int:
+    def magnitude(self) -> int:
         return 0 if self.symbol == 0 else 1 if self.symbol <= 2 else 2 if self.symbol <= 5 else 3
 
 
@@ -339,7 +339,7 @@ def size_class(header: Header, k: int, n: int) -> SizeClass:
     return SizeClass(k, columns, rows, min(t, MOST_RAW_BITS))
 
 
-# Turns
+# Bits of a Gaussian
 
 
 @dataclass
@@ -360,6 +360,26 @@ class Integers:
         self.u_bits = min(max(self.h - 1, 0), MOST_U_BITS)
 
 
+def lg(x: int) -> int:
+    n = x.bit_length() - 1
+    return 16 * n + 16 * x // 2**n - 16
+
+
+def parts_of(integers: Integers) -> tuple[int, int]:
+    """px and py."""
+    (u, v, r), h, k = integers.shape, integers.h, integers.of_class.k
+    f = lg(integers.square) + 32 * integers.of_class.g - 17
+    w = lg(4**h + 4 * r * r) - 32 * h
+    a = 16 * k + 8 * (2 * u + 1) // 2**integers.u_bits - 8
+    b = 46 * v // 2**h
+    px = (f + w - max(a + b, -56)) // 32 + 1
+    py = (f - max(a - b, -56)) // 32 + 1
+    return min(max(px, 0), MOST_PART_BITS), min(max(py, 0), MOST_PART_BITS)
+
+
+# Turns
+
+
 def read_turn(
     header: Header, coder: Coder, models: Models, of_class: SizeClass, has_next: bool, now: Integers | None
 ) -> Integers | None:
@@ -376,11 +396,11 @@ def read_turn(
     if now:
         v = coder.number(SHAPE, models.v[now.bucket])
     if has_next and not header.grey:
-        a = coder.number(COLOUR, models.a[y.level])
+        a = coder.number(COLOUR, models.a[y.magnitude])
     if now and not header.upright:
         r = coder.number(SHAPE, models.r[now.bucket])
     if has_next and not header.grey:
-        b = coder.number(COLOUR, models.b[a.level])
+        b = coder.number(COLOUR, models.b[a.magnitude])
 
     coder.fetch(v.rest + r.rest + (now.u_bits if now else 0) + (of_class.t if has_next else 0))
     if now:
@@ -421,23 +441,6 @@ def exponential(x: float) -> float:
     for _ in range(10):
         e = e * e
     return e
-
-
-def lg(x: int) -> int:
-    n = x.bit_length() - 1
-    return 16 * n + 16 * x // 2**n - 16
-
-
-def parts_of(integers: Integers) -> tuple[int, int]:
-    """px and py."""
-    (u, v, r), h, k = integers.shape, integers.h, integers.of_class.k
-    f = lg(integers.square) + 32 * integers.of_class.g - 17
-    w = lg(4**h + 4 * r * r) - 32 * h
-    a = 16 * k + 8 * (2 * u + 1) // 2**integers.u_bits - 8
-    b = 46 * v // 2**h
-    px = (f + w - max(a + b, -56)) // 32 + 1
-    py = (f - max(a - b, -56)) // 32 + 1
-    return min(max(px, 0), MOST_PART_BITS), min(max(py, 0), MOST_PART_BITS)
 
 
 def gaussian_of(header: Header, integers: Integers) -> Gaussian:
@@ -496,8 +499,8 @@ def on_level(gaussian: Gaussian, level: int) -> Gaussian:
     if level == 0:
         return gaussian
     samples = 2**level
-    p1, p2, p3, v = l1 / samples, l2 / samples, l3 / samples, (1 - 4.0**-level) / 4
-    xx, xy, yy = p1 * p1 - v, p1 * p2, p2 * p2 + p3 * p3 - v
+    p1, p2, p3, blur = l1 / samples, l2 / samples, l3 / samples, (1 - 4.0**-level) / 4
+    xx, xy, yy = p1 * p1 - blur, p1 * p2, p2 * p2 + p3 * p3 - blur
     q1 = math.sqrt(xx)
     q2 = xy / q1
     q3 = math.sqrt(xx * yy - xy * xy) / q1
@@ -551,9 +554,9 @@ def draw(
 def to_bytes(planes: list[Plane], background: tuple[int, int, int]) -> bytes:
     samples = bytearray()
     for pixels in zip(*planes, strict=True):
-        for values in zip(*pixels, strict=True):
-            lit = (value + level / 255 for value, level in zip(values, background, strict=True))
-            samples += bytes(math.floor(255 * min(max(value, 0.0), 1.0) + 0.5) for value in lit)
+        for of_pixel in zip(*pixels, strict=True):
+            lit = (sample + value / 255 for sample, value in zip(of_pixel, background, strict=True))
+            samples += bytes(math.floor(255 * min(max(sample, 0.0), 1.0) + 0.5) for sample in lit)
     return bytes(samples)
 
 
@@ -589,7 +592,7 @@ def detail(i: int, j: int, weights: tuple[int, ...]) -> int:
 
 @functools.cache
 def noise_table(octave: int, i: int, j: int) -> int:
-    """v in a column and a row, 0 to 255."""
+    """Noise in a column and a row, 0 to 255."""
     if octave == 1:
         return (detail(i, j, (1, 2, 1)) + 16) // 32
     smooth = sum(
@@ -628,16 +631,16 @@ class Noise:
         octave = level - self.shift
         if not 0 <= octave < len(self.codes):
             return 0.0
-        v = noise_table(octave, i % 256, j % 256)
+        noise = noise_table(octave, i % 256, j % 256)
         share = 0.75 if self.shift < 0 and level == 0 else 1.0
         at_x, at_y = (
-            min(max(((n + 0.5) * 2**level - corner) / scale / CELL - 0.5, 0), cells - 1)
-            for n, corner, scale, cells in zip(
+            min(max(((n + 0.5) * 2**level - corner) / scale / PATCH - 0.5, 0), patches - 1)
+            for n, corner, scale, patches in zip(
                 (i, j), self.corner, self.scale, (len(self.codes[0][0]), len(self.codes[0])), strict=True
             )
         )
         ends = [self._along_x(octave, row, at_x) for row in (math.floor(at_y), math.ceil(at_y))]
-        return v * share * (ends[0] + (ends[1] - ends[0]) * (at_y - math.floor(at_y)))
+        return noise * share * (ends[0] + (ends[1] - ends[0]) * (at_y - math.floor(at_y)))
 
     def _along_x(self, octave: int, row: int, at: float) -> float:
         codes = self.codes[octave][row]
@@ -674,9 +677,9 @@ class File:
 
     # A part of the payload
 
-    def part(self, part: float) -> list[Gaussian]:
-        """The Gaussians in a part, above 0 and below 1, of the payload."""
-        coder = coder_of(self.header, self.payload[: math.ceil(part * len(self.payload))])
+    def part(self, k: int) -> list[Gaussian]:
+        """The Gaussians in the first k bytes of the payload."""
+        coder = coder_of(self.header, self.payload[:k])
         found = []
         try:
             for integers in read_payload(self.header, coder, is_part=True):
@@ -721,17 +724,29 @@ def resized(
     width, height = view_size(region, scale)
     sx, sy = width / w, height / h
     floor = math.exp(-cutoff)
-    k = (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
-    vx, vy = max(1 - sx * sx, 0) / (12 * k), max(1 - sy * sy, 0) / (12 * k)
+    kept = (1 - floor * (1 + cutoff + cutoff**2 / 2)) / (1 - floor * (1 + cutoff))
+    vx, vy = max(1 - sx * sx, 0) / (12 * kept), max(1 - sy * sy, 0) / (12 * kept)
     shown = []
     for x, y, l1, l2, l3, colour in gaussians:
-        a, b, d = sx * l1, sy * l2, sy * l3
-        n1 = math.sqrt(a * a + vx)
-        n3 = math.sqrt(d * d + vy + (b / n1) ** 2 * vx)
+        p1, p2, p3 = sx * l1, sy * l2, sy * l3
+        n1 = math.sqrt(p1 * p1 + vx)
+        n3 = math.sqrt(p3 * p3 + vy + (p2 / n1) ** 2 * vx)
         place = round32((x - left) * sx + origin[0]), round32((y - top) * sy + origin[1])
-        less = tuple(round32(value * (a * d) / (n1 * n3)) for value in colour)
-        shown.append((*place, round32(n1), round32(a * (b / n1)), round32(n3), less))
+        less = tuple(round32(value * (p1 * p3) / (n1 * n3)) for value in colour)
+        shown.append((*place, round32(n1), round32(p1 * (p2 / n1)), round32(n3), less))
     return shown
+
+
+def view_gaussians(gaussians: list[Gaussian], region: Region, scale: float) -> list[Gaussian]:
+    """Gaussians in a view, on the samples of the whole."""
+    return resized(gaussians, region, scale, origin=origin_of(region, scale))
+
+
+def origin_of(region: Region, scale: float) -> tuple[int, int]:
+    """OX and OY."""
+    sizes = zip(region[:2], region[2:], view_size(region, scale), strict=True)
+    ox, oy = (math.floor(corner * (size / side)) % 65536 for corner, side, size in sizes)
+    return ox, oy
 
 
 def view(data: bytes, scale: float = 1, region: Region | None = None) -> tuple[int, int, bytes]:
@@ -740,14 +755,14 @@ def view(data: bytes, scale: float = 1, region: Region | None = None) -> tuple[i
     region = region or (0, 0, file.header.width, file.header.height)
     width, height = view_size(region, scale)
     sx, sy = width / region[2], height / region[3]
-    ox, oy = math.floor(region[0] * sx) % 65536, math.floor(region[1] * sy) % 65536
+    ox, oy = origin_of(region, scale)
     part = range(ox, ox + width), range(oy, oy + height)
     noise = Noise(file.codes, (sx, sy), (ox - region[0] * sx, oy - region[1] * sy))
-    shown = resized(file.gaussians(), region, scale, origin=(ox, oy))
+    shown = view_gaussians(file.gaussians(), region, scale)
     pixels = draw(shown, noise, *part, file.header.background)
     if file.alpha is None:
         return width, height, pixels
-    shown = resized(file.alpha_gaussians(), region, scale, origin=(ox, oy))
+    shown = view_gaussians(file.alpha_gaussians(), region, scale)
     alpha = draw(shown, Noise([]), *part, file.alpha[0].background)
     samples = bytearray()
     for at in range(0, len(pixels), 3):

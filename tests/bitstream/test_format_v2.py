@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -51,31 +52,27 @@ def assert_same_pixels(plain: tuple[int, int, bytes], pixels: np.ndarray) -> Non
     assert np.mean(difference > 0) < MAX_SHARE
 
 
-def number_of(value: str) -> float:
-    base, _, exponent = value.partition("^")
-    return float(base) ** float(exponent or 1)
-
-
-def test_the_constants_are_the_codes() -> None:
-    """The text's table, the plain decoder's constants and the kernels'."""
-    plain = plain_decoder_v2
-    of = {row["name"]: row["value"] for row in table("These constants appear below:")}
-    said = {name: number_of(value) for name, value in of.items()}
-    assert said == {
-        "most colour": plain.MOST_COLOUR,
-        "most exponent": plain.MOST_EXPONENT,
-        "most u bits": plain.MOST_U_BITS,
-        "most part bits": plain.MOST_PART_BITS,
-        "most raw bits": plain.MOST_RAW_BITS,
-        "most V": plain.MOST_V,
-        "most R": plain.MOST_R,
-        "least colour step": plain.LEAST_COLOUR_STEP,
-        "narrowest": plain.NARROWEST,
-        "top level": plain.TOP_LEVEL,
-        "octaves": plain.OCTAVES,
-        "cell": plain.CELL,
-        "most strength": plain.MOST_STRENGTH,
-    }
+def test_the_limits_are_the_codes() -> None:
+    """The text's numbers, the plain decoder's and the kernels'."""
+    plain, text = plain_decoder_v2, " ".join(TEXT.split())
+    for said in (
+        f"one of them above 2^{plain.MOST_COLOUR.bit_length() - 1},",
+        f"<= S < 2^(2 h + 1), {plain.MOST_EXPONENT})",
+        f"u bits = min(max(h - 1, 0), {plain.MOST_U_BITS})",
+        f"each limited to 0 .. {plain.MOST_PART_BITS}.",
+        f"until it is less than 8; at most {plain.MOST_RAW_BITS}.",
+        rf"refuse \|v\| > {plain.MOST_V} * 2^h or 2 \|r\| > {plain.MOST_R} * 2^h",
+        f"c = max(quantum / (size(k) * 1.5), 2^{math.log2(plain.LEAST_COLOUR_STEP):g})",
+        f"ratio = minor / ({plain.NARROWEST} * {plain.NARROWEST})",
+        f"the largest l from 1 to {plain.TOP_LEVEL} with",
+        f"Square patches, {plain.PATCH} pixels wide,",
+        f"columns = ceil(width / {plain.PATCH}) rows = ceil(height / {plain.PATCH})",
+        f"min(max(x / {plain.PATCH} - 0.5, 0), columns - 1) min(max(y / {plain.PATCH} - 0.5, 0), rows - 1)",
+        f"a strength code for each patch, from 0 to {plain.MOST_STRENGTH}.",
+    ):
+        assert said in text
+    assert plain.OCTAVES == 2
+    assert "Each of two octaves" in text
     symbols, codec, levels, reference = (
         (NATIVE / path).read_text() for path in ("rd/symbols.h", "rd/codec.cpp", "raster/levels.h", "reference.py")
     )
@@ -91,18 +88,18 @@ def test_the_constants_are_the_codes() -> None:
     assert f"\nNARROWEST = {plain.NARROWEST:g}  #" in reference
     assert f"\nMAX_LEVEL = {plain.TOP_LEVEL}\n" in reference
     of_texture = native.TEXTURE_OCTAVES, native.TEXTURE_CELL, native.TEXTURE_STRENGTHS - 1
-    assert of_texture == (plain.OCTAVES, plain.CELL, plain.MOST_STRENGTH)
+    assert of_texture == (plain.OCTAVES, plain.PATCH, plain.MOST_STRENGTH)
 
 
 def test_the_version_and_the_views_in_the_text() -> None:
     text = " ".join(TEXT.split())
     assert f"# Version {StreamV2.VERSION} " in text
     assert f"from 1/{1 / MIN_SCALE:g} to {MAX_SCALE:g} output pixels" in text
-    assert f"/ ({1 / PIXEL_VARIANCE:g} k)" in text
-    assert f"OX = floor(X * sx) mod {MAX_COORDINATE} " in text
+    assert f"/ ({1 / PIXEL_VARIANCE:g} kept)" in text
+    assert f"OX = floor(left * sx) mod {MAX_COORDINATE} " in text
     assert MAX_COORDINATE % 2**plain_decoder_v2.TOP_LEVEL == 0
-    assert f"C = 3: k = {variance(native.CUTOFF_V2):.4f}" in text
-    assert f"C = 5.5: k = {variance(native.CUTOFF_V1):.4f}" in text
+    assert f"C = 3: kept = {variance(native.CUTOFF_V2):.4f}" in text
+    assert f"C = 5.5: kept = {variance(native.CUTOFF_V1):.4f}" in text
 
 
 def test_start_tables() -> None:
@@ -134,7 +131,7 @@ def test_the_plain_decoder_finds_the_same(name: str) -> None:
     assert file.codes == ([] if s.texture is None else s.texture.tolist())
     assert rows(s.gaussians()) == file.gaussians()
     for part in PARTS:
-        assert rows(s.gaussians(part)) == file.part(part)
+        assert rows(s.gaussians(part)) == file.part(math.ceil(part * len(s.payload)))
     assert container.serialise(s) == GOLDEN[name]
     assert s.file_bytes == len(GOLDEN[name])
 
@@ -249,7 +246,7 @@ def test_both_take_and_refuse_the_same_files(name: str, place: float, value: byt
 
 def plain_gaussians(data: bytes, part: float) -> list[Gaussian]:
     file = plain_decoder_v2.read(data)
-    return file.gaussians() if part == 1 else file.part(part)
+    return file.gaussians() if part == 1 else file.part(math.ceil(part * len(file.payload)))
 
 
 def test_headers_of_known_sizes() -> None:

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sgmethod import View, decode
+from sgmethod import BitstreamError, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import StreamV2
-from tests.bitstream import make_vectors
+from tests.bitstream import make_vectors, plain_decoder_v2
 from tests.harness.data import JAVASCRIPT
 
 MOST_BYTES = 300_000
 TEXT = make_vectors.VECTORS.read_text()
-FILES = {one["name"]: one for one in json.loads(TEXT)["files"]}
+VECTORS = json.loads(TEXT)
+FILES = {one["name"]: one for one in VECTORS["files"]}
 NAMES = pytest.mark.parametrize("name", FILES)
 
 
@@ -66,7 +67,33 @@ def pixels_of(rows: list[str], channels: int) -> np.ndarray:
     return np.frombuffer(bytes.fromhex("".join(rows)), np.uint8).reshape(len(rows), -1, channels)
 
 
-@NAMES
+@pytest.mark.parametrize("of", VECTORS["parts"])
+def test_our_decoder_and_the_plain_one_find_as_many_in_parts(of: dict[str, Any]) -> None:
+    data = bytes.fromhex(of["bytes"])
+    stream, plain = container.parse(data), plain_decoder_v2.read(data)
+    assert isinstance(stream, StreamV2)
+    whole = len(stream.payload)
+    for k, n in of["parts"]:
+        prefix = max(k - 0.5, 0) / whole if k < whole else 1
+        if n is None:
+            with pytest.raises(BitstreamError):
+                stream.gaussians(prefix)
+            with pytest.raises(plain_decoder_v2.RefusedError):
+                plain.part(k)
+        else:
+            assert len(stream.gaussians(prefix)) == len(plain.part(k)) == n
+
+
+@pytest.mark.parametrize("of", VECTORS["refuse"], ids=lambda of: of["reason"])
+def test_our_decoder_and_the_plain_one_refuse(of: dict[str, Any]) -> None:
+    data = bytes.fromhex(of["bytes"])
+    with pytest.raises(BitstreamError):
+        decode(data)
+    with pytest.raises(plain_decoder_v2.RefusedError):
+        plain_decoder_v2.decode(data)
+
+
+@pytest.mark.parametrize("name", sorted(FILES.keys() - make_vectors.UNDRAWN))
 def test_our_decoder_draws_the_same(name: str) -> None:
     """No sample differs, though it might."""
     of = FILES[name]
@@ -78,32 +105,63 @@ def test_our_decoder_draws_the_same(name: str) -> None:
 
 
 SCRIPT = """
-const {{ decode }} = await import("{folder}/decoder.js");
-const {{ readFile }} = await import("{folder}/file.js");
-const answers = {files}.map(([hex, views]) => {{
-  const bytes = Uint8Array.from(hex.match(/../g), (byte) => parseInt(byte, 16));
+const {{ SgError, decode }} = await import("{folder}/decoder.js");
+const {{ countInPart, readFile }} = await import("{folder}/file.js");
+const bytesOf = (hex) => Uint8Array.from(hex.match(/../g), (byte) => parseInt(byte, 16));
+const files = {files}.map(([hex, views]) => {{
+  const bytes = bytesOf(hex);
   const {{ width, height, quantum, background, values, alpha }} = readFile(bytes);
   const pixels = views.map((view) => Buffer.from(decode(bytes, view).data).toString("hex"));
   const header = {{ width, height, quantum, background }};
   return {{ header, values: [...values], alpha: [...(alpha?.values ?? [])], pixels }};
 }});
-console.log(JSON.stringify(answers));
+const parts = {parts}.map((of) => {{
+  const file = readFile(bytesOf(of.bytes));
+  return of.parts.map(([k]) => [k, countInPart(file, Math.max(k - 0.5, 0) / file.payloadBytes)]);
+}});
+const accepted = {refuse}.filter((of) => {{
+  try {{
+    decode(bytesOf(of.bytes));
+    return true;
+  }} catch (error) {{
+    return !(error instanceof SgError);
+  }}
+}});
+console.log(JSON.stringify({{ files, parts, accepted }}));
 """
+
+
+def drawn(of: dict[str, Any]) -> list[dict[str, Any]]:
+    """The picture, if it is to be drawn, and the views of a file."""
+    return [*([of] if "pixels" in of else []), *of.get("views", [])]
 
 
 def test_the_decoder_in_javascript_does_the_same() -> None:
     if shutil.which("node") is None:
         pytest.skip("Node is not installed: sudo apt install nodejs")
-    asked = [[of["bytes"], [{}, *of.get("views", [])]] for of in FILES.values()]
-    script = SCRIPT.format(folder=JAVASCRIPT.as_uri(), files=json.dumps(asked))
-    command = ["node", "--input-type=module", "--no-warnings", "--eval", script]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    for answer, of in zip(json.loads(done.stdout), FILES.values(), strict=True):
-        assert answer["header"].items() <= of["header"].items()
-        for found, layer in ((answer["values"], of), (answer["alpha"], of.get("alpha", {"gaussians": []}))):
-            assert found == [value for row in layer["gaussians"] for value in row[:8]]
-        channels = 4 if of["header"]["alpha"] else 3
-        for hexadecimal, wanted in zip(answer["pixels"], [of, *of.get("views", [])], strict=True):
-            pixels = np.frombuffer(bytes.fromhex(hexadecimal), np.uint8).reshape(len(wanted["pixels"]), -1, 4)
-            assert np.array_equal(pixels[..., :channels], pixels_of(wanted["pixels"], channels))
-            assert channels == 4 or (pixels[..., 3] == 255).all()
+    asked = [
+        [of["bytes"], [{key: one[key] for key in one.keys() & {"scale", "region"}} for one in drawn(of)]]
+        for of in FILES.values()
+    ]
+    parted = [of for of in VECTORS["parts"] if all(n is not None for _, n in of["parts"])]
+    parts, refuse = json.dumps(parted), json.dumps(VECTORS["refuse"])
+    script = SCRIPT.format(folder=JAVASCRIPT.as_uri(), files=json.dumps(asked), parts=parts, refuse=refuse)
+    command = ["node", "--input-type=module", "--no-warnings"]
+    done = subprocess.run(command, input=script, capture_output=True, text=True, check=True, timeout=60)
+    answers = json.loads(done.stdout)
+    assert answers["accepted"] == []
+    assert answers["parts"] == [of["parts"] for of in parted]
+    for answer, of in zip(answers["files"], FILES.values(), strict=True):
+        assert_same_answer(answer, of)
+
+
+def assert_same_answer(answer: dict[str, Any], of: dict[str, Any]) -> None:
+    """What the decoder in JavaScript makes of a file, against the vector."""
+    assert answer["header"].items() <= of["header"].items()
+    for found, layer in ((answer["values"], of), (answer["alpha"], of.get("alpha", {"gaussians": []}))):
+        assert found == [value for row in layer["gaussians"] for value in row[:8]]
+    channels = 4 if of["header"]["alpha"] else 3
+    for hexadecimal, wanted in zip(answer["pixels"], drawn(of), strict=True):
+        pixels = np.frombuffer(bytes.fromhex(hexadecimal), np.uint8).reshape(len(wanted["pixels"]), -1, 4)
+        assert np.array_equal(pixels[..., :channels], pixels_of(wanted["pixels"], channels))
+        assert channels == 4 or (pixels[..., 3] == 255).all()

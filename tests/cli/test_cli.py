@@ -143,11 +143,6 @@ def test_views(run: Run, line: str, view: View) -> None:
     assert np.array_equal(np.asarray(Image.open("out.png")), decode(data, view=view))
 
 
-def test_quality_is_for_old_scripts(run: Run) -> None:
-    ran = run("encode", "photo.png", "out.sg", "--quality", "10", "--json")
-    assert (ran.status, "--looks" in ran.err) == (0, True)
-
-
 def test_arguments_reach_the_encoder(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     real, calls = codec.encode, []
 
@@ -239,7 +234,7 @@ def test_version(module: bool) -> None:
         ("decode picture.sg ./folder/../picture.sg --output-dir folder", "would both become folder/picture.png"),
         (ENCODE + "--bytes many", "a size is a number of bytes, such as 20000, 20k or 1.5MB, not 'many'"),
         (ENCODE + "--bytes 0.0105k", "whole"),
-        (ENCODE + "-q 101", "at most 100"),
+        (ENCODE + "--quality 101", "at most 100"),
         (ENCODE + "--server 127.0.0.1:8000", "must begin with http:// or https://, got '127.0.0.1:8000'"),
         (DECODE + "--width 0", "a width is a whole number from 1 to 65536"),
         (DECODE + "--width 20 --scale 2", "--scale cannot be combined with --width or --height"),

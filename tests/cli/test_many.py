@@ -142,7 +142,10 @@ def test_sizes_as_people_type_them(run: Run, monkeypatch: pytest.MonkeyPatch, te
 
 
 def test_short_options_and_names_between_options(run: Run) -> None:
-    for command, name, options in (("encode", "photo.png", ["-q", "10"]), ("decode", GOLDEN, ["--scale", "0.5"])):
+    for command, name, options in (
+        ("encode", "photo.png", ["--quality", "10"]),
+        ("decode", GOLDEN, ["--scale", "0.5"]),
+    ):
         suffix = {"encode": "sg", "decode": "png"}[command]
         assert run(command, name, *options, f"a.{suffix}", "--quiet").status == 0
         assert run(command, "-o", f"b.{suffix}", *options, name, "--quiet").status == 0

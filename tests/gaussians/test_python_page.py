@@ -30,9 +30,8 @@ def test_the_examples() -> None:
     """Slow: eight examples, of which one fits by gradients and one trains."""
     torch.manual_seed(0)
     names: dict[str, Any] = {}
-    every = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    examples = [example for example in every if not example.startswith("import ray\n")]  # tests/many has that one
-    assert len(examples) == len(every) - 1 == 8
+    examples = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert len(examples) == 8
     for example in examples:
         exec(compile(example, "docs/python.md", "exec"), names)
     assert (names["tally"].encoded, names["tally"].failed) == (1, 0)

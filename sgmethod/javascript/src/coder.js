@@ -1,4 +1,4 @@
-// The entropy decoder of version 2: docs/format.md, "The entropy decoder".
+// The entropy decoder of version 2: docs/format.md, "States and symbols" and "Raw bits and numbers".
 
 import { refuseUnless } from "./header.js";
 import { SEEN, SLOW, newModels } from "./models.js";

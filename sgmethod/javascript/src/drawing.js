@@ -1,4 +1,4 @@
-// A view of a file: docs/format.md, "Views" and "Texture".
+// A view of a file: docs/format.md, "Views" and "Noise".
 
 import { CELL, OCTAVES, SgError, unknown } from "./header.js";
 import { TOP_LEVEL, drawGaussians, rounded, setAlpha } from "./planes.js";

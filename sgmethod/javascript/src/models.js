@@ -1,4 +1,4 @@
-// Where the entropy coder's models begin: docs/format.md, "Models".
+// Where the entropy coder's models begin: docs/format.md, "States and symbols".
 
 // Rows as there, but for each ff at their ends.
 const ROWS = [

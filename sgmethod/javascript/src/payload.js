@@ -1,4 +1,4 @@
-// A payload to its Gaussians: docs/format.md, "The payload".
+// A payload to its Gaussians: docs/format.md, "Payload" and "Integers to Gaussians".
 
 import { newCoder } from "./coder.js";
 import { refuseUnless } from "./header.js";

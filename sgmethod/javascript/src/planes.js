@@ -1,4 +1,4 @@
-// Gaussians to the samples of a pyramid: docs/format.md, "The picture" and "Views".
+// Gaussians to the samples of a pyramid: docs/format.md, "Gaussians to pixels" and "Views".
 
 import { ceil, exp, floor, fround, max, min, sqrt } from "./math.js";
 

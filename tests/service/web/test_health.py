@@ -78,8 +78,7 @@ def test_workers_are_known_by_name(start_service: StartService) -> None:
         figures = {name: age for name, age in service.figures().items() if "worker_seen_seconds" in name}
         return {re.findall(r'worker="[^"]*:(\d+)"', name)[0]: age for name, age in figures.items()}
 
-    both = {str(number) for number in service.ours("worker")}
-    wait_until(lambda: seen().keys() == both)
+    wait_until(lambda: len(seen()) == 2 and seen().keys() == {str(number) for number in service.ours("worker")})
     assert max(seen().values()) < 60
     victim = service.ours("worker")[0]
     os.kill(victim, signal.SIGKILL)

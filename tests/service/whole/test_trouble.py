@@ -28,7 +28,7 @@ from tests.harness.service import STAND_IN, StartService, assert_problem
 pytestmark = pytest.mark.thorough
 
 PICTURE = golden_path("v2-color.sg").read_bytes()
-DISK_BYTES = 4 * 2**20
+DISK_BYTES, ROOM_BYTES = 2**24, 2**21  # of the file system; of one upload, four times which must be free
 SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
 
 
@@ -59,7 +59,7 @@ def fill(disk: Path) -> Path:
 
 def test_full_disk_while_accepting(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """Rule 1: what cannot be kept is not accepted, and nothing of it stays."""
-    web = start_service("web", database_url=database_url, min_free_bytes=0)
+    web = start_service("web", database_url=database_url, max_upload_bytes=ROOM_BYTES)
     done = web.published(PICTURE)
     before = web.files()
     ballast = fill(small_disk)
@@ -74,7 +74,7 @@ def test_full_disk_while_accepting(small_disk: Path, start_service: StartService
 
 def test_full_disk_while_finishing(small_disk: Path, start_service: StartService, database_url: str) -> None:
     """A result waits for room; the encode is not done again."""
-    service = start_service(database_url=database_url, lease_s=30, min_free_bytes=0, extra=STAND_IN)
+    service = start_service(database_url=database_url, lease_s=30, max_upload_bytes=ROOM_BYTES, extra=STAND_IN)
     job_id = service.accepted_slow()
     encoder = wait_until(lambda: encoder_of(job_id))
     ballast = fill(small_disk)

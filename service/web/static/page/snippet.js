@@ -1,12 +1,13 @@
 // HTML that holds a picture and the decoder that draws it.
 
+import { ask } from "./api.js";
 import { withoutSuffix } from "./words.js";
 
 const SOURCES = ["math", "models", "header", "coder", "payload", "file", "planes", "drawing", "decoder"];
 
 /** HTML that shows a picture from its .sg file, and needs no other file. The picture's name is its label. */
 export async function snippetOf(item) {
-  const sources = await Promise.all(SOURCES.map(async (name) => (await fetch(`static/sgmethod/${name}.js`)).text()));
+  const sources = await Promise.all(SOURCES.map(async (name) => (await ask(`static/sgmethod/${name}.js`)).text()));
   const decoder = sources
     .join("\n")
     .replace(/^(import|export) \{.*$/gm, "")

@@ -40,7 +40,7 @@ void main() {
 const SHOW = `#version 300 es
 layout(location = 0) in vec2 corner;
 void main() { gl_Position = vec4(corner, 0.0, 1.0); }`;
-// Noise and its strength as in docs/format.md, "Texture". To be enlarged by two again and again comes to a quadratic
+// Noise and its strength as in docs/format.md, "Noise". To be enlarged by two again and again comes to a quadratic
 // B-spline, which is what is drawn here from the third level on.
 const SHOW_PIXEL = `#version 300 es
 precision highp float;
