@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import signal
 import socket
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 
 from pydantic import ValidationError
 
 from service.jobs.table import JobTableError
 from service.logs import set_up_logging
 from service.opening import MissingPackagesError, open_job_table, open_storage
-from service.process import lifeline
 from service.process.listening import is_loopback, listen, url
 from service.process.stopping import StopSignal
+from service.sandbox.client import Sandbox
+from service.sandbox.confinement import absent_layers, end_with
+from service.sandbox.starting import SandboxError, SandboxProcess, check_layers, own_sandbox
 from service.settings import Settings, unknown_settings
 from service.worker.sweeping import ORPHAN_AGE_S, sweep
 from sgmethod.errors import SgError
@@ -46,7 +50,7 @@ def main() -> int:
     except SgError as error:  # the kernels are missing, which count the cores
         print(f"cannot start: {error}", file=sys.stderr)
         return TROUBLE
-    child = getattr(arguments, "lifeline", None) is not None  # of "serve", which has said it
+    child = getattr(arguments, "supervisor", None) is not None  # of "serve", which has said it
     for name in () if child else unknown_settings(os.environ):
         print(f"{name} is not a setting of this service and has no effect", file=sys.stderr)
     try:
@@ -54,7 +58,7 @@ def main() -> int:
     except BrokenPipeError:  # of `check | head`: nobody reads the rest
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return TROUBLE
-    except (OSError, JobTableError, MissingPackagesError, SgError) as error:
+    except (OSError, JobTableError, MissingPackagesError, SandboxError, SgError) as error:
         verb = "sweep" if arguments.command == "sweep" else "start"
         print(f"cannot {verb}: {' '.join(str(error).split())}", file=sys.stderr)
         return TROUBLE
@@ -79,7 +83,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     web.add_argument("--socket", type=int, help=argparse.SUPPRESS)
     for command in (web, worker):  # both are how "serve" starts its processes
-        command.add_argument("--lifeline", type=int, help=argparse.SUPPRESS)
+        command.add_argument("--supervisor", type=int, help=argparse.SUPPRESS)
+        command.add_argument("--sandbox", type=int, help=argparse.SUPPRESS)
     return parser
 
 
@@ -88,19 +93,30 @@ def _serve(settings: Settings, _arguments: argparse.Namespace) -> None:
 
     stop = StopSignal()
     stop.on_signals()
-    # Trouble with folder, database or bucket shows here, not as processes that keep dying.
+    warnings = _before_start(settings)
+    listener = _announce(settings)
+    _warn(warnings)
+    sandbox = SandboxProcess(settings.encode_threads)
+    supervise(settings, listener, sandbox, sandbox.requests, stop)
+
+
+def _before_start(settings: Settings) -> list[str]:
+    """Trouble with folder, database, bucket or sandbox shows here, not as processes that keep dying."""
     open_job_table(settings).close()
     open_storage(settings).check()
-    supervise(settings, _announce(settings), stop)
+    return check_layers(required=settings.require_sandbox)
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:
     from service.api.server import run_web
 
-    if arguments.lifeline is not None:
-        lifeline.watch(arguments.lifeline, lambda: os.kill(os.getpid(), signal.SIGTERM))
+    absent = absent_layers()  # before there is a second thread
+    if arguments.supervisor is not None:
+        end_with(arguments.supervisor, signal.SIGTERM)
     given = arguments.socket
-    run_web(settings, lambda: _announce(settings) if given is None else socket.socket(fileno=given))
+    with _sandbox(settings, arguments) as requests:
+        listen = functools.partial(_announce, settings) if given is None else lambda: socket.socket(fileno=given)
+        run_web(settings, Sandbox(requests), absent, listen)
 
 
 def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
@@ -108,11 +124,20 @@ def _worker(settings: Settings, arguments: argparse.Namespace) -> None:
 
     stop = StopSignal()
     stop.on_signals()
-    if arguments.lifeline is not None:
-        lifeline.watch(arguments.lifeline, stop.request)
-    table = open_job_table(settings)
-    Worker(settings, table, open_storage(settings), stop).run()
-    table.close()
+    if arguments.supervisor is not None:
+        end_with(arguments.supervisor, signal.SIGTERM)
+    with _sandbox(settings, arguments) as requests:
+        table = open_job_table(settings)
+        Worker(settings, table, open_storage(settings), Sandbox(requests), stop).run()
+        table.close()
+
+
+def _sandbox(settings: Settings, arguments: argparse.Namespace) -> AbstractContextManager[socket.socket]:
+    """The requests of the supervisor's sandbox, or of one of this process's own."""
+    if arguments.sandbox is not None:
+        return socket.socket(fileno=arguments.sandbox)
+    _warn(_before_start(settings))
+    return own_sandbox(settings.encode_threads)
 
 
 def _check(settings: Settings, _arguments: argparse.Namespace) -> int:
@@ -151,6 +176,11 @@ def _announce(settings: Settings) -> socket.socket:
         )
     print(f"sgmethod service on {url(listener)}, {_where(settings)}, {_for_whom(settings)}", flush=True)
     return listener
+
+
+def _warn(sentences: Iterable[str]) -> None:
+    for sentence in sentences:
+        print(sentence, file=sys.stderr, flush=True)
 
 
 def _for_whom(settings: Settings) -> str:

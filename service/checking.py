@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,7 +13,7 @@ from pathlib import Path
 
 from service.jobs.table import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
-from service.process import confinement
+from service.sandbox.confinement import LAYERS, absent_layers
 from service.settings import UPLOADS_OF_ROOM, Settings
 from service.storage.files import PROBE_FOLDER
 from sgmethod.errors import SgError
@@ -44,7 +42,7 @@ def check(settings: Settings) -> Iterator[Check]:
         "storage": _storage,
         "free disk": _free_disk,
         "kernels": _kernels,
-        "confinement": _confinement,
+        "sandbox": _sandbox,
     }
     for name, run in checks.items():
         try:
@@ -94,12 +92,10 @@ def _kernels(_settings: Settings) -> str:
     return f"{ISA_NAMES[native.best_isa()]}; profiles paper and baseline {others}"
 
 
-def _confinement(_settings: Settings) -> str:
-    """It is no failure where the system offers less, as older ones and some containers do."""
-    ask = f"from {confinement.MODULE} import confine; print(', '.join(confine()))"
-    known = confinement.environment(os.environ)
-    said = subprocess.run([sys.executable, "-c", ask], env=known, capture_output=True, text=True, check=False)
-    if said.returncode != 0:
-        raise CheckError("the processes that read uploads cannot be sandboxed")
-    missing = said.stdout.strip()
-    return f"this system does not offer {missing}" if missing else "Landlock and seccomp"
+def _sandbox(settings: Settings) -> str:
+    """It is no failure where the system offers less, as older ones and some containers do, unless it is required."""
+    absent = " and ".join(absent_layers())
+    if absent and settings.require_sandbox:
+        raise CheckError(f"this system does not offer {absent}, and SG_REQUIRE_SANDBOX is set")
+    found = f"this system does not offer {absent}" if absent else " and ".join(LAYERS)
+    return f"{found}{'; runs as root' if os.geteuid() == 0 else ''}"

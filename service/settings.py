@@ -110,6 +110,10 @@ class Settings(BaseSettings):
         default=10.0, gt=0, le=LONGEST_S, description="seconds allowed for stopping before processes are killed"
     )
 
+    require_sandbox: bool = Field(
+        default=False, description="refuse to start where the system cannot confine what reads uploads"
+    )
+
     # What is kept.
     source_retention_s: float = Field(
         default=3600.0,

@@ -118,7 +118,7 @@ RULES = {
         "service",
         r"sgmethod\.(codec|rd|paper|fitting|start|previews)\b|from sgmethod import .*\b(codec|encode|preview)\b"
         rf"|{IMPORT}torch",
-        "service/worker/encoder.py service/web/helpers/helper.py",
+        "service/sandbox/tasks.py",
     ),
     "the reference, which is slow, is for tests": ("sgmethod service", IMPORT + r"sgmethod\.backend\.reference", ""),
     "the encoder computes through its backend": (

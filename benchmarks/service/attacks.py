@@ -41,7 +41,6 @@ SETTINGS: dict[str, Any] = {
     "source_retention_s": 3600,
 }
 WARM_S, LONGER_S, SAMPLE_S, REST_S = 3.0, 3.0, 0.1, 5.0
-HELPER = "service.web.helpers.helper"
 
 
 def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
@@ -60,7 +59,7 @@ def asked_for(job: str, waiting: str, folder: Path) -> dict[str, str]:
 
 
 class Memory(threading.Thread):
-    """Samples the web process and its helpers. most, now: bytes of each."""
+    """Samples the web process and its helpers, the sandbox and its forks. most, now: bytes of each."""
 
     def __init__(self, web: int) -> None:
         super().__init__(name="memory", daemon=True)
@@ -70,7 +69,10 @@ class Memory(threading.Thread):
 
     def sample(self) -> dict[str, int]:
         """Bytes at this moment."""
-        helpers = [n for n, p in processes().items() if p.parent == self._web and HELPER in p.command]
+        sandboxes = {n: p for n, p in processes().items() if p.is_a("sandbox")}
+        helpers = [
+            n for n, p in sandboxes.items() if self._web in (p.parent, getattr(sandboxes.get(p.parent), "parent", 0))
+        ]
         now = {"web": resident_bytes(self._web), "helpers": sum(map(resident_bytes, helpers))}
         self.most = {name: max(self.most[name], size) for name, size in now.items()}
         return now

@@ -25,13 +25,14 @@ from service.api.metrics import Metrics
 from service.api.middleware import BodyLimit, RequestLog
 from service.api.problems import install_problem_handlers
 from service.api.routes import add_routes
+from service.api.tasks import ClientTasks
 from service.api.turns import Streams, Turns
 from service.api.views import PictureCache
 from service.keys import KeyRing
 from service.opening import open_job_table, open_storage
 from service.process.background import survived
+from service.sandbox.client import Sandbox
 from service.settings import Settings
-from service.web.helpers.work import Work
 
 STATIC = Path(__file__).parents[1] / "web" / "static"
 PAGE_POLICY = (
@@ -66,7 +67,6 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     reloading = asyncio.create_task(_reload_keys(context))
     yield
     reloading.cancel()
-    context.work.close()
     context.table.close()
 
 
@@ -100,7 +100,7 @@ def _version_of(path: Path) -> tuple[int, int, int] | None:
     return found.st_ctime_ns, found.st_ino, found.st_size
 
 
-def create_app(settings: Settings, stopping: Callable[[], bool]) -> ASGIApp:
+def create_app(settings: Settings, sandbox: Sandbox, metrics: Metrics, stopping: Callable[[], bool]) -> ASGIApp:
     """The application with its middleware, ready for a server; stopping: whether the server is to stop.
 
     Raises JobTableError, MissingPackagesError, OSError.
@@ -118,13 +118,13 @@ def create_app(settings: Settings, stopping: Callable[[], bool]) -> ASGIApp:
         settings,
         open_job_table(settings),
         open_storage(settings),
-        Work(settings),
+        ClientTasks(settings, sandbox, metrics),
         PictureCache(PICTURE_CACHE_BYTES),
         Turns(UPLOADS_IN_MEMORY, settings.max_streams),
         Streams(settings.max_streams),
         stopping,
         KeyRing(settings.key_names),
-        Metrics(),
+        metrics,
     )
     context.metrics.watch(context.streams)
     install_problem_handlers(app)

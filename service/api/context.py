@@ -14,6 +14,7 @@ from fastapi import Path as PathParameter
 from service.api.callers import Caller
 from service.api.metrics import Metrics
 from service.api.problems import ProblemError
+from service.api.tasks import ClientTasks
 from service.api.turns import Streams, Turns
 from service.api.views import PictureCache
 from service.jobs.job import Job, is_job_id
@@ -21,7 +22,6 @@ from service.jobs.sql import JobTable
 from service.keys import KeyRing
 from service.settings import Settings
 from service.storage.files import Storage
-from service.web.helpers.work import Work
 
 log = logging.getLogger(__name__)
 
@@ -33,15 +33,15 @@ JobId = Annotated[str, PathParameter(description="32 hexadecimal digits", exampl
 class Context:
     """The pieces of the running service.
 
-    work: what helpers do; accepting: turns in which an upload is held in memory, which bounds what all of them take
-    together; streams: of events, and waits; stopping: whether the service is to stop; watching: threads of probes,
-    which must not queue behind work.
+    tasks: what the sandbox does for clients; accepting: turns in which an upload is held in memory, which bounds what
+    all of them take together; streams: of events, and waits; stopping: whether the service is to stop; watching:
+    threads of probes, which must not queue behind other work.
     """
 
     settings: Settings
     table: JobTable
     storage: Storage
-    work: Work
+    tasks: ClientTasks
     pictures: PictureCache
     accepting: Turns
     streams: Streams

@@ -17,14 +17,14 @@ from service.api import models
 from service.api.callers import header_line
 from service.api.context import Context, KnownJob, UseCaller, UseContext
 from service.api.files import BITSTREAM_TYPE, NEVER_STORED, VARIES, accepted_format
-from service.api.options import IMAGE_FIELD, OPTION_SCHEMAS, Asked, feasible
+from service.api.options import IMAGE_FIELD, OPTION_SCHEMAS, CheckedOptions, feasible
 from service.api.pictures import bitstream_answer, open_image, picture_answer
 from service.api.problems import ProblemError
 from service.api.uploads import FORM_TYPE, image_and_options, image_type, options_alone, read_header
-from service.api.views import ViewQuery
+from service.api.views import PictureQuery
 from service.api.waiting import WAIT_PARAMETERS, job_within, wanted_wait_s
 from service.jobs.job import Job, NewJob, SourceImage, new_job_id
-from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, SubmitLimits
 from service.logs import log_seldom
 from service.storage.files import source_key
 
@@ -68,13 +68,13 @@ async def encode(
     wait_s, key = wanted_wait_s(request), _idempotency_key(request)
     await to_thread.run_sync(_check_queue, context, key, caller.owner)  # before the body is read
     async with image_and_options(request) as (file, options):
-        asked = options.asked(context.settings.max_time_limit_s)
-        header = await read_header(file, context.work, caller.client)
-        asked = feasible(asked, header)
+        checked = options.checked(context.settings.max_time_limit_s)
+        header = await read_header(file, context.tasks, caller.client)
+        checked = feasible(checked, header)
         async with context.accepting.turn(caller.client):
             await file.seek(0)
             image = await file.read()
-            job = await to_thread.run_sync(_accept, context, asked, header, image, key, caller.owner)
+            job = await to_thread.run_sync(_accept, context, checked, header, image, key, caller.owner)
     return await _accepted(request, response, context, job, wait_s)
 
 
@@ -85,12 +85,12 @@ async def encode_again(
     deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
     wait_s, key = wanted_wait_s(request), _idempotency_key(request)
-    asked = (await options_alone(request)).asked(context.settings.max_time_limit_s)
-    asked = feasible(asked, job.image)
+    checked = (await options_alone(request)).checked(context.settings.max_time_limit_s)
+    checked = feasible(checked, job.image)
     await to_thread.run_sync(_check_queue, context, key, caller.owner)
     async with context.accepting.turn(caller.client):
         image = await to_thread.run_sync(_kept_image, context, job)
-        again = await to_thread.run_sync(_accept, context, asked, job.image, image, key, caller.owner)
+        again = await to_thread.run_sync(_accept, context, checked, job.image, image, key, caller.owner)
     return await _accepted(request, response, context, again, wait_s)
 
 
@@ -128,10 +128,10 @@ def _check_queue(context: Context, key: str | None, owner: str | None) -> None:
 
 
 def _accept(
-    context: Context, asked: Asked, header: SourceImage, image: bytes, key: str | None, owner: str | None
+    context: Context, checked: CheckedOptions, header: SourceImage, image: bytes, key: str | None, owner: str | None
 ) -> Job:
     """Store the image, then put the job into the job table; only then may the client be told."""
-    new = _new_job(asked, header, image, key, owner)
+    new = _new_job(checked, header, image, key, owner)
     free_bytes = context.storage.free_bytes()
     if free_bytes is not None and free_bytes - len(image) < context.settings.min_free_bytes:
         log_seldom(log, "new jobs are refused, since the disk is full: %d bytes are free", free_bytes)
@@ -150,20 +150,20 @@ def _accept(
     return job
 
 
-def _new_job(asked: Asked, header: SourceImage, image: bytes, key: str | None, owner: str | None) -> NewJob:
-    words = {"encode": asdict(asked.request), "priority": asked.priority}
+def _new_job(checked: CheckedOptions, header: SourceImage, image: bytes, key: str | None, owner: str | None) -> NewJob:
+    words = {"encode": asdict(checked.request), "priority": checked.priority}
     digest = hashlib.sha256(json.dumps(words).encode())
     digest.update(image)
-    return NewJob(new_job_id(), asked.request, header, digest.hexdigest(), key, owner, asked.priority)
+    return NewJob(new_job_id(), checked.request, header, digest.hexdigest(), key, owner, checked.priority)
 
 
 def _submit(context: Context, new: NewJob) -> tuple[Job, bool]:
     # If the table fails, the image stays for the sweep: the row may have been written anyway.
     limits = context.settings
     own_limit, own_quota = (limits.max_queued_per_key, limits.quota_bytes_per_key) if new.owner is not None else (0, 0)
-    room = Room(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
+    most = SubmitLimits(limits.queue_length, own_limit, limits.quota_bytes, own_quota)
     try:
-        return context.table.submit(new, room)
+        return context.table.submit(new, most)
     except QuotaError as error:
         whose, reason = ("this API key", "own_quota") if error.of_owner else ("the service", "quota")
         detail = f"{whose} has reached its storage quota; remove jobs first"
@@ -202,6 +202,6 @@ async def _outcome(request: Request, job: Job, context: Context, headers: Mappin
     if BITSTREAM_TYPE in accept or "image/" not in accept:
         answer = await bitstream_answer(request, job, context)
     else:
-        answer = await picture_answer(request, job, ViewQuery(), accepted_format(request), context)
+        answer = await picture_answer(request, job, PictureQuery(), accepted_format(request), context)
     answer.headers.update({**headers, **VARIES})
     return answer

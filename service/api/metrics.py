@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from itertools import accumulate
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
@@ -16,6 +16,7 @@ from service.api.turns import Streams
 from service.jobs import totals
 from service.jobs.table import Census
 from service.process.background import failures
+from service.sandbox.confinement import LAYERS
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
 BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28, 2.56, 5.12, 10.24, 30.0, 120.0)
@@ -81,9 +82,16 @@ class Metrics:
         self._notices = Gauge("sgmethod_webhooks_waiting", "Webhooks to be delivered.", registry=registry)
         waits = "Since the job ended whose webhook has been waiting for longest."
         self._notice_waits = Gauge("sgmethod_oldest_webhook_waits_seconds", waits, registry=registry)
+        layer = "Whether a layer of the sandbox holds."
+        self._layers = Gauge("sgmethod_sandbox_layer_up", layer, ("layer",), registry=registry)
         self._totals = _Totals()
         registry.register(self._totals)
         self._table = Gauge("sgmethod_job_table_up", "Whether the job table answers.", registry=registry)
+
+    def show_layers(self, absent: Collection[str]) -> None:
+        """Show which layers of the sandbox the system does not offer."""
+        for layer in LAYERS:
+            self._layers.labels(layer).set(layer not in absent)
 
     def watch(self, streams: Streams) -> None:
         """Show how many are open."""

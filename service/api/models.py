@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from service.jobs.job import Job, JobState, JsonObject, Priority
+from service.sandbox.frames import PreviewFigures
 from service.settings import Settings
 
 # Where each phase of an encode begins and ends in its progress: steps are counted anew in each.
@@ -163,16 +164,10 @@ class LinksView(BaseModel):
     expires_at: datetime
 
 
-class PreviewView(BaseModel):
+class PreviewView(PreviewFigures):
     """The answer to POST /preview."""
 
     model_config = _example(EXAMPLE_PREVIEW)
-
-    text: str = Field(description="base64url of an .sg file, for the preview attribute of an <sg-img>")
-    width: int = Field(description="pixels of the image as displayed")
-    height: int = Field(description="pixels of the image as displayed")
-    color: str = Field(description="average colour, #rrggbb")
-    dark: bool = Field(description="whether white text reads better on that colour than black")
 
 
 class HealthView(BaseModel):

@@ -76,7 +76,7 @@ Number = Annotated[float | SkipJsonSchema[None], BeforeValidator(_number)]
 
 
 @dataclass(frozen=True)
-class Asked:
+class CheckedOptions:
     """What a client asks for, checked and complete. has_budget: a budget was given, and not the default taken."""
 
     request: EncodeRequest
@@ -131,7 +131,7 @@ class EncodeOptions(BaseModel):
         budgets = ((kind, getattr(self, kind)) for kind in BUDGET_KINDS)
         return next((Budget(kind, value) for kind, value in budgets if value is not None), DEFAULT_BUDGET)
 
-    def asked(self, longest_s: float) -> Asked:
+    def checked(self, longest_s: float) -> CheckedOptions:
         """All of it. longest_s: how long an encode may take, and does unasked, in seconds. Raises ProblemError 422."""
         seconds = longest_s if self.time_limit_s is None else self.time_limit_s
         if not (math.isfinite(seconds) and 0 < seconds <= longest_s):
@@ -145,7 +145,7 @@ class EncodeOptions(BaseModel):
             raise ProblemError(422, f"profile {self.profile} needs PyTorch, which this service lacks; use profile rd")
         budget = self.budget
         request = EncodeRequest(budget.kind, budget.value, self.profile, seconds, tune, self.effort)
-        return Asked(request, self.priority, budget is not DEFAULT_BUDGET)
+        return CheckedOptions(request, self.priority, budget is not DEFAULT_BUDGET)
 
 
 OPTIONS = tuple(EncodeOptions.model_fields)
@@ -177,14 +177,14 @@ def read_options(given: Sequence[tuple[str, UploadFile | str]]) -> EncodeOptions
         raise ProblemError(422, detail) from error
 
 
-def feasible(asked: Asked, image: SourceImage) -> Asked:
+def feasible(checked: CheckedOptions, image: SourceImage) -> CheckedOptions:
     """The same, with the default budget raised to the smallest file for a tiny image. Raises ProblemError 422 if no
     file of the image meets the budget."""
-    request, settings = asked.request, PROFILES[asked.request.profile]
+    request, settings = checked.request, PROFILES[checked.request.profile]
     budget, pixels = Budget(request.budget_kind, request.budget_value), image.width * image.height
-    if not asked.has_budget:
+    if not checked.has_budget:
         budget = default_budget(image.width, image.height, smallest_file(settings, has_alpha=True))
-        return replace(asked, request=replace(request, budget_kind=budget.kind, budget_value=budget.value))
+        return replace(checked, request=replace(request, budget_kind=budget.kind, budget_value=budget.value))
     if budget.kind in ("looks", "quality") and not isinstance(settings, RdSettings):
         detail = f"profile {request.profile} has no {budget.kind} scale; use bpp, bytes, psnr or gaussians"
         raise ProblemError(422, detail)
@@ -196,4 +196,4 @@ def feasible(asked: Asked, image: SourceImage) -> Asked:
     if allowed is not None and allowed < least:
         detail = f"a file of profile {request.profile} takes at least {least} bytes, the budget is {allowed}"
         raise ProblemError(422, detail)
-    return asked
+    return checked

@@ -19,13 +19,13 @@ from service.api.context import Context, KnownJob, UseContext, no_such_job
 from service.api.files import BITSTREAM_TYPE, IMMUTABLE, NEVER_STORED, VARIES, accepted_format, not_modified
 from service.api.problems import RETRY_SOON_S, ProblemError
 from service.api.uploads import body_as_file
-from service.api.views import ViewQuery
+from service.api.views import PictureQuery
 from service.api.waiting import while_client_waits
 from service.jobs.job import EncodeResult, Job
+from service.sandbox.client import RefusedError, TaskError
+from service.sandbox.drawing import Drawing
+from service.sandbox.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
 from service.storage.files import bitstream_key, source_key
-from service.web.helpers.drawing import Drawing, Wish
-from service.web.helpers.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
-from service.web.helpers.pool import HelperError, RefusedError
 from sgmethod.errors import BitstreamError, ViewError
 
 log = logging.getLogger(__name__)
@@ -35,14 +35,14 @@ MAX_GAUSSIANS = 1_000_000  # of a posted bitstream: a few kilobytes can hold mil
 
 
 async def picture(
-    job: KnownJob, kind: PictureFormat, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
     return await picture_answer(request, job, query, kind, context)
 
 
 async def picture_as_accepted(
-    job: KnownJob, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+    job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
     answer = await picture_answer(request, job, query, accepted_format(request), context)
@@ -51,14 +51,13 @@ async def picture_as_accepted(
 
 
 async def picture_answer(
-    request: Request, job: Job, query: ViewQuery, kind: PictureFormat, context: Context
+    request: Request, job: Job, query: PictureQuery, kind: PictureFormat, context: Context
 ) -> Response:
     """The picture of a job, from memory if it was asked for lately."""
     result = _result_of(job)
-    wish = query.wish(kind)
     size = (int(result.stats["width"]), int(result.stats["height"]))
     try:
-        drawing = Drawing.of(wish, size, context.settings.max_pixels)
+        drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
     except ViewError as error:
         raise ProblemError(422, str(error)) from error
     headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
@@ -66,9 +65,11 @@ async def picture_answer(
     async def made() -> bytes:
         with await to_thread.run_sync(_open_bitstream, context, job, result) as bitstream:
             try:
-                return await _drawn(request, context, bitstream, wish)
-            except BitstreamError as error:
-                raise _damaged(job, error) from error
+                return await context.tasks.draw(request.state.caller.client, bitstream, query, kind)
+            except RefusedError as error:
+                if error.kind is BitstreamError:
+                    raise _damaged(job, error) from error
+                raise
 
     return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
 
@@ -84,27 +85,12 @@ async def _remembered(
     context.metrics.cache.labels("yes" if headers["ETag"] in context.pictures else "no").inc()
     try:
         file = await while_client_waits(request, context.pictures.get_or_make(headers["ETag"], make))
-    except HelperError as error:
+    except TaskError as error:
         raise ProblemError(422, str(error)) from error
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
 
 
-async def _drawn(
-    request: Request, context: Context, bitstream: BinaryIO, wish: Wish, max_gaussians: int | None = None
-) -> bytes:
-    """The picture file. Raises BitstreamError, ProblemError 422, 429 or 503."""
-    try:
-        with context.metrics.decode_seconds.time():
-            return await context.work.draw(request.state.caller.client, bitstream, wish, max_gaussians)
-    except RefusedError as error:
-        if error.kind is BitstreamError:
-            raise BitstreamError(str(error)) from error
-        raise ProblemError(422, str(error)) from error
-    except HelperError as error:
-        raise ProblemError(422, str(error)) from error
-
-
-async def picture_of_body(query: Annotated[ViewQuery, Query()], context: UseContext, request: Request) -> Response:
+async def picture_of_body(query: Annotated[PictureQuery, Query()], context: UseContext, request: Request) -> Response:
     """Decode the bitstream in the body to the format that the Accept header prefers. Nothing is stored."""
     answer = await picture_of_body_as(accepted_format(request), query, context, request)
     answer.headers.update(VARIES)
@@ -112,14 +98,14 @@ async def picture_of_body(query: Annotated[ViewQuery, Query()], context: UseCont
 
 
 async def picture_of_body_as(
-    kind: PictureFormat, query: Annotated[ViewQuery, Query()], context: UseContext, request: Request
+    kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """Decode the bitstream in the body. Nothing is stored."""
-    wish = query.wish(kind)
     async with body_as_file(request) as upload:
+        drawing = context.tasks.draw(request.state.caller.client, upload.file, query, kind, MAX_GAUSSIANS)
         try:
-            file = await while_client_waits(request, _drawn(request, context, upload.file, wish, MAX_GAUSSIANS))
-        except BitstreamError as error:
+            file = await while_client_waits(request, drawing)
+        except TaskError as error:
             raise ProblemError(422, str(error)) from error
     return Response(file, headers={**NEVER_STORED, **query.disposition()}, media_type=MEDIA_TYPES[kind])
 
@@ -169,7 +155,7 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
 
     async def made() -> bytes:
         with await to_thread.run_sync(open_image, context, job) as image:
-            return await context.work.make_rival(request.state.caller.client, image, Rival(kind, size))
+            return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size))
 
     return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
 

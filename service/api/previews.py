@@ -13,7 +13,7 @@ from service.api.files import NEVER_STORED
 from service.api.problems import ProblemError
 from service.api.uploads import FORM_TYPE, body_as_file, media_type, refusal
 from service.api.waiting import while_client_waits
-from service.web.helpers.pool import HelperError, RefusedError
+from service.sandbox.client import RefusedError, TaskError
 
 LEAST_BYTES, MOST_BYTES = 12, 4096
 
@@ -39,10 +39,10 @@ async def preview(
         raise ProblemError(415, "the body must be the image itself, not a form", headers={"Accept": "image/*"})
     async with body_as_file(request) as image:
         try:
-            made = await while_client_waits(request, context.work.preview(caller.client, image.file, query.bytes))
+            made = await while_client_waits(request, context.tasks.preview(caller.client, image.file, query.bytes))
         except RefusedError as error:
             raise await refusal(error, image) from error
-        except HelperError as error:
+        except TaskError as error:
             raise ProblemError(422, f"the image cannot be encoded: {error}") from error
     response.headers.update(NEVER_STORED)
-    return models.PreviewView(**made)
+    return models.PreviewView(**made.model_dump())

@@ -7,25 +7,30 @@ from __future__ import annotations
 
 import signal
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import uvicorn
 
 from service.api.app import create_app
+from service.api.metrics import Metrics
 from service.process.listening import BACKLOG
+from service.sandbox.client import Sandbox
 from service.settings import Settings
 
 KEEP_ALIVE_S = 75  # longer than a proxy keeps its connections: a request must not meet one that closes
 
 
-def run_web(settings: Settings, listen: Callable[[], socket.socket]) -> None:
+def run_web(settings: Settings, sandbox: Sandbox, absent: Collection[str], listen: Callable[[], socket.socket]) -> None:
     """Serve until SIGTERM or SIGINT, then finish what has begun within the grace time.
 
-    listen is asked for the socket once the application has all that it needs: so its callers can rely on that.
+    absent: layers that the sandbox lacks. listen is asked for the socket once the application has all that it needs: so
+    its callers can rely on that.
     Raises JobTableError, MissingPackagesError, OSError.
     """
+    metrics = Metrics()
+    metrics.show_layers(absent)
     config = uvicorn.Config(
-        create_app(settings, lambda: server.should_exit),
+        create_app(settings, sandbox, metrics, lambda: server.should_exit),
         ws="none",
         log_config=None,
         access_log=False,

@@ -13,9 +13,9 @@ RETRY_AFTER = {"Retry-After": "1"}
 
 
 class Turns:
-    """Places for errands. Next is one of the client with the fewest running, of those the one served longest ago.
+    """Places for tasks. Next is one of the client with the fewest running, of those the one served longest ago.
 
-    places: errands at once, of which one client never has the last; max_waiting: errands in line, of which one client
+    places: tasks at once, of which one client never has the last; max_waiting: tasks in line, of which one client
     has half at most. For the event loop alone.
     """
 
@@ -29,7 +29,7 @@ class Turns:
 
     @property
     def waiting(self) -> int:
-        """Errands in line."""
+        """Tasks in line."""
         return sum(map(len, self._lines.values()))
 
     @asynccontextmanager

@@ -12,9 +12,9 @@ from starlette.requests import Request
 
 from service.api.options import IMAGE_FIELD, OPTIONS, EncodeOptions, read_options
 from service.api.problems import ProblemError
+from service.api.tasks import ClientTasks
 from service.jobs.job import SourceImage
-from service.web.helpers.pool import HelperError, RefusedError
-from service.web.helpers.work import Work
+from service.sandbox.client import RefusedError, TaskError
 from sgmethod.io.formats import is_read
 
 FORM_TYPE, IMAGE_TYPES = "multipart/form-data", "image/"
@@ -109,17 +109,17 @@ async def no_body(request: Request) -> None:
     await _refuse_body(request, ProblemError(422, "this request takes no body; its parameters are in the query"))
 
 
-async def read_header(image: UploadFile, work: Work, client: str) -> SourceImage:
+async def read_header(image: UploadFile, tasks: ClientTasks, client: str) -> SourceImage:
     """What the image's header says; no pixel is decoded.
 
     Raises ProblemError 415 for what is none of the formats, 422 for a damaged header or a size beyond the limits, 429,
     503.
     """
     try:
-        return await work.read_header(client, image.file, image.size or 0)
+        return await tasks.read_header(client, image.file, image.size or 0)
     except RefusedError as error:
         raise await refusal(error, image) from error
-    except HelperError as error:
+    except TaskError as error:
         raise ProblemError(422, f"the image's header cannot be read: {error}") from error
 
 

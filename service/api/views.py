@@ -9,73 +9,22 @@ from collections.abc import Callable, Coroutine
 from typing import Annotated, Any
 from urllib.parse import quote
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from service.api.problems import ProblemError
-from service.web.helpers.drawing import Fit, Wish
-from service.web.helpers.picture_files import PictureFormat
-from sgmethod.errors import ViewError
-from sgmethod.view import MAX_SCALE, MIN_SCALE
+from service.sandbox.drawing import PictureOptions, matching
 
-REGION = r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$"
 # No slashes, control characters or ends of lines, and no dot first: systems hide such files.
 FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"
-Side = Annotated[int | None, Field(ge=1, le=65_535)]
 
 
-def _refusing(pattern: str, detail: str) -> AfterValidator:
-    """Refuses a text that does not match, as Field(pattern=...) does, but with a sentence instead of the pattern."""
+class PictureQuery(PictureOptions):
+    """The query parameters of a picture: what to draw, and a name to save it under."""
 
-    def checked(text: str | None) -> str | None:
-        if text is not None and re.fullmatch(pattern, text) is None:
-            raise ValueError(detail)
-        return text
-
-    return AfterValidator(checked)
-
-
-class ViewQuery(BaseModel):
-    """The query parameters that choose a view, the quality of its file, and a name to save it under."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    scale: Annotated[float | None, Field(ge=MIN_SCALE, le=MAX_SCALE, description="output pixels per pixel")] = None
-    width: Annotated[Side, Field(description="output size in pixels, instead of scale")] = None
-    height: Annotated[Side, Field(description="output size in pixels, instead of scale")] = None
-    fit: Annotated[
-        Fit,
-        Field(description="with width and height: fit inside them, cover them, or crop to them from the centre"),
-    ] = "contain"
-    region: Annotated[
-        str | None,
-        _refusing(REGION, "give four whole numbers of pixels: x,y,width,height"),
-        Field(
-            json_schema_extra={"pattern": REGION},
-            description="x,y,width,height: decode only this part, in pixels of the picture",
-            examples=["0,0,8,8"],
-        ),
-    ] = None
-    prefix: Annotated[float, Field(gt=0, le=1, description="fraction of the file to decode; less is coarser")] = 1.0
-    texture: Annotated[bool, Field(description="draw the file's synthesised texture")] = True
-    quality: Annotated[int | None, Field(ge=1, le=100, description="quality of a jpg, webp or avif file")] = None
     download: Annotated[
         str | None,
-        _refusing(FILE_NAME, "a file name has 1 to 200 characters, no slash or control character, and no dot first"),
+        matching(FILE_NAME, "a file name has 1 to 200 characters, no slash or control character, and no dot first"),
         Field(json_schema_extra={"pattern": FILE_NAME}, description="file name to save the picture under"),
     ] = None
-
-    def wish(self, kind: PictureFormat) -> Wish:
-        """What is asked for, as a file of that kind. Raises ProblemError 422."""
-        region = None
-        if self.region is not None:
-            x, y, w, h = (int(number) for number in self.region.split(","))
-            region = (x, y, w, h)
-        try:
-            return Wish(
-                kind, self.scale, self.width, self.height, self.fit, region, self.prefix, self.texture, self.quality
-            )
-        except ViewError as error:
-            raise ProblemError(422, str(error)) from error
 
     def disposition(self) -> dict[str, str]:
         """The header that makes a browser save the file; none without a name."""

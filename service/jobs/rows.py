@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, NewJob, SourceImage
 from service.jobs.statements import Database
-from service.jobs.table import OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.jobs.table import OwnQueueFullError, QueueFullError, QuotaError, SubmitLimits
 
 T = TypeVar("T")
 
@@ -54,17 +54,17 @@ def stored_bytes(db: Database, owner: str | None = None) -> int:
     return int(db.execute(query, (owner,)).fetchone()["bytes"])
 
 
-def check_room(db: Database, job: NewJob, room: Room) -> None:
-    """Raises QueueFullError, OwnQueueFullError or QuotaError if there is no room for the job."""
+def check_limits(db: Database, job: NewJob, limits: SubmitLimits) -> None:
+    """Raises QueueFullError, OwnQueueFullError or QuotaError if the job would exceed the limits."""
     owner = job.owner or ""
-    if queued(db) >= room.queue_length:
+    if queued(db) >= limits.queue_length:
         raise QueueFullError
-    if room.own_queue_length and queued(db, owner) >= room.own_queue_length:
+    if limits.own_queue_length and queued(db, owner) >= limits.own_queue_length:
         raise OwnQueueFullError
     size = job.image.size_bytes
-    if room.own_quota and stored_bytes(db, owner) + size > room.own_quota:
+    if limits.own_quota and stored_bytes(db, owner) + size > limits.own_quota:
         raise QuotaError(of_owner=True)
-    if room.quota and stored_bytes(db) + size > room.quota:
+    if limits.quota and stored_bytes(db) + size > limits.quota:
         raise QuotaError(of_owner=False)
 
 

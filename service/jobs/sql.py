@@ -26,7 +26,7 @@ from service.jobs.job import (
     NewJob,
 )
 from service.jobs.notices import Notice
-from service.jobs.rows import bytes_of, check_room, job_of, known, queued, stored_bytes, to_json
+from service.jobs.rows import bytes_of, check_limits, job_of, known, queued, stored_bytes, to_json
 from service.jobs.statements import (
     CLAIM,
     CRASH,
@@ -40,7 +40,7 @@ from service.jobs.statements import (
     TRACE_POINT,
     Database,
 )
-from service.jobs.table import Census, Claim, JobRules, KeyReusedError, Room
+from service.jobs.table import Census, Claim, JobRules, KeyReusedError, SubmitLimits
 from service.process.stopping import StopSignal
 from service.storage.files import bitstream_key, source_key
 
@@ -92,10 +92,10 @@ class JobTable(ABC):
     def close(self) -> None:
         """Let go of connections."""
 
-    def submit(self, job: NewJob, room: Room) -> tuple[Job, bool]:
+    def submit(self, job: NewJob, limits: SubmitLimits) -> tuple[Job, bool]:
         """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
 
-        Raises QueueFullError, OwnQueueFullError or QuotaError if there is no room for it, KeyReusedError if the key
+        Raises QueueFullError, OwnQueueFullError or QuotaError if it would exceed the limits, KeyReusedError if the key
         stands for another request.
         """
         with self._transaction() as db:
@@ -107,7 +107,7 @@ class JobTable(ABC):
                     if first["fingerprint"] != job.fingerprint:
                         raise KeyReusedError(job.idempotency_key)
                     return job_of(first), False
-            check_room(db, job, room)
+            check_limits(db, job, limits)
             db.execute(
                 "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, stored_bytes,"
                 " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",

@@ -42,8 +42,8 @@ class KeyReusedError(Exception):
 
 
 @dataclass(frozen=True)
-class Room:
-    """How much there is for new jobs; 0 for any number.
+class SubmitLimits:
+    """How many jobs, and bytes, a new job must not exceed; 0 for any number.
 
     queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: the same for bytes stored.
     """

@@ -1,4 +1,4 @@
-"""Starts the web process and the workers, replaces those that die, and stops them all together.
+"""Runs the sandbox, the web process and the workers, replaces those that die, and stops them all together.
 
 The supervisor opens the listening socket and lends it to the web process: while a dead web process is being
 replaced, connections wait in the socket's queue and are not refused.
@@ -7,13 +7,13 @@ replaced, connections wait in the socket's queue and are not refused.
 from __future__ import annotations
 
 import logging
+import os
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from service.process.lifeline import Lifeline
 from service.process.stopping import StopSignal
 from service.settings import Settings
 
@@ -28,9 +28,16 @@ STEADY_AFTER_S = 10.0  # a process that lived this long did not fail at its star
 class Supervised:
     """One process that is to run; when it dies it is started anew, ever more slowly if it keeps dying."""
 
-    def __init__(self, name: str, arguments: Sequence[str], descriptors: Sequence[int]) -> None:
+    def __init__(
+        self,
+        name: str,
+        command: Sequence[str],
+        descriptors: Sequence[int],
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.name = name
-        self._command = [sys.executable, "-m", "service", *arguments]
+        self._command = command
+        self._environment = environment
         self._descriptors = descriptors
         self._pause_s = FIRST_PAUSE_S
         self._start()
@@ -38,7 +45,13 @@ class Supervised:
     def _start(self) -> None:
         self._started = time.monotonic()
         # A group of its own: Ctrl-C reaches the supervisor alone, which stops everything in order.
-        self.process = subprocess.Popen(self._command, pass_fds=self._descriptors, process_group=0)
+        self.process = subprocess.Popen(
+            self._command,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            pass_fds=self._descriptors,
+            process_group=0,
+        )
         self._restart_at: float | None = None
 
     def keep_alive(self) -> None:
@@ -79,22 +92,24 @@ class Supervised:
             self.process.wait()
 
 
-def supervise(settings: Settings, listener: socket.socket, stop: StopSignal) -> None:
-    """Run web process and workers until stopping is requested; when this returns all of them have ended."""
-    lifeline = Lifeline()
-    watched = ["--lifeline", str(lifeline.read_end)]
-    web = ["web", "--socket", str(listener.fileno()), *watched]
-    processes = [Supervised("web process", web, (lifeline.read_end, listener.fileno()))]
+def supervise(
+    settings: Settings, listener: socket.socket, sandbox: Supervised, requests: socket.socket, stop: StopSignal
+) -> None:
+    """Run web process and workers until stopping is requested; when this returns all of them have ended, and the
+    sandbox, whose requests they write.
+    """
+    service, sockets = [sys.executable, "-m", "service"], (requests.fileno(), listener.fileno())
+    names = ["--supervisor", str(os.getpid()), "--sandbox", str(requests.fileno())]
+    clients = [Supervised("web process", [*service, "web", "--socket", str(listener.fileno()), *names], sockets)]
     for number in range(1, settings.workers + 1):
-        processes.append(Supervised(f"worker {number}", ["worker", *watched], (lifeline.read_end,)))
+        clients.append(Supervised(f"worker {number}", [*service, "worker", *names], sockets[:1]))
     while not stop.wait(WATCH_S):
-        for process in processes:
+        for process in (sandbox, *clients):
             process.keep_alive()
     log.info("stopping")
     listener.close()
-    for process in processes:
+    for process in clients:
         process.terminate()
     deadline = time.monotonic() + settings.stop_grace_s
-    for process in processes:
+    for process in (*clients, sandbox):
         process.stop(deadline)
-    lifeline.close()

@@ -1,1 +1,1 @@
-"""The files of the page, and the helper processes of the API."""
+"""The files of the page."""

@@ -1,4 +1,4 @@
-"""The worker: it claims a job, has it encoded by an encoder process, ends the attempt, and claims the next."""
+"""The worker: it claims a job, has it encoded in the sandbox, ends the attempt, and claims the next."""
 
 from __future__ import annotations
 
@@ -6,26 +6,24 @@ import contextlib
 import logging
 import math
 import os
+import signal
 import socket
-import tempfile
 import time
 from typing import BinaryIO
 
+from service.jobs.job import JobError
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
 from service.logs import log_seldom
-from service.process import confinement
 from service.process.background import survived
-from service.process.lifeline import Lifeline
 from service.process.stopping import StopSignal
+from service.sandbox import frames
+from service.sandbox.client import RunningTask, Sandbox, SandboxGoneError
 from service.settings import Settings
 from service.storage.files import Storage, bitstream_key, source_key
-from service.worker.encoder import Spec
-from service.worker.encoder_process import Crashed, EncoderProcess, Outcome, Preview, TimedOut, TracePoint
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat, SignsOfLife
 from service.worker.notifying import Notifier
-from service.worker.publishing import Publisher, StoppedError
-from service.worker.starting import Encoders
+from service.worker.publishing import Encoded, Publisher, StoppedError
 from service.worker.sweeping import Sweeper
 
 log = logging.getLogger(__name__)
@@ -34,24 +32,24 @@ FOLLOW_S = 0.2  # how soon a request to stop is seen
 # A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
 MISSING_S = 15.0
 SWEEP_ENDS_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
+BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
+PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 
 
 class Worker:
     """Runs jobs until stopping is requested."""
 
-    def __init__(self, settings: Settings, table: JobTable, storage: Storage, stop: StopSignal) -> None:
+    def __init__(
+        self, settings: Settings, table: JobTable, storage: Storage, sandbox: Sandbox, stop: StopSignal
+    ) -> None:
         self._settings = settings
         self._table = table
         self._storage = storage
+        self._sandbox = sandbox
         self._stop = stop
         self._keeps_sources = settings.source_retention_s > 0
         self._publisher = Publisher(table, storage, stop, keeps_sources=self._keeps_sources)
         self._name = f"{socket.gethostname()}:{os.getpid()}"
-        self._lifeline = Lifeline()
-        # Libraries read these when they are loaded.
-        threads = dict.fromkeys(THREAD_VARIABLES, str(settings.encode_threads))
-        self._encoders = Encoders({**confinement.environment(os.environ), **threads}, self._lifeline.read_end)
 
     def run(self) -> None:
         """Claim and work until stopping is requested; sweep meanwhile."""
@@ -62,20 +60,15 @@ class Worker:
         signs.start()
         for address in self._settings.webhook_addresses:
             Notifier(self._table, address, self._settings.webhook_key, self._stop).start()
-        try:
-            self._table.deliver(self._run_next, self._stop)
-            sweeper.join(SWEEP_ENDS_S)
-            signs.join(SWEEP_ENDS_S)
-        finally:
-            self._encoders.close()
-            self._lifeline.close()
+        self._table.deliver(self._run_next, self._stop)
+        sweeper.join(SWEEP_ENDS_S)
+        signs.join(SWEEP_ENDS_S)
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""
         with survived("running a job"):  # the engine of PostgreSQL would swallow the exception
             try:
-                # The codec is imported before a job is claimed, not within its lease.
-                return self._encoders.get_ready(self._stop) and self.run_one()
+                return self.run_one()
             except (JobTableError, OSError) as error:
                 log_seldom(log, "worker %s: %s", self._name, error)
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)
@@ -90,7 +83,7 @@ class Worker:
         claim = self._table.claim(self._name)
         if claim is None:
             return False
-        log.info("job %s: attempt %d", claim.job_id, claim.attempt)
+        log.info("job %s: attempt %d of worker %s", claim.job_id, claim.attempt, self._name)
         heartbeat = Heartbeat(self._table, claim)
         try:
             self._publisher.conclude(claim, self._encode(claim, heartbeat), heartbeat)
@@ -105,24 +98,20 @@ class Worker:
         self._publisher.tidy(claim)
         return True
 
-    def _encode(self, claim: Claim, heartbeat: Heartbeat) -> Outcome:
-        """Encode in an encoder process, which has ended when this returns.
+    def _encode(self, claim: Claim, heartbeat: Heartbeat) -> Encoded | JobError:
+        """Encode in the sandbox. Nothing goes on there when this returns.
 
         Raises ClaimLostError, StoppedError, OSError.
         """
         try:
             source = self._source(claim, heartbeat)
         except FileNotFoundError:
-            return Crashed("the source image is gone")
-        with (
-            source,
-            tempfile.TemporaryDirectory(prefix="sgmethod-", ignore_cleanup_errors=True) as folder,
-            self._encoders.start(self._spec(claim, folder), source) as process,
-        ):
+            return JobError("crashed", "the source image is gone")
+        with source, self._sandbox.start(self._task(claim), source) as running:
             try:
-                return self._follow(process, heartbeat, bitstream_key(claim.job_id, claim.attempt))
-            except ValueError as error:
-                return Crashed(f"the encoder spoke nonsense: {error}")
+                return self._follow(running, heartbeat, bitstream_key(claim.job_id, claim.attempt))
+            except frames.FrameError as error:
+                return JobError("crashed", f"the encoder spoke nonsense: {error}")
 
     def _source(self, claim: Claim, heartbeat: Heartbeat) -> BinaryIO:
         """The image, once the storage has it. Raises FileNotFoundError if it still lacks it after MISSING_S, and
@@ -140,39 +129,59 @@ class Worker:
                 raise StoppedError
             heartbeat.beat()
 
-    def _spec(self, claim: Claim, folder: str) -> Spec:
+    def _task(self, claim: Claim) -> frames.Encode:
+        job = self._table.get(claim.job_id)
+        if job is None:
+            raise ClaimLostError
         threads = self._settings.encode_threads
-        return Spec(
-            claim.job_id,
-            claim.request,
-            folder,
-            self._lifeline.read_end,
-            threads,
-            self._settings.job_memory_bytes,
-            math.ceil(self._settings.job_timeout_s * (threads + 1)),
+        return frames.Encode(
+            job_id=claim.job_id,
+            request=claim.request,
+            threads=threads,
+            memory_bytes=self._settings.job_memory_bytes,
+            cpu_s=math.ceil(self._settings.job_timeout_s * (threads + 1)),
+            max_pixels=job.image.width * job.image.height,
         )
 
-    def _follow(self, process: EncoderProcess, heartbeat: Heartbeat, key: str) -> Outcome:
-        """Relay progress to the job table, and previews to where the bitstream will lie, until there is an outcome, the
-        process dies, or it must be ended.
+    def _follow(self, running: RunningTask, heartbeat: Heartbeat, key: str) -> Encoded | JobError:
+        """Relay progress to the job table, and previews to where the bitstream will lie, until there is an outcome, or
+        the encode must be ended.
         """
-        started = time.monotonic()
+        started, shown = time.monotonic(), 0.0
         while not self._stop.requested:
-            for message in process.read(FOLLOW_S):
-                if isinstance(message, TracePoint):
-                    heartbeat.add(message.point)
-                    continue
-                if isinstance(message, Preview):
+            for message in running.read(FOLLOW_S):
+                if isinstance(message, frames.TracePoint):
+                    heartbeat.add(message.model_dump())
+                elif not isinstance(message, frames.Preview):
+                    heartbeat.beat(now=True)
+                    return _outcome(message)
+                elif time.monotonic() - shown >= PREVIEW_EVERY_S:
+                    shown = time.monotonic()
                     with contextlib.suppress(OSError):  # nobody needs it
                         self._storage.put(key, message.bitstream)
-                    continue
-                heartbeat.beat(now=True)
-                return message
-            if process.ended:
-                return Crashed(process.last_words())
-            if time.monotonic() - started > self._settings.job_timeout_s:
-                return TimedOut(self._settings.job_timeout_s)
+            seconds = time.monotonic() - started
+            if not running.begun and seconds > BEGINS_S:
+                raise SandboxGoneError("the sandbox cannot be started")
+            if seconds > self._settings.job_timeout_s:
+                limit_s = self._settings.job_timeout_s
+                return JobError("timed_out", f"the encode took longer than {limit_s:g} s")
             heartbeat.beat()
             if heartbeat.stop_wanted:
-                process.end_early()
+                running.end_early()
         raise StoppedError
+
+
+def _outcome(message: frames.Message) -> Encoded | JobError:
+    match message:
+        case frames.Result(figures=figures, file=file):
+            return Encoded(figures.model_dump(exclude_unset=True), file)
+        case frames.Refused(error="MemoryError"):
+            return JobError("refused", "the encode exceeds the memory limit")
+        case frames.Refused(detail=detail):
+            return JobError("refused", detail)
+        case frames.Crashed(detail=detail):
+            return JobError("crashed", f"the encoder crashed: {detail}")
+        case frames.Ended(status=status):
+            how = f"exit status {status}" if status >= 0 else signal.strsignal(-status)
+            return JobError("crashed", f"the encoder crashed ({how})")
+    raise AssertionError(message)

@@ -5,17 +5,25 @@ from __future__ import annotations
 import hashlib
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from service.jobs.job import FINAL_STATES, EncodeResult, JobError
+from service.jobs.job import FINAL_STATES, EncodeResult, JobError, JsonObject
 from service.jobs.sql import JobTable
 from service.jobs.table import Claim, JobTableError
 from service.logs import log_seldom
 from service.process.stopping import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
-from service.worker.encoder_process import Crashed, Encoded, Outcome, Refused, TimedOut
 from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """The encode is done."""
+
+    stats: JsonObject
+    bitstream: bytes
 
 
 class StoppedError(Exception):
@@ -34,23 +42,17 @@ class Publisher:
         self._stop = stop
         self._keeps_sources = keeps_sources
 
-    def conclude(self, claim: Claim, outcome: Outcome, heartbeat: Heartbeat) -> None:
-        """Publish the bitstream, or tell the job table why there is none.
+    def conclude(self, claim: Claim, outcome: Encoded | JobError, heartbeat: Heartbeat) -> None:
+        """Publish the bitstream, or tell the job table why there is none. A job that crashed is tried again.
 
         Raises ClaimLostError, StoppedError, JobTableError.
         """
-        match outcome:
-            case Encoded():
-                self._publish(claim, outcome, heartbeat)
-                return
-            case Refused(detail):
-                error, retry = JobError("refused", detail), False
-            case Crashed(detail):
-                error, retry = JobError("crashed", detail), True
-            case TimedOut(limit_s):
-                error, retry = JobError("timed_out", f"the encode took longer than {limit_s:g} s"), False
-        log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, error.code, error.detail)
-        if not self._insist(claim, lambda: self._table.fail(claim, error, retry=retry)):
+        if isinstance(outcome, Encoded):
+            self._publish(claim, outcome, heartbeat)
+            return
+        log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, outcome.code, outcome.detail)
+        retry = outcome.code == "crashed"
+        if not self._insist(claim, lambda: self._table.fail(claim, outcome, retry=retry)):
             raise ClaimLostError
 
     def _publish(self, claim: Claim, encoded: Encoded, heartbeat: Heartbeat) -> None:

@@ -11,7 +11,7 @@ from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, Sour
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sql import JobTable
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, Room
+from service.jobs.table import Claim, JobRules, SubmitLimits
 
 REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)
@@ -30,7 +30,7 @@ def new(key: str | None = None, fingerprint: str = "f", **more: Any) -> NewJob:
 
 def submitted(table: JobTable, **more: Any) -> str:
     """The id of a new job."""
-    return table.submit(new(**more), Room(100))[0].id
+    return table.submit(new(**more), SubmitLimits(100))[0].id
 
 
 def claimed(table: JobTable) -> Claim:

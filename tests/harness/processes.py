@@ -11,17 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from service.worker.encoder import END_EARLY, NAME_LENGTH
+from service.sandbox.confinement import NAME_LENGTH
+from service.sandbox.frames import END_EARLY
 
 T = TypeVar("T")
-Kind = Literal["web", "worker", "encoder"]
+Kind = Literal["web", "worker", "sandbox", "encoder"]
 
 PATIENCE_S = 120.0  # far more than anything takes, on a busy machine too
 POLL_S = 0.05  # seldom enough to take little of a core
-# Of command lines; an encoder has its job's id for a name.
+# Of command lines; the sandbox's forks have the sandbox's. An encoder has its job's id for a name.
 KINDS: dict[Kind, str] = {
     "web": r".* -m service web .*",
     "worker": r".* -m service worker .*",
+    "sandbox": r".* -m service\.sandbox\.server .*",
     "encoder": rf"[0-9a-f]{{{NAME_LENGTH}}}",
 }
 
@@ -78,8 +80,14 @@ def encoder_of(job_id: str) -> int | None:
     return None
 
 
+def worker_of(log: Path, job_id: str) -> int | None:
+    """The worker that made the first attempt at a job, as its log says."""
+    found = re.search(rf"job {job_id}: attempt 1 of worker .*:(\d+)$", log.read_text(), re.MULTILINE)
+    return int(found[1]) if found else None
+
+
 def end_early(encoder: int) -> None:
-    """Let an encoder end with what it has, as its worker asks it to. What a test does to a running encode it does to
+    """Let an encoder end with what it has, as the sandbox asks it to. What a test does to a running encode it does to
     one that ends no sooner: however long the test itself has to wait for a core, it is not too late.
     """
 

@@ -19,7 +19,7 @@ import httpx
 import sgmethod
 from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
 from service.jobs.sql import JobTable
-from service.jobs.table import Claim, Room
+from service.jobs.table import Claim, SubmitLimits
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key
@@ -178,7 +178,7 @@ class Service(ServiceProcess):
         """The id of a new job of which there is no more than its row in the table: nothing was posted."""
         table = self._open_table()
         new = NewJob(new_job_id(), EncodeRequest("bpp", 1.0, "rd", 60.0), image, "f", owner=owner)
-        job, _ = table.submit(new, Room(10_000))
+        job, _ = table.submit(new, SubmitLimits(10_000))
         table.close()
         return job.id
 

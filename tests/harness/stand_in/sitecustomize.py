@@ -1,6 +1,6 @@
 """A stand-in for the codec, which Python loads at its start where PYTHONPATH names this folder.
 
-The encoder process of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
+The sandbox of such a service is the real one, up to `from sgmethod.codec import encode`. That takes torch, and
 2.5 s of a core. The stand-in takes the time limit to the letter unless it is asked to end early, no core, and makes a
 file of one Gaussian.
 """
@@ -52,7 +52,10 @@ def encode(
     middle, shape = (width / 2, height / 2), (width / 4, 0, height / 4)
     one = Gaussians(*(np.array([values], np.float32) for values in (middle, shape, (0.5, 0.5, 0.5))))
     data = container.serialise(StreamV2.of(one, (width, height), 0.5, (0, 0, 0), False))
-    figures = {"bytes": len(data), "psnr": 24.0, "gaussians": 1, "width": width, "height": height, "profile": profile}
+    bpp = 8 * len(data) / (width * height)
+    figures = {"bytes": len(data), "bpp": bpp, "psnr": 24.0, "gaussians": 1, "steps": STEPS, "seconds": time_limit_s}
+    figures |= {"width": width, "height": height, "profile": profile, "tune": "psnr", "effort": 5, "warnings": []}
+    figures |= dict.fromkeys(("ms_ssim", "ssimulacra2", "psnr_missed_db", "looks_missed"))
     return SimpleNamespace(data=data, stats=SimpleNamespace(psnr=24.0, to_dict=lambda: figures))
 
 

@@ -10,7 +10,15 @@ import pytest
 from service.jobs import sql
 from service.jobs.job import EncodeResult, JobError, new_job_id
 from service.jobs.sql import JobTable
-from service.jobs.table import Census, Claim, KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, Room
+from service.jobs.table import (
+    Census,
+    Claim,
+    KeyReusedError,
+    OwnQueueFullError,
+    QueueFullError,
+    QuotaError,
+    SubmitLimits,
+)
 from service.jobs.totals import BUCKETS_S, ENDINGS, SECONDS, bucket
 from service.storage.files import bitstream_key, source_key
 from tests.harness.job_table import (
@@ -31,7 +39,7 @@ from tests.harness.job_table import (
 
 def test_a_job_is_what_was_submitted(table: JobTable) -> None:
     wanted = new("key")
-    job, accepted = table.submit(wanted, Room(100))
+    job, accepted = table.submit(wanted, SubmitLimits(100))
     assert accepted
     assert (job.id, job.request, job.image, job.state, job.attempt) == (
         wanted.id,
@@ -46,25 +54,25 @@ def test_a_job_is_what_was_submitted(table: JobTable) -> None:
 
 
 def test_queue_length_counts_waiting_jobs_only(table: JobTable) -> None:
-    table.submit(new(), Room(1))
+    table.submit(new(), SubmitLimits(1))
     with pytest.raises(QueueFullError):
-        table.submit(new(), Room(1))
+        table.submit(new(), SubmitLimits(1))
     claimed(table)
-    table.submit(new(), Room(1))
+    table.submit(new(), SubmitLimits(1))
     assert table.queued() == 1
 
 
 def test_one_owner_cannot_fill_the_queue(table: JobTable) -> None:
     first = submitted(table, owner="ann")
     with pytest.raises(OwnQueueFullError):
-        table.submit(new(owner="ann"), Room(100, 1))
+        table.submit(new(owner="ann"), SubmitLimits(100, 1))
     submitted(table, owner="bob")
     assert (table.queued(), table.queued("ann"), table.queued("eve")) == (2, 1, 0)
     with pytest.raises(OwnQueueFullError):
-        table.submit(new(owner="bob"), Room(100, 1))
+        table.submit(new(owner="bob"), SubmitLimits(100, 1))
     table.remove(first)
-    table.submit(new(owner="ann"), Room(100, 1))
-    table.submit(new(owner="ann"), Room(100, 0))  # no limit
+    table.submit(new(owner="ann"), SubmitLimits(100, 1))
+    table.submit(new(owner="ann"), SubmitLimits(100, 0))  # no limit
 
 
 def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -113,16 +121,16 @@ def grow_older(table: JobTable, seconds: float) -> None:
 
 
 def test_idempotency_key(table: JobTable) -> None:
-    first, accepted = table.submit(new("key"), Room(1))
+    first, accepted = table.submit(new("key"), SubmitLimits(1))
     assert accepted
-    assert table.submit(new("key"), Room(1)) == (first, False)  # though the queue is full
+    assert table.submit(new("key"), SubmitLimits(1)) == (first, False)  # though the queue is full
     with pytest.raises(KeyReusedError):
-        table.submit(new("key", fingerprint="other"), Room(100))
+        table.submit(new("key", fingerprint="other"), SubmitLimits(100))
 
 
 def test_idempotency_keys_are_their_owners_alone(table: JobTable) -> None:
-    mine, _ = table.submit(new("key", owner="anna"), Room(100))
-    theirs, accepted = table.submit(new("key", owner="bert"), Room(100))
+    mine, _ = table.submit(new("key", owner="anna"), SubmitLimits(100))
+    theirs, accepted = table.submit(new("key", owner="bert"), SubmitLimits(100))
     assert accepted
     assert table.find_by_key("key", "anna") == mine
     assert table.get(theirs.id) == theirs
@@ -185,7 +193,7 @@ def test_finished_jobs(table: JobTable) -> None:
 
 def _submit_and_close(database_url: str, folder: Path, ids: multiprocessing.SimpleQueue[str]) -> None:
     table = open_table(database_url, folder, LONG_S)
-    ids.put(table.submit(new("the same key"), Room(100))[0].id)
+    ids.put(table.submit(new("the same key"), SubmitLimits(100))[0].id)
     table.close()
 
 
@@ -196,7 +204,7 @@ def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_pa
 
 
 def test_bytes_are_counted_as_long_as_they_are_kept(table: JobTable) -> None:
-    done, failed, crashing = (table.submit(new(owner="ann"), Room(10))[0] for _ in range(3))
+    done, failed, crashing = (table.submit(new(owner="ann"), SubmitLimits(10))[0] for _ in range(3))
     size = done.image.size_bytes
     assert (table.stored_bytes(), table.stored_bytes("ann"), table.stored_bytes("bob")) == (3 * size, 3 * size, 0)
     claims = {claim.job_id: claim for claim in (table.claim("w"), table.claim("w"), table.claim("w")) if claim}
@@ -214,7 +222,7 @@ def test_bytes_are_counted_as_long_as_they_are_kept(table: JobTable) -> None:
 
 def test_images_of_finished_jobs_are_kept_and_counted(open_job_table: OpenTable) -> None:
     table = open_job_table(LONG_S, source_retention_s=LONG_S)
-    done, failed, crashing = (table.submit(new(), Room(10))[0] for _ in range(3))
+    done, failed, crashing = (table.submit(new(), SubmitLimits(10))[0] for _ in range(3))
     size = done.image.size_bytes
     claims = {claim.job_id: claim for claim in (table.claim("w"), table.claim("w"), table.claim("w")) if claim}
     result = EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7})
@@ -231,22 +239,22 @@ def test_images_of_finished_jobs_are_kept_and_counted(open_job_table: OpenTable)
     for job in (done, done, failed, crashing):
         table.source_removed(job.id)
     assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [7, 0, 0]
-    waiting = table.submit(new(), Room(10))[0]
+    waiting = table.submit(new(), SubmitLimits(10))[0]
     table.source_removed(waiting.id)
     assert table.stored_bytes() == 7 + size
 
 
 def test_quotas(table: JobTable) -> None:
     size = new().image.size_bytes
-    table.submit(new(owner="ann"), Room(10, own_quota=size))
+    table.submit(new(owner="ann"), SubmitLimits(10, own_quota=size))
     with pytest.raises(QuotaError) as refusal:
-        table.submit(new(owner="ann"), Room(10, own_quota=2 * size - 1))
+        table.submit(new(owner="ann"), SubmitLimits(10, own_quota=2 * size - 1))
     assert refusal.value.of_owner
-    table.submit(new(owner="bob"), Room(10, own_quota=size))
+    table.submit(new(owner="bob"), SubmitLimits(10, own_quota=size))
     with pytest.raises(QuotaError) as refusal:
-        table.submit(new(owner="cat"), Room(10, quota=3 * size - 1, own_quota=size))
+        table.submit(new(owner="cat"), SubmitLimits(10, quota=3 * size - 1, own_quota=size))
     assert not refusal.value.of_owner
-    table.submit(new(owner="cat"), Room(10, quota=3 * size, own_quota=size))
+    table.submit(new(owner="cat"), SubmitLimits(10, quota=3 * size, own_quota=size))
 
 
 def test_what_became_of_jobs_is_counted(table: JobTable) -> None:

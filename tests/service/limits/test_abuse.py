@@ -13,6 +13,7 @@ import httpx
 import pytest
 
 from service.keys import digest
+from service.sandbox.confinement import NAME_LENGTH
 from tests.harness.attacks import (
     crowded_bitstream,
     jpeg_of_many_markers,
@@ -28,7 +29,7 @@ pytestmark = pytest.mark.thorough
 
 PICTURE = golden_path("v2-color.sg").read_bytes()
 NEVER_S = 10_000  # a limit that no test reaches
-HELPER_START_CPU_S = 1.0  # more than one takes to start
+START_CPU_S = 0.3  # more than one takes to start
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +67,9 @@ def posted(client: httpx.Client, image: bytes) -> httpx.Response:
     return client.post("/encode?bpp=1", content=image, headers={"Content-Type": "image/*"})
 
 
-def helpers_of(service: Service) -> set[int]:
-    return {n for n, p in processes().items() if p.parent == service.process.pid and "helpers.helper" in p.command}
+def forks_of(service: Service, name: str) -> set[int]:
+    """The sandbox's processes that do a kind of task, or wait for one."""
+    return {number for number, process in service.family().items() if process.name == name[:NAME_LENGTH]}
 
 
 def state_and_cpu_s_of(number: int) -> tuple[str, float]:
@@ -142,7 +144,7 @@ def test_decodes_of_one_client_keep_no_other_waiting(web: Service, ann: httpx.Cl
     """Twelve of them held another key's POST /encode for 21 s, and its POST /decode for 26 s."""
     attack = [sent_by_eve(web, crowded) for _ in range(12)]
     try:
-        wait_until(lambda: len(helpers_of(web)) >= 2)
+        wait_until(lambda: len(forks_of(web, "draw")) >= 2)
         for _ in range(5):
             assert ann.post("/decode", content=PICTURE).status_code == 200
             assert posted(ann, SMALL).status_code == 202
@@ -150,15 +152,15 @@ def test_decodes_of_one_client_keep_no_other_waiting(web: Service, ann: httpx.Cl
     finally:
         for connection in attack:
             connection.close()
-    wait_until(lambda: not any(map(is_busy, helpers_of(web))))
+    wait_until(lambda: not forks_of(web, "draw"))
 
 
 def test_a_decode_ends_when_its_client_has_gone(web: Service, crowded: bytes) -> None:
-    """One that ended by itself would leave its helper waiting for the next."""
+    """It is stopped here, and could not end by itself."""
 
     def left_in_the_middle() -> int | None:
         with sent_by_eve(web, crowded) as connection:
-            busy = busy_helper(web, lambda: not is_answered(connection))
+            busy = busy_fork(web, lambda: not is_answered(connection))
             if busy is not None:
                 os.kill(busy, signal.SIGSTOP)  # so that it does not end before its client goes
             return busy
@@ -168,19 +170,19 @@ def test_a_decode_ends_when_its_client_has_gone(web: Service, crowded: bytes) ->
 
 
 def is_busy(number: int) -> bool:
-    """Whether a helper computes just now, and has for longer than its start takes."""
+    """Whether a task computes just now, and has for longer than its start takes."""
     try:
         state, cpu_s = state_and_cpu_s_of(number)
     except OSError:
         return False
-    return state == "R" and cpu_s > HELPER_START_CPU_S
+    return state == "R" and cpu_s > START_CPU_S
 
 
-def busy_helper(web: Service, goes_on: Callable[[], bool]) -> int | None:
+def busy_fork(web: Service, goes_on: Callable[[], bool]) -> int | None:
     """The one that computes; None if what it is to do was over before it was seen, as where a test had to wait for a
     core meanwhile. Then it can be asked for again.
     """
-    busy = wait_until(lambda: [n for n in helpers_of(web) if is_busy(n)] or not goes_on())
+    busy = wait_until(lambda: [n for n in forks_of(web, "draw") if is_busy(n)] or not goes_on())
     return busy[0] if isinstance(busy, list) else None
 
 
@@ -197,18 +199,18 @@ def test_a_decode_has_a_limit_of_memory(start_service: StartService) -> None:
     assert web.client.post("/decode", content=PICTURE).status_code == 200
 
 
-def test_a_helper_that_is_killed_harms_nobody(start_service: StartService, crowded: bytes) -> None:
-    """The errand is tried again; a file that its reader dies of twice is given up."""
+def test_a_task_that_is_killed_harms_nobody(start_service: StartService, crowded: bytes) -> None:
+    """It is tried again; a file that its reader dies of twice is given up."""
     web = start_service("web", decode_time_s=NEVER_S)
     assert web.client.post("/decode", content=PICTURE).status_code == 200
-    for number in helpers_of(web):
+    for number in forks_of(web, "waits for a task"):
         os.kill(number, 9)
     assert web.client.post("/decode", content=PICTURE).status_code == 200
 
     def killed_twice() -> httpx.Response | None:
         answer = pool.submit(web.client.post, "/decode", content=crowded)
         for _ in range(2):
-            busy = busy_helper(web, lambda: not answer.done())
+            busy = busy_fork(web, lambda: not answer.done())
             if busy is None:
                 return None
             os.kill(busy, 9)

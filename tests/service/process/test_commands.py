@@ -14,7 +14,7 @@ from service.__main__ import _for_whom, _where
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
-from service.jobs.table import Room
+from service.jobs.table import SubmitLimits
 from service.keys import digest
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
@@ -32,7 +32,7 @@ def verdicts(result: Outcome) -> dict[str, str]:
 
 def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, database_url: str) -> None:
     result = run_command("check", data_dir=tmp_path / "data", database_url=database_url)
-    names = ("settings", "database", "storage", "free disk", "kernels", "confinement")
+    names = ("settings", "database", "storage", "free disk", "kernels", "sandbox")
     assert verdicts(result) == dict.fromkeys(names, "ok"), result
     assert result.status == 0
     assert list((tmp_path / "data" / "unfinished").iterdir()) == []
@@ -41,14 +41,14 @@ def test_check_of_a_sound_service(run_command: RunCommand, tmp_path: Path, datab
 def test_what_needs_torch(run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two profiles do; the service does not."""
     paper = EncodeOptions(profile="paper")
-    assert paper.asked(60).request.profile == "paper"
+    assert paper.checked(60).request.profile == "paper"
     monkeypatch.setitem(sys.modules, "torch", None)  # as if it were not installed
     result = run_command("check", data_dir=tmp_path)
     assert verdicts(result)["kernels"] == "ok"
     assert "profiles paper and baseline need PyTorch" in result.stdout
-    assert EncodeOptions().asked(60).request.profile == "rd"
+    assert EncodeOptions().checked(60).request.profile == "rd"
     with pytest.raises(ProblemError, match="profile paper needs PyTorch") as refusal:
-        paper.asked(60)
+        paper.checked(60)
     assert refusal.value.status == 422
 
 
@@ -67,7 +67,7 @@ def test_check_names_what_is_wrong(run_command: RunCommand, tmp_path: Path) -> N
         "storage": "ok",
         "free disk": "FAILED",
         "kernels": "ok",
-        "confinement": "ok",
+        "sandbox": "ok",
     }
     assert result.status == 1
     assert "secret" not in result.stdout + result.stderr
@@ -103,7 +103,7 @@ def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path / "data")
     table, storage = open_job_table(settings), open_storage(settings)
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), Room(10))
+    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), SubmitLimits(10))
     table.close()
     needed, orphan = source_key(job.id), source_key(new_job_id())
     for key in (needed, orphan):

@@ -19,9 +19,10 @@ from functools import partial
 import httpx
 import pytest
 
+from tests.harness.data import golden_path
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, state_of, wait_until
+from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, state_of, wait_until, worker_of
 from tests.harness.service import STAND_IN, Service, StartService
 
 
@@ -71,9 +72,18 @@ def duo(two_workers: Service) -> Iterator[Service]:
     two_workers.clear()
 
 
+PICTURE = golden_path("v2-color.sg").read_bytes()
+
+
 def running(job_id: str) -> int:
     """Wait for the job's encoder; its process number."""
     return wait_until(lambda: encoder_of(job_id)) or 0
+
+
+def sandbox_of(service: Service) -> int:
+    """The process that forks."""
+    (number,) = [n for n, p in service.family().items() if p.is_a("sandbox") and p.parent == service.process.pid]
+    return number
 
 
 def put_to_sleep(service: Service, worker: int) -> None:
@@ -155,7 +165,7 @@ def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
     service = duo
     job_id = service.accepted_slow()
     encoder = running(job_id)
-    sleeper = processes()[encoder].parent
+    sleeper = worker_of(service.log, job_id)
     put_to_sleep(service, sleeper)
     try:
         wait_until(lambda: service.job(job_id)["attempt"] == 2)
@@ -175,7 +185,7 @@ def test_rule_3_published_once(duo: Service) -> None:
     service = duo
     job_id = service.accepted_slow()
     encoder = running(job_id)
-    sleeper = processes()[encoder].parent
+    sleeper = worker_of(service.log, job_id)
     put_to_sleep(service, sleeper)
     try:
         end_early(encoder)
@@ -234,7 +244,7 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
 
 
 def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
-    """The encoder process alone dies: its worker starts the job again at once."""
+    """The encode's process alone dies: its worker starts the job again at once."""
     service = solo
     job_id = service.accepted_slow()
     encoder = running(job_id)
@@ -243,6 +253,22 @@ def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
     end_early(running(job_id))
     job = service.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
+    assert_settled(service, job_id)
+
+
+def test_a_killed_sandbox_costs_no_attempt(solo: Service) -> None:
+    """The encode ends with it; the job is claimed again, and requests wait for its successor."""
+    service = solo
+    job_id = service.accepted_slow()
+    encoder = running(job_id)
+    sandbox = sandbox_of(service)
+    os.kill(sandbox, signal.SIGKILL)
+    assert service.client.post("/decode", content=PICTURE).status_code == 200
+    wait_until(lambda: encoder not in processes())
+    end_early(running(job_id))
+    job = service.wait(job_id)
+    assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
+    assert sandbox_of(service) != sandbox
     assert_settled(service, job_id)
 
 

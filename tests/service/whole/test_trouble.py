@@ -21,7 +21,7 @@ from PIL import Image
 from service.storage.bucket import SILENCE, SMALL_BYTES
 from tests.harness.data import ROOT, golden_path
 from tests.harness.postgres_server import PostgresServer
-from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, wait_until
+from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, wait_until, worker_of
 from tests.harness.s3_server import S3Server
 from tests.harness.service import STAND_IN, StartService, assert_problem
 
@@ -207,8 +207,9 @@ def test_workers_that_share_only_a_database_and_a_bucket(
             workers.append(subprocess.Popen(command, cwd=ROOT, env=environment, stderr=log))
     jobs = [web.accepted_slow() for _ in range(3)]
     encoder = wait_until(lambda: encoder_of(jobs[0])) or 0
-    victim = processes()[encoder].parent
-    wait_until(lambda: all("attempt 1" in (tmp_path / f"{name}.log").read_text() for name in ("a", "b")))
+    logs = [tmp_path / f"{name}.log" for name in ("a", "b")]
+    wait_until(lambda: all("attempt 1" in log.read_text() for log in logs))
+    (victim,) = filter(None, (worker_of(log, jobs[0]) for log in logs))
     os.kill(victim, signal.SIGKILL)
     wait_until(lambda: encoder not in processes())
     left = list(jobs)
@@ -242,7 +243,7 @@ def test_supervisor_killed_alone(start_service: StartService) -> None:
     service = start_service(extra=STAND_IN)
     job_id = service.accepted_slow()
     encoder = wait_until(lambda: encoder_of(job_id))
-    orphans = {encoder, *service.ours("web"), *service.ours("worker")}
+    orphans = {encoder, *service.ours("sandbox"), *service.ours("web"), *service.ours("worker")}
     service.process.kill()
     service.process.wait()
     wait_until(lambda: not orphans & set(processes()))

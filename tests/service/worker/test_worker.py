@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sqlite3
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -10,20 +11,20 @@ from typing import BinaryIO
 
 import pytest
 
-from service.jobs.job import EncodeRequest, EncodeResult, JsonObject, NewJob, SourceImage, new_job_id
+from service.jobs.job import EncodeRequest, EncodeResult, JobError, JsonObject, NewJob, SourceImage, new_job_id
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTableError, Room
+from service.jobs.table import Claim, JobRules, JobTableError, SubmitLimits
 from service.process.background import failures
 from service.process.stopping import StopSignal
+from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.storage.disk import DiskStorage
 from service.storage.files import bitstream_key, source_key
 from service.worker import heartbeat as heartbeat_module
 from service.worker import loop, publishing
-from service.worker.encoder_process import Encoded, Refused
 from service.worker.heartbeat import ClaimLostError, Heartbeat
 from service.worker.loop import Worker
-from service.worker.publishing import Publisher, StoppedError
+from service.worker.publishing import Encoded, Publisher, StoppedError
 
 LONG_S = 60.0
 
@@ -79,8 +80,10 @@ def stop() -> StopSignal:
 
 
 @pytest.fixture
-def worker(table: Unsteady, storage: Full, stop: StopSignal) -> Worker:
-    return Worker(Settings(), table, storage, stop)
+def worker(table: Unsteady, storage: Full, stop: StopSignal) -> Iterator[Worker]:
+    requests, silent = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with requests, silent:
+        yield Worker(Settings(), table, storage, Sandbox(requests), stop)
 
 
 @pytest.fixture
@@ -92,7 +95,7 @@ def publisher(table: Unsteady, storage: Full, stop: StopSignal, monkeypatch: pyt
 @pytest.fixture
 def claim(table: Unsteady, storage: DiskStorage) -> Claim:
     request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), Room(10))
+    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), SubmitLimits(10))
     storage.put(source_key(job.id), b"image")
     claim = table.claim("w")
     assert claim is not None
@@ -205,9 +208,9 @@ def test_a_heartbeat_that_nobody_hears_goes_on(table: Unsteady, claim: Claim, mo
     assert table.trace(claim.job_id) == [{"step": 0}]
 
 
-@pytest.mark.parametrize("outcome", [Refused("no"), Encoded({}, b"data")])
+@pytest.mark.parametrize("outcome", [JobError("refused", "no"), Encoded({}, b"data")])
 def test_an_end_is_written_down_however_long_it_takes(
-    table: Unsteady, publisher: Publisher, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | Refused
+    table: Unsteady, publisher: Publisher, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | JobError
 ) -> None:
     """Rule 7: else the lease would run out, and that counts as a crash."""
     refusals = iter([JobTableError("out of reach")] * 5)
@@ -253,7 +256,7 @@ def test_what_nobody_foresaw_does_not_end_a_worker(
 ) -> None:
     """On PostgreSQL the engine swallowed it without a word."""
     failed = failures.total()
-    monkeypatch.setattr(worker._encoders, "get_ready", lambda _stop: 1 / 0)
+    monkeypatch.setattr(worker, "run_one", lambda: 1 / 0)
     stop.request()
     assert not worker._run_next()
     assert failures.total() == failed + 1

@@ -1,0 +1,145 @@
+"""The clients' side of the sandbox: a task is sent, its answer is read and checked."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import select
+import signal
+import socket
+from types import TracebackType
+from typing import BinaryIO
+
+from service.sandbox.frames import Begun, Crashed, Ended, FrameError, FrameReader, Message, Refused, Result, Task
+from sgmethod import errors
+
+READ_BYTES = 1 << 18
+# A task ends its process when it has had its seconds of a core. This is for a machine without any to spare.
+PATIENCE_S = 60.0
+TRIES = 2  # a process may have died of something else than its task
+EARLY_END = b"!"
+
+
+class SandboxGoneError(OSError):
+    """The sandbox has died, or cannot be started; it is tried again. No fault of the task."""
+
+
+class TaskError(Exception):
+    """A task came to nothing through no fault of the service: one sentence."""
+
+
+class TooMuchError(TaskError):
+    """The task takes more memory or time than it may."""
+
+
+class RefusedError(TaskError):
+    """The file, or what is asked of it, was refused. kind: the class of the error, of sgmethod.errors."""
+
+    def __init__(self, kind: type[Exception], detail: str) -> None:
+        super().__init__(detail)
+        self.kind = kind
+
+
+class Sandbox:
+    """Where tasks are sent. requests: a socket that the sandbox reads, though it may be dead for a moment."""
+
+    def __init__(self, requests: socket.socket) -> None:
+        self._requests = requests
+
+    def start(self, task: Task, file: BinaryIO) -> RunningTask:
+        """A new task, which reads the open file from its beginning. Raises SandboxGoneError."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            try:
+                message, descriptors = task.model_dump_json().encode(), [theirs.fileno(), file.fileno()]
+                socket.send_fds(self._requests, [message], descriptors, socket.MSG_DONTWAIT)
+            except OSError as error:  # as when it has not read for long
+                ours.close()
+                raise SandboxGoneError(f"the sandbox takes no task: {error}") from error
+        return RunningTask(task, ours)
+
+    async def ask(self, task: Task, file: BinaryIO) -> Result:
+        """The result of a task, which ends when the caller is cancelled.
+
+        Raises RefusedError, TooMuchError, TaskError, SandboxGoneError.
+        """
+        for left in reversed(range(TRIES)):
+            with self.start(task, file) as running:
+                try:
+                    outcome = await asyncio.wait_for(running.outcome(), PATIENCE_S)
+                except TimeoutError:
+                    if not running.begun:
+                        raise SandboxGoneError("the sandbox cannot be started") from None
+                    raise TooMuchError("it exceeds the time limit") from None
+                except SandboxGoneError:
+                    if left:
+                        continue
+                    raise
+            match outcome:
+                case Result():
+                    return outcome
+                case Refused(error="MemoryError", detail=detail):
+                    raise TooMuchError(detail)
+                case Refused(error=name, detail=detail):
+                    raise RefusedError(getattr(errors, name), detail)
+                case Ended(status=status) if status == -signal.SIGPROF:
+                    raise TooMuchError("it exceeds the time limit")
+        raise TaskError("its decoder crashed")
+
+
+class RunningTask:
+    """A task under way. Leaving the context ends it. begun: whether the sandbox is known to do it."""
+
+    def __init__(self, task: Task, connection: socket.socket) -> None:
+        self._connection = connection
+        self._reader = FrameReader(task)
+        self.begun = False
+        connection.setblocking(False)
+
+    def __enter__(self) -> RunningTask:
+        return self
+
+    def __exit__(
+        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
+        self._connection.close()
+
+    def read(self, timeout_s: float) -> list[Message]:
+        """The messages that have come in. Waits timeout_s seconds at most for one to come.
+
+        Raises FrameError if the task says what it may not, and SandboxGoneError.
+        """
+        if not select.select([self._connection], [], [], timeout_s)[0]:
+            return []
+        return self._taken(self._received())
+
+    async def outcome(self) -> Message:
+        """The message that ends the task; Crashed for one that says what it may not. Raises SandboxGoneError."""
+        loop = asyncio.get_running_loop()
+        while True:
+            try:
+                messages = self._taken(await loop.sock_recv(self._connection, READ_BYTES))
+            except ConnectionError:
+                messages = self._taken(b"")
+            except FrameError as error:
+                return Crashed(detail=f"it spoke nonsense: {error}")
+            if messages:
+                return messages[0]
+
+    def end_early(self) -> None:
+        """Ask it to end soon with what it has. To ask again changes nothing."""
+        with contextlib.suppress(OSError):  # it has not heard what it was told, or has ended
+            self._connection.send(EARLY_END)
+
+    def _received(self) -> bytes:
+        try:
+            return self._connection.recv(READ_BYTES)
+        except ConnectionError:
+            return b""
+
+    def _taken(self, data: bytes) -> list[Message]:
+        if not data:
+            raise SandboxGoneError("the sandbox has died")
+        messages = self._reader.take(data)
+        self.begun |= any(isinstance(message, Begun) for message in messages)
+        return [message for message in messages if not isinstance(message, Begun)]

@@ -1,0 +1,130 @@
+"""Which picture file is to be made of a bitstream."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+import sgmethod
+from service.sandbox.picture_files import DEFAULT_QUALITY, MAX_SIDES, PictureFormat, Pixels, encode_picture
+from sgmethod.errors import ViewError
+from sgmethod.view import MAX_SCALE, MIN_SCALE, View
+
+Fit = Literal["contain", "cover", "crop"]
+Region = tuple[int, int, int, int]
+REGION = r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$"
+Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in pixels, instead of scale")]
+
+
+def matching(pattern: str, detail: str) -> AfterValidator:
+    """Refuses a text that does not match, as Field(pattern=...) does, but with a sentence instead of the pattern."""
+
+    def checked(text: str | None) -> str | None:
+        if text is not None and re.fullmatch(pattern, text) is None:
+            raise ValueError(detail)
+        return text
+
+    return AfterValidator(checked)
+
+
+class PictureOptions(BaseModel):
+    """What to draw of a picture, before its size is known: part of a request's query, and of a task."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    scale: Annotated[float | None, Field(ge=MIN_SCALE, le=MAX_SCALE, description="output pixels per pixel")] = None
+    width: Side = None
+    height: Side = None
+    fit: Annotated[
+        Fit,
+        Field(description="with width and height: fit inside them, cover them, or crop to them from the centre"),
+    ] = "contain"
+    region: Annotated[
+        str | None,
+        matching(REGION, "give four whole numbers of pixels: x,y,width,height"),
+        Field(
+            json_schema_extra={"pattern": REGION},
+            description="x,y,width,height: decode only this part, in pixels of the picture",
+            examples=["0,0,8,8"],
+        ),
+    ] = None
+    prefix: Annotated[float, Field(gt=0, le=1, description="fraction of the file to decode; less is coarser")] = 1.0
+    texture: Annotated[bool, Field(description="draw the file's synthesised texture")] = True
+    quality: Annotated[int | None, Field(ge=1, le=100, description="quality of a jpg, webp or avif file")] = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> PictureOptions:
+        if self.scale is not None and (self.width, self.height) != (None, None):
+            raise ValueError("use either scale or width and height, not both")
+        if self.fit != "contain" and None in (self.width, self.height):
+            raise ValueError(f"fit={self.fit} needs both width and height")
+        return self
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One picture file to make: the view that is drawn, and the width and height in pixels that are kept of it."""
+
+    kind: PictureFormat
+    view: View
+    width: int
+    height: int
+    quality: int | None
+
+    @classmethod
+    def of(cls, options: PictureOptions, kind: PictureFormat, size: tuple[int, int], max_pixels: int) -> Drawing:
+        """What the options come to for a picture of that size (width, height).
+
+        Raises ViewError if that is no picture, or one beyond max_pixels or what the kind of file holds.
+        """
+        if options.quality is not None and kind not in DEFAULT_QUALITY:
+            raise ViewError(f"quality does not apply to {kind} files")
+        part = View(1.0, _region(options)).area(*size)
+        scale, box = options.scale or 1.0, (options.width, options.height)
+        ratios = [want / have for want, have in zip(box, part[2:], strict=True) if want is not None]
+        if ratios:
+            scale = min(ratios) if options.fit == "contain" else max(ratios)
+        crop = box if options.fit == "crop" else (None, None)
+        if crop[0] is not None and crop[1] is not None:
+            part = _middle(part, crop[0] / scale, crop[1] / scale)
+        view = View(scale, None if part == (0, 0, *size) else part, options.prefix, options.texture)
+        width, height = view.size(*size)
+        if width * height > max_pixels or max(width, height) > MAX_SIDES[kind]:
+            limit = f"{max_pixels:,} pixels and {MAX_SIDES[kind]:,} per side"
+            raise ViewError(f"{width} x {height} pixels exceed the limit of {limit}")
+        quality = options.quality or DEFAULT_QUALITY.get(kind)
+        return cls(kind, view, min(width, crop[0] or width), min(height, crop[1] or height), quality)
+
+    def etag(self, sha256: str) -> str:
+        """An entity tag: the same bitstream and the same drawing give the same bytes."""
+        part = "".join(f"{number}-" for number in self.view.region or ())
+        prefix = "" if self.view.prefix == 1 else f"p{self.view.prefix!r}-"
+        smooth = "" if self.view.texture else "smooth-"
+        quality = "" if self.quality is None else f"-q{self.quality}"
+        return f'"{sha256[:32]}-{prefix}{smooth}{part}{self.width}x{self.height}{quality}.{self.kind}"'
+
+    def draw(self, bitstream: bytes) -> bytes:
+        """The picture file. Raises BitstreamError, ViewError, MemoryError."""
+        return encode_picture(self._kept(sgmethod.decode(bitstream, view=self.view)), self.kind, self.quality)
+
+    def _kept(self, pixels: Pixels) -> Pixels:
+        y, x = ((have - want) // 2 for have, want in zip(pixels.shape, (self.height, self.width), strict=False))
+        return np.ascontiguousarray(pixels[y : y + self.height, x : x + self.width])
+
+
+def _region(options: PictureOptions) -> Region | None:
+    if options.region is None:
+        return None
+    x, y, width, height = map(int, options.region.split(","))
+    return x, y, width, height
+
+
+def _middle(part: Region, width: float, height: float) -> Region:
+    """The middle of a part, in whole pixels, at least so wide and high."""
+    x, y, w, h = part
+    left, top = max(int((w - width) / 2), 0), max(int((h - height) / 2), 0)
+    return x + left, y + top, w - 2 * left, h - 2 * top

@@ -1,0 +1,300 @@
+"""What passes between the sandbox and its clients.
+
+A client sends a task as one message of JSON, with two descriptors: a socket for the answer, and the file to read.
+It closes the socket to have the task ended, and writes a byte into it to have an encode end early, with what it has.
+
+The answer is frames: a letter, the payload's length (32 bits, big-endian) and the payload.
+
+    B  the task has begun            from the sandbox itself, first
+    T  a trace point (JSON)          any number of times
+    P  a bitstream of what there is  now and then
+    S  figures (JSON)                and with a file or without one, that is the result
+    F  a file, the end of the result
+    R  a refusal (JSON)              in place of a result
+    C  the words of a crash (JSON)   in place of a result
+    E  how its process ended (JSON)  from the sandbox itself, last
+
+Tasks may have been taken over by what they read: a frame that is too long or says something else than it may is the end
+of the task for its client, which learns of it as FrameError.
+"""
+
+from __future__ import annotations
+
+import math
+import signal
+import struct
+from typing import Annotated, Any, ClassVar, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from service.jobs.job import EncodeRequest
+from service.sandbox.drawing import PictureOptions
+from service.sandbox.picture_files import PictureFormat, Rival
+
+END_EARLY = signal.SIGUSR1  # how the sandbox tells an encode
+FRAME_HEADER = struct.Struct(">cI")
+TASK_BYTES = 1 << 16  # the longest task
+SHORT_BYTES, FIGURES_BYTES = 1 << 12, 1 << 16  # the longest frames of words and of figures
+FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream or picture file is longer than both together
+SENTENCE_LENGTH = 1000
+MOST_POINTS = 100_000  # of one trace
+
+
+class FrameError(ValueError):
+    """A task said something that it may not say: one sentence."""
+
+
+class Model(BaseModel):
+    """Takes nothing that it does not know."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Task(Model):
+    """What to do with a file, and what it may take.
+
+    memory_bytes: more than the codec itself takes; cpu_s: seconds of a core; max_pixels: of what is read or drawn.
+    """
+
+    memory_bytes: int
+    cpu_s: float
+    max_pixels: int
+
+    answer: ClassVar[type[Model] | None] = None  # the figures of a result; None for a file without figures
+    gives_file: ClassVar[bool] = True
+
+    @property
+    def file_bytes(self) -> int:
+        """The longest file it may send."""
+        return FILE_BYTES + FILE_BYTES_PER_PIXEL * self.max_pixels if self.gives_file else 0
+
+
+class HeaderFigures(Model):
+    """The answer of ReadHeader: what an image's header says."""
+
+    format: str = Field(max_length=20)
+    width: int = Field(ge=1)
+    height: int = Field(ge=1)
+
+
+class ReadHeader(Task):
+    """Read an image's header."""
+
+    kind: Literal["header"] = "header"
+    answer = HeaderFigures
+    gives_file = False
+
+
+class Draw(Task):
+    """Make a picture file of a bitstream. max_gaussians: of the bitstream."""
+
+    kind: Literal["draw"] = "draw"
+    options: PictureOptions
+    file_kind: PictureFormat = "png"
+    max_gaussians: int | None = None
+
+
+class MakeRival(Task):
+    """Make a picture file of an image, as large as its bitstream."""
+
+    kind: Literal["rival"] = "rival"
+    rival: Rival
+
+
+class PreviewFigures(Model):
+    """The answer of MakePreview, as Preview.to_dict() has it."""
+
+    text: str = Field(max_length=8192, description="base64url of an .sg file, for the preview attribute of an <sg-img>")
+    width: int = Field(description="pixels of the image as displayed")
+    height: int = Field(description="pixels of the image as displayed")
+    color: str = Field(pattern=r"^#[0-9a-f]{6}$", description="average colour, #rrggbb")
+    dark: bool = Field(description="whether white text reads better on that colour than black")
+
+
+class MakePreview(Task):
+    """Make a preview of an image, of at most so many bytes."""
+
+    kind: Literal["preview"] = "preview"
+    most_bytes: int
+    answer = PreviewFigures
+    gives_file = False
+
+
+Sentence = Annotated[str, Field(max_length=SENTENCE_LENGTH)]
+Figure = float | None
+
+
+class EncodeFigures(Model):
+    """The figures of an encode: Stats.to_dict() with advice, and what of the image was dropped."""
+
+    bytes: int = Field(ge=0)
+    bpp: float
+    psnr: Figure
+    ms_ssim: Figure
+    ssimulacra2: Figure
+    gaussians: int
+    steps: int
+    seconds: float
+    width: int
+    height: int
+    profile: str = Field(max_length=20)
+    tune: str = Field(max_length=20)
+    effort: int
+    source_bytes: int
+    psnr_missed_db: Figure
+    looks_missed: Figure
+    warnings: list[Sentence] = Field(max_length=20)
+    advice: Sentence | None
+    better: Literal["avif", "webp"] | None
+    notes: list[Sentence] = Field(default=[], max_length=20)
+
+
+class Encode(Task):
+    """Encode an image. job_id: for operators, who see it in the process list; max_pixels: those of the image."""
+
+    kind: Literal["encode"] = "encode"
+    job_id: str
+    request: EncodeRequest
+    threads: int
+    answer = EncodeFigures
+
+
+AnyTask = Annotated[ReadHeader | Draw | MakeRival | MakePreview | Encode, Field(discriminator="kind")]
+
+
+class Begun(Model):
+    """The task has a process."""
+
+
+class TracePoint(Model):
+    """How far the fit is, as sgmethod's TracePoint has it."""
+
+    seconds: float
+    step: int
+    steps: int
+    psnr: Figure
+    bytes: int
+    gaussians: int
+    phase: str = Field(max_length=20)
+
+
+class Preview(Model):
+    """A bitstream of what there is so far."""
+
+    bitstream: bytes
+
+
+Refusal = Literal["ImageError", "BitstreamError", "ViewError", "BudgetError", "SgError", "MemoryError"]
+
+
+class Refused(Model):
+    """The codec refused the file, or what is asked of it. error: the name of the class, of sgmethod.errors."""
+
+    error: Refusal
+    detail: Sentence
+
+
+class Crashed(Model):
+    """The task failed in a way that nobody foresaw; one sentence."""
+
+    detail: Sentence
+
+
+class Ended(Model):
+    """The task's process has ended; the status is Popen's."""
+
+    status: int
+
+
+class Result(Model):
+    """The task is done."""
+
+    figures: Any = None
+    file: bytes = b""
+
+
+Message = Begun | TracePoint | Preview | Refused | Crashed | Ended | Result
+
+WORDS: dict[bytes, tuple[type[Model], int]] = {  # what a frame of JSON holds, and its longest payload
+    b"B": (Begun, SHORT_BYTES),
+    b"T": (TracePoint, SHORT_BYTES),
+    b"R": (Refused, SHORT_BYTES),
+    b"C": (Crashed, SHORT_BYTES),
+    b"E": (Ended, SHORT_BYTES),
+}
+REFUSALS = get_args(Refusal)
+KINDS = {model: kind for kind, (model, _) in WORDS.items()}
+FIGURES, PREVIEW, FILE = b"S", b"P", b"F"
+
+
+def packed(kind: bytes, payload: bytes) -> bytes:
+    """One frame."""
+    return FRAME_HEADER.pack(kind, len(payload)) + payload
+
+
+def packed_words(message: Model) -> bytes:
+    """One frame of words, or of figures."""
+    return packed(KINDS.get(type(message), FIGURES), message.model_dump_json(exclude_unset=True).encode())
+
+
+def finite(figures: dict[str, Any]) -> dict[str, Any]:
+    """Figures as JSON can say them: a PSNR of infinity (a picture without error) becomes None."""
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in figures.items()}
+
+
+class FrameReader:
+    """From the bytes of an answer to messages."""
+
+    def __init__(self, task: Task) -> None:
+        self._task = task
+        self._data = bytearray()
+        self._figures: Model | None = None
+        self._points = 0
+
+    def take(self, data: bytes) -> list[Message]:
+        """The messages that are whole with these bytes. Raises FrameError."""
+        self._data += data
+        messages: list[Message] = []
+        while len(self._data) >= FRAME_HEADER.size:
+            kind, length = FRAME_HEADER.unpack_from(self._data)
+            if length > (most := self._longest(kind)):
+                raise FrameError(f"a frame {kind!r} of {length} bytes, where {most} are allowed")
+            end = FRAME_HEADER.size + length
+            if len(self._data) < end:
+                break
+            with memoryview(self._data) as view:
+                payload = bytes(view[FRAME_HEADER.size : end])
+            del self._data[:end]
+            try:
+                messages += self._said(kind, payload)
+            except ValidationError as error:  # which may hold what the task said
+                fault = error.errors()[0]
+                raise FrameError(f"a frame {kind!r} in which {fault['loc']} is wrong ({fault['type']})") from None
+        return messages
+
+    def _longest(self, kind: bytes) -> int:
+        if kind in WORDS:
+            return WORDS[kind][1]
+        if kind == FIGURES and self._task.answer:
+            return FIGURES_BYTES
+        if kind == FILE or (kind == PREVIEW and isinstance(self._task, Encode)):
+            return self._task.file_bytes
+        raise FrameError(f"a frame of unknown kind {kind!r}")
+
+    def _said(self, kind: bytes, payload: bytes) -> list[Message]:
+        if kind == PREVIEW:
+            return [Preview(bitstream=payload)]
+        if kind == FILE:
+            if self._task.answer and self._figures is None:
+                raise FrameError("a file without its figures")
+            return [Result(figures=self._figures, file=payload)]
+        if kind == FIGURES:
+            assert self._task.answer
+            self._figures = self._task.answer.model_validate_json(payload)
+            return [] if self._task.gives_file else [Result(figures=self._figures)]
+        message = WORDS[kind][0].model_validate_json(payload)
+        if isinstance(message, TracePoint):
+            self._points += 1
+            if self._points > MOST_POINTS or not isinstance(self._task, Encode):
+                raise FrameError("too many trace points")
+        return [message]  # type: ignore[list-item]

@@ -1,0 +1,228 @@
+"""The sandbox: `service.sandbox.server DESCRIPTOR`, where tasks come in. It has the codec in memory, and forks.
+
+It reads nothing that strangers sent, and has one thread. Each of its forks does one task. Two wait for theirs, so that
+nobody has to wait for a fork. It ends when all its clients are gone, and its forks end with it.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import selectors
+import signal
+import socket
+import sys
+import traceback
+from typing import NoReturn
+
+from pydantic import TypeAdapter
+
+from service.sandbox.confinement import confine, end_with, set_name
+from service.sandbox.frames import END_EARLY, TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed_words
+from service.sandbox.tasks import WORDS_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
+
+MODULE = "service.sandbox.server"
+WAITING_FORKS = 2
+MOST_DESCRIPTORS = 1 << 20
+CONTROL_BYTES = 64
+# A picture takes a few milliseconds on one thread. A second one shortens the worst of them, when an encode has the
+# other core (p99 of GET /decode 53 -> 32 ms on two cores); more would only get in the encoders' way.
+PICTURE_THREADS = 2
+# Encodes behind all who answer, so that answers come at once while every core encodes: the least share that the system
+# gives. Pictures behind the web process, and before encodes, for which nobody waits.
+ENCODE_NICENESS, PICTURE_NICENESS = 19, 5
+
+_tasks: TypeAdapter[AnyTask] = TypeAdapter(AnyTask)
+
+
+class Fork:
+    """A process for one task. control: where it gets the task; answer: its socket to the client, once it has one, which
+    both use, and which therefore blocks.
+    """
+
+    def __init__(self, number: int, control: socket.socket) -> None:
+        self.number = number
+        self.control = control
+        self.answer: socket.socket | None = None
+        self.status: int | None = None  # once it has ended
+
+
+class Server:
+    """Gives tasks to forks, ends those whose clients have gone, and says how they ended."""
+
+    def __init__(self, requests: socket.socket) -> None:
+        self._requests = requests
+        self._waiting: list[Fork] = []
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(requests, selectors.EVENT_READ)
+
+    def run(self) -> None:
+        """Serve until all clients are gone."""
+        while True:
+            self._fork()
+            for key, _ in self._selector.select():
+                if key.fileobj is self._requests:
+                    if not self._take():
+                        return
+                elif isinstance(key.fileobj, int):
+                    self._reap(key.fileobj, key.data)
+                elif key.data.answer is not None:  # it may have been closed since the events were read
+                    self._serve(key.data, key.data.answer)
+
+    def _fork(self) -> None:
+        """Fork until enough wait for tasks."""
+        try:
+            while len(self._waiting) < WAITING_FORKS:
+                ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                with theirs:
+                    parent = os.getpid()
+                    number = os.fork()
+                    if number == 0:
+                        run_fork(theirs.fileno(), parent)
+                fork = Fork(number, ours)
+                self._selector.register(os.pidfd_open(number), selectors.EVENT_READ, fork)
+                self._waiting.append(fork)
+        except OSError as error:  # as where the system has no process or no memory to spare
+            print(f"the sandbox cannot fork: {error}", file=sys.stderr, flush=True)
+
+    def _take(self) -> bool:
+        line, descriptors, _, _ = socket.recv_fds(self._requests, TASK_BYTES, 2)
+        if not line:
+            return False
+        answer, file = socket.socket(fileno=descriptors[0]), descriptors[1]
+        while self._waiting:
+            fork = self._waiting.pop(0)
+            try:
+                with fork.control:
+                    socket.send_fds(fork.control, [line], [answer.fileno(), file])
+            except ConnectionError:  # it has died while it waited
+                continue
+            fork.answer = answer
+            self._selector.register(answer, selectors.EVENT_READ, fork)
+            break
+        else:
+            answer.close()
+        os.close(file)
+        return True
+
+    def _serve(self, fork: Fork, answer: socket.socket) -> None:
+        """The client asks for an early end, or has gone; or there is room for the last frame."""
+        if fork.status is not None:
+            self._tell_end(fork, answer)
+            return
+        try:
+            asked = answer.recv(CONTROL_BYTES, socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return
+        except ConnectionError:
+            asked = b""
+        os.kill(fork.number, END_EARLY if asked else signal.SIGKILL)
+        if not asked:
+            self._leave(fork, answer)
+
+    def _reap(self, descriptor: int, fork: Fork) -> None:
+        self._selector.unregister(descriptor)
+        os.close(descriptor)
+        _, status = os.waitpid(fork.number, 0)
+        fork.status = os.waitstatus_to_exitcode(status)
+        if fork in self._waiting:
+            self._waiting.remove(fork)
+            fork.control.close()
+        if fork.answer is not None:
+            self._tell_end(fork, fork.answer)
+
+    def _tell_end(self, fork: Fork, answer: socket.socket) -> None:
+        assert fork.status is not None
+        try:
+            answer.send(packed_words(Ended(status=fork.status)), socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            self._selector.modify(answer, selectors.EVENT_WRITE, fork)
+        except ConnectionError:
+            self._leave(fork, answer)
+        else:
+            self._leave(fork, answer)
+
+    def _leave(self, fork: Fork, answer: socket.socket) -> None:
+        self._selector.unregister(answer)
+        answer.close()
+        fork.answer = None
+
+
+def run_fork(control: int, parent: int) -> NoReturn:
+    """What a fork does: wait for its task and do it. Exit status 0 once the task's result is sent."""
+    status = 1
+    try:
+        end_with(parent)
+        _leave_all_but(control)
+        set_name("waits for a task")
+        os.nice(PICTURE_NICENESS)
+        warm_fork()
+        line, descriptors, _, _ = socket.recv_fds(socket.socket(fileno=control), TASK_BYTES, 2)
+        if line:
+            answer, file = descriptors
+            status = _run_task(line, answer, file, parent)
+    finally:
+        os._exit(status)
+
+
+def _run_task(line: bytes, answer: int, file: int, parent: int) -> int:
+    to_client = Answer(answer)
+
+    def end_early(*_: object) -> None:
+        to_client.end_early = True
+
+    signal.signal(END_EARLY, end_early)
+    try:
+        task = _tasks.validate_json(line)
+        to_client.say(Begun())
+        threads = PICTURE_THREADS
+        if isinstance(task, Encode):
+            threads = task.threads
+            os.nice(ENCODE_NICENESS)
+        set_name(task.job_id if isinstance(task, Encode) else task.kind)
+        data = _whole(file)
+        os.close(file)
+        prepare(task)
+        confine(task.memory_bytes, task.cpu_s, parent)
+        set_threads(threads)
+        perform(task, data, to_client)
+    except Exception as error:
+        last = traceback.format_exception_only(error)[-1].strip()
+        to_client.say(Crashed(detail=last[:WORDS_LENGTH]))
+        return 1
+    return 0
+
+
+def _leave_all_but(kept: int) -> None:
+    """Close what belongs to other tasks."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for descriptor in range(3):
+        os.dup2(nothing, descriptor)
+    os.closerange(3, kept)
+    os.closerange(kept + 1, MOST_DESCRIPTORS)
+
+
+def _whole(file: int) -> bytes:
+    """The file, whatever its descriptor has read so far."""
+    size = os.fstat(file).st_size
+    data = bytearray()
+    while len(data) < size and (more := os.pread(file, size - len(data), len(data))):
+        data += more
+    return bytes(data)
+
+
+def main() -> None:
+    """Serve at the socket of the command line."""
+    for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
+        signal.signal(
+            number, signal.SIG_IGN
+        )  # it ends with its clients, and a request that a task end may be too early
+    requests = socket.socket(fileno=int(sys.argv[1]))
+    warm_up()
+    gc.collect()
+    gc.freeze()  # so that forks share it
+    Server(requests).run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,226 @@
+"""What the tasks do, in a process of their own that is confined: a file comes in, frames go out."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib
+import os
+import pkgutil
+import time
+import warnings
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import cv2
+from PIL import Image
+
+import sgmethod
+from service.sandbox import frames
+from service.sandbox.drawing import Drawing, PictureOptions
+from service.sandbox.picture_files import MEDIA_TYPES, encode_picture
+from sgmethod.budget import Budget
+from sgmethod.errors import ImageError, ImageWarning, SgError
+from sgmethod.io.compositing import WHITE, composited
+from sgmethod.io.formats import READERS
+from sgmethod.io.image import ImageLimits, read_header, read_image_8_bit
+from sgmethod.io.inputs import read_input
+from sgmethod.profiles import DEFAULT_EFFORT
+
+PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
+WORDS_LENGTH = 300  # characters of an error that a client gets to read
+TINY_PICTURE = b"P6 8 8 255 " + bytes(range(192))
+TINY_SIZE = (8, 8)
+# glibc's malloc.h. Memory of a picture that was made goes back to the system only beyond these.
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+KEPT_BYTES, LARGE_BYTES = 16 << 20, 4 << 20
+# What is for other places, or brings torch.
+NOT_IMPORTED = {
+    f"sgmethod.{name}"
+    for name in (
+        *("__main__", "cli", "client", "exchange", "many", "paper", "pillow", "torch", "backend.reference"),
+        *("backend.tensors", "backend.pairs", "native.reference", "metrics.perceptual"),
+    )
+}
+
+# What libraries import only when a picture asks for it.
+IMPORTED_LATE = (
+    *(f"PIL.{name}" for name in ("ImageCms", "ImageColor", "ImageFilter", "ImagePalette", "MpoImagePlugin")),
+    *(f"encodings.{name}" for name in ("ascii", "cp1252", "latin_1", "utf_16", "utf_16_be", "utf_16_le", "utf_32")),
+    *(f"numpy.{name}" for name in ("fft", "linalg", "random")),
+)
+
+
+class Answer:
+    """A task's end of its socket, and its client's request that it end early."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._shown = time.monotonic()
+        self.end_early = False
+
+    def send(self, kind: bytes, payload: bytes) -> None:
+        """Write one frame."""
+        self._write(frames.packed(kind, payload))
+
+    def say(self, message: frames.Model) -> None:
+        """Write one frame of words, or of figures."""
+        self._write(frames.packed_words(message))
+
+    def show(self, file: bytes) -> None:
+        """Write a preview, unless the last one is not long ago."""
+        if time.monotonic() - self._shown >= PREVIEW_EVERY_S:
+            self._shown = time.monotonic()
+            self.send(frames.PREVIEW, file)
+
+    def _write(self, frame: bytes) -> None:
+        left = memoryview(frame)
+        while left:
+            left = left[os.write(self._descriptor, left) :]
+
+
+def set_threads(count: int) -> None:
+    """How many threads a task computes on, none of which is started before it needs them."""
+    sgmethod.set_threads(count)
+    cv2.setNumThreads(count)
+
+
+def warm_up() -> None:
+    """Import and set up all that tasks need, which can open no file any more. No thread may be left: a fork would not
+    have it.
+    """
+    set_threads(1)
+    _import_all(sgmethod.__path__, "sgmethod.")
+    Image.preinit()
+    for module in (*(module for module, _ in READERS.values()), *IMPORTED_LATE):
+        with contextlib.suppress(ImportError):  # of an extra
+            importlib.import_module(module)
+    for tune in ("psnr", "visual"):
+        tiny_encode("rd", tune)
+    for kind in MEDIA_TYPES:
+        encode_picture(read_image_8_bit(TINY_PICTURE), kind)
+
+
+def warm_fork() -> None:
+    """Touch the memory that every picture takes, before somebody waits for one.
+
+    What is freed within a task is used again: to get it from the system each time took 2.4 of the 6.0 ms of the PNG of
+    768x512.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:  # another C library than glibc may have none
+        mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
+        mallopt(M_MMAP_THRESHOLD, LARGE_BYTES)
+    Drawing.of(PictureOptions(), "png", TINY_SIZE, 64).draw(tiny_encode("rd", "psnr"))
+
+
+def prepare(task: frames.Task) -> None:
+    """Import what is too large to have in memory for all."""
+    if isinstance(task, frames.Encode) and task.request.profile != "rd":
+        tiny_encode(task.request.profile)
+
+
+def _import_all(path: Any, prefix: str) -> None:
+    for module in pkgutil.iter_modules(path, prefix):
+        if module.name not in NOT_IMPORTED:
+            found = importlib.import_module(module.name)
+            if module.ispkg:
+                _import_all(found.__path__, f"{module.name}.")
+
+
+@cache
+def tiny_encode(profile: str, tune: str | None = None) -> bytes:
+    """The tiny picture as a bitstream."""
+    from sgmethod.codec import encode
+
+    # The others have no effort, and no smaller files.
+    effort, size = (1, 64) if profile == "rd" else (DEFAULT_EFFORT, 512)
+    budget = Budget("bytes", size)
+    return encode(TINY_PICTURE, budget, profile, tune=tune, effort=effort, time_limit_s=0.1).data
+
+
+def perform(task: frames.Task, file: bytes, answer: Answer) -> None:
+    """Do the task and send its result, or why there is none."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            PERFORM[type(task)](task, file, answer)
+    except SgError as error:
+        answer.say(frames.Refused(error=_name_of(error), detail=str(error)[: frames.SENTENCE_LENGTH]))
+    except MemoryError:  # another attempt would have no more of it
+        answer.say(frames.Refused(error="MemoryError", detail="it exceeds the memory limit"))
+
+
+def _name_of(error: SgError) -> Any:
+    names = [kind.__name__ for kind in type(error).__mro__]
+    return next(name for name in names if name in frames.REFUSALS)
+
+
+def _read_header(task: frames.ReadHeader, file: bytes, answer: Answer) -> None:
+    header = read_header(file, ImageLimits(task.max_pixels))
+    if not header.still:
+        raise ImageError(f"this {header.format} contains more than one picture; send a single still picture")
+    answer.say(frames.HeaderFigures(format=header.format, width=header.width, height=header.height))
+
+
+def _draw(task: frames.Draw, file: bytes, answer: Answer) -> None:
+    info = sgmethod.info(file, task.max_gaussians)  # a few kilobytes can hold millions of equal ones
+    drawing = Drawing.of(task.options, task.file_kind, (info.width, info.height), task.max_pixels)
+    answer.send(frames.FILE, drawing.draw(file))
+
+
+def _make_rival(task: frames.MakeRival, file: bytes, answer: Answer) -> None:
+    from sgmethod.advice import better_file, is_drawn
+
+    rival = task.rival
+    pixels = read_image_8_bit(file, ImageLimits(task.max_pixels), keep_alpha=True)
+    if rival.kind == "webp" and (lossless := better_file(pixels, rival.size, 0.0, ("webp",))):
+        answer.send(frames.FILE, lossless.data)
+        return
+    opaque = pixels if pixels.shape[2] == 3 else composited(pixels, WHITE)
+    answer.send(frames.FILE, rival.made_of(opaque, drawn=is_drawn(pixels)))
+
+
+def _make_preview(task: frames.MakePreview, file: bytes, answer: Answer) -> None:
+    from sgmethod.previews.preview import preview
+
+    made = preview(file, task.most_bytes, limits=ImageLimits(task.max_pixels))
+    answer.say(frames.PreviewFigures.model_validate(made.to_dict()))
+
+
+def _encode(task: frames.Encode, file: bytes, answer: Answer) -> None:
+    from sgmethod.advice import advice, better_file
+    from sgmethod.codec import encode
+
+    request = task.request
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ImageWarning)
+        pixels = read_input(file, keep_alpha=request.profile == "rd")
+        encoded = encode(
+            pixels,
+            Budget(request.budget_kind, request.budget_value),
+            request.profile,
+            tune=request.tune,
+            effort=request.effort,
+            time_limit_s=request.time_limit_s,
+            on_progress=lambda point: answer.say(frames.TracePoint.model_validate(frames.finite(point.to_dict()))),
+            stop=lambda: answer.end_early,
+            on_preview=answer.show,
+            measure=True,
+        )
+        size, db = len(encoded.data), encoded.stats.psnr
+        figures = {**encoded.stats.to_dict(), **advice(better_file(pixels, size, db), size, db)}
+    notes = [str(warning.message) for warning in caught if issubclass(warning.category, ImageWarning)]
+    figures |= {"source_bytes": len(file), **({"notes": notes} if notes else {})}
+    answer.say(frames.EncodeFigures.model_validate(frames.finite(figures)))
+    answer.send(frames.FILE, encoded.data)
+
+
+PERFORM: dict[type[frames.Task], Callable[[Any, bytes, Answer], None]] = {
+    frames.ReadHeader: _read_header,
+    frames.Draw: _draw,
+    frames.MakeRival: _make_rival,
+    frames.MakePreview: _make_preview,
+    frames.Encode: _encode,
+}
