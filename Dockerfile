@@ -1,5 +1,6 @@
 # syntax=docker/dockerfile:1
-ARG PYTHON_IMAGE=python:3.12-slim-bookworm
+# Two images: "whole", and "slim" without PyTorch, for profile rd alone (docker build --target slim .).
+ARG PYTHON_IMAGE=python:3.12.14-slim-bookworm@sha256:782412e85d0f0984994c290652577d4018aff08145c85b262bb63dc0c7522254
 
 FROM ${PYTHON_IMAGE} AS build
 # The compiler's version follows the base image's.
@@ -7,26 +8,33 @@ FROM ${PYTHON_IMAGE} AS build
 RUN apt-get update \
     && apt-get install --yes --no-install-recommends cmake g++ ninja-build \
     && rm -rf /var/lib/apt/lists/*
-RUN python -m venv /opt/sgmethod
-# Which torch: a CPU build serves and is the smallest. Where the default index offers larger builds first, name the
-# one to take, for example --build-arg TORCH_PIP_ARGS="--index-url ADDRESS-OF-THE-CPU-INDEX".
-ARG TORCH="torch==2.13.0"
-ARG TORCH_PIP_ARGS=""
-# The arguments are several words.
-# hadolint ignore=SC2086
-RUN /opt/sgmethod/bin/pip install --no-cache-dir ${TORCH_PIP_ARGS} "${TORCH}"
+RUN python -m venv /opt/build && python -m venv --without-pip /opt/sgmethod
+ENV PIP="/opt/build/bin/pip --disable-pip-version-check --no-cache-dir"
+ENV INSTALL="${PIP} --python /opt/sgmethod/bin/python install --only-binary :all:"
 WORKDIR /source
+# Whatever is downloaded must have the hash of its lock file, which `make lock` renews.
+COPY service/requirements service/requirements
+RUN ${PIP} install --require-hashes --requirement service/requirements/build.txt \
+    && ${INSTALL} --require-hashes --requirement service/requirements/slim.txt
 COPY pyproject.toml README.md LICENSE ./
 COPY sgmethod sgmethod
 COPY service service
-RUN /opt/sgmethod/bin/pip wheel --no-cache-dir --no-deps --wheel-dir /wheels . \
-    && /opt/sgmethod/bin/pip install --no-cache-dir "$(ls /wheels/*.whl)[torch,service,postgres,s3]"
+RUN ${PIP} wheel --no-deps --no-build-isolation --wheel-dir /wheels . \
+    && ${INSTALL} --no-deps /wheels/*.whl \
+    && find /opt/sgmethod -type d -name tests -prune -exec rm -r {} +
 
-FROM ${PYTHON_IMAGE}
+FROM build AS build-torch
+# A quarter of PyTorch is its own tests, and headers for extensions.
+RUN ${INSTALL} --require-hashes --requirement service/requirements/torch.txt \
+    && torch=$(echo /opt/sgmethod/lib/python3*/site-packages/torch) \
+    && rm -r "$torch/include" "$torch/test" \
+    && find "$torch/bin" -type f ! -name torch_shm_manager -delete \
+    && find /opt/sgmethod -type d -name tests -prune -exec rm -r {} +
+
+FROM ${PYTHON_IMAGE} AS runtime
 RUN groupadd --gid 10001 sgmethod \
     && useradd --uid 10001 --gid 10001 --no-create-home --shell /usr/sbin/nologin sgmethod \
     && install --directory --owner=sgmethod --group=sgmethod --mode=0700 /data
-COPY --from=build /opt/sgmethod /opt/sgmethod
 # Whoever publishes the port decides who reaches it. Without API keys the service answers under localhost and addresses
 # alone; SG_HOST_NAMES lists other names.
 ENV PATH=/opt/sgmethod/bin:$PATH \
@@ -45,3 +53,9 @@ HEALTHCHECK --interval=10s --timeout=5s --start-period=20s --retries=3 \
 # Web process and workers in one container; "web" or "worker" in place of "serve" runs one of them alone.
 ENTRYPOINT ["python", "-m", "service"]
 CMD ["serve"]
+
+FROM runtime AS slim
+COPY --from=build /opt/sgmethod /opt/sgmethod
+
+FROM runtime AS whole
+COPY --from=build-torch /opt/sgmethod /opt/sgmethod

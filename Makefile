@@ -9,7 +9,7 @@ export CMAKE_BUILD_PARALLEL_LEVEL ?= $(shell nproc)
 # Each worker of pytest has a core of its own, and threads that share one wait for each other.
 PYTEST = SG_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --quiet --numprocesses auto --dist loadfile
 
-.PHONY: help serve test thorough coverage sanitize versions fuzz cross wheel npm bench
+.PHONY: help serve test thorough coverage sanitize versions fuzz cross wheel npm lock bench
 
 help:
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -53,6 +53,20 @@ npm: ## build the package for browsers in dist; needs npm
 	cp -r sgmethod/javascript/. LICENSE build/npm/
 	cd build/npm && npm install --silent --no-audit --no-fund --no-package-lock && npm run --silent build \
 	  && npm pack --silent --pack-destination ../../dist
+
+# Where PyTorch's CPU builds lie, which PyPI lacks for Linux.
+TORCH_WHEELS ?= https://download.pytorch.org/whl/cpu/torch/
+BUILD_REQUIREMENTS = import tomllib; \
+  print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")
+LOCKED = service/requirements
+LOCK = $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-annotate \
+  --custom-compile-command 'make lock' --no-emit-index-url
+lock: $(VENV)/.service ## renew versions and hashes of what the image installs, in service/requirements
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/python -c '$(BUILD_REQUIREMENTS)' | $(LOCK) - --output-file $(LOCKED)/build.txt
+	$(LOCK) pyproject.toml --extra service --extra postgres --extra s3 --output-file $(LOCKED)/slim.txt
+	echo '$(TORCH)+cpu' | $(LOCK) - pyproject.toml --extra torch --constraint $(LOCKED)/slim.txt \
+	  --find-links $(TORCH_WHEELS) --emit-find-links --output-file $(LOCKED)/torch.txt
 
 bench: $(VENV)/.benchmark ## a small set of all measurements in ten minutes, or FULL=yes [IMAGES=folder WEIGHTS=folder]
 	$(BIN)/python -m benchmarks $(if $(FULL),--full) $(if $(IMAGES),--images $(IMAGES)) $(if $(WEIGHTS),--weights $(WEIGHTS))

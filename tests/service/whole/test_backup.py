@@ -1,0 +1,89 @@
+"""What docs/deploy.md says of backups and of the move to PostgreSQL and S3, by its own commands."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+
+from tests.harness.data import ROOT
+from tests.harness.postgres_server import PostgresServer
+from tests.harness.s3_server import S3Server
+from tests.harness.service import Service
+
+pytestmark = [
+    pytest.mark.thorough,
+    pytest.mark.skipif(shutil.which("sqlite3") is None, reason="sqlite3 is not installed: sudo apt install sqlite3"),
+]
+
+
+def documented(heading: str) -> list[str]:
+    """The blocks of commands beneath a heading of the document."""
+    text = (ROOT / "docs" / "deploy.md").read_text()
+    section = re.split(r"^##+ ", text.split(f"# {heading}\n")[1], maxsplit=1, flags=re.MULTILINE)[0]
+    return re.findall(r"^```sh\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)
+
+
+def run(commands: str, folder: Path, environment: Mapping[str, str]) -> None:
+    """Run a block where the data folder lies, with this installation's programs."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
+    known = {**environment, "PATH": path, "PYTHONPATH": str(ROOT)}
+    subprocess.run(["bash", "-euo", "pipefail", "-c", commands], cwd=folder, env=known, check=True)
+
+
+@pytest.fixture
+def moving(tmp_path: Path) -> Iterator[Service]:
+    """A service with its data where the document has it."""
+    service = Service(tmp_path / "data", source_retention_s=3600)
+    yield service
+    if service.process.poll() is None:
+        service.stop()
+
+
+def test_backup_move_and_backup_again(tmp_path: Path, moving: Service, postgres: PostgresServer, s3: S3Server) -> None:
+    """A job is still there after each, its file has the same bytes, and new jobs are encoded."""
+    back_up, restore, back_up_stores, restore_stores, *_ = documented("Backup, restore, upgrade")
+    places, move = documented("The move from one machine")
+    service = moving
+    kept = service.accepted()
+    job, bitstream = service.wait(kept), service.client.get(f"/jobs/{kept}/bitstream").content
+    times = {name: value for name, value in job.items() if name.endswith("_at")}
+
+    def assert_kept() -> None:
+        assert {**service.job(kept), **times} == job  # a text of a time may have lost its last microseconds
+        assert service.client.get(f"/jobs/{kept}/bitstream").content == bitstream
+        again = service.client.post(f"/jobs/{kept}/encode?bpp=0.5&time_limit_s=0.1")
+        assert service.wait(again.json()["id"])["state"] == "done"
+
+    run(back_up, tmp_path, service.environment)
+    assert service.client.delete(f"/jobs/{kept}").status_code == 204
+    service.stop()
+    run(restore, tmp_path, service.environment)
+    service.start()
+    assert_kept()
+    waiting = service.accepted_slow()
+    service.stop()
+
+    names = dict(re.findall(r"(RCLONE_\w+)=(\S+)", places))
+    stores = {"SG_DATABASE_URL": postgres.new_database(), "SG_STORAGE_URL": s3.new_storage(), **s3.environment}
+    service.environment |= {**stores, **names}
+    run(move, tmp_path, service.environment)
+    shutil.move(tmp_path / "data", tmp_path / "moved")
+    service.start()
+    service.wait(waiting, "running")
+    assert service.client.delete(f"/jobs/{waiting}").status_code == 204
+    assert_kept()
+
+    shutil.move(tmp_path / "backup", tmp_path / "older")
+    run(back_up_stores, tmp_path, service.environment)
+    assert service.client.delete(f"/jobs/{kept}").status_code == 204
+    service.stop()
+    run(restore_stores, tmp_path, service.environment)
+    service.start()
+    assert_kept()
