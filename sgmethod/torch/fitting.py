@@ -56,7 +56,7 @@ def fit(
     >>> found = fit(torch.rand(2, 3, 24, 32), 20, steps=10)
     >>> found.means.shape, found.background.shape
     (torch.Size([2, 20, 2]), torch.Size([2, 3]))
-    >>> image = render(found.means, found.factors, found.colors, (32, 24), found.background)
+    >>> image = sgmethod.torch.render(found.means, found.factors, found.colors, (32, 24), found.background)
 
     images: [B, 3, H, W], sRGB, uint8 or floating point in [0, 1], which is rounded to 8 bits. The result is on their
     device, which also does the work.
