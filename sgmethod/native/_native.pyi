@@ -40,6 +40,9 @@ def thread_count() -> int:
     """Threads used by kernels, including the calling one; fewer if the system refuses to create them."""
 
 def set_thread_count(count: int) -> None: ...
+def stay_alone() -> None:
+    """From now on run the calling thread's kernels on it alone, at the same time as other threads run theirs."""
+
 def release_memory() -> None:
     """Return cached free memory to the system, before work that needs other sizes."""
 

@@ -48,6 +48,7 @@ def take_step(
     """Move Gaussians in place by one step on a level. price: squared error of the whole picture that a bit costs."""
     request, backend = plan.request, plan.request.backend
     _, gradient = level.gradients(gaussians)
-    backend.add_rate_gradient(gaussians, gradient, quantum, price / request.samples)
+    if price > 0:
+        backend.add_rate_gradient(gaussians, gradient, quantum, price / request.samples)
     backend.step(gaussians, gradient, moments, plan.settings.fit.optimiser, rate, request.samples)
     backend.keep_in_range(gaussians, *request.size)

@@ -40,7 +40,7 @@ class Plan:
         settings = sized(request.settings, most.pixels)
         if request.deadline.has_limit():
             settings, pyramid = _in_time(request, settings, pyramid, most, gaussians)
-        return cls(request, _within_pixels(settings, pyramid), pyramid)
+        return cls(request, within_pixels(settings, pyramid), pyramid)
 
     @property
     def finest(self) -> Level:
@@ -132,7 +132,7 @@ def _in_time(
     return settings, pyramid.from_level(finest)
 
 
-def _within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
+def within_pixels(settings: RdSettings, pyramid: Pyramid) -> RdSettings:
     """Set the scale below which a Gaussian would fall between the pixels of the finest level."""
     optimiser, spacing = settings.fit.optimiser, pyramid.finest.frame.spacing
     narrowest = optimiser.min_scale_px if spacing == 1 else settings.pyramid.narrowest * spacing

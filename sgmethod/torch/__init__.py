@@ -2,9 +2,9 @@
 
     image = sgmethod.torch.render(means, factors, colors, (width, height))  # [3, height, width], with gradients
     pixels = sgmethod.torch.decode("photo.sg", "cuda")
+    found = sgmethod.torch.fit(images, 500)  # images [B, 3, H, W], found.means [B, 500, 2] and so on
 
-Tensors come in, and tensors leave, with gradients; files come in, and leave as tensors or as Gaussians. drawing.py has
-the renderer, files.py .sg files as tensors.
+drawing.py has the renderer, files.py .sg files as tensors, fitting.py fits of batches, shards.py fitted data sets.
 """
 
 from __future__ import annotations
@@ -14,5 +14,7 @@ from sgmethod.errors import extra
 with extra("torch"):
     from sgmethod.torch.drawing import render
     from sgmethod.torch.files import SgDataset, decode, gaussians
+    from sgmethod.torch.fitting import Fit, fit
+    from sgmethod.torch.shards import fit_many
 
-__all__ = ["SgDataset", "decode", "gaussians", "render"]
+__all__ = ["Fit", "SgDataset", "decode", "fit", "fit_many", "gaussians", "render"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from sgmethod.errors import SgError, ViewError
 from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.scene import Gaussians
 from sgmethod.torch.drawing import own_size
+from sgmethod.torch.shards import Sample, samples_of
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View
 
 Device = str | torch.device | None
@@ -66,30 +67,36 @@ def gaussians(
     return means, factors, colors, torch.tensor(background, dtype=dtype, device=where)
 
 
-class SgDataset(Dataset[dict[str, Tensor]]):
-    """A map-style data set of .sg files, in the order in which they are given. Its items stack to batches.
+class SgDataset(Dataset[dict[str, Any]]):
+    """A map-style data set of .sg files or of fitted pictures. Its items stack to batches.
 
     >>> SgDataset(["photo.sg"], size=(32, 32))[0]["pixels"].shape
     torch.Size([3, 32, 32])
     >>> SgDataset(["photo.sg"], most_gaussians=500)[0]["mask"].shape
     torch.Size([500])
 
+    files: .sg files, in the order in which they are given; or a folder of fit_many(), or one of its shards.
     size: each item has "pixels" [3, height, width], uint8, without alpha: the middle of the picture, scaled
-    to cover that width and height.
+    to cover that width and height. Only for .sg files.
     most_gaussians: each item has "means", "factors", "colors" [M, ...] and "mask" [M], True where there is one; "size"
-    (width, height) and "background" [3]. The first Gaussians of a file, its largest, are taken, and zeros, which draw
-    nothing, fill the rest.
-    Raises SgError for other values of the two, and for a single file in place of a list.
+    (width, height) and "background" [3]; and "cls" or "json", if it was fitted with a label. The first Gaussians, which
+    are the largest, are taken, and zeros, which draw nothing, fill the rest.
+    Raises SgError for other values of the two, for a single .sg file in place of a list, and for a folder without
+    shards; OSError for one that cannot be read.
     """
 
     def __init__(
-        self, files: Sequence[File], *, size: tuple[int, int] | None = None, most_gaussians: int | None = None
+        self,
+        files: Sequence[File] | str | os.PathLike[str],
+        *,
+        size: tuple[int, int] | None = None,
+        most_gaussians: int | None = None,
     ) -> None:
         if (size is None) == (most_gaussians is None):
             raise SgError("SgDataset needs either size or most_gaussians")
-        if isinstance(files, str | bytes | os.PathLike):
-            raise SgError("SgDataset needs a list of files, not one file")
-        self._files = files
+        if isinstance(files, bytes) or (isinstance(files, str | os.PathLike) and size is not None):
+            raise SgError("SgDataset needs a list of files, not one file; what is fitted has Gaussians, and no pixels")
+        self._files: Sequence[File | Sample] = samples_of(files) if isinstance(files, str | os.PathLike) else files
         self._size = None if size is None else own_size(size)
         self._most = (
             0 if most_gaussians is None else checked_integer(most_gaussians, "most_gaussians", 1, MOST_GAUSSIANS)
@@ -98,20 +105,24 @@ class SgDataset(Dataset[dict[str, Tensor]]):
     def __len__(self) -> int:
         return len(self._files)
 
-    def __getitem__(self, index: int) -> dict[str, Tensor]:
-        file = SgFile(self._files[index])
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        file = self._files[index]
+        if isinstance(file, Sample):
+            arrays = {name: torch.from_numpy(values) for name, values in file.arrays().items()}
+            return {**_padded(arrays, self._most), **file.label()}
+        opened = SgFile(file)
         if self._size is not None:
-            return {"pixels": _covering(file, self._size)}
-        return _padded(file, self._most)
+            return {"pixels": _covering(opened, self._size)}
+        values = zip(("means", "factors", "colors", "background"), gaussians(opened), strict=True)
+        return _padded({**dict(values), "size": torch.tensor(opened.size)}, self._most)
 
 
-def _padded(file: SgFile, most: int) -> dict[str, Tensor]:
-    """Return the first Gaussians of a file, padded with zeros."""
-    *values, background = gaussians(file)
-    padded = [torch.cat([some[:most], some.new_zeros(most, some.shape[1])])[:most] for some in values]
-    named = dict(zip(("means", "factors", "colors"), padded, strict=True))
-    mask = torch.arange(most) < len(values[0])
-    return {**named, "mask": mask, "size": torch.tensor(file.size), "background": background}
+def _padded(found: dict[str, Tensor], most: int) -> dict[str, Tensor]:
+    """Return the first Gaussians of a picture, padded with zeros."""
+    mask = torch.arange(most) < len(found["means"])
+    padded = {name: found[name][:most] for name in ("means", "factors", "colors")}
+    padded = {name: torch.cat([some, some.new_zeros(most - len(some), some.shape[1])]) for name, some in padded.items()}
+    return {**found, **padded, "mask": mask}
 
 
 def _covering(file: SgFile, size: tuple[int, int]) -> Tensor:

@@ -1,4 +1,4 @@
-"""docs/python.md: its examples run, one after the other, and it has every name."""
+"""docs/python.md and docs/datasets.md: their examples run, one after the other, and the first has every name."""
 
 from __future__ import annotations
 
@@ -19,6 +19,15 @@ from tests.rd.short import short
 PAGE = (ROOT / "docs" / "python.md").read_text()
 
 
+def ran(page: str) -> tuple[int, dict[str, Any]]:
+    """The number of a page's examples, and the names that they leave."""
+    names: dict[str, Any] = {}
+    examples = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / page).read_text(), re.DOTALL)
+    for example in examples:
+        exec(compile(example, f"docs/{page}", "exec"), names)
+    return len(examples), names
+
+
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Encodes of less than a second."""
@@ -27,13 +36,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("files")
 def test_the_examples() -> None:
-    """Slow: eight examples, of which one fits by gradients and one trains."""
+    """Slow: nine examples, of which one fits by gradients and one trains."""
     torch.manual_seed(0)
-    names: dict[str, Any] = {}
-    examples = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    assert len(examples) == 8
-    for example in examples:
-        exec(compile(example, "docs/python.md", "exec"), names)
+    number, names = ran("python.md")
+    assert number == 9
     assert (names["tally"].encoded, names["tally"].failed) == (1, 0)
     assert names["corner"].shape == (64, 64, 3)
     levels = (255 * names["tensor"]).round().to(torch.uint8)
@@ -42,6 +48,15 @@ def test_the_examples() -> None:
     assert psnr(fitted, (255 * names["picture"]).round().byte().permute(1, 2, 0).numpy()) > 24
     assert names["losses"][-1] < 0.8 * names["losses"][0]
     assert len(names["loader"]) == 1
+    assert names["images"].shape == names["batch"].shape
+
+
+@pytest.mark.usefixtures("files")
+def test_the_page_of_data_sets() -> None:
+    """Slow: it fits 200 pictures, and trains."""
+    number, names = ran("datasets.md")
+    assert number == 3
+    assert names["right"] > 0.9
 
 
 @pytest.mark.parametrize("name", [*sgmethod.__all__, *(f"torch.{name}" for name in sgmethod.torch.__all__)])
@@ -50,9 +65,9 @@ def test_every_name_is_on_the_page(name: str) -> None:
 
 
 @pytest.mark.usefixtures("files")
-@pytest.mark.parametrize("module", ["exchange.packing", "torch.drawing", "torch.files"])
+@pytest.mark.parametrize("module", ["exchange.packing", "torch.drawing", "torch.files", "torch.fitting"])
 def test_examples_in_docstrings(module: str) -> None:
     sgmethod.encode("photo.png").save("photo.sg")
-    ran = doctest.testmod(__import__(f"sgmethod.{module}", fromlist=["x"]), extraglobs={"sgmethod": sgmethod})
-    assert ran.attempted > 0
-    assert ran.failed == 0
+    tried = doctest.testmod(__import__(f"sgmethod.{module}", fromlist=["x"]), extraglobs={"sgmethod": sgmethod})
+    assert tried.attempted > 0
+    assert tried.failed == 0

@@ -44,6 +44,7 @@ NB_MODULE(_native, m) {
   m.def("available_cores", &sg::available_cores);
   m.def("thread_count", &sg::thread_count);
   m.def("set_thread_count", &sg::set_thread_count, nb::arg("count"));
+  m.def("stay_alone", &sg::stay_alone);
   m.def("release_memory", &sg::release_memory);
   bind_raster(m);
   bind_fit(m);

@@ -25,6 +25,7 @@ constexpr int kSpins = 10000;
 constexpr int kMaxThreads = 256;
 
 SG_STORED_AT_START thread_local bool inside_task = false;  // whether this thread is running a task
+SG_STORED_AT_START thread_local bool alone = false;        // whether this thread keeps away from the pool
 
 // Flushes subnormal numbers to zero while a task runs, because some processors are slow with them. They are far below
 // one grey level and no pixel depends on them, so machines that keep them draw the same.
@@ -182,15 +183,23 @@ void start_afresh() {
 }  // namespace
 
 int thread_count() {
+  if (alone) return 1;
   int none = 0;
   if (wanted.load() == 0) wanted.compare_exchange_strong(none, initial_thread_count());
   return wanted.load();
 }
 
+void stay_alone() { alone = true; }
+
 void set_thread_count(int count) { wanted.store(std::clamp(count, 1, kMaxThreads)); }
 
 void parallel_for(int count, const std::function<void(int)>& task) {
   if (inside_task) {
+    for (int i = 0; i < count; ++i) task(i);
+    return;
+  }
+  if (alone) {
+    const TaskMode mode;
     for (int i = 0; i < count; ++i) task(i);
     return;
   }

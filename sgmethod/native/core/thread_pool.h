@@ -12,6 +12,9 @@ namespace sg {
 int thread_count();
 void set_thread_count(int count);
 
+// From now on the calling thread runs its tasks itself, at the same time as others run theirs; its thread_count() is 1.
+void stay_alone();
+
 // Runs task(0) ... task(count - 1) and returns when all are done. Calls from several threads take turns; a call from
 // within a task runs on its thread. If a task throws, tasks that have not begun are skipped, and the first exception is
 // rethrown to the caller. A forked child starts its own pool.

@@ -1,0 +1,157 @@
+"""Fits of batches of pictures: exactly N Gaussians for each, as tensors, without a file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from threading import Event
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sgmethod.backend.devices import backend_on
+from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
+from sgmethod.budget import checked_integer, finite_number
+from sgmethod.codec import MAX_SEED
+from sgmethod.errors import BudgetError, ImageError, SgError
+from sgmethod.exchange.packing import MOST_GAUSSIANS
+from sgmethod.fitting.deadline import Clock
+from sgmethod.io.header import ImageLimits
+from sgmethod.native import native
+from sgmethod.rd.exact import Exact, ExactFit
+from sgmethod.rd.request import Pixels
+from sgmethod.trace import Stop
+
+OnProgress = Callable[[float], None]
+MOST_STEPS = 1_000_000
+POLLED_S = 0.05  # between two calls of the caller's functions
+
+
+class Fit(NamedTuple):
+    """N Gaussians for each of B pictures, for render() and pack(). error: mean squared error, 1 being white."""
+
+    means: Tensor  # [B, N, 2]
+    factors: Tensor  # [B, N, 3]
+    colors: Tensor  # [B, N, 3]
+    background: Tensor  # [B, 3]
+    error: Tensor  # [B]
+
+
+def fit(
+    images: Tensor,
+    gaussians: int,
+    *,
+    steps: int | None = None,
+    seed: int = 0,
+    tune: str = "psnr",
+    quantum: float | None = None,
+    stop: Stop | None = None,
+    on_progress: OnProgress | None = None,
+) -> Fit:
+    """Fit exactly so many Gaussians to each picture of a batch.
+
+    >>> found = fit(torch.rand(2, 3, 24, 32), 20, steps=10)
+    >>> found.means.shape, found.background.shape
+    (torch.Size([2, 20, 2]), torch.Size([2, 3]))
+    >>> image = sgmethod.torch.render(found.means, found.factors, found.colors, (32, 24), found.background)
+
+    images: [B, 3, H, W], sRGB, uint8 or floating point in [0, 1], which is rounded to 8 bits. The result is on their
+    device, which also does the work.
+    gaussians: for each picture, at most as many as it has pixels. The largest come first.
+    steps: the default, 150 to 340 depending on the Gaussians per pixel, has about the PSNR of encode(gaussians=N).
+    seed: random seed. A picture's result depends neither on the others nor on the number of threads.
+    tune: only "psnr", which is squared error.
+    quantum: the price of bits, for a result that pack() with this quantum makes smaller. By default bits are free.
+    stop: polled; once it returns True, the pictures that are left get few steps, in a quarter of the time so far, at
+    most 3 s.
+    on_progress: called with the share that is done, 0 to 1; if it raises, the fits are abandoned.
+
+    A batch of at least as many pictures as there are cores has one picture on each; a smaller one has all cores for one
+    picture after the other. Raises ImageError for anything that is no batch of pictures, and BudgetError.
+    """
+    if tune != "psnr":
+        raise BudgetError(f"fits of tensors can only be tuned for psnr, not {tune!r}")
+    pictures, device = pictures_of(images), images.device
+    task = task_of(gaussians, images.shape[2:].numel(), steps, seed, quantum)
+    found = fit_pictures(pictures, task, device, stop, on_progress)
+    n, arrays = task.gaussians, [one.gaussians.arrays for one in found]
+    each: list[list[np.ndarray]] = [list(column) for column in zip(*arrays, strict=True)] or [[], [], []]
+    stacked = (
+        np.stack(values) if values else np.empty((0, n, width), np.float32)
+        for values, width in zip(each, (2, 3, 3), strict=True)
+    )
+    means, factors, colors = (torch.from_numpy(values).to(device) for values in stacked)
+    background = torch.tensor([one.background for one in found], dtype=torch.float32, device=device).reshape(-1, 3)
+    return Fit(means, factors, colors, background, torch.tensor([one.error for one in found], device=device))
+
+
+def task_of(gaussians: int, pixels: int, steps: int | None, seed: int, quantum: float | None) -> ExactFit:
+    """Check the arguments of a fit of pictures of at least so many pixels. Raises BudgetError."""
+    gaussians = checked_integer(gaussians, "gaussians", 1, min(pixels, MOST_GAUSSIANS), BudgetError)
+    steps = None if steps is None else checked_integer(steps, "steps", 1, MOST_STEPS, BudgetError)
+    price = 0.0 if quantum is None else finite_number(quantum)
+    if price is None or (quantum is not None and not MIN_QUANTUM <= price <= MAX_QUANTUM):
+        raise BudgetError(f"the quantum must be from {MIN_QUANTUM} to {MAX_QUANTUM:g}, got {quantum!r}")
+    return ExactFit(gaussians, steps, price, checked_integer(seed, "the seed", 0, MAX_SEED, BudgetError))
+
+
+def fit_pictures(
+    pictures: Sequence[Pixels],
+    task: ExactFit,
+    device: torch.device,
+    stop: Stop | None = None,
+    on_progress: OnProgress | None = None,
+) -> list[Exact]:
+    """Fit pictures of any sizes, on the CPU one a core if there are enough.
+
+    The work is done in threads, and stop and on_progress are called in this one.
+    """
+    backend, threads = backend_on(device), native.thread_count()
+    apart = device.type == "cpu" and len(pictures) >= threads
+    shares, stopped, abandoned = [0.0] * len(pictures), Event(), Event()
+    clock = Clock(stopped.is_set)
+
+    def fitted(index: int) -> Exact:
+        def on_step(share: float) -> None:
+            shares[index] = share
+            if abandoned.is_set():
+                raise SgError("the fits were abandoned")
+
+        return task.of(pictures[index], backend, clock, on_step)
+
+    with ThreadPoolExecutor(threads if apart else 1, "fit", native.stay_alone if apart else None) as pool:
+        futures = [pool.submit(fitted, index) for index in range(len(pictures))]
+        try:
+            while wait(futures, POLLED_S, FIRST_EXCEPTION).not_done:
+                for future in futures:
+                    if future.done():
+                        future.result()  # raises its error
+                if stop is not None and stop():
+                    stopped.set()
+                if on_progress is not None:
+                    on_progress(math.fsum(shares) / len(shares))
+        except BaseException:
+            abandoned.set()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    if on_progress is not None:
+        on_progress(1.0)
+    return [future.result() for future in futures]
+
+
+def pictures_of(images: Tensor) -> list[Pixels]:
+    """Return the pictures of a batch, each [H, W, 3]. Raises ImageError."""
+    if not isinstance(images, Tensor) or images.ndim != 4 or images.shape[1] != 3:
+        found = list(images.shape) if isinstance(images, Tensor) else type(images).__name__
+        raise ImageError(f"images must be a tensor [B, 3, H, W] in red, green and blue, not {found}")
+    ImageLimits().check(images.shape[3], images.shape[2])
+    if images.dtype != torch.uint8:
+        if not images.is_floating_point():
+            raise ImageError(f"images must be uint8 or floating-point values in [0, 1], not {images.dtype}")
+        if not ((images >= 0) & (images <= 1)).all():  # also refuses NaN
+            raise ImageError("image values must lie in [0, 1]")
+        images = (255 * images.detach().float()).round().to(torch.uint8)
+    return list(images.permute(0, 2, 3, 1).contiguous().cpu().numpy())

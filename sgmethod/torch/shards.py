@@ -1,0 +1,185 @@
+"""Fitted data sets: Gaussians of any number of pictures in shards, which are tar files as webdataset reads them.
+
+    000000000.npz    means, factors, colors; background, size (width, height), error
+    000000000.cls    the picture's label, if it is a number; or 000000000.json
+
+A folder of shards has a manifest with a line for each, and a run that was killed resumes at the shard where it ended.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import tarfile
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from numbers import Integral
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from torch import Tensor
+
+from sgmethod.backend.devices import checked_device
+from sgmethod.budget import checked_integer
+from sgmethod.errors import GaussiansError, SgError
+from sgmethod.exchange.packing import MOST_GAUSSIANS
+from sgmethod.io.files import checked_path, write_atomically
+from sgmethod.io.inputs import read_input
+from sgmethod.many.manifest import Manifest, Row
+from sgmethod.many.run import OnRow, Run, Tally, Task, caught, here
+from sgmethod.rd.exact import Exact
+from sgmethod.rd.request import Pixels
+from sgmethod.torch.fitting import fit_pictures, pictures_of, task_of
+
+MOST_IN_A_SHARD = 1_000_000
+Arrays = dict[str, np.ndarray]
+
+
+class Pictures(Protocol):
+    """A map-style data set."""
+
+    def __len__(self) -> int: ...
+    def __getitem__(self, index: int, /) -> Any: ...
+
+
+def fit_many(
+    dataset: Pictures,
+    output_dir: str | os.PathLike[str],
+    gaussians: int,
+    *,
+    shard: int = 1000,
+    steps: int | None = None,
+    seed: int = 0,
+    quantum: float | None = None,
+    device: object = None,
+    resume: bool = False,
+    on_row: OnRow[Row] | None = None,
+) -> Tally:
+    """Fit Gaussians to every picture of a data set, into output_dir/000000.tar and so on, with a manifest.
+
+    dataset: map-style; each item is a picture or a pair (picture, label). A picture is a tensor [3, H, W] as fit()
+    takes it, or what encode() takes, of any size; a label is a whole number or a dict for JSON.
+    shard: pictures in a file, which are in memory at the same time.
+    gaussians, steps, seed, quantum: as in fit(); device: where the work is done.
+    resume: skip shards that the manifest has, if their files are there, and version, options and the data set's length
+    are the same.
+    on_row: called with each finished shard's line of the manifest, and with the run so far, which counts shards.
+
+    A shard with a picture that cannot be fitted is a line with its error, and the rest goes on. Raises BudgetError for
+    wrong options, SgError for a manifest that cannot be written, and OSError if the folder cannot be created.
+    """
+    task_of(gaussians, MOST_GAUSSIANS, steps, seed, quantum)
+    shard, where = checked_integer(shard, "pictures in a shard", 1, MOST_IN_A_SHARD), checked_device(device)
+    folder, pictures = checked_path(output_dir), len(dataset)
+    folder.mkdir(parents=True, exist_ok=True)
+
+    def written(task: Task[Row]) -> Row:
+        samples = [_sample(dataset[index]) for index in task.picture]
+        least = min(picture.shape[0] * picture.shape[1] for picture, _ in samples)
+        fitted = fit_pictures([one for one, _ in samples], task_of(gaussians, least, steps, seed, quantum), where)
+        data = _archive(task.picture, fitted, samples)
+        write_atomically(folder / task.row.name, data)
+        error = float(np.mean([one.error for one in fitted]))
+        return replace(task.row, bytes=len(data), figures={"pictures": len(fitted), "error": error})
+
+    asked = {"gaussians": gaussians, "steps": steps, "seed": seed, "quantum": quantum}
+    with Manifest(folder, {**asked, "shard": shard, "pictures": pictures}) as manifest:
+        run = Run[Row](manifest, resume, -(-pictures // shard))
+        return run.finish(here(partial(caught, written), run.rest(_tasks(pictures, shard)), 1), on_row)
+
+
+def _tasks(pictures: int, shard: int) -> Iterator[Task[Row]]:
+    for number, first in enumerate(range(0, pictures, shard)):
+        yield Task(range(first, min(first + shard, pictures)), Row(f"{number:06}.tar", None))
+
+
+def _sample(item: Any) -> tuple[Pixels, tuple[str, bytes] | None]:
+    """Return an item's pixels [H, W, 3], and its label as the end of a file's name and its content."""
+    picture, label = item if isinstance(item, tuple) else (item, None)
+    pixels = pictures_of(picture[None])[0] if isinstance(picture, Tensor) else read_input(picture)
+    if isinstance(label, Tensor | np.ndarray) and label.ndim == 0:
+        label = label.item()
+    if isinstance(label, Integral):
+        return pixels, ("cls", str(int(label)).encode())
+    if label is None:
+        return pixels, None
+    try:
+        return pixels, ("json", json.dumps(dict(label)).encode())
+    except (TypeError, ValueError) as error:
+        raise SgError(f"a label must be a whole number or a dict for JSON, not {label!r}") from error
+
+
+def _archive(indices: range, fitted: list[Exact], samples: list[tuple[Pixels, tuple[str, bytes] | None]]) -> bytes:
+    """Write a tar file, the same bytes for the same Gaussians."""
+    file = io.BytesIO()
+    with tarfile.open(fileobj=file, mode="w") as archive:
+
+        def add(name: str, data: bytes) -> None:
+            entry = tarfile.TarInfo(name)
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
+
+        for index, one, (pixels, label) in zip(indices, fitted, samples, strict=True):
+            found, npz = one.gaussians, io.BytesIO()
+            np.savez(
+                npz,
+                means=found.means,
+                factors=found.factors,
+                colors=found.colors,
+                background=np.array(one.background, np.float32),
+                size=np.array(pixels.shape[1::-1]),
+                error=np.array(one.error, np.float32),
+            )
+            add(f"{index:09}.npz", npz.getvalue())
+            if label is not None:
+                add(f"{index:09}.{label[0]}", label[1])
+    return file.getvalue()
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Where a picture's Gaussians and its label lie in a shard: first byte and size, by the end of the name."""
+
+    shard: Path
+    parts: dict[str, tuple[int, int]]
+
+    def arrays(self) -> Arrays:
+        """Read the arrays of the Gaussians. Raises GaussiansError and OSError."""
+        try:
+            with np.load(io.BytesIO(self._part("npz")), allow_pickle=False) as file:
+                return {name: file[name] for name in ("means", "factors", "colors", "background", "size")}
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise GaussiansError(f"{self.shard} has no Gaussians of fit_many()") from error
+
+    def label(self) -> dict[str, Any]:
+        """Read the label: "cls", a number, or "json"; nothing if there is none."""
+        return {name: json.loads(self._part(name)) for name in ("cls", "json") if name in self.parts}
+
+    def _part(self, name: str) -> bytes:
+        first, size = self.parts[name]
+        with self.shard.open("rb") as file:  # anew each time, as a DataLoader's processes may not share it
+            file.seek(first)
+            return file.read(size)
+
+
+def samples_of(path: str | os.PathLike[str]) -> list[Sample]:
+    """Find the samples of a shard, or of all shards in a folder. Raises SgError and OSError."""
+    place = checked_path(path)
+    found: list[Sample] = []
+    for shard in sorted(place.glob("*.tar")) if place.is_dir() else [place]:
+        parts: dict[str, dict[str, tuple[int, int]]] = {}
+        try:
+            with tarfile.open(shard, "r:") as archive:
+                for entry in archive:
+                    key, _, end = entry.name.partition(".")
+                    parts.setdefault(key, {})[end] = entry.offset_data, entry.size
+        except tarfile.TarError as error:
+            raise SgError(f"{shard} is no shard: {error}") from error
+        found += [Sample(shard, each) for each in parts.values() if "npz" in each]
+    if not found:
+        raise SgError(f"{place} has no fitted pictures")
+    return found
