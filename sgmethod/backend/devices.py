@@ -1,8 +1,10 @@
-"""Choice of a backend for a device."""
+"""Choice of a backend for a device, and of kernels for its tensors."""
 
 from __future__ import annotations
 
+import os
 import re
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from sgmethod.backend.kernels import Kernels
@@ -37,3 +39,9 @@ def backend_on(device: object) -> Backend:
     from sgmethod.backend.tensors import Tensors
 
     return Tensors(found)
+
+
+def has_tiles(device: torch.device) -> bool:
+    """Whether backend/tiles.py computes there: on CUDA with Triton, and on the CPU where Triton interprets."""
+    interprets = os.environ.get("TRITON_INTERPRET") == "1"
+    return device.type == ("cpu" if interprets else "cuda") and find_spec("triton") is not None

@@ -1,20 +1,26 @@
 """The backend for devices of PyTorch other than the CPU.
 
-Whatever reads all pixels runs on the device, by operations on tensors. Work on each Gaussian alone, and the final
-search over integers, stay with the kernels on the CPU.
+Whatever reads all pixels runs on the device, by Triton's kernels (tiles.py), or by operations on tensors (pairs.py).
+Work on each Gaussian alone, and the final search over integers, stay with the kernels on the CPU.
 """
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.pairs import Pairs
 from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility
 from sgmethod.scene import FloatArray, Gaussians
+
+if TYPE_CHECKING:
+    from sgmethod.backend.tiles import Tiles
 
 
 class Tensors(Kernels):
@@ -62,14 +68,24 @@ class Tensors(Kernels):
         alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
         return self._gradient(pairs, gaussians, frame, self._seen(drawn, alike)).colors
 
-    def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs, Tensor]:
-        means, factors = (self._tensor(values) / frame.spacing for values in (gaussians.means, gaussians.factors))
-        pairs = Pairs(means, factors, (frame.width, frame.height), frame.cutoff, frame.pyramid)
-        return pairs, pairs.draw(self._tensor(gaussians.colors))
+    def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs | Tiles, Tensor]:
+        means, factors, colors = map(self._tensor, gaussians.arrays)
+        if has_tiles(self._device):
+            from sgmethod.backend.tiles import Tiles
 
-    def _gradient(self, pairs: Pairs, gaussians: Gaussians, frame: Frame, by_image: Tensor) -> Gaussians:
-        means, factors, colors = pairs.gradients(self._tensor(gaussians.colors), by_image)
-        return Gaussians(_numpy(means / frame.spacing), _numpy(factors / frame.spacing), _numpy(colors))
+            tiles = Tiles(frame, means[None], factors[None], colors[None])
+            return tiles, tiles.draw()[0]
+        size = frame.width, frame.height
+        pairs = Pairs(means / frame.spacing, factors / frame.spacing, size, frame.cutoff, frame.pyramid)
+        return pairs, pairs.draw(colors)
+
+    def _gradient(self, drawn: Pairs | Tiles, gaussians: Gaussians, frame: Frame, by_image: Tensor) -> Gaussians:
+        if isinstance(drawn, Pairs):
+            means, factors, colors = drawn.gradients(self._tensor(gaussians.colors), by_image)
+            means, factors = means / frame.spacing, factors / frame.spacing
+        else:
+            means, factors, colors = (values[0] for values in drawn.gradients(by_image[None]))
+        return Gaussians(_numpy(means), _numpy(factors), _numpy(colors))
 
     def _seen(self, errors: Tensor, visibility: Visibility | None) -> Tensor:
         """Errors [3, H, W] times their weights; multiplied by the errors, this gives weighted squares."""

@@ -1,25 +1,31 @@
 """The differentiable renderer, as two operators of torch: drawing, and its gradients.
 
-Single precision on the CPU goes to the compiled kernels; everything else goes to lists of pairs (backend/pairs.py),
-which are plain operations on tensors. Both draw what docs/format.md defines.
+Single precision goes to the compiled kernels on the CPU, and to Triton's (backend/tiles.py) on a GPU that has them;
+everything else goes to lists of pairs (backend/pairs.py), which are plain operations on tensors. All draw what
+docs/format.md defines.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
+from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.pairs import Pairs, is_drawn
+from sgmethod.backend.protocol import Frame
 from sgmethod.budget import checked_integer, finite_number
 from sgmethod.errors import GaussiansError, ViewError
 from sgmethod.native import native
 from sgmethod.view import MAX_SCALE, MIN_SCALE, PIXEL_VARIANCE, variance
+
+if TYPE_CHECKING:
+    from sgmethod.backend.tiles import Tiles
 
 
 def render(
@@ -134,6 +140,8 @@ def _drawn(means: Tensor, factors: Tensor, colors: Tensor, size: tuple[int, int]
 @torch.library.custom_op("sgmethod::draw", mutates_args=())
 def _draw(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: int, pyramid: bool) -> Tensor:
     """Draw Gaussians [B, N, ...] as pictures [B, 3, height, width]."""
+    if _is_tiled(colors):
+        return _tiles(means, factors, colors, width, height, pyramid).draw()
     image = colors.new_empty(len(colors), 3, height, width)
     for mean, factor, color, to in zip(means, factors, colors, image, strict=True):
         if _has_kernels(color):
@@ -149,8 +157,10 @@ def _draw_backward(
     means: Tensor, factors: Tensor, colors: Tensor, by_image: Tensor, pyramid: bool
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return gradients by means, factors and colours, given the gradient by the picture [B, 3, height, width]."""
-    out = _gradients_of(means, factors, colors)
     height, width = by_image.shape[2:]
+    if _is_tiled(colors):
+        return _tiles(means, factors, colors, width, height, pyramid).gradients(by_image)
+    out = _gradients_of(means, factors, colors)
     for mean, factor, color, by, *to in zip(means, factors, colors, by_image, *out, strict=True):
         if _has_kernels(color):
             raster = _kernels(mean, factor, width, height, pyramid)
@@ -169,6 +179,16 @@ def _gradients_of(means: Tensor, factors: Tensor, colors: Tensor) -> tuple[Tenso
 
 def _has_kernels(values: Tensor) -> bool:
     return values.device.type == "cpu" and values.dtype == torch.float32
+
+
+def _is_tiled(values: Tensor) -> bool:
+    return values.dtype == torch.float32 and not _has_kernels(values) and has_tiles(values.device)
+
+
+def _tiles(means: Tensor, factors: Tensor, colors: Tensor, width: int, height: int, pyramid: bool) -> Tiles:
+    from sgmethod.backend.tiles import Tiles
+
+    return Tiles(Frame(width, height, native.CUTOFF_V2, pyramid), means, factors, colors)
 
 
 def _numpy(values: Tensor) -> np.ndarray:

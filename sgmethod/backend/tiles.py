@@ -1,0 +1,236 @@
+"""Drawing, gradients and the optimiser for batches on a GPU, by the Triton kernels of backend/tile_kernels.py.
+
+Values are those of backend/pairs.py, in single precision. To draw, each Gaussian is listed for the tiles of its level
+that its ellipse meets; one program sums the list of a tile, then adds the next level, enlarged. To differentiate, one
+program walks along the ellipse of a Gaussian and keeps its sums. The order of both sums is fixed. The lists have room
+for PAIRS tiles per Gaussian; what finds none there is added by atomic operations.
+
+Nothing is read back: sizes of all tensors follow from the number of Gaussians and the size of the picture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from sgmethod.backend import tile_kernels
+from sgmethod.backend.pairs import MAX_LEVEL
+from sgmethod.backend.protocol import Frame
+from sgmethod.backend.tile_kernels import RECORD, TILE
+from sgmethod.settings.shared import OptimiserSettings
+
+PAIRS = 8  # tiles listed per Gaussian, on average; a fit needs 2 to 5
+ALIGNED = 16  # samples: pointers to levels are alike, so that kernels are compiled once
+BLOCK = 128  # Gaussians of a program where each is a lane
+
+
+@dataclass(frozen=True)
+class _Level:
+    """A level of the pyramid. start, tile: its first sample and tile in a picture; sizes are with borders."""
+
+    start: int
+    tile: int
+    width: int
+    height: int
+    border: int
+
+    @property
+    def area(self) -> int:
+        return self.width * self.height
+
+    @property
+    def across(self) -> int:
+        return -(-self.width // TILE)
+
+    @property
+    def tiles(self) -> int:
+        return self.across * -(-self.height // TILE)
+
+
+class Tiles:
+    """B pictures of N Gaussians each, to draw in a frame: means [B, N, 2], factors and colours [B, N, 3] in float32.
+
+    Gaussians whose values cannot be drawn, as zeros that fill up a picture, draw nothing and have no gradient.
+    """
+
+    def __init__(self, frame: Frame, means: Tensor, factors: Tensor, colors: Tensor) -> None:
+        self._values = tuple(values.contiguous() for values in (means, factors, colors))
+        self._frame, self._device = frame, means.device
+        self._batch, self._each = means.shape[:2]
+        self._total = self._batch * self._each
+        self._levels, self._table = _layout(frame.width, frame.height, frame.pyramid, means.device)
+        last = self._levels[-1]
+        self._samples, self._tiles = last.start + last.area, last.tile + last.tiles  # of a picture, on all levels
+        self._reach, self._floor, self._scale = math.sqrt(2 * frame.cutoff), math.exp(-frame.cutoff), 1 / frame.spacing
+        self._level, self._counts = (self._new(self._total, dtype=torch.int32) for _ in range(2))
+        self._records = self._new(self._total, RECORD)
+        self._ends, self._keys = self._counts, self._new(0, dtype=torch.int64)
+        self._place(lists=False)
+
+    def draw(self) -> Tensor:
+        """Draw the pictures [B, 3, height, width]."""
+        return self._drawn(None)[0]
+
+    def compare(self, target: Tensor) -> tuple[Tensor, Tensor]:
+        """Draw; return the mean squared errors [B] to a target [B, 3, height, width], and their sums for step()."""
+        planes, errors = self._drawn(target.contiguous())
+        return errors.sum(1) / (3 * self._levels[0].area), self._sums(planes)
+
+    def gradients(self, by_image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Backpropagate a gradient by the pictures to means, factors and colours."""
+        planes = self._new(self._batch * 3 * self._samples)
+        self._plane(planes, 0).copy_(by_image)
+        sums, out = self._sums(planes), tuple(torch.empty_like(values) for values in self._values)
+        values = *self._values, sums, *out, self._total, self._scale, self._frame.pyramid
+        self._launch(tile_kernels.gradients, self._blocks(), *values, BLOCK)
+        return out  # type: ignore[return-value]
+
+    def step(self, sums: Tensor, state: tuple[Tensor, ...], bits: tuple[Tensor, Tensor], *numbers: float) -> None:
+        """Move the Gaussians in place. state: first and second moments and bias; bits: quanta and prices [B]."""
+        arguments = *self._values, sums, *state, *bits, self._total, self._each, self._scale, *numbers
+        self._launch(tile_kernels.step, self._blocks(), *arguments, self._frame.pyramid, BLOCK)
+
+    def _drawn(self, target: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Planes of the pictures, or all planes with the gradient of the error in place of the pictures."""
+        starts = self._list()
+        planes = torch.zeros(self._batch * 3 * self._samples, device=self._device)
+        self._walk(planes, self._records, draws=True)
+        finest = self._levels[0]
+        errors = self._new(self._batch, finest.tiles)
+        for k, level in reversed([*enumerate(self._levels)]):
+            compares, enlarges = target is not None and k == 0, k + 1 < len(self._levels)
+            above = k + 1 if enlarges else k
+            coarse, here, coarser = self._levels[above], self._plane(planes, k), self._plane(planes, above)
+            tensors = here, coarser, here if target is None else target, errors, self._records, self._keys, starts
+            sizes = level.across, level.width, level.height, level.border, coarse.width, level.area, coarse.area
+            numbers = self._tiles, level.tile, *sizes, self._floor, 2 / (3 * finest.area)
+            self._launch(tile_kernels.draw, (level.tiles, self._batch), *tensors, *numbers, enlarges, compares)
+        return (self._plane(planes, 0) if target is None else planes), errors
+
+    def _list(self) -> Tensor:
+        """List the pairs of tile and Gaussian in order; return where each tile's begin, and the last one's end."""
+        self._ends = self._counts.cumsum(0)
+        self._keys = torch.full((self._total * PAIRS,), torch.iinfo(torch.int64).max, device=self._device)
+        self._place(lists=True)
+        self._keys = self._keys.sort().values
+        return torch.searchsorted(self._keys, torch.arange(self._batch * self._tiles + 1, device=self._device) << 32)
+
+    def _place(self, lists: bool) -> None:
+        tensors = *self._values, self._table, self._level, self._records, self._counts, self._ends, self._keys
+        numbers = self._total, self._each, self._tiles, len(self._keys), self._reach, self._scale
+        self._launch(tile_kernels.place, self._blocks(), *tensors, *numbers, self._frame.pyramid, lists, BLOCK)
+
+    def _sums(self, planes: Tensor) -> Tensor:
+        """Sum over each Gaussian's samples, given planes with the gradient by the pictures."""
+        for k, (fine, coarse) in enumerate(zip(self._levels, self._levels[1:], strict=False)):
+            sizes = coarse.across, fine.width, fine.height, fine.border, coarse.width, coarse.height
+            pair = self._plane(planes, k), self._plane(planes, k + 1)
+            self._launch(tile_kernels.reduce, (coarse.tiles, self._batch), *pair, *sizes)
+        sums = self._new(self._total, RECORD)
+        self._walk(planes, sums, draws=False)
+        return sums
+
+    def _walk(self, planes: Tensor, sums: Tensor, draws: bool) -> None:
+        tensors = planes, self._table, self._level, self._records, self._ends, sums
+        numbers = self._each, self._batch, len(self._keys), self._reach, self._floor
+        self._launch(tile_kernels.walk, (self._total,), *tensors, *numbers, draws, num_warps=1)
+
+    def _plane(self, planes: Tensor, k: int) -> Tensor:
+        """Samples [B, 3, height, width] of a level."""
+        level = self._levels[k]
+        shape = self._batch, 3, level.height, level.width
+        first = self._batch * 3 * level.start
+        return planes[first : first + math.prod(shape)].view(shape)
+
+    def _blocks(self) -> tuple[int]:
+        return (-(-self._total // BLOCK),)
+
+    def _new(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
+        return torch.empty(shape, dtype=dtype, device=self._device)
+
+    def _launch(self, kernel: Any, grid: tuple[int, ...], *arguments: object, **options: int) -> None:
+        if math.prod(grid) == 0:
+            return
+        with torch.cuda.device(self._device) if self._device.type == "cuda" else nullcontext():
+            kernel[grid](*arguments, enable_fp_fusion=True, **options)
+
+
+class Fits:
+    """Fits of B pictures at once, N Gaussians each, with all that the optimiser remembers, on one device.
+
+    >>> fits = Fits((width, height), settings, means, factors, colors)  # [B, N, 2], [B, N, 3], [B, N, 3]
+    >>> errors = fits.step(target, 1, rate, quanta, prices)
+
+    means, factors, colors: the Gaussians, in pixels of the whole picture; zeros fill up pictures with fewer, and stay.
+    """
+
+    def __init__(
+        self, size: tuple[int, int], settings: OptimiserSettings, means: Tensor, factors: Tensor, colors: Tensor
+    ) -> None:
+        values = (one.to(torch.float32, copy=True).contiguous() for one in (means, factors, colors))
+        self.means, self.factors, self.colors = values
+        self._size, self._settings = size, settings
+        self._moments = _no_moments(means)
+
+    def step(self, target: Tensor, spacing: int, rate: float, quanta: Tensor, prices: Tensor) -> Tensor:
+        """Take a step of every fit, as Backend does; return the mean squared errors [B] before it, still on the device.
+
+        target: float32 [B, 3, height, width], the sum that the Gaussians should reach; spacing: side of its pixels;
+        rate: factor on all rates of the settings; quanta, prices: float32 [B], of each picture the quantum, and the
+        squared error, summed over the whole picture, that a bit is worth.
+        """
+        s, (width, height) = self._settings, self._size
+        samples, frame = 3 * width * height, Frame(target.shape[3], target.shape[2], spacing=spacing)
+        tiles = Tiles(frame, self.means, self.factors, self.colors)
+        errors, sums = tiles.compare(target)
+        rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
+        newton = s.newton_steps * samples / (2 * math.pi)
+        numbers = *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(width), float(height)
+        tiles.step(sums, self._moments, (quanta, prices / samples), *numbers)
+        return errors
+
+    def draw(self, width: int, height: int, spacing: int = 1) -> Tensor:
+        """Draw a frame of the pictures [B, 3, height, width]."""
+        return Tiles(Frame(width, height, spacing=spacing), self.means, self.factors, self.colors).draw()
+
+    def add(self, means: Tensor, factors: Tensor, colors: Tensor) -> None:
+        """Add K Gaussians [B, K, ...] to each picture."""
+        self._change(lambda old, new: torch.cat([old, new.to(old.dtype)], 1), means, factors, colors)
+
+    def keep(self, index: Tensor) -> None:
+        """Keep the Gaussians at the indices [B, K] of each picture, in that order."""
+        picture = torch.arange(len(index), device=index.device)[:, None]
+        self._change(lambda old, _: old[picture, index], self.means, self.factors, self.colors)
+
+    def _change(self, change: Callable[[Tensor, Tensor], Tensor], *values: Tensor) -> None:
+        own = self.means, self.factors, self.colors
+        self.means, self.factors, self.colors = map(change, own, values)
+        self._moments = tuple(map(change, self._moments, _no_moments(values[0])))
+
+
+def _no_moments(means: Tensor) -> tuple[Tensor, ...]:
+    """First and second moments [B, N, 8], and powers of beta [B, N, 2], before the first step."""
+    shape = means.shape[:2]
+    zeros = (torch.zeros(*shape, 8, device=means.device) for _ in range(2))
+    return *zeros, torch.ones(*shape, 2, device=means.device)
+
+
+@lru_cache(maxsize=64)
+def _layout(width: int, height: int, pyramid: bool, device: torch.device) -> tuple[tuple[_Level, ...], Tensor]:
+    """Levels of a picture; and for the kernels first sample, size without border, first tile and tiles in a row."""
+    levels: list[_Level] = []
+    start = tile = 0
+    for k in range(MAX_LEVEL + 1 if pyramid else 1):
+        border = min(k, 1)
+        level = _Level(start, tile, -(-width // 2**k) + 2 * border, -(-height // 2**k) + 2 * border, border)
+        levels.append(level)
+        start, tile = -(-(start + level.area) // ALIGNED) * ALIGNED, tile + level.tiles
+    rows = [[at.start, at.width - 2 * at.border, at.height - 2 * at.border, at.tile, at.across] for at in levels]
+    return tuple(levels), torch.tensor(rows, dtype=torch.int32, device=device)
