@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -41,6 +42,13 @@ def test_thumbnails(tmp_path: Path) -> None:
     for name in NAMES:
         info = sgmethod.info(tmp_path / "small" / f"{name}.sg")
         assert max(info.width, info.height) <= 320
+
+
+def test_fit_in_torch(tmp_path: Path) -> None:
+    said = run(tmp_path, "fit_in_torch.py", PHOTOGRAPHS / "kodim23-crop.png", "photo.sg")
+    errors = [float(error) for error in re.findall(r"absolute error (\S+)", said)]
+    assert errors[-1] < errors[0]
+    assert sgmethod.info(tmp_path / "photo.sg").gaussians > 500
 
 
 def test_static_page(tmp_path: Path) -> None:
