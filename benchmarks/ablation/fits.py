@@ -18,25 +18,16 @@ from benchmarks.ablation.report import REPRESENTATIONS
 from benchmarks.pictures import Pixels
 from benchmarks.speed.sizes import peak_mib
 from sgmethod.backend.kernels import Kernels
-from sgmethod.bitstream.v2 import MIN_QUANTUM
-from sgmethod.budget import Budget
+from sgmethod.backend.protocol import Frame
 from sgmethod.decoder import draw
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.fitting.level import Level
-from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.paper import fit as paper
-from sgmethod.rd.budgets import rate_of
-from sgmethod.rd.densify import densify, prune
-from sgmethod.rd.fit import fit
-from sgmethod.rd.place import place
-from sgmethod.rd.plan import Plan, stages
-from sgmethod.rd.request import Request
-from sgmethod.rd.steer import steer
+from sgmethod.rd.exact import ExactFit
 from sgmethod.scene import Gaussians, Scene
 from sgmethod.settings.paper import BASELINE, PAPER, PaperSettings
-from sgmethod.settings.rd import RD, RdSettings, Times
 from sgmethod.start import placement
 
 # No quantisation follows here, so the price on large colours, which only that needs, is left out.
@@ -48,10 +39,6 @@ _SETTINGS = (
     replace(BASELINE, lambda_e=0.0),
 )
 VARIANTS: dict[str, PaperSettings] = dict(zip(REPRESENTATIONS[1:], _SETTINGS, strict=True))
-# Profile rd, lengthened. In 4,000 steps, 60 growths make 0.2 dB more than ten and a longer rest.
-STEPS_OF_GROWTH = 40  # between two growths
-GROWTH_UNTIL, TRIM_UNTIL = 0.6, 0.8  # parts of the steps; bits are free from the last trim on
-TRIMS = 8
 DRAWS, DRAWING_S = 9, 10.0  # of one picture, after a first one; fewer if they take longer than DRAWING_S
 
 
@@ -82,44 +69,15 @@ def drawn(scene: Scene) -> tuple[Pixels, float]:
 def fitted(method: str, pixels: Pixels, gaussians: int, steps: int) -> Scene:
     """The fit of one of REPRESENTATIONS."""
     if method == "rd":
-        return by_rd(pixels, gaussians, lengthened(steps))
+        return by_rd(pixels, gaussians, steps)
     return by_paper(pixels, gaussians, replace(VARIANTS[method], fit_steps=steps), 0)
 
 
-def by_rd(pixels: Pixels, gaussians: int, settings: RdSettings) -> Scene:
-    """Profile rd's fit. While Gaussians come and go, bits have their price, which decides well which of them stay; at
-    the end bits are free."""
-    height, width = pixels.shape[:2]
-    rate = rate_of(Budget("gaussians", gaussians), (width, height), settings)
-    quantum = 0.8 * settings.rate.gaussians_per_pixel * width * height / gaussians  # leaves a few more to choose from
-    objective, clock = Objective.of(pixels, "psnr", settings.objective), Clock()
-    rate = replace(rate, quantum=quantum)
-    request = Request(objective, rate, Deadline(clock), Kernels(), settings, Recorder(clock))
-    pyramid, effort = request.pyramid(), settings.effort
-    plan = Plan(request, settings, pyramid)
-    state = plan.begin(place(request, pyramid))
-    for stage in stages(request.deadline.pace(effort.steps), effort.times):
-        if stage.is_due:
-            state = densify(plan, steer(plan, prune(plan, state, stage), stage), stage)
-        if stage.at >= TRIM_UNTIL:
-            state = replace(state, quantum=MIN_QUANTUM)
-        state = fit(plan, state, stage)
-    frame = plan.finest.frame
-    return Scene(state.gaussians, width, height, request.background, frame.cutoff, frame.pyramid)
-
-
-def lengthened(steps: int) -> RdSettings:
-    """The profile with more steps, in which Gaussians come and go for longer too."""
-    growths = max(round(GROWTH_UNTIL * steps / STEPS_OF_GROWTH), len(RD.effort.times.growth_at))
-    times = Times(
-        steering_from=0.03,
-        growth_at=tuple(np.linspace(0.01, GROWTH_UNTIL, growths).tolist()),
-        trim_at=tuple(np.linspace(GROWTH_UNTIL + 0.02, TRIM_UNTIL, TRIMS).tolist()),
-        excess_from=0.7 * GROWTH_UNTIL,
-        excess_until=TRIM_UNTIL,
-    )
-    optimiser = replace(RD.fit.optimiser, final_rate=0.1)
-    return replace(RD, effort=replace(RD.effort, steps=steps, times=times), fit=replace(RD.fit, optimiser=optimiser))
+def by_rd(pixels: Pixels, gaussians: int, steps: int) -> Scene:
+    """Profile rd's fit of exactly so many."""
+    found, (height, width) = ExactFit(gaussians, steps).of(pixels, Kernels(), Clock(), lambda _: None), pixels.shape[:2]
+    frame = Frame(width, height)
+    return Scene(found.gaussians, width, height, found.background, frame.cutoff, frame.pyramid)
 
 
 def by_paper(pixels: Pixels, gaussians: int, settings: PaperSettings, seed: int) -> Scene:

@@ -22,21 +22,21 @@ from sgmethod.rd.densify import densify, prune, settle
 from sgmethod.rd.fit import take_step
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, stages, within_pixels
-from sgmethod.rd.rate_control import GaussianCount, surplus
+from sgmethod.rd.rate_control import GaussianCount, quality_quantum, surplus
 from sgmethod.rd.request import Pixels, Request
 from sgmethod.scene import Gaussians
-from sgmethod.settings.exact import EXACT, ExactSettings, exact_schedule
-from sgmethod.settings.rd import RD, RdSettings, Times
+from sgmethod.settings.exact import EXACT, exact_schedule
+from sgmethod.settings.rd import RD, Times
 
 OnStep = Callable[[float], None]  # called with the progress, 0 to 1
 
 
 @dataclass(frozen=True)
 class Exact:
-    """N Gaussians over a background, 1 being white, and the mean squared error that they leave."""
+    """N Gaussians over a background in 8 bits, and the mean squared error that they leave, 1 being white."""
 
     gaussians: Gaussians
-    background: tuple[float, float, float]
+    background: tuple[int, int, int]
     error: float
 
 
@@ -51,8 +51,6 @@ class ExactFit:
     steps: int | None = None
     quantum: float = 0.0
     seed: int = 0
-    settings: RdSettings = RD
-    exact: ExactSettings = EXACT
 
     def of(self, pixels: Pixels, backend: Backend, clock: Clock, on_step: OnStep) -> Exact:
         """Fit a picture [H, W, 3]; the largest Gaussians come first."""
@@ -71,20 +69,20 @@ class ExactFit:
         found = found.rows(np.argsort(-found.factors[:, 0] * found.factors[:, 2], kind="stable"))
         background = plan.request.background
         error = backend.error(found, Frame(*plan.request.size), target_of(pixels, background))
-        red, green, blue = (level / 255 for level in background)
-        return Exact(found, (red, green, blue), error)
+        return Exact(found, background, error)
 
     def _quantum(self, plan: Plan, times: Times, at: float) -> float:
         """Return the quantum that prices bits while Gaussians come and go: it decides well which of them stay."""
-        pixels, rate = plan.request.samples / 3, plan.settings.rate
-        chosen = self.exact.price * rate.gaussians_per_pixel * pixels / self.gaussians
+        rate = plan.settings.rate
+        dense = EXACT.price * rate.gaussians_per_pixel * plan.request.samples / 3 / self.gaussians
+        chosen = min(dense, quality_quantum(rate.gaussians_quality))
         return max(chosen / float(times.finer_early ** surplus(times, at)), self.quantum)
 
     def _plan(self, pixels: Pixels, backend: Backend, clock: Clock) -> Plan:
         height, width = pixels.shape[:2]
-        rate = replace(GaussianCount.of(self.gaussians, height * width, self.settings), quantum=self.quantum)
-        steps = self.steps or round(self.exact.share_of_steps * rate.steps(self.settings))
-        settings = exact_schedule(self.settings, steps, self.exact)
+        rate = replace(GaussianCount.of(self.gaussians, height * width, RD), quantum=self.quantum)
+        steps = self.steps or round(EXACT.share_of_steps * rate.steps(RD))
+        settings = exact_schedule(steps)
         objective = Objective.of(pixels, "psnr", settings.objective)
         request = Request(objective, rate, Deadline(clock), backend, settings, Recorder(clock), self.seed)
         pyramid = request.pyramid()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sgmethod.settings.rd import RdSettings
+from sgmethod.settings.rd import RD, RdSettings
 
 
 @dataclass(frozen=True)
@@ -14,13 +14,13 @@ class ExactSettings:
     """Shares of a run in which Gaussians come and go."""
 
     share_of_steps: float = 0.6  # default steps, as a part of an effort's: nothing has to be rounded
-    steps_of_growth: int = 40  # between two growths
-    fewest_growths: int = 4
+    steps_of_growth: int = 40  # between two; in 4,000 steps, 60 growths make 0.2 dB more than ten and a longer rest
+    fewest_growths: int = 5
     growth_until: float = 0.6
     trims: int = 8
     trim_until: float = 0.8
-    excess: float = 0.5
-    # Quantum that prices bits until the last trim, in multiples of that at which growth would find as many Gaussians.
+    # Quantum that prices bits until the last trim, in multiples of that at which growth would find as many Gaussians;
+    # at most that of an encode of so many, as few Gaussians on a smooth picture cannot pay for more.
     price: float = 0.8
     few_until: float = 0.3  # Times.few_until
     final_rate: tuple[float, float] = (0.1, 0.5)  # of many and of few steps
@@ -30,22 +30,18 @@ class ExactSettings:
 EXACT = ExactSettings()
 
 
-def exact_schedule(settings: RdSettings, steps: int, exact: ExactSettings = EXACT) -> RdSettings:
-    """Adapt settings to a fit of so many steps."""
-    growths = max(round(exact.growth_until * steps / exact.steps_of_growth), exact.fewest_growths)
+def exact_schedule(steps: int) -> RdSettings:
+    """Adapt the settings of profile rd to a fit of so many steps."""
+    growths = max(round(EXACT.growth_until * steps / EXACT.steps_of_growth), EXACT.fewest_growths)
     times = replace(
-        settings.effort.times,
-        growth_at=tuple(np.linspace(0.01, exact.growth_until, growths).tolist()),
-        trim_at=tuple(np.linspace(exact.growth_until + 0.02, exact.trim_until, exact.trims).tolist()),
-        excess=exact.excess,
-        excess_from=0.7 * exact.growth_until,
-        excess_until=exact.trim_until,
-        few_until=exact.few_until,
+        RD.effort.times,
+        growth_at=tuple(np.linspace(0.01, EXACT.growth_until, growths).tolist()),
+        trim_at=tuple(np.linspace(EXACT.growth_until + 0.02, EXACT.trim_until, EXACT.trims).tolist()),
+        excess_from=0.7 * EXACT.growth_until,
+        excess_until=EXACT.trim_until,
+        few_until=EXACT.few_until,
     )
-    rate = min(max(exact.few_steps / steps, exact.final_rate[0]), exact.final_rate[1])
-    optimiser = replace(settings.fit.optimiser, final_rate=rate)
-    return replace(
-        settings,
-        effort=replace(settings.effort, steps=steps, times=times, rounds=(0,)),
-        fit=replace(settings.fit, optimiser=optimiser),
-    )
+    fewest, most = EXACT.final_rate
+    optimiser = replace(RD.fit.optimiser, final_rate=min(max(EXACT.few_steps / steps, fewest), most))
+    effort = replace(RD.effort, steps=steps, times=times, rounds=(0,))
+    return replace(RD, effort=effort, fit=replace(RD.fit, optimiser=optimiser))

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sgmethod.backend.devices import backend_on
+from sgmethod.backend.devices import backend_on, checked_device
 from sgmethod.bitstream.v2 import MAX_QUANTUM, MIN_QUANTUM
 from sgmethod.budget import checked_integer, finite_number
 from sgmethod.codec import MAX_SEED
@@ -77,15 +77,14 @@ def fit(
     pictures, device = pictures_of(images), images.device
     task = task_of(gaussians, images.shape[2:].numel(), steps, seed, quantum)
     found = fit_pictures(pictures, task, device, stop, on_progress)
-    n, arrays = task.gaussians, [one.gaussians.arrays for one in found]
-    each: list[list[np.ndarray]] = [list(column) for column in zip(*arrays, strict=True)] or [[], [], []]
-    stacked = (
-        np.stack(values) if values else np.empty((0, n, width), np.float32)
-        for values, width in zip(each, (2, 3, 3), strict=True)
+    arrays = zip(*(one.gaussians.arrays for one in found), strict=True) if found else ((), (), ())
+    means, factors, colors = (
+        torch.from_numpy(np.array(values, np.float32).reshape(len(found), task.gaussians, width)).to(device)
+        for values, width in zip(arrays, (2, 3, 3), strict=True)
     )
-    means, factors, colors = (torch.from_numpy(values).to(device) for values in stacked)
-    background = torch.tensor([one.background for one in found], dtype=torch.float32, device=device).reshape(-1, 3)
-    return Fit(means, factors, colors, background, torch.tensor([one.error for one in found], device=device))
+    levels = torch.tensor([one.background for one in found], dtype=torch.float32, device=device)
+    error = torch.tensor([one.error for one in found], dtype=torch.float32, device=device)
+    return Fit(means, factors, colors, levels.reshape(-1, 3) / 255, error)
 
 
 def task_of(gaussians: int, pixels: int, steps: int | None, seed: int, quantum: float | None) -> ExactFit:
@@ -143,10 +142,11 @@ def fit_pictures(
 
 
 def pictures_of(images: Tensor) -> list[Pixels]:
-    """Return the pictures of a batch, each [H, W, 3]. Raises ImageError."""
+    """Return the pictures of a batch, each [H, W, 3]. Raises ImageError, and SgError for a device without values."""
     if not isinstance(images, Tensor) or images.ndim != 4 or images.shape[1] != 3:
         found = list(images.shape) if isinstance(images, Tensor) else type(images).__name__
         raise ImageError(f"images must be a tensor [B, 3, H, W] in red, green and blue, not {found}")
+    checked_device(images.device)
     ImageLimits().check(images.shape[3], images.shape[2])
     if images.dtype != torch.uint8:
         if not images.is_floating_point():

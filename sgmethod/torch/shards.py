@@ -130,7 +130,7 @@ def _archive(indices: range, fitted: list[Exact], samples: list[tuple[Pixels, tu
                 means=found.means,
                 factors=found.factors,
                 colors=found.colors,
-                background=np.array(one.background, np.float32),
+                background=np.array(one.background, np.float32) / 255,
                 size=np.array(pixels.shape[1::-1]),
                 error=np.array(one.error, np.float32),
             )
