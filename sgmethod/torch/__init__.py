@@ -13,6 +13,6 @@ from sgmethod.errors import extra
 
 with extra("torch"):
     from sgmethod.torch.drawing import render
-    from sgmethod.torch.files import SgDataset, decode, gaussians
+    from sgmethod.torch.files import SgDataset, decode, draw, gaussians
 
-__all__ = ["SgDataset", "decode", "gaussians", "render"]
+__all__ = ["SgDataset", "decode", "draw", "gaussians", "render"]
