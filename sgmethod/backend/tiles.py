@@ -26,7 +26,7 @@ from sgmethod.backend.protocol import Frame
 from sgmethod.backend.tile_kernels import RECORD, TILE
 from sgmethod.settings.shared import OptimiserSettings
 
-PAIRS = 8  # tiles listed per Gaussian, on average; a fit needs 2 to 5
+PAIRS = 8  # tiles listed per Gaussian, on average; a round one meets at most 4 on its level
 ALIGNED = 16  # samples: pointers to levels are alike, so that kernels are compiled once
 BLOCK = 128  # Gaussians of a program where each is a lane
 
