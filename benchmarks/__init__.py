@@ -6,6 +6,7 @@ python -m benchmarks.previews     the same from 32 to 4,096 bytes, beside placeh
 python -m benchmarks.perceptual   the same by metrics that follow the eye, at equal bytes; crops to look at
 python -m benchmarks.convergence  error against run time, beside other methods and codecs
 python -m benchmarks.speed        time and memory by size, bytes and number of Gaussians; the kernels
+python -m benchmarks.gpu          drawing, fits, batches and encodes on a GPU, and errors of the kernels there
 python -m benchmarks.ablation     profile rd with one part left out at a time, and the paper's ablations
 python -m benchmarks.robustness   hard pictures, extreme Gaussians and bad starts, each under a rule
 python -m benchmarks.service      the service under load, attacked, and killed at random

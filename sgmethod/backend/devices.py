@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from functools import cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -38,10 +39,15 @@ def backend_on(device: object) -> Backend:
     found = checked_device(device)
     from sgmethod.backend.tensors import Tensors
 
-    return Tensors(found)
+    return Tensors(found, has_tiles(found))
 
 
 def has_tiles(device: torch.device) -> bool:
     """Whether backend/tiles.py computes there: on CUDA with Triton, and on the CPU where Triton interprets."""
     interprets = os.environ.get("TRITON_INTERPRET") == "1"
-    return device.type == ("cpu" if interprets else "cuda") and find_spec("triton") is not None
+    return device.type == ("cpu" if interprets else "cuda") and _has_triton()
+
+
+@cache
+def _has_triton() -> bool:
+    return find_spec("triton") is not None

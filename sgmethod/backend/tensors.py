@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
-from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.pairs import Pairs
 from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility
@@ -24,10 +23,13 @@ if TYPE_CHECKING:
 
 
 class Tensors(Kernels):
-    """A Backend on a device, in single precision. Files vary from run to run if the device's sums do."""
+    """A Backend on a device, in single precision. Files vary from run to run if the device's sums do.
 
-    def __init__(self, device: torch.device) -> None:
-        self._device = device
+    tiled: whether Triton's kernels run there.
+    """
+
+    def __init__(self, device: torch.device, tiled: bool = False) -> None:
+        self._device, self._tiled = device, tiled
 
     def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
         drawn = self._drawn(gaussians, frame)[1][:, first_row : first_row + target.shape[1]]
@@ -70,7 +72,7 @@ class Tensors(Kernels):
 
     def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs | Tiles, Tensor]:
         means, factors, colors = map(self._tensor, gaussians.arrays)
-        if has_tiles(self._device):
+        if self._tiled:
             from sgmethod.backend.tiles import Tiles
 
             tiles = Tiles(frame, means[None], factors[None], colors[None])

@@ -339,7 +339,8 @@ def _chained(means, factors, colors, sums, g, here, scale, pyramid: tl.constexpr
     slope, v = p2 / q1, (blur / q1) * (blur / q1)
     slant = by_q3 * (blur / q1) * (blur / q3) * slope
     by_l1 = (by_q1 + slant * slope) * (p1 / q1) - (by_q2 * slope + by_log_gain / p1) * v
-    by_l2, by_l3 = by_q2 * (p1 / q1) - slant, by_q3 * (p3 / q3) + by_log_gain / p3
+    ratio = p3 / q3  # 1 on the finest level: the gain, which can be much larger than b22, then leaves no rounding error
+    by_l2, by_l3 = by_q2 * (p1 / q1) - slant, b22 / q3 * ratio + by_log_gain / p3 * (1 - ratio * ratio)
     by_x, by_y, shrink = a1 / q1 - q2 / q1 * (a2 / q3), a2 / q3, shrink * scale
     return by_x * shrink, by_y * shrink, by_l1 * shrink, by_l2 * shrink, by_l3 * shrink, c1, c2, c3
 

@@ -26,7 +26,7 @@ from sgmethod.backend.protocol import Frame
 from sgmethod.backend.tile_kernels import RECORD, TILE
 from sgmethod.settings.shared import OptimiserSettings
 
-PAIRS = 8  # tiles listed per Gaussian, on average; a fit needs 2 to 5
+PAIRS = 8  # tiles listed per Gaussian, on average; a round one meets at most 4 on its level
 ALIGNED = 16  # samples: pointers to levels are alike, so that kernels are compiled once
 BLOCK = 128  # Gaussians of a program where each is a lane
 
@@ -169,15 +169,22 @@ class Fits:
     >>> errors = fits.step(target, 1, rate, quanta, prices)
 
     means, factors, colors: the Gaussians, in pixels of the whole picture; zeros fill up pictures with fewer, and stay.
+    moments: first and second [B, N, 8] and bias [B, N, 2], as of protocol.Moments; those of the start by default.
     """
 
     def __init__(
-        self, size: tuple[int, int], settings: OptimiserSettings, means: Tensor, factors: Tensor, colors: Tensor
+        self,
+        size: tuple[int, int],
+        settings: OptimiserSettings,
+        means: Tensor,
+        factors: Tensor,
+        colors: Tensor,
+        moments: tuple[Tensor, ...] | None = None,
     ) -> None:
         values = (one.to(torch.float32, copy=True).contiguous() for one in (means, factors, colors))
         self.means, self.factors, self.colors = values
         self._size, self._settings = size, settings
-        self._moments = _no_moments(means)
+        self.moments = moments or _no_moments(means)
 
     def step(self, target: Tensor, spacing: int, rate: float, quanta: Tensor, prices: Tensor) -> Tensor:
         """Take a step of every fit, as Backend does; return the mean squared errors [B] before it, still on the device.
@@ -193,7 +200,7 @@ class Fits:
         rates = (rate * one for one in (s.mean_rate, s.factor_rate, s.color_rate))
         newton = s.newton_steps * samples / (2 * math.pi)
         numbers = *rates, s.beta1, s.beta2, s.min_scale_px, newton, float(width), float(height)
-        tiles.step(sums, self._moments, (quanta, prices / samples), *numbers)
+        tiles.step(sums, self.moments, (quanta, prices / samples), *numbers)
         return errors
 
     def draw(self, width: int, height: int, spacing: int = 1) -> Tensor:
@@ -212,7 +219,7 @@ class Fits:
     def _change(self, change: Callable[[Tensor, Tensor], Tensor], *values: Tensor) -> None:
         own = self.means, self.factors, self.colors
         self.means, self.factors, self.colors = map(change, own, values)
-        self._moments = tuple(map(change, self._moments, _no_moments(values[0])))
+        self.moments = tuple(map(change, self.moments, _no_moments(values[0])))
 
 
 def _no_moments(means: Tensor) -> tuple[Tensor, ...]:

@@ -13,8 +13,8 @@ from sgmethod.errors import extra
 
 with extra("torch"):
     from sgmethod.torch.drawing import render
-    from sgmethod.torch.files import SgDataset, decode, gaussians
+    from sgmethod.torch.files import SgDataset, decode, draw, gaussians
     from sgmethod.torch.fitting import Fit, fit
     from sgmethod.torch.shards import fit_many
 
-__all__ = ["Fit", "SgDataset", "decode", "fit", "fit_many", "gaussians", "render"]
+__all__ = ["Fit", "SgDataset", "decode", "draw", "fit", "fit_many", "gaussians", "render"]

@@ -18,7 +18,7 @@ from sgmethod.decoder import MAX_PIXELS, WHOLE, File, SgFile
 from sgmethod.errors import SgError, ViewError
 from sgmethod.exchange.packing import MOST_GAUSSIANS
 from sgmethod.scene import Gaussians
-from sgmethod.torch.drawing import own_size
+from sgmethod.torch.drawing import own_size, render
 from sgmethod.torch.shards import Sample, samples_of
 from sgmethod.view import MAX_SCALE, MIN_SCALE, View
 
@@ -65,6 +65,20 @@ def gaussians(
     where = checked_device(device)
     means, factors, colors = (torch.as_tensor(values, dtype=dtype, device=where) for values in found.arrays)
     return means, factors, colors, torch.tensor(background, dtype=dtype, device=where)
+
+
+def draw(file: File | SgFile, device: Device = None) -> Tensor:
+    """Draw the Gaussians of an .sg file on a device, where decode() draws on the CPU: uint8 [3, H, W].
+
+    >>> draw("photo.sg").shape
+    torch.Size([3, 96, 128])
+
+    Only the bits are read on the CPU. Texture and alpha are left out; some pixels are a level from those of decode().
+    Raises BitstreamError, OSError, and SgError for a device that is not there.
+    """
+    opened = file if isinstance(file, SgFile) else SgFile(file)
+    means, factors, colors, background = gaussians(opened, device)
+    return (255 * render(means, factors, colors, opened.size, background).clamp(0, 1) + 0.5).to(torch.uint8)
 
 
 class SgDataset(Dataset[dict[str, Any]]):

@@ -7,9 +7,11 @@ import math
 import shlex
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import torch
 from PIL import Image
 
 from tests.benchmarks.commands import run
@@ -52,6 +54,7 @@ COMMANDS: dict[str, tuple[str, str, list[object]]] = {
         "verdict",
         ["kept"],
     ),
+    "gpu": ("--quick --images {small}", "what", ["errors", "decode", "decode bytes", "steps"]),
     "service attacks": ("--seconds 2 --only slow", "tracebacks", [0]),
 }
 
@@ -67,6 +70,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_measures(command: str, tmp_path: Path, small: Path) -> None:
+    if command == "gpu" and find_spec("triton") is None:
+        pytest.skip("benchmarks.gpu needs Triton: pip install '.[gpu]'")
     line, field, wanted = COMMANDS[command]
     out = tmp_path / "rows.json"
     run(command, out, *shlex.split(line.format(small=small)), check=command != "service attacks")
@@ -146,3 +151,11 @@ def test_what_cannot_be_measured_is_refused_in_a_line(arguments: str, said: str)
     assert ran.returncode == 2
     assert said in ran.stderr
     assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="this is about machines without a GPU")
+def test_without_a_gpu_nothing_is_measured_on_one(tmp_path: Path) -> None:
+    ran = run("gpu", tmp_path / "rows.json", "--images", str(PHOTOGRAPHS), check=False)
+    assert ran.returncode == 2
+    assert ran.stderr == "there is no GPU here that this build of PyTorch can use\n"
+    assert not (tmp_path / "rows.json").exists()

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 import sgmethod
 from sgmethod.errors import SgError, ViewError
-from sgmethod.torch import SgDataset, decode, render
+from sgmethod.torch import SgDataset, decode, draw, render
 from sgmethod.view import View
 
 pytestmark = pytest.mark.usefixtures("files")
@@ -28,6 +28,14 @@ def test_decoding_into_a_tensor() -> None:
     assert levels.is_contiguous()
     small = torch.from_numpy(sgmethod.decode("picture.sg", view=view))
     assert torch.equal(decode("picture.sg", view=view, layout="HWC"), small)
+
+
+@pytest.mark.parametrize("is_open", [False, True])
+def test_drawing_on_a_device(is_open: bool) -> None:
+    """Like decoding, within a level."""
+    drawn = draw(sgmethod.open("picture.sg") if is_open else "picture.sg", "cpu")
+    assert drawn.dtype == torch.uint8
+    assert (drawn.int() - decode("picture.sg").int()).abs().max() <= 1
 
 
 def test_a_data_set_of_pixels() -> None:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from sgmethod.backend import tiles
+from sgmethod.backend.devices import has_tiles
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.protocol import TARGET_WHITE, Frame, Moments
 from sgmethod.backend.reference import Reference
@@ -83,7 +84,7 @@ def test_plain(name: str) -> None:
 @pytest.mark.parametrize(("name", "kind"), [*zip(FRAMES, (*VISIBILITIES, "eye", "alpha"), strict=True)])
 def test_backend(name: str, kind: str) -> None:
     """The backend for devices takes the same kernels."""
-    frame, reference, backend = FRAMES[name], Reference(), Tensors(CPU)
+    frame, reference, backend = FRAMES[name], Reference(), Tensors(CPU, has_tiles(CPU))
     asked = over(frame, 1), frame, target(1), visibility(kind, 1)
     assert type(backend._drawn(asked[0], frame)[0]) is Tiles
     error, gradient = backend.gradients(*asked)

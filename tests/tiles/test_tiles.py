@@ -67,7 +67,6 @@ def signature(kernel: Any, flags: dict[str, bool]) -> dict[str, str]:
 
 
 @pytest.mark.thorough
-@pytest.mark.filterwarnings("ignore:TRITON_DEFAULT_FP_FUSION")
 @pytest.mark.parametrize("name", KERNELS)
 def test_compiled(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For an A100, an H100 and their like, down to the machine's code; single precision throughout."""
@@ -85,7 +84,7 @@ def test_compiled(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     for values, capability in product(product((False, True), repeat=len(switches)), (80, 90)):
         flags = dict(zip(switches, values, strict=True))
         source = ASTSource(kernel, signature(kernel, flags), constexprs=flags | constants)
-        options = {"num_warps": 1 if name == "walk" else 4}
+        options = {"num_warps": 1 if name == "walk" else 4, "enable_fp_fusion": True}
         compiled = triton.compile(source, target=GPUTarget("cuda", capability, 32), options=options)
         assert len(compiled.asm["cubin"]) > 0
         assert "f64" not in compiled.asm["ptx"]
