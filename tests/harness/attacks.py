@@ -26,10 +26,21 @@ def tiff_of_many_strips(strips: int) -> bytes:
     return head + struct.pack("<I", 0) + struct.pack("<I", 8) * strips + struct.pack("<I", 1) * strips
 
 
+def png_chunk(kind: bytes, data: bytes = b"") -> bytes:
+    """A part of a PNG; a new one may stand after the first 33 bytes of any."""
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png_that_claims(width: int, height: int, rows: bytes = b"") -> bytes:
+    """A PNG of 8-bit grey with these filtered rows, however many it claims to have."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    parts = png_chunk(b"IHDR", header), png_chunk(b"IDAT", zlib.compress(rows, 9)), png_chunk(b"IEND")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
 def png_of_many_chunks(chunks: int) -> bytes:
     """A small PNG with many empty chunks."""
-    chunk = struct.pack(">I4sI", 0, b"abCd", zlib.crc32(b"abCd"))
-    return SMALL[:33] + chunk * chunks + SMALL[33:]
+    return SMALL[:33] + png_chunk(b"abCd") * chunks + SMALL[33:]
 
 
 def jpeg_of_many_markers(markers: int) -> bytes:

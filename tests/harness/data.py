@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[2]  # of the repository
 DATA = ROOT / "tests" / "data"
 PHOTOGRAPHS = DATA / "photographs"
 JAVASCRIPT = ROOT / "sgmethod" / "javascript" / "src"
+STATIC = ROOT / "service" / "web" / "static"  # what the page is made of
 
 
 def golden(version: int) -> dict[str, bytes]:
@@ -20,6 +21,9 @@ def golden_path(name: str) -> Path:
     """Where a golden file lies, or the picture of one: "v2-color.sg", "v1-paper.png"."""
     version, _, rest = name.partition("-")
     return DATA / version / rest
+
+
+PICTURE = golden_path("v2-color.sg").read_bytes()  # 48 x 40 pixels, which are drawn at once
 
 
 SIGNATURES = (b"\xd3\xc1", b"\xd3\xc2")  # with which files of versions 1 and 2 begin

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
+from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, NewJob, SourceImage, new_job_id
 from service.jobs.postgres import PostgresJobTable
 from service.jobs.sql import JobTable
 from service.jobs.sqlite import SqliteJobTable
@@ -40,11 +40,16 @@ def claimed(table: JobTable) -> Claim:
     return claim
 
 
+def job_of(table: JobTable, job_id: str, owner: str | None = None) -> Job:
+    """A job; there must be one."""
+    job = table.get(job_id, owner)
+    assert job is not None
+    return job
+
+
 def state(table: JobTable, job_id: str) -> str:
     """A job's state."""
-    job = table.get(job_id)
-    assert job is not None
-    return job.state
+    return job_of(table, job_id).state
 
 
 def open_table(database_url: str, folder: Path, lease_s: float, **options: Any) -> JobTable:

@@ -12,9 +12,9 @@ from PIL import Image
 
 import sgmethod
 from service.sandbox.picture_files import as_large
-from tests.harness.data import ROOT
+from tests.harness.data import STATIC
 
-FOLDER = ROOT / "service" / "web" / "static" / "samples"
+FOLDER = STATIC / "samples"
 BPP = {"astronaut": 0.3, "cat": 0.35, "coffee": 0.3}
 AVIF_SPEED = 4
 

@@ -15,24 +15,27 @@ import pytest
 from service.__main__ import main
 from service.jobs.sql import JobTable
 from tests.harness import browser as browser_module
-from tests.harness import nginx
-from tests.harness.browser import Chromium, Firefox, find_driver, find_firefox
+from tests.harness import nginx, postgres_server
+from tests.harness.browser import Browser, Chromium, Firefox, find_driver, find_firefox
+from tests.harness.data import PICTURE
 from tests.harness.job_table import LONG_S, OpenTable, open_table
 from tests.harness.nginx import Nginx
-from tests.harness.postgres_server import HINT, REQUIRED, PostgresServer, find_binaries
+from tests.harness.postgres_server import PostgresServer, find_binaries
 from tests.harness.s3_server import S3Server
 from tests.harness.service import SMALL_QUEUE, STAND_IN, Outcome, RunCommand, Service, StartService
+
+
+def _missing(required: str, hint: str) -> NoReturn:
+    """Skip, or fail where the environment says that the program is required."""
+    if os.environ.get(required) == "required":
+        pytest.fail(hint)
+    pytest.skip(hint)
 
 
 @pytest.fixture(scope="session")
 def postgres() -> Iterator[PostgresServer]:
     """A PostgreSQL server for all tests that need one."""
-    binaries = find_binaries()
-    if binaries is None:
-        if os.environ.get(REQUIRED) == "required":
-            pytest.fail(HINT)
-        pytest.skip(HINT)
-    server = PostgresServer(binaries)
+    server = PostgresServer(find_binaries() or _missing(postgres_server.REQUIRED, postgres_server.HINT))
     yield server
     server.close()
 
@@ -48,10 +51,7 @@ def s3() -> Iterator[S3Server]:
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Chromium]:
     """A browser for all tests that need one."""
-    driver = find_driver()
-    if driver is None:
-        _missing(browser_module.HINT)
-    browser = Chromium(driver)
+    browser = Chromium(find_driver() or _missing(browser_module.REQUIRED, browser_module.HINT))
     yield browser
     browser.close()
 
@@ -59,18 +59,9 @@ def browser() -> Iterator[Chromium]:
 @pytest.fixture(scope="session")
 def firefox() -> Iterator[Firefox]:
     """The other browser."""
-    program = find_firefox()
-    if program is None:
-        _missing(browser_module.FIREFOX_HINT)
-    browser = Firefox(program)
+    browser = Firefox(find_firefox() or _missing(browser_module.REQUIRED, browser_module.FIREFOX_HINT))
     yield browser
     browser.close()
-
-
-def _missing(hint: str) -> NoReturn:
-    if os.environ.get(browser_module.REQUIRED) == "required":
-        pytest.fail(hint)
-    pytest.skip(hint)
 
 
 @pytest.fixture
@@ -129,9 +120,7 @@ def table(open_job_table: OpenTable) -> JobTable:
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A certificate for this machine, which clients trust, beside its key."""
     if nginx.NGINX is None:
-        if os.environ.get(nginx.REQUIRED) == "required":
-            pytest.fail(nginx.HINT)
-        pytest.skip(nginx.HINT)
+        _missing(nginx.REQUIRED, nginx.HINT)
     file = nginx.make_certificate(tmp_path_factory.mktemp("tls"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SSL_CERT_FILE", str(file))
@@ -168,12 +157,28 @@ def start_service(tmp_path: Path) -> Iterator[StartService]:
             service.stop()
 
 
+def _start_shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[StartService]:
+    """Starts services that tests share, since they leave them as they found them; each must end well."""
+    started: list[Service] = []
+
+    def start(command: str = "serve", **settings: Any) -> Service:
+        started.append(Service(tmp_path_factory.mktemp("shared") / "data", command, **settings))
+        return started[-1]
+
+    yield start
+    for service in started:
+        assert service.stop() == 0
+        assert "Traceback" not in service.log.read_text()
+
+
+start_for_all = pytest.fixture(_start_shared, scope="session")
+start_for_module = pytest.fixture(_start_shared, scope="module")
+
+
 @pytest.fixture(scope="session")
-def shared_service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def shared_service(start_for_all: StartService) -> Service:
     """A whole service with its defaults."""
-    service = Service(tmp_path_factory.mktemp("service") / "data")
-    yield service
-    assert service.stop() == 0
+    return start_for_all()
 
 
 @pytest.fixture(scope="module")
@@ -184,19 +189,15 @@ def service(shared_service: Service) -> Iterator[Service]:
 
 
 @pytest.fixture(scope="session")
-def quick(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def quick(start_for_all: StartService) -> Service:
     """The same with a stand-in for the codec."""
-    service = Service(tmp_path_factory.mktemp("quick") / "data", extra=STAND_IN)
-    yield service
-    assert service.stop() == 0
+    return start_for_all(extra=STAND_IN)
 
 
 @pytest.fixture(scope="session")
-def small_queue(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def small_queue(start_for_all: StartService) -> Service:
     """A web process without any worker, whose queue is soon full."""
-    service = Service(tmp_path_factory.mktemp("small") / "data", "web", queue_length=SMALL_QUEUE)
-    yield service
-    assert service.stop() == 0
+    return start_for_all("web", queue_length=SMALL_QUEUE)
 
 
 @pytest.fixture
@@ -207,17 +208,21 @@ def empty(small_queue: Service) -> Service:
 
 
 @pytest.fixture(scope="session")
-def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def web(start_for_all: StartService) -> Service:
     """A web process without any worker, with small limits, shared by all tests that leave it able to serve."""
-    service = Service(
-        tmp_path_factory.mktemp("web") / "data",
-        "web",
-        max_upload_bytes=200_000,
-        max_pixels=1_000_000,
-        queue_length=10_000,
-    )
-    yield service
-    assert service.stop() == 0
+    return start_for_all("web", max_upload_bytes=200_000, max_pixels=1_000_000, queue_length=10_000)
+
+
+@pytest.fixture(scope="session")
+def keeping(start_for_all: StartService) -> Service:
+    """A web process without any worker that keeps the images of finished jobs."""
+    return start_for_all("web", source_retention_s=1000)
+
+
+@pytest.fixture(scope="module")
+def done(web: Service) -> str:
+    """The id of a job that is done."""
+    return web.published(PICTURE)
 
 
 @pytest.fixture
@@ -226,4 +231,13 @@ def page(browser: Chromium) -> Iterator[Chromium]:
     browser.complaints()
     yield browser
     browser.tell("Emulation.clearDeviceMetricsOverride")
+    browser.open("about:blank")
+
+
+@pytest.fixture(params=["browser", pytest.param("firefox", marks=pytest.mark.thorough)])
+def each_browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+    """The same for tests that run in both."""
+    browser: Browser = request.getfixturevalue(request.param)
+    browser.complaints()
+    yield browser
     browser.open("about:blank")

@@ -23,6 +23,7 @@ from tests.harness.job_table import (
     RESULT,
     OpenTable,
     claimed,
+    job_of,
     open_table,
     state,
     submitted,
@@ -105,17 +106,6 @@ def test_a_stop_is_for_the_attempt_that_runs(table: JobTable) -> None:
     assert not table.stop("0" * 32)
 
 
-def test_finish(table: JobTable) -> None:
-    job_id = submitted(table)
-    claim = claimed(table)
-    assert table.finish(claim, RESULT)
-    assert table.finish(claim, RESULT)  # as after a commit whose answer was lost
-    job = table.get(job_id)
-    assert job is not None
-    assert (job.state, job.result, job.error) == ("done", RESULT, None)
-    assert table.needed_keys() == {RESULT.bitstream_key}
-
-
 def test_a_stale_claim_changes_nothing(open_job_table: OpenTable) -> None:
     """Rule 2: once the lease is over and another has claimed the job, the first worker's token is void."""
     hasty = open_job_table(NO_TIME_S)
@@ -149,27 +139,28 @@ def test_a_removed_job_is_lost_to_its_worker(table: JobTable) -> None:
     assert table.trace(job_id) == []
 
 
-def test_crashes_are_limited(table: JobTable) -> None:
-    job_id = submitted(table)
+def test_ends(table: JobTable) -> None:
+    """Done, refused, and crashed as often as may be."""
+    done, refused, crashing = (submitted(table) for _ in range(3))
+    claim = claimed(table)
+    for _ in range(2):  # as after a commit whose answer was lost
+        assert table.finish(claim, RESULT)
+    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
     for attempt in (1, 2):
         claim = claimed(table)
-        assert claim.attempt == attempt
+        assert (claim.job_id, claim.attempt) == (crashing, attempt)
         assert table.fail(claim, CRASH, retry=True)
-        assert state(table, job_id) == "queued"
+        assert state(table, crashing) == "queued"
     assert table.fail(claimed(table), JobError("crashed", "the last one"), retry=True)
-    job = table.get(job_id)
-    assert job is not None
-    assert (job.state, job.crashes, job.error) == ("failed", 3, JobError("crashed", "the last one"))
-    assert job.finished_at is not None
     assert table.claim("w") is None
-
-
-def test_a_refusal_is_final(table: JobTable) -> None:
-    job_id = submitted(table)
-    assert table.fail(claimed(table), JobError("refused", "no"), retry=False)
-    job = table.get(job_id)
-    assert job is not None
-    assert (job.state, job.crashes, job.error) == ("failed", 0, JobError("refused", "no"))
+    jobs = [job_of(table, job_id) for job_id in (done, refused, crashing)]
+    assert [(job.state, job.crashes, job.result, job.error) for job in jobs] == [
+        ("done", 0, RESULT, None),
+        ("failed", 0, None, JobError("refused", "no")),
+        ("failed", 3, None, JobError("crashed", "the last one")),
+    ]
+    assert all(job.finished_at is not None for job in jobs)
+    assert table.needed_keys() == {RESULT.bitstream_key}
 
 
 def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> None:
@@ -184,16 +175,6 @@ def test_leases_that_are_over_count_as_crashes(open_job_table: OpenTable) -> Non
     assert state(hasty, job_id) == "failed"
 
 
-def test_a_live_lease_is_left_alone(open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = open_job_table(LONG_S)
-    job_id = submitted(table)
-    claimed(table)
-    assert table.reconcile() == []
-    pass_time(monkeypatch, 10 * LONG_S)
-    assert table.reconcile() == []
-    assert state(table, job_id) == "running"
-
-
 def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     """Let time pass for the watcher of leases, and none for the leases."""
     now = sql.time.monotonic()
@@ -202,48 +183,35 @@ def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
 
 def move_clock(table: JobTable, seconds: float) -> None:
     """Put the table's clock forward after all that was written."""
-    assert isinstance(table, JobTable)
     with table._transaction() as db:
         db.execute("UPDATE jobs SET lease_until = lease_until - ?", (seconds,))
 
 
-@pytest.mark.parametrize("jump_s", [1000.0, -1000.0])
-def test_a_clock_that_jumps_costs_nobody_a_job(
-    open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
+@pytest.mark.parametrize("lives", [True, False])
+@pytest.mark.parametrize("jump_s", [1000.0, 0.0, -1000.0])
+def test_a_clock_that_jumps(
+    open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float, lives: bool
 ) -> None:
-    """Nor does an outage, after which every lease is over: a live worker has renewed it by the second look."""
+    """It costs nobody a job, nor does an outage, after which every lease is over: a live worker has renewed it by the
+    second look. And a worker that is gone is noticed even if its lease lies far in the future by now.
+    """
     table = open_job_table(LONG_S)
     submitted(table)
     claim = claimed(table)
     move_clock(table, jump_s)
     assert table.reconcile() == []
-    assert table.heartbeat(claim, [], 0)
-    pass_time(monkeypatch, LONG_S)
+    assert state(table, claim.job_id) == "running"
+    if lives:
+        assert table.heartbeat(claim, [], 0)
+    pass_time(monkeypatch, LONG_S if jump_s else 10 * LONG_S)
     assert table.reconcile() == []
-    job = table.get(claim.job_id)
-    assert job is not None
-    assert (job.state, job.crashes) == ("running", 0)
-
-
-@pytest.mark.parametrize("jump_s", [1000.0, -1000.0])
-def test_a_clock_that_jumps_keeps_no_job(
-    open_job_table: OpenTable, monkeypatch: pytest.MonkeyPatch, jump_s: float
-) -> None:
-    """A worker that is gone is noticed even if its lease lies far in the future by now."""
-    table = open_job_table(LONG_S)
-    job_id = submitted(table)
-    claimed(table)
-    move_clock(table, jump_s)
-    assert table.reconcile() == []
-    assert state(table, job_id) == "running"
-    pass_time(monkeypatch, LONG_S)
-    assert table.reconcile() == []
-    assert state(table, job_id) == "queued"
+    job = job_of(table, claim.job_id)
+    expected = ("running", 0) if lives or not jump_s else ("queued", 1)
+    assert (job.state, job.crashes) == expected
 
 
 def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
     """It is not encoded as if what is new in it were not there, and it fails when nobody has understood it."""
-    assert isinstance(table, JobTable)
     strange = submitted(table)
     with table._transaction() as db:
         request = json.dumps({**asdict(REQUEST), "mood": 9})
@@ -251,8 +219,7 @@ def test_a_request_of_another_version_holds_up_nobody(table: JobTable) -> None:
     plain = submitted(table)
     claims = [table.claim("w") for _ in range(4)]
     assert [claim.job_id for claim in claims if claim is not None] == [plain]
-    job = table.get(strange)
-    assert job is not None
+    job = job_of(table, strange)
     assert job.error is not None
     assert (job.state, job.crashes, job.request) == ("failed", 3, REQUEST)
     assert "another version" in job.error.detail
@@ -263,8 +230,7 @@ def test_a_released_job_keeps_its_place_and_counts_no_crash(table: JobTable) -> 
     assert table.release(claimed(table))
     again = claimed(table)
     assert (again.job_id, again.attempt) == (first, 2)
-    job = table.get(first)
-    assert job is not None
+    job = job_of(table, first)
     assert job.crashes == 0
     assert claimed(table).job_id == second
 

@@ -30,6 +30,7 @@ from tests.harness.job_table import (
     RESULT,
     OpenTable,
     claimed,
+    job_of,
     new,
     open_table,
     submitted,
@@ -41,13 +42,7 @@ def test_a_job_is_what_was_submitted(table: JobTable) -> None:
     wanted = new("key")
     job, accepted = table.submit(wanted, SubmitLimits(100))
     assert accepted
-    assert (job.id, job.request, job.image, job.state, job.attempt) == (
-        wanted.id,
-        REQUEST,
-        IMAGE,
-        "queued",
-        0,
-    )
+    assert (job.id, job.request, job.image, job.state, job.attempt) == (wanted.id, REQUEST, IMAGE, "queued", 0)
     assert table.get(wanted.id) == table.find_by_key("key") == job
     assert table.get(new_job_id()) is None
     assert table.find_by_key("other") is None
@@ -114,54 +109,32 @@ def test_census(table: JobTable) -> None:
 
 def grow_older(table: JobTable, seconds: float) -> None:
     """Let so much time have passed since all that was written."""
-    assert isinstance(table, JobTable)
     with table._transaction() as db:
         db.execute("UPDATE jobs SET created_at = created_at - ?, lease_until = lease_until - ?", (seconds, seconds))
         db.execute("UPDATE served SET at = at - ?", (seconds,))
 
 
-def test_idempotency_key(table: JobTable) -> None:
-    first, accepted = table.submit(new("key"), SubmitLimits(1))
-    assert accepted
-    assert table.submit(new("key"), SubmitLimits(1)) == (first, False)  # though the queue is full
-    with pytest.raises(KeyReusedError):
-        table.submit(new("key", fingerprint="other"), SubmitLimits(100))
-
-
 def test_idempotency_keys_are_their_owners_alone(table: JobTable) -> None:
-    mine, _ = table.submit(new("key", owner="anna"), SubmitLimits(100))
+    first, accepted = table.submit(new("key", owner="anna"), SubmitLimits(1))
+    assert accepted
+    assert table.submit(new("key", owner="anna"), SubmitLimits(1)) == (first, False)  # though the queue is full
+    with pytest.raises(KeyReusedError):
+        table.submit(new("key", fingerprint="other", owner="anna"), SubmitLimits(100))
     theirs, accepted = table.submit(new("key", owner="bert"), SubmitLimits(100))
     assert accepted
-    assert table.find_by_key("key", "anna") == mine
-    assert table.get(theirs.id) == theirs
-    assert table.find_by_key("key", "bert") == table.get(theirs.id)
+    assert table.find_by_key("key", "anna") == first
+    assert table.find_by_key("key", "bert") == table.get(theirs.id) == theirs
     assert table.find_by_key("key") is None
 
 
 def test_owners(table: JobTable) -> None:
     of_anna, of_bert, of_nobody = submitted(table, owner="anna"), submitted(table, owner="bert"), submitted(table)
     assert [job.id for job in table.page(10, owner="anna")] == [of_anna]
-    assert [(job.id, job.owner) for job in table.page(10)] == [
-        (of_nobody, None),
-        (of_bert, "bert"),
-        (of_anna, "anna"),
-    ]
+    assert [(job.id, job.owner) for job in table.page(10)] == [(of_nobody, None), (of_bert, "bert"), (of_anna, "anna")]
     assert table.get(of_anna, "bert") is None
-    mine = table.get(of_anna, "anna")
-    assert mine is not None
+    mine = job_of(table, of_anna, "anna")
     assert mine.owner == "anna"
     assert table.get(of_nobody, "anna") is None
-
-
-def test_position(table: JobTable) -> None:
-    ids = [submitted(table) for _ in range(3)]
-    claimed(table)
-    positions = [job.position for job in reversed(table.page(10))]
-    assert positions == [None, 1, 2]
-    table.remove(ids[1])
-    last = table.get(ids[2])
-    assert last is not None
-    assert last.position == 1
 
 
 def test_pages(table: JobTable) -> None:
@@ -203,45 +176,35 @@ def test_processes_open_a_table_that_none_has_made_yet(database_url: str, tmp_pa
     assert (len(ids), len(set(ids))) == (4, 1)
 
 
-def test_bytes_are_counted_as_long_as_they_are_kept(table: JobTable) -> None:
+@pytest.mark.parametrize("kept_s", [0.0, LONG_S])
+def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, kept_s: float) -> None:
+    """Of images of finished jobs too, where those are kept."""
+    table = open_job_table(LONG_S, source_retention_s=kept_s)
     done, failed, crashing = (table.submit(new(owner="ann"), SubmitLimits(10))[0] for _ in range(3))
     size = done.image.size_bytes
+    kept = size if kept_s else 0
     assert (table.stored_bytes(), table.stored_bytes("ann"), table.stored_bytes("bob")) == (3 * size, 3 * size, 0)
-    claims = {claim.job_id: claim for claim in (table.claim("w"), table.claim("w"), table.claim("w")) if claim}
-    table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
-    table.fail(claims[failed.id], JobError("refused", "no"), retry=False)
-    assert table.stored_bytes() == size + 7
-    table.fail(claims[crashing.id], JobError("crashed", "no"), retry=True)
-    assert table.stored_bytes() == size + 7  # it is tried again
-    while (claim := table.claim("w")) is not None:
-        table.fail(claim, JobError("crashed", "no"), retry=True)
-    assert table.stored_bytes() == table.census().stored_bytes == 7
-    table.remove(done.id)
-    assert table.stored_bytes() == 0
-
-
-def test_images_of_finished_jobs_are_kept_and_counted(open_job_table: OpenTable) -> None:
-    table = open_job_table(LONG_S, source_retention_s=LONG_S)
-    done, failed, crashing = (table.submit(new(), SubmitLimits(10))[0] for _ in range(3))
-    size = done.image.size_bytes
-    claims = {claim.job_id: claim for claim in (table.claim("w"), table.claim("w"), table.claim("w")) if claim}
-    result = EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7})
+    claims = {claim.job_id: claim for claim in (claimed(table) for _ in range(3))}
     for _ in range(2):  # as after a commit whose answer was lost
-        assert table.finish(claims[done.id], result)
+        assert table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
     table.fail(claims[failed.id], JobError("refused", "no"), retry=False)
-    table.fail(claims[crashing.id], JobError("crashed", "no"), retry=True)
+    assert table.stored_bytes() == size + 7 + 2 * kept
+    table.fail(claims[crashing.id], CRASH, retry=True)
+    assert table.stored_bytes() == size + 7 + 2 * kept  # it is tried again
     while (claim := table.claim("w")) is not None:
-        table.fail(claim, JobError("crashed", "no"), retry=True)
-    assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [size + 7, size, size]
-    images = {source_key(job.id) for job in (done, failed, crashing)}
+        table.fail(claim, CRASH, retry=True)
+    assert table.stored_bytes() == table.census().stored_bytes == 7 + 3 * kept
+    assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [kept + 7, kept, kept]
+    images = {source_key(job.id) for job in (done, failed, crashing)} if kept else set()
     assert table.needed_keys() == {*images, "bitstreams/x"}
     assert open_job_table(LONG_S, source_retention_s=NO_TIME_S).needed_keys() == {"bitstreams/x"}
     for job in (done, done, failed, crashing):
         table.source_removed(job.id)
     assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [7, 0, 0]
-    waiting = table.submit(new(), SubmitLimits(10))[0]
-    table.source_removed(waiting.id)
+    table.source_removed(table.submit(new(), SubmitLimits(10))[0].id)  # which waits
     assert table.stored_bytes() == 7 + size
+    table.remove(done.id)
+    assert table.stored_bytes() == size
 
 
 def test_quotas(table: JobTable) -> None:
@@ -268,11 +231,6 @@ def test_what_became_of_jobs_is_counted(table: JobTable) -> None:
     for job_id in (done, crashed, refused, cancelled):
         table.remove(job_id)
     totals = table.census().totals
-    assert {name: totals.get(name, 0) for name in ENDINGS} == {
-        "finished": 1,
-        "retried": 2,
-        "failed": 2,
-        "cancelled": 1,
-    }
+    assert {name: totals.get(name, 0) for name in ENDINGS} == {"finished": 1, "retried": 2, "failed": 2, "cancelled": 1}
     assert sum(totals.get(bucket(most), 0) for most in BUCKETS_S) == 1
     assert totals[SECONDS] >= 0

@@ -10,10 +10,7 @@ import pytest
 
 from service.jobs.sqlite import SqliteJobTable
 from service.jobs.table import JobTableError
-from tests.harness.job_table import (
-    RULES,
-    submitted,
-)
+from tests.harness.job_table import RULES, submitted
 
 
 def test_a_table_that_cannot_be_read(tmp_path: Path) -> None:

@@ -14,33 +14,23 @@ import pytest
 
 from service.keys import digest
 from service.sandbox.confinement import NAME_LENGTH
-from tests.harness.attacks import (
-    crowded_bitstream,
-    jpeg_of_many_markers,
-    png_of_many_chunks,
-    tiff_of_many_strips,
-)
-from tests.harness.data import golden_path
+from tests.harness.attacks import crowded_bitstream, jpeg_of_many_markers, png_of_many_chunks, tiff_of_many_strips
+from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
 from tests.harness.processes import processes, wait_until
 from tests.harness.service import Service, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v2-color.sg").read_bytes()
 NEVER_S = 10_000  # a limit that no test reaches
 START_CPU_S = 0.3  # more than one takes to start
 
 
 @pytest.fixture(scope="module")
-def web(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def web(start_for_module: StartService) -> Service:
     """A web process with two keys, whose decodes may take as long as they like."""
     keys = ",".join(f"{name}:{digest(name)}" for name in ("eve", "ann"))
-    settings = {"api_keys": keys, "decode_time_s": NEVER_S}
-    service = Service(tmp_path_factory.mktemp("abuse") / "data", "web", queue_length=10_000, **settings)
-    yield service
-    assert service.stop() == 0
-    assert "Traceback" not in service.log.read_text()
+    return start_for_module("web", queue_length=10_000, api_keys=keys, decode_time_s=NEVER_S)
 
 
 @pytest.fixture(scope="module")
@@ -222,23 +212,3 @@ def test_a_task_that_is_killed_harms_nobody(start_service: StartService, crowded
     assert refused is not None
     assert_problem(refused, 422, "crashed")
     assert web.client.post("/decode", content=PICTURE).status_code == 200
-
-
-@pytest.mark.parametrize(
-    ("fields", "words"),
-    [
-        ({"bytes": 11}, "at least 12 bytes"),
-        ({"bpp": 0.00001}, "at least 12 bytes"),
-        ({"bytes": 100, "profile": "paper"}, "takes at least"),
-        ({"quality": 50, "profile": "paper"}, "no quality scale"),
-        ({"quality": 50, "profile": "baseline"}, "no quality scale"),
-        ({"gaussians": 10_000_000}, "exceed the image's"),
-        ({"psnr": "nan"}, "psnr"),
-        ({"bpp": "1e999"}, "bpp"),
-        ({"bpp": "-1"}, "bpp"),
-    ],
-)
-def test_jobs_that_cannot_succeed(web: Service, ann: httpx.Client, fields: dict[str, object], words: str) -> None:
-    before = web.files()
-    assert_problem(ann.post("/encode", files={"image": SMALL}, data=fields), 422, words)
-    assert web.files() == before

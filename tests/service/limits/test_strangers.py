@@ -15,15 +15,14 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.harness.data import golden_path
+from tests.harness.data import PICTURE
 from tests.harness.nginx import Nginx
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S, wait_until
-from tests.harness.service import Service
+from tests.harness.service import Service, StartService
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v2-color.sg").read_bytes()
 HEAD = b"Host: localhost\r\nConnection: close\r\n"
 GET, POST = b"GET /livez HTTP/1.1\r\n" + HEAD, b"POST /encode?bpp=1 HTTP/1.1\r\nContent-Type: image/png\r\n" + HEAD
 IMPATIENT = {f"{name} 10s": f"{name} 1s" for name in ("client_header_timeout", "client_body_timeout")}
@@ -31,15 +30,11 @@ CONNECTIONS, REQUESTS = 100, 300  # of one address, at once
 
 
 @pytest.fixture(scope="module")
-def behind(tmp_path_factory: pytest.TempPathFactory, start_proxy: Any) -> Iterator[tuple[Service, Nginx]]:
+def behind(start_for_module: StartService, start_proxy: Any) -> tuple[Service, Nginx]:
     """A web process, and the documented nginx in front of it, which waits for less long."""
-    folder = tmp_path_factory.mktemp("behind") / "data"
-    service = Service(folder, "web", trusted_proxies="127.0.0.1", queue_length=10_000)
+    service = start_for_module("web", trusted_proxies="127.0.0.1", queue_length=10_000)
     changes = {**IMPATIENT, "send_timeout 60s": "send_timeout 1s"}
-    yield service, start_proxy([service.url], changes=changes)
-    assert service.client.get("/livez").status_code == 200
-    assert service.stop() == 0
-    assert "Traceback" not in service.log.read_text()
+    return service, start_proxy([service.url], changes=changes)
 
 
 @pytest.fixture(scope="module")

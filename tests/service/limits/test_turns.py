@@ -12,12 +12,11 @@ from service.api.turns import Streams, Turns
 
 
 class Clients:
-    """Tasks in turns; each runs until it is told to end. begun: all that have ever run."""
+    """Tasks in turns; each runs until it is told to end."""
 
     def __init__(self, turns: Turns) -> None:
         self.turns = turns
         self.running: list[str] = []
-        self.begun: list[str] = []
         self._ends: dict[str, asyncio.Event] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
 
@@ -31,7 +30,6 @@ class Clients:
     async def _run(self, name: str) -> None:
         async with self.turns.turn(name[:3]):
             self.running.append(name)
-            self.begun.append(name)
             try:
                 await self._ends[name].wait()
             finally:
@@ -60,46 +58,52 @@ async def settle() -> None:
         await asyncio.sleep(0)
 
 
-def test_one_client_never_has_the_last_place() -> None:
+CROWD = "ann0 bob0 cat0 ann1 bob1 cat1"
+# How many places there are; then who asks, ends or goes, and who is served after that.
+SCENARIOS: dict[str, tuple[int, list[tuple[str, str, str]]]] = {
+    "one client never has the last place": (
+        3,
+        [("asks", "eve0 eve1 eve2 eve3 eve4", "eve0 eve1"), ("asks", "ann1", "eve0 eve1 ann1")],
+    ),
+    "a single place serves everybody": (
+        1,
+        [
+            *(("asks", "eve1 eve2 ann1 bob1 ann2", "eve1"), ("ends", "eve1", "eve2"), ("ends", "eve2", "ann1")),
+            *(("ends", "ann1", "bob1"), ("ends", "bob1", "ann2"), ("ends", "ann2", "")),
+        ],
+    ),
+    "clients take turns, whoever came first": (
+        2,
+        [
+            ("asks", "eve1 ann1 eve2 eve3 eve4 bob1 ann2", "eve1 ann1"),
+            ("ends", "eve1", "ann1 eve2"),  # ann has one running, eve none, bob none: eve has waited longest
+            *(("ends", "ann1", "eve2 bob1"), ("ends", "bob1", "eve2 ann2")),
+            ("ends", "ann2", "eve2"),  # eve never has both
+            ("ends", "eve2", "eve3"),
+        ],
+    ),
+    "who goes leaves nothing behind": (
+        1,
+        [
+            *(("asks", "eve1 ann1 ann2 bob1", "eve1"), ("goes", "ann1", "eve1"), ("goes", "bob1", "eve1")),
+            *(("goes", "eve1", "ann2"), ("ends", "ann2", ""), ("asks", "eve2", "eve2")),
+        ],
+    ),
+    "two places": (2, [("asks", CROWD, "ann0 bob0")]),
+    "five places": (5, [("asks", CROWD, "ann0 bob0 cat0 ann1 bob1")]),
+}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_whose_turn_it_is(name: str) -> None:
+    places, steps = SCENARIOS[name]
+
     async def scenario() -> None:
-        crowd = Clients(Turns(3, 100))
-        await crowd.asks(*(f"eve{number}" for number in range(50)))
-        assert crowd.running == ["eve0", "eve1"]
-        await crowd.asks("ann1")
-        assert crowd.running == ["eve0", "eve1", "ann1"]
-
-    asyncio.run(scenario())
-
-
-def test_a_single_place_serves_everybody() -> None:
-    async def scenario() -> None:
-        crowd = Clients(Turns(1, 100))
-        await crowd.asks("eve1", "eve2", "ann1", "bob1", "ann2")
-        order = []
-        for _ in range(5):
-            (name,) = crowd.running
-            order.append(name)
-            await crowd.ends(name)
-        assert order == ["eve1", "eve2", "ann1", "bob1", "ann2"]
-        assert crowd.turns.waiting == 0
-
-    asyncio.run(scenario())
-
-
-def test_clients_take_turns_whoever_came_first() -> None:
-    async def scenario() -> None:
-        crowd = Clients(Turns(2, 100))
-        await crowd.asks("eve1", "ann1", "eve2", "eve3", "eve4", "bob1", "ann2")
-        await crowd.ends("eve1")  # ann has one running, eve none, bob none: eve has waited longest
-        assert crowd.running == ["ann1", "eve2"]
-        await crowd.ends("ann1")
-        assert crowd.running == ["eve2", "bob1"]
-        await crowd.ends("bob1")
-        assert crowd.running == ["eve2", "ann2"]
-        await crowd.ends("ann2")
-        assert crowd.running == ["eve2"]  # eve never has both
-        await crowd.ends("eve2")
-        assert crowd.running == ["eve3"]
+        crowd = Clients(Turns(places, 100))
+        for step, names, served in steps:
+            await {"asks": crowd.asks, "ends": crowd.ends, "goes": crowd.goes}[step](*names.split())
+            assert crowd.running == served.split()
+            assert served or crowd.turns.waiting == 0
 
     asyncio.run(scenario())
 
@@ -117,22 +121,6 @@ def test_lines_are_bounded() -> None:
     asyncio.run(scenario())
 
 
-def test_who_goes_leaves_nothing_behind() -> None:
-    async def scenario() -> None:
-        crowd = Clients(Turns(1, 10))
-        await crowd.asks("eve1", "ann1", "ann2", "bob1")
-        await crowd.goes("ann1")
-        await crowd.goes("bob1")
-        await crowd.goes("eve1")
-        assert crowd.running == ["ann2"]
-        await crowd.ends("ann2")
-        assert crowd.turns.waiting == 0
-        await crowd.asks("eve2")
-        assert crowd.running == ["eve2"]
-
-    asyncio.run(scenario())
-
-
 def test_who_goes_at_the_moment_of_being_served() -> None:
     """The place was given already, and must not be lost."""
 
@@ -146,16 +134,6 @@ def test_who_goes_at_the_moment_of_being_served() -> None:
         await crowd.goes("ann1")
         await crowd.asks("bob1")
         assert crowd.running == ["bob1"]
-
-    asyncio.run(scenario())
-
-
-@pytest.mark.parametrize("places", [1, 2, 5])
-def test_as_many_at_once_as_there_are_places(places: int) -> None:
-    async def scenario() -> None:
-        crowd = Clients(Turns(places, 100))
-        await crowd.asks(*(f"{client}{number}" for number in range(4) for client in ("ann", "bob", "cat")))
-        assert len(crowd.running) == places
 
     asyncio.run(scenario())
 

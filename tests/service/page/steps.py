@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 import sgmethod
-from service.api.app import STATIC
 from tests.harness.browser import Browser
-from tests.harness.data import golden_path
+from tests.harness.data import DATA, STATIC, golden_path
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
 
 OTHER = golden_path("v1-paper.sg").read_bytes()  # which the page does not read
 COFFEE = (STATIC / "samples" / "coffee.sg").read_bytes()
+AXE = (DATA / "axe.min.js").read_text()
 COFFEE_SAYS = f"{sgmethod.info(COFFEE).gaussians:,} Gaussians"
 
 
@@ -25,19 +25,73 @@ def complaints(page: Browser) -> list[str]:
     return [said for said in page.complaints() if "WebGL" not in said and "getImageData" not in said]
 
 
-def text64(data: bytes) -> str:
-    return base64.b64encode(data).decode()
+def bytes_of(data: bytes) -> str:
+    """An expression of JavaScript."""
+    return f'Uint8Array.from(atob("{base64.b64encode(data).decode()}"), (letter) => letter.charCodeAt(0))'
 
 
 def give(page: Browser, kind: str, data: bytes, name: str) -> None:
     """Drop a file onto the window, or paste it."""
     page.run(f"""
-        const bytes = Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0));
         const given = new DataTransfer();
-        given.items.add(new File([bytes], {json.dumps(name)}));
+        given.items.add(new File([{bytes_of(data)}], {json.dumps(name)}));
         const how = {{ cancelable: true, bubbles: true, dataTransfer: given, clipboardData: given }};
         dispatchEvent("{kind}" === "paste" ? new ClipboardEvent("paste", how) : new DragEvent("drop", how));
     """)
+
+
+def queued(page: Browser, data: bytes, name: str, kind: str = "drop") -> str:
+    """Give a picture; the id of its job, which waits, and which the address names."""
+    give(page, kind, data, name)
+    says(page, "in the queue")
+    return str(page.run("return location.hash.slice(1)"))
+
+
+def cancel(page: Browser) -> None:
+    page.click("#cancel")
+    says(page, "Cancelled", "#work")
+
+
+def press(page: Browser, part: str, key: str, kind: str = "keydown") -> None:
+    page.run(f"document.getElementById('{part}').dispatchEvent(new KeyboardEvent('{kind}', {{ key: '{key}' }}))")
+
+
+def choose(page: Browser, field: str, value: object) -> None:
+    """Change what a field says, as a person does."""
+    page.run(f"""
+        const field = document.getElementById("{field}");
+        field.value = {json.dumps(value)};
+        for (const kind of ["input", "change"]) field.dispatchEvent(new Event(kind, {{ bubbles: true }}));
+    """)
+
+
+def value_of(page: Browser, field: str) -> str:
+    return str(page.run(f"return document.getElementById('{field}').value"))
+
+
+def zoom_in(page: Browser) -> None:
+    """As far as it goes."""
+    wheel = "{ deltaY: -2000, clientX: 300, clientY: 300, cancelable: true }"
+    page.run(f"document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', {wheel}))")
+
+
+def imported(page: Browser, module: str, expression: str) -> Any:
+    """The value of an expression of what a module of the page exports, as `it`."""
+    return page.run(f"return import('/static/{module}').then((it) => {expression})")
+
+
+def assert_open_to_all(page: Browser, place: str = "document", least: int = 10, found: str = "violations") -> None:
+    """No finding of axe, with all parts of a place open, neither by day nor by night."""
+    page.run("for (const one of document.querySelectorAll('details')) one.open = true")
+    page.run(AXE)
+    for scheme in ("light", "dark"):
+        page.prefer(scheme)
+        passed, findings = page.run(f"""
+            return axe.run({place}).then(({{ passes, violations, incomplete }}) => [passes.length, {found}
+                .map(({{ id, nodes }}) => [id, ...nodes.map(({{ target }}) => target.join(" "))])]);
+        """)
+        assert passed > least
+        assert findings == []
 
 
 def hold_back(page: Browser, ending: str) -> None:
@@ -85,14 +139,12 @@ def settled(page: Browser) -> np.ndarray[Any, Any]:
 
 def decoded(page: Browser, data: bytes, options: str = "{}") -> np.ndarray[Any, Any]:
     """By the decoder of the page: RGBA."""
-    text = page.run(f"""
-        const bytes = Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0));
+    width, height, levels = page.run(f"""
         return import("/static/sgmethod/decoder.js").then(({{ decode }}) => {{
-            const {{ width, height, data }} = decode(bytes, {options});
+            const {{ width, height, data }} = decode({bytes_of(data)}, {options});
             return [width, height, [...data].map((level) => String.fromCharCode(level)).join("")];
         }});
     """)
-    width, height, levels = text
     return np.frombuffer(levels.encode("latin-1"), np.uint8).reshape(height, width, 4)
 
 

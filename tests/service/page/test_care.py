@@ -4,16 +4,36 @@ from __future__ import annotations
 
 import io
 import time
+from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
+import sgmethod
 from service.jobs.job import SourceImage
 from tests.harness.browser import Chromium
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import COFFEE, COFFEE_SAYS, complaints, give, hold_back, open_page, says, settled, text64
+from tests.service.page.steps import (
+    COFFEE,
+    COFFEE_SAYS,
+    assert_open_to_all,
+    bytes_of,
+    cancel,
+    choose,
+    complaints,
+    give,
+    hold_back,
+    imported,
+    open_page,
+    press,
+    queued,
+    says,
+    settled,
+    value_of,
+)
 
 pytestmark = pytest.mark.thorough
 
@@ -27,46 +47,6 @@ def see_through() -> bytes:
     return file.getvalue()
 
 
-def test_transparency_is_shown_on_white(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "drop", see_through(), "clear.png")
-    says(page, "in the queue")
-    row = settled(page)
-    assert row[len(row) // 3].tolist() == [255, 255, 255]
-    assert row[2 * len(row) // 3].tolist() == [10, 90, 200]
-    page.click("#cancel")
-    says(page, "stay transparent in the file", "#note")
-    assert complaints(page) == []
-
-
-def test_one_that_is_cancelled_while_it_is_sent(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    hold_back(page, "/encode")
-    before = len(web.client.get("/jobs").json()["jobs"])
-    give(page, "drop", SMALL, "one.png")
-    says(page, "Sending")
-    page.click("#cancel")
-    says(page, "Cancelled", "#work")
-    page.run("window.goOn()")
-    wait_until(lambda: page.run("return performance.getEntriesByName(location.origin + '/encode').length"))
-    wait_until(lambda: len(web.client.get("/jobs").json()["jobs"]) == before)
-    says(page, "Cancelled", "#work")
-
-
-def test_what_is_asked_of_a_cancelled_job_is_dropped(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "drop", SMALL, "one.png")
-    says(page, "in the queue")
-    job = page.run("return location.hash.slice(1)")
-    hold_back(page, f"/jobs/{job}")
-    time.sleep(1)  # more than a poll
-    page.click("#cancel")
-    wait_until(lambda: web.client.get(f"/jobs/{job}").status_code == 404)
-    page.run("window.goOn()")
-    time.sleep(1)
-    assert complaints(page) == []
-
-
 def test_a_file_that_cannot_be_read_is_not_the_end(page: Chromium, web: Service) -> None:
     """As a folder that is dropped with others."""
     open_page(page, web)
@@ -76,37 +56,29 @@ def test_a_file_that_cannot_be_read_is_not_the_end(page: Chromium, web: Service)
             if (this.name === "folder") throw new DOMException("no file", "NotFoundError");
             return slice.apply(this, given);
         }};
-        const bytes = Uint8Array.from(atob("{text64(SMALL)}"), (letter) => letter.charCodeAt(0));
         const given = new DataTransfer();
         given.items.add(new File(["?"], "folder"));
         given.items.add(new File(["%PDF-1.7"], "text.pdf"));
-        given.items.add(new File([bytes], "one.png"));
+        given.items.add(new File([{bytes_of(SMALL)}], "one.png"));
         dispatchEvent(new DragEvent("drop", {{ cancelable: true, bubbles: true, dataTransfer: given }}));
     """)
     says(page, "folder cannot be read. text.pdf is a PDF", "#trouble")
     says(page, "in the queue")
-    page.click("#cancel")
-    says(page, "Cancelled", "#work")
+    cancel(page)
 
 
 def test_each_aim_has_its_own_value(page: Chromium, web: Service) -> None:
     def aim(kind: str) -> str:
-        page.run(f"""
-            document.getElementById("aim").value = "{kind}";
-            for (const event of ["input", "change"]) document.getElementById("aim").dispatchEvent(new Event(event));
-        """)
-        return page.run("return document.getElementById('aim-value').value")
+        choose(page, "aim", kind)
+        return value_of(page, "aim-value")
 
     open_page(page, web)
     try:
         assert aim("bytes") == "20000"
-        page.run("""
-            document.getElementById("aim-value").value = "15000";
-            document.getElementById("aim-value").dispatchEvent(new Event("input"));
-        """)
+        choose(page, "aim-value", "15000")
         assert aim("psnr") == "32"
         open_page(page, web)
-        assert page.run("return document.getElementById('aim-value').value") == "32"
+        assert value_of(page, "aim-value") == "32"
         assert aim("bytes") == "15000"
     finally:
         page.run("localStorage.clear()")
@@ -121,22 +93,19 @@ def test_a_width_typed_before_the_original_is_there(page: Chromium, web: Service
     page.run("document.getElementById('width').value = 321")
     page.run("goOn()")
     wait_until(lambda: page.is_seen("#left-label"))
-    assert page.run("return document.getElementById('width').value") == "321"
+    assert value_of(page, "width") == "321"
 
 
 def test_blinking_by_keyboard(page: Chromium, web: Service) -> None:
-    def press(kind: str, key: str) -> None:
-        page.run(f"document.getElementById('blink').dispatchEvent(new KeyboardEvent('{kind}', {{ key: '{key}' }}))")
-
     open_page(page, web)
     says(page, "Original", "#left-label")
     seen = "return getComputedStyle(document.getElementById('right-label')).visibility"
     for key in (" ", "Enter"):
-        press("keydown", key)
+        press(page, "blink", key)
         assert page.run(seen) == "hidden"
-        press("keyup", key)
+        press(page, "blink", key, "keyup")
         assert page.run(seen) == "visible"
-    press("keydown", " ")
+    press(page, "blink", " ")
     page.run("dispatchEvent(new Event('blur'))")  # the window's, by the keys that change it
     assert page.run(seen) == "visible"
 
@@ -145,8 +114,7 @@ def test_a_button_is_clicked_however_long_it_is_pressed(page: Chromium, web: Ser
     """What it stands in is made anew whenever a job is looked at."""
     open_page(page, web)
     for name in ("one.png", "two.png"):
-        give(page, "drop", SMALL, name)
-        says(page, "in the queue")
+        queued(page, SMALL, name)
     says(page, "two.png", "#rows")
     x, y = page.run("""
         const button = document.querySelector("#rows li:last-child .pick");
@@ -195,8 +163,7 @@ def test_what_the_browser_cannot_read_is_sent_only_if_it_ought_to_know(page: Chr
     page.click("#cancel")
     file = io.BytesIO()
     Image.new("RGB", (64, 48), "green").save(file, "TIFF")
-    give(page, "drop", file.getvalue(), "green.tif")
-    says(page, "in the queue")
+    queued(page, file.getvalue(), "green.tif")
     assert "cannot show the original" in page.text("#note")
     page.click("#cancel")
 
@@ -210,35 +177,23 @@ def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
     says(page, "Waiting: next in the queue, starts in about 1 s")
     took = [{"started_at": "2026-01-31T12:00:00Z", "finished_at": f"2026-01-31T12:00:{end}Z"} for end in (10, 30)]
     state = {"state": "queued", "position": 3}
-    words = page.run(f"""
-        const known = [[{took}, [1, 2]], [[], [1]], [{took}, []]];
-        return import("/static/page/watching.js").then(({{ paceOf, stateOf }}) =>
-            known.map(([done, running]) => stateOf({state}, false, paceOf(done, running)).words));
-    """)
+    known = f"[[{took}, [1, 2]], [[], [1]], [{took}, []]]"
+    said = f"{known}.map(([done, running]) => it.stateOf({state}, false, it.paceOf(done, running)).words)"
+    words = imported(page, "page/watching.js", said)
     waiting = "Waiting: in the queue, 2 before it"
     assert words == [f"{waiting}, starts in about 30 s", waiting, waiting]
     page.click("#cancel")
 
 
-def test_nothing_is_offered_for_what_is_no_picture(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    assert page.is_seen("#overlays")
-    give(page, "drop", b"this is text\n", "words.txt")
-    says(page, "not a PNG", "#work")
-    assert [part for part in ("#stage", "#tools", "#overlays", "#again") if page.is_seen(part)] == []
-    page.click("#sample-cat")
-    says(page, "5.4 kB", "#right-label")
-    assert [page.is_seen(part) for part in ("#stage", "#tools", "#overlays")] == [True] * 3
-    settled(page)
-
-
 def test_on_a_phone(page: Chromium, web: Service) -> None:
-    """What ends an encode is on the first screen, and nothing covers the picture."""
+    """What ends an encode is on the first screen, and nothing covers the picture. Transparency is shown on white."""
     screen = {"width": 390, "height": 664, "deviceScaleFactor": 1, "mobile": True}
     page.tell("Emulation.setDeviceMetricsOverride", **screen)
     open_page(page, web)
-    give(page, "drop", see_through(), "clear.png")
-    says(page, "in the queue")
+    queued(page, see_through(), "clear.png")
+    row = settled(page)
+    assert row[len(row) // 3].tolist() == [255, 255, 255]
+    assert row[2 * len(row) // 3].tolist() == [10, 90, 200]
     low, stage, *words = page.run("""
         const box = (id) => document.getElementById(id).getBoundingClientRect();
         const words = ["left-label", "right-label", "note", "work"].map(box).filter(({ height }) => height);
@@ -249,7 +204,8 @@ def test_on_a_phone(page: Chromium, web: Service) -> None:
     assert min(words) >= stage
     assert page.run("return document.documentElement.scrollWidth") == screen["width"]
     page.click("#cancel")
-    says(page, "Cancelled", "#work")
+    says(page, "stay transparent in the file", "#note")
+    assert complaints(page) == []
 
 
 def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
@@ -272,3 +228,46 @@ def test_what_is_taken_away_is_said(page: Chromium, web: Service) -> None:
     says(page, "is in the clipboard", "#taken")
     page.click("#sample-cat")
     assert page.text("#taken") == ""
+
+
+def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:
+    open_page(page, web)
+    name = "'my \"cup\" & <b>.webp'"
+    snippet = f"it.snippetOf({{ sg: {bytes_of(COFFEE)}, size: [432, 288], name: {name} }})"
+    html = imported(page, "page/snippet.js", snippet)
+    assert len(html) < 200_000
+    alone = tmp_path / "alone.html"
+    alone.write_text(html)
+    page.complaints()
+    page.tell("Emulation.setDeviceMetricsOverride", width=300, height=600, deviceScaleFactor=1, mobile=False)
+    page.open(alone.as_uri())
+    pixel = "return [...document.querySelector('canvas').getContext('2d').getImageData(200, 100, 1, 1).data]"
+    wait_until(lambda: page.run(pixel)[3] == 255)
+    assert np.abs(np.array(page.run(pixel)[:3]) - sgmethod.decode(COFFEE)[100, 200]).max() <= 1
+    assert page.run("return document.querySelector('canvas').getAttribute('aria-label')") == 'my "cup" & <b>'
+    width, height, scrolled = page.run("""
+        const { width, height } = document.querySelector("canvas").getBoundingClientRect();
+        return [width, height, document.documentElement.scrollWidth];
+    """)
+    assert scrolled <= 300
+    assert width / height == pytest.approx(1.5, rel=0.01)
+    assert complaints(page) == []
+
+
+def test_requests_for_people(page: Chromium, web: Service) -> None:
+    """Under the strict policy, and from nowhere else. Links on a dark ground had too little contrast."""
+    document = web.client.get("/openapi.json").json()
+    operations = {what["operationId"]: what for methods in document["paths"].values() for what in methods.values()}
+    page.open(f"{web.url}/docs")
+    shown = "return document.querySelectorAll('#operations details').length"
+    wait_until(lambda: page.run(shown) > len(operations))  # and examples after them
+    assert page.text("#operations summary").startswith("POST /encode ")
+    for name, operation in operations.items():
+        assert operation["summary"] in page.text(f"#{name} summary")
+    first = next(iter(operations))
+    assert not page.is_seen(f"#{first} pre")
+    page.click(f"#{first} summary")
+    assert f"'{web.url}/encode?wait=50'" in page.text(f"#{first} pre")
+    assert "202" in page.text(f"#{first} table:last-of-type")
+    assert_open_to_all(page, found="[...violations, ...incomplete]")
+    assert page.complaints() == []

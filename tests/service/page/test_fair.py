@@ -3,27 +3,36 @@
 from __future__ import annotations
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
 
-from service.api.app import STATIC
 from tests.harness.browser import Chromium
+from tests.harness.data import STATIC
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import COFFEE, complaints, give, open_blank, open_page, says, settled, text64
+from tests.service.page.steps import (
+    COFFEE,
+    bytes_of,
+    cancel,
+    choose,
+    complaints,
+    give,
+    imported,
+    open_blank,
+    open_page,
+    press,
+    queued,
+    says,
+    settled,
+    zoom_in,
+)
 
 pytestmark = pytest.mark.thorough
 
 PHOTOGRAPH = (STATIC / "samples" / "coffee.webp").read_bytes()
 JOB = {"state": "running", "progress": 0.5, "trace": [{"seconds": 2, "psnr": 31.4, "bytes": 900, "gaussians": 250}]}
-
-
-def imported(page: Chromium, module: str, expression: str) -> Any:
-    """The value of an expression of what a module of the page exports, as `it`."""
-    return page.run(f"return import('/static/{module}').then((it) => {expression})")
 
 
 @pytest.mark.parametrize(("codec", "nearest"), [("image/webp", 1.03), ("image/jpeg", 1.2)])
@@ -37,8 +46,7 @@ def test_a_rival_has_the_bytes_or_the_next_larger_size(
         return (async () => {{
             const {{ Remote }} = await import("/static/page/parts.js");
             const worker = new Remote("/static/viewer/rivals_worker.js");
-            const bytes = Uint8Array.from(atob("{text64(PHOTOGRAPH)}"), (letter) => letter.charCodeAt(0));
-            await worker.ask("original", {{ image: await createImageBitmap(new Blob([bytes])) }});
+            await worker.ask("original", {{ image: await createImageBitmap(new Blob([{bytes_of(PHOTOGRAPH)}])) }});
             const sizes = [];
             for (const bytes of {wanted}) {{
                 sizes.push((await worker.ask("encode", {{ type: "{codec}", bytes, least: 0.97 * bytes }})).bytes);
@@ -77,26 +85,20 @@ def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service)
     def steps() -> int:
         return int((np.abs(np.diff(settled(page).astype(int), axis=0)).sum(1) > 0).sum())
 
-    def show(key: str) -> None:
-        page.run(f"document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}' }}))")
-
     open_page(page, web)
-    page.run(
-        "document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', "
-        "{ deltaY: -2000, clientX: 300, clientY: 300, cancelable: true }))"
-    )
+    zoom_in(page)
     width = len(settled(page))
     most = width // 64 + 2  # whole pixels of 64 each
     page.click("#pixels")
     for side in ("Home", "End"):
-        show(side)
+        press(page, "divider", side)
         wait_until(lambda: steps() <= most)
-    show("Home")
-    page.run("const at = document.getElementById('prefix'); at.value = 50; at.dispatchEvent(new Event('input'))")
+    press(page, "divider", "Home")
+    choose(page, "prefix", 50)
     wait_until(lambda: steps() <= most)
     page.click("#pixels")
     for side in ("Home", "End"):
-        show(side)
+        press(page, "divider", side)
         wait_until(lambda: steps() > 2 * most)
     assert complaints(page) == []
 
@@ -104,14 +106,12 @@ def test_one_switch_shows_the_pixels_of_both_sides(page: Chromium, web: Service)
 def test_no_quality_is_promised_before_it_is_measured(page: Chromium, web: Service) -> None:
     """How good 0.3 bits per pixel are depends on the picture: some 30 Gaussians draw none."""
     open_page(page, web)
-    give(page, "drop", SMALL, "small.png")
-    says(page, "in the queue")
+    queued(page, SMALL, "small.png")
     assert "too few for more than a rough idea" in page.text("#rate-words")
     assert "SSIM" not in page.text("#figures")
-    give(page, "drop", PHOTOGRAPH, "coffee.webp")
+    job_id = queued(page, PHOTOGRAPH, "coffee.webp")
     says(page, "about 1,400 Gaussians.", "#rate-words")
-    says(page, "in the queue")
-    web.publish(page.run("return location.hash").removeprefix("#"), COFFEE)
+    web.publish(job_id, COFFEE)
     says(page, "SSIM 0.", "#figures")
     for ssim, words in ((0.67, "rough"), (0.8, "detail is lost"), (0.99, "hardly different")):
         assert words in imported(page, "page/words.js", f"it.closeness({ssim})")
@@ -126,8 +126,7 @@ def test_an_encode_for_the_eye_shows_no_psnr(page: Chromium, service: Service) -
     says(page, "Fitting")
     assert "dB" not in page.text("#status")
     assert not page.is_seen("#chart-card")
-    page.click("#cancel")
-    says(page, "Cancelled", "#work")
+    cancel(page)
     said = imported(page, "page/watching.js", f"it.stateOf({json.dumps(JOB)}, false).words")
     assert said == "Fitting 250 Gaussians, about 2 s left"
 

@@ -5,28 +5,46 @@ from __future__ import annotations
 import json
 import os
 import signal
-from pathlib import Path
+import time
 
 import numpy as np
 import pytest
 
-import sgmethod
 from service.keys import digest
-from tests.harness.browser import Chromium
-from tests.harness.data import DATA, golden_path
+from tests.harness.browser import Browser, Chromium
+from tests.harness.data import golden_path
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.processes import encoder_of, wait_until
 from tests.harness.service import Service, StartService
-from tests.service.page.steps import COFFEE, COFFEE_SAYS, OTHER, complaints, give, hold_back, open_page, says
+from tests.service.page.steps import (
+    COFFEE,
+    COFFEE_SAYS,
+    OTHER,
+    assert_as_python,
+    assert_open_to_all,
+    cancel,
+    choose,
+    complaints,
+    decoded,
+    give,
+    hold_back,
+    imported,
+    open_blank,
+    open_page,
+    press,
+    queued,
+    says,
+    settled,
+)
 
-SNIPPET_BYTES = 200_000
-AXE = (DATA / "axe.min.js").read_text()
 
-
-def test_a_photograph_that_is_dropped(page: Chromium, service: Service) -> None:
+def test_the_main_road(each_browser: Browser, service: Service) -> None:
+    """A picture dropped, encoded, compared, enlarged, loaded again; a file opened and decoded; and back."""
+    page = each_browser
     open_page(page, service)
     page.run("document.getElementById('effort').value = '1'")
     give(page, "drop", SMALL, "my disc.png")
+    says(page, "my disc.png is done", "#said")
     says(page, "Gaussians", "#right-label")
     assert page.text("#left-label").startswith("Original")
     wait_until(lambda: "WebP" in page.text("#rivals"))
@@ -39,11 +57,22 @@ def test_a_photograph_that_is_dropped(page: Chromium, service: Service) -> None:
     assert "-F image=@my_disc.png -F bpp=0.3" in lines[0]
     assert "-F effort=1" in lines[0]
     assert 'sgmethod.encode("my_disc.png", bpp=0.3' in lines[1]
+    both = settled(page)
+    press(page, "divider", "Home")
+    wait_until(lambda: not np.array_equal(settled(page), both))
+    page.click("#zoom-in")
+    assert page.text("#zoom").endswith("%")
     page.open("about:blank")
     page.open(f"{service.url}/#{job['id']}")  # as it stands in the address when the page is loaded again
     says(page, "Gaussians", "#right-label")
     says(page, "Original", "#left-label")  # the browser has kept it
+    give(page, "drop", COFFEE, "coffee.sg")
+    says(page, COFFEE_SAYS, "#figures")
+    assert_as_python(decoded(page, COFFEE).astype(int), COFFEE)
+    page.click("#rows li:first-child .pick")
+    says(page, "my disc.png", "#rows")
     assert complaints(page) == []
+    service.clear()
 
 
 @pytest.mark.thorough
@@ -55,10 +84,8 @@ def test_one_that_is_pasted_and_a_sample(page: Chromium, service: Service, way: 
     else:
         assert page.text("#again") == "Encode this one"
         page.click("#again")
-    wait_until(lambda: len(page.run("return location.hash")) == len("#") + 32)
-    place = page.run("return `/jobs/${location.hash.slice(1)}`")
-    wait_until(lambda: service.client.get(place).json()["state"] == "done")
-    says(page, f"{service.client.get(place).json()['result']['gaussians']:,} Gaussians", "#figures")
+    job_id = wait_until(lambda: len(job := page.run("return location.hash.slice(1)")) == 32 and job)
+    says(page, f"{service.wait(job_id)['result']['gaussians']:,} Gaussians", "#figures")
     assert page.text("#left-label").startswith("Original")
     assert complaints(page) == []
 
@@ -70,8 +97,8 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
     give(page, "drop", SLOW, "slow.png")
     wait_until(lambda: page.is_seen("#stop"))
     address = page.run("return location.href")
-    place = f"/jobs/{address.rpartition('#')[2]}"
-    encoder = encoder_of(place.rpartition("/")[2])
+    job_id = address.rpartition("#")[2]
+    encoder = encoder_of(job_id)
     assert encoder
     os.kill(encoder, signal.SIGSTOP)  # so that it is not done before the page is back
     try:
@@ -84,43 +111,17 @@ def test_one_that_is_loaded_again_stopped_and_kept(page: Chromium, service: Serv
         os.kill(encoder, signal.SIGCONT)
     says(page, "Gaussians", "#right-label")
     assert not page.is_seen("#work")
-    job = service.client.get(place).json()
+    job = service.job(job_id)
     assert job["state"] == "done"
     assert f"{job['result']['gaussians']:,} Gaussians" in page.text("#figures")
     assert complaints(page) == []
 
 
 @pytest.mark.thorough
-def test_going_back(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    page.click("#sample-cat")
-    says(page, "5.4 kB", "#right-label")
-    give(page, "drop", OTHER, "other.sg")
-    says(page, "40 × 56 pixels", "#figures")
-    page.run("history.back()")
-    says(page, "5.4 kB", "#right-label")
-    page.run("history.back()")
-    says(page, "4.7 kB", "#right-label")
-    page.run("history.go(2)")
-    says(page, "40 × 56 pixels", "#figures")
-
-
-@pytest.mark.thorough
-def test_going_back_while_what_is_shown_still_changes(page: Chromium, web: Service) -> None:
-    """The address is another one before the page is told of it. What then becomes new must not take it back."""
+def test_what_comes_last_is_shown(page: Chromium, web: Service) -> None:
+    """Given, chosen, or gone back to, whatever ends last."""
     open_page(page, web)
     first = page.run("return location.hash")
-    page.click("#sample-cat")
-    says(page, "5.4 kB", "#right-label")
-    page.run(f"location.hash = '{first}'; document.querySelector('#rows [aria-pressed=true]').click()")
-    says(page, "4.7 kB", "#right-label")
-    assert page.run("return location.hash") == first
-
-
-@pytest.mark.thorough
-def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Service) -> None:
-    """What comes last is shown, not what ends last."""
-    open_page(page, web)
     hold_back(page, "cat.webp")
     page.click("#sample-cat")
     says(page, "5.4 kB", "#right-label")
@@ -131,60 +132,69 @@ def test_one_that_is_given_while_a_sample_still_loads(page: Chromium, web: Servi
     wait_until(lambda: page.run(f"return performance.getEntriesByName('{original}').length"))
     page.run("return new Promise((done) => setTimeout(done, 300))")
     assert "40 × 56 pixels" in page.text("#figures")
+    for step, words, where in ((-1, "5.4 kB", "#right-label"), (-1, "4.7 kB", "#right-label"), (2, "40 ×", "#figures")):
+        page.run(f"history.go({step})")
+        says(page, words, where)
+    # The address is another one before the page is told of it. What then becomes new must not take it back.
+    page.run(f"location.hash = '{first}'; document.querySelector('#rows [aria-pressed=true]').click()")
+    says(page, "4.7 kB", "#right-label")
+    assert page.run("return location.hash") == first
+
+
+@pytest.mark.thorough
+def test_one_that_is_cancelled(page: Chromium, web: Service) -> None:
+    """In the queue, while an answer about it is on its way, and while it is sent."""
+    open_page(page, web)
+    job_id = queued(page, SMALL, "pasted.png", "paste")
+    assert web.job(job_id)["state"] == "queued"
+    hold_back(page, f"/jobs/{job_id}")
+    time.sleep(1)  # more than a poll
+    cancel(page)
+    assert page.run("return document.getElementById('work').className") == "card"
+    assert not page.is_seen("#cancel")
+    wait_until(lambda: web.client.get(f"/jobs/{job_id}").status_code == 404)  # it is said before the service knows
+    page.run("window.goOn()")
+    time.sleep(1)
+    assert complaints(page) == []
+
+    hold_back(page, "/encode")
+    before = web.client.get("/jobs").json()
+    sent = "return performance.getEntriesByName(location.origin + '/encode').length"
+    sent_before = page.run(sent)
+    give(page, "drop", SMALL, "one.png")
+    says(page, "Sending")
+    cancel(page)
+    page.run("window.goOn()")
+    wait_until(lambda: page.run(sent) > sent_before)
+    wait_until(lambda: web.client.get("/jobs").json() == before)
+    says(page, "Cancelled", "#work")
 
 
 @pytest.mark.thorough
 def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> None:
-    open_page(page, web)
+    open_blank(page, web)
     beginnings = {
-        **{
-            "PNG": "\x89PNG\r\n",
-            "JPEG": "\xff\xd8\xff\xe0",
-            "GIF": "GIF89a",
-            "WebP": "RIFF....WEBPVP8 ",
-            "BMP": "BM..",
-        },
+        **{"PNG": "\x89PNG\r\n", "JPEG": "\xff\xd8\xff\xe0", "GIF": "GIF89a", "WebP": "RIFF....WEBPVP8 "},
         **{"AVIF": "\0\0\0\x1cftypavif....", "HEIC": "\0\0\0\x18ftypmif1....heic", "QOI": "qoif", "PPM": "P6\n1 1"},
-        **{"JPEG XL": "\xff\n....", "TIFF": "II*\0....", "": "something else"},
+        **{"BMP": "BM..", "JPEG XL": "\xff\n....", "TIFF": "II*\0....", "": "something else"},
     }
-    found = page.run(f"""
-        return (async () => {{
-            const {{ kindOf }} = await import("/static/page/kinds.js");
-            const bytes = (text) => Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-            const kinds = {json.dumps(list(beginnings.values()))}.map((text) => kindOf(new File([bytes(text)], "a.b")));
-            return (await Promise.all(kinds)).map(({{ kind, format }}) => [kind, format ?? ""]);
-        }})();
-    """)
+    files = f"{json.dumps([*beginnings.values()])}.map((text) => Uint8Array.from(text, (it) => it.charCodeAt(0)))"
+    kinds = f"Promise.all({files}.map((bytes) => it.kindOf(new File([bytes], 'a.b'))))"
+    found = imported(page, "page/kinds.js", f"{kinds}.then((all) => all.map((one) => [one.kind, one.format ?? '']))")
     assert found == [["image", name] for name in beginnings]
-
-
-@pytest.mark.thorough
-def test_one_that_is_pasted_and_cancelled(page: Chromium, web: Service) -> None:
-    open_page(page, web)
-    give(page, "paste", SMALL, "pasted.png")
-    says(page, "in the queue")
-    place = page.run("return `/jobs/${location.hash.slice(1)}`")
-    assert web.client.get(place).json()["state"] == "queued"
-    page.click("#cancel")
-    says(page, "Cancelled", "#work")
-    assert page.run("return document.getElementById('work').className") == "card"
-    assert not page.is_seen("#cancel")
-    wait_until(lambda: web.client.get(place).status_code == 404)  # it is said before the service knows
 
 
 @pytest.mark.thorough
 def test_two_tabs(page: Chromium, web: Service) -> None:
     """Each has its own picture and its own job; what one removes the other learns of."""
     open_page(page, web)
-    give(page, "drop", SMALL, "one.png")
-    says(page, "in the queue")
+    queued(page, SMALL, "one.png")
     first, address = page.tab(), page.run("return location.href")
     second = page.new_tab()
     page.switch_to(second)
     try:
         open_page(page, web)
-        page.run("document.getElementById('tune').value = 'psnr'")
-        page.run("document.getElementById('tune').dispatchEvent(new Event('change', { bubbles: true }))")
+        choose(page, "tune", "psnr")
         give(page, "drop", SMALL, "two.png")
         says(page, " before it")
         assert page.run("return location.href") != address
@@ -196,8 +206,7 @@ def test_two_tabs(page: Chromium, web: Service) -> None:
         page.open(address)  # the same job in both
         says(page, "in the queue")
         says(page, "Original", "#left-label")
-        page.click("#cancel")
-        says(page, "Cancelled", "#work")
+        cancel(page)
         page.switch_to(first)
         says(page, "has deleted it")
         assert len(web.client.get("/jobs").json()["jobs"]) == 1
@@ -225,17 +234,24 @@ def test_files_of_gaussians_are_opened(page: Chromium, web: Service) -> None:
 
 @pytest.mark.thorough
 def test_what_is_refused(page: Chromium, web: Service) -> None:
+    """Nothing is offered for it."""
     open_page(page, web)
     give(page, "drop", b"%PDF-1.7", "text.pdf")
     says(page, "text.pdf is a PDF", "#trouble")
+    assert page.is_seen("#overlays")
     assert complaints(page) == []
     give(page, "drop", b"this is no picture", "words.png")
-    says(page, "not a PNG")
-    assert [page.is_seen(part) for part in ("#progress", "#chart", "#cancel")] == [False] * 3
+    says(page, "not a PNG", "#work")
+    parts = ("#progress", "#chart", "#cancel", "#stage", "#tools", "#overlays", "#again")
+    assert [part for part in parts if page.is_seen(part)] == []
     (complaint,) = complaints(page)
     assert "415" in complaint
+    page.click("#sample-cat")
+    says(page, "5.4 kB", "#right-label")
+    assert [page.is_seen(part) for part in ("#stage", "#tools", "#overlays")] == [True] * 3
     page.type("#file", str(golden_path("v1-paper.png")))
     says(page, "in the queue")
+    cancel(page)
 
 
 @pytest.mark.thorough
@@ -261,8 +277,7 @@ def test_with_a_key(page: Chromium, start_service: StartService) -> None:
 def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartService) -> None:
     service = start_service("web")
     open_page(page, service)
-    give(page, "drop", SMALL, "disc.png")
-    says(page, "in the queue")
+    queued(page, SMALL, "disc.png")
     service.environment["SG_PORT"] = service.url.rpartition(":")[2]
     assert service.stop() == 0
     says(page, "trying again")
@@ -274,61 +289,4 @@ def test_a_service_that_restarts_meanwhile(page: Chromium, start_service: StartS
 def test_nobody_is_left_out(page: Chromium, web: Service) -> None:
     open_page(page, web)
     says(page, "AVIF", "#verdict")
-    page.run("for (const one of document.querySelectorAll('details')) one.open = true")
-    page.run(AXE)
-    for scheme in ("light", "dark"):
-        page.prefer(scheme)
-        passed, findings = page.run("""
-            return axe.run().then(({ passes, violations }) => [
-                passes.length, violations.map(({ id, nodes }) => [id, ...nodes.map(({ target }) => target.join(" "))])
-            ]);
-        """)
-        assert passed > 20
-        assert findings == []
-
-
-@pytest.mark.thorough
-def test_requests_for_people(page: Chromium, web: Service) -> None:
-    """Under the strict policy, and from nowhere else."""
-    document = web.client.get("/openapi.json").json()
-    operations = {what["operationId"]: what for methods in document["paths"].values() for what in methods.values()}
-    page.open(f"{web.url}/docs")
-    shown = "return document.querySelectorAll('#operations details').length"
-    wait_until(lambda: page.run(shown) > len(operations))  # and examples after them
-    for name, operation in operations.items():
-        assert operation["summary"] in page.text(f"#{name} summary")
-    first = next(iter(operations))
-    assert not page.is_seen(f"#{first} pre")
-    page.click(f"#{first} summary")
-    assert f"'{web.url}/encode?wait=50'" in page.text(f"#{first} pre")
-    assert "202" in page.text(f"#{first} table:last-of-type")
-    assert page.complaints() == []
-
-
-@pytest.mark.thorough
-def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path) -> None:
-    open_page(page, web)
-    html = page.run("""
-        return (async () => {
-            const { snippetOf } = await import("/static/page/snippet.js");
-            const sg = new Uint8Array(await (await fetch("/static/samples/coffee.sg")).arrayBuffer());
-            return snippetOf({ sg, size: [432, 288], name: 'my "cup" & <b>.webp' });
-        })();
-    """)
-    assert len(html) < SNIPPET_BYTES
-    alone = tmp_path / "alone.html"
-    alone.write_text(html)
-    page.complaints()
-    page.tell("Emulation.setDeviceMetricsOverride", width=300, height=600, deviceScaleFactor=1, mobile=False)
-    page.open(alone.as_uri())
-    pixel = "return [...document.querySelector('canvas').getContext('2d').getImageData(200, 100, 1, 1).data]"
-    wait_until(lambda: page.run(pixel)[3] == 255)
-    assert np.abs(np.array(page.run(pixel)[:3]) - sgmethod.decode(COFFEE)[100, 200]).max() <= 1
-    assert page.run("return document.querySelector('canvas').getAttribute('aria-label')") == 'my "cup" & <b>'
-    width, height, scrolled = page.run("""
-        const { width, height } = document.querySelector("canvas").getBoundingClientRect();
-        return [width, height, document.documentElement.scrollWidth];
-    """)
-    assert scrolled <= 300
-    assert width / height == pytest.approx(1.5, rel=0.01)
-    assert complaints(page) == []
+    assert_open_to_all(page, least=20)

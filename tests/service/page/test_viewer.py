@@ -10,28 +10,32 @@ import pytest
 from numpy.typing import NDArray
 
 import sgmethod
-from service.api.app import STATIC
 from tests.harness.browser import Chromium
-from tests.harness.data import golden
+from tests.harness.data import STATIC, golden
 from tests.harness.pictures import page_of_text
 from tests.harness.processes import wait_until
-from tests.harness.service import Service, StartService
+from tests.harness.service import Service
 from tests.service.page.steps import (
     COFFEE,
     OTHER,
     assert_as_python,
+    bytes_of,
+    choose,
     complaints,
     decoded,
     give,
     open_blank,
     open_page,
+    press,
+    queued,
     says,
     settled,
-    text64,
+    zoom_in,
 )
 
 pytestmark = pytest.mark.thorough
 
+PHOTOGRAPH = (STATIC / "samples" / "coffee.webp").read_bytes()
 FIRST_LOOK_BYTES = 150_000
 TEXTURED = golden(2)["v2-texture"]
 
@@ -55,26 +59,23 @@ def test_first_look_compare_and_zoom(page: Chromium, web: Service) -> None:
     assert [name in page.text("#rivals") for name in ("Original", "Gaussians", "JPEG", "WebP", "AVIF")] == [True] * 5
 
     both = settled(page)
-    page.run("document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' }))")
+    press(page, "divider", "Home")
     ours = settled(page)
-    page.run("document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', { key: 'End' }))")
+    press(page, "divider", "End")
     original = settled(page)
     half = len(both) // 2
     assert (both[: half - 2] == original[: half - 2]).all()
     assert (both[half + 2 :] == ours[half + 2 :]).all()
     assert 0 < np.abs(ours.astype(int) - original).mean() < 10
 
-    wheel = "document.getElementById('stage').dispatchEvent(new WheelEvent('wheel', { deltaY: -2000, clientX: 300, "
-    page.run(wheel + "clientY: 300, cancelable: true }))")
+    zoom_in(page)
     assert page.text("#zoom") == "6400 %"
     wait_until(lambda: largest_step(page) <= 6)  # 1 here; 42 with hard pixels
-    page.run("document.getElementById('divider').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' }))")
+    press(page, "divider", "Home")
     wait_until(lambda: largest_step(page) <= 6)
     page.click("#zoom-fit")
 
-    page.run(
-        "const prefix = document.getElementById('prefix'); prefix.value = 5; prefix.dispatchEvent(new Event('input'))"
-    )
+    choose(page, "prefix", 5)
     assert re.search(r"the first 2\d\d B of 4\.7 kB", page.text("#right-label"))
     wait_until(lambda: np.abs(settled(page).astype(int) - ours).mean() > 10)
     page.run("document.querySelector('[value=ellipses]').click()")
@@ -110,15 +111,10 @@ def test_fingers(page: Chromium, web: Service) -> None:
     assert complaints(page) == []
 
 
-def test_rivals_that_the_service_makes(page: Chromium, start_service: StartService) -> None:
+def test_rivals_that_the_service_makes(page: Chromium, keeping: Service) -> None:
     """No browser writes AVIF: the service makes it of the job's picture, as long as it has it."""
-    web = start_service("web", source_retention_s=1000)
-    open_page(page, web)
-    picture = (STATIC / "samples" / "coffee.webp").read_bytes()
-    give(page, "drop", picture, "coffee.webp")
-    says(page, "in the queue")
-    job = page.run("return location.hash").removeprefix("#")
-    web.publish(job, COFFEE)
+    open_page(page, keeping)
+    keeping.publish(queued(page, PHOTOGRAPH, "coffee.webp"), COFFEE)
     says(page, "AVIF", "#verdict")
     assert re.search(r"AVIF 4\.[5-9] kB \d\d\.\d dB 0\.\d{3}", page.text("#rivals"))
     row = "#rivals tbody tr:last-child"
@@ -128,15 +124,12 @@ def test_rivals_that_the_service_makes(page: Chromium, start_service: StartServi
     assert complaints(page) == []
 
 
-def test_the_better_file_is_offered(page: Chromium, start_service: StartService) -> None:
+def test_the_better_file_is_offered(page: Chromium, keeping: Service) -> None:
     """Of what Gaussians do not suit, with a sentence that says why; the service makes it of the job's picture."""
-    web = start_service("web", source_retention_s=1000)
-    open_page(page, web)
+    open_page(page, keeping)
     assert not page.is_seen("#advice")
-    give(page, "drop", page_of_text(), "words.png")
-    says(page, "in the queue")
-    job = page.run("return location.hash").removeprefix("#")
-    web.publish(job, COFFEE, bytes=20_000, better="webp", advice="Gaussians do not suit this: WebP takes less")
+    job = queued(page, page_of_text(), "words.png")
+    keeping.publish(job, COFFEE, bytes=20_000, better="webp", advice="Gaussians do not suit this: WebP takes less")
     says(page, "Gaussians do not suit this: WebP takes less. Save as lossless WebP", "#advice")
     assert not page.is_seen("#note")
     page.run("""
@@ -146,16 +139,14 @@ def test_the_better_file_is_offered(page: Chromium, start_service: StartService)
     """)
     page.click("#advice button")
     wait_until(lambda: page.run("return window.saved") == "words.webp")
-    assert page.run("return window.size") == len(web.client.get(f"/jobs/{job}/rival.webp").content)
+    assert page.run("return window.size") == len(keeping.client.get(f"/jobs/{job}/rival.webp").content)
     assert complaints(page) == []
 
 
 def test_a_rival_that_nobody_can_make(page: Chromium, web: Service) -> None:
     """This service keeps no images; the page knows, and does not ask."""
     open_page(page, web)
-    give(page, "drop", (STATIC / "samples" / "coffee.webp").read_bytes(), "coffee.webp")
-    says(page, "in the queue")
-    web.publish(page.run("return location.hash").removeprefix("#"), COFFEE)
+    web.publish(queued(page, PHOTOGRAPH, "coffee.webp"), COFFEE)
     says(page, "no longer has the picture", "#rivals")
     assert complaints(page) == []
 
@@ -170,7 +161,7 @@ def test_texture_on_and_off(page: Chromium, web: Service) -> None:
     page.click("#texture")
     says(page, "without texture", "#right-label")
     wait_until(lambda: not np.array_equal(settled(page), textured))
-    page.run("document.getElementById('stage').dispatchEvent(new KeyboardEvent('keydown', { key: '1' }))")
+    press(page, "stage", "1")
     middle, smooth = size.height // 2, sgmethod.decode(TEXTURED, texture=False).astype(int)
 
     def is_smooth() -> bool:
@@ -221,20 +212,18 @@ def test_the_time_of_a_frame_is_told(page: Chromium, web: Service) -> None:
     assert float(found[1]) * int(found[2]) == pytest.approx(1000, rel=0.5)
 
 
-def assert_same(page: Chromium, data: bytes, options: str, **view: Any) -> None:
-    assert_as_python(decoded(page, data, options).astype(int), data, **view)
-
-
 def test_the_decoder_of_the_page(page: Chromium, web: Service) -> None:
     open_blank(page, web)
-    for data in golden(2).values():
-        assert_same(page, data, "{}")
-    assert_same(page, COFFEE, "{}")
-    assert_same(page, COFFEE, "{ scale: 0.3 }", scale=0.3)
-    assert_same(page, COFFEE, "{ scale: 3, region: [100, 50, 60, 40] }", scale=3, region=(100, 50, 60, 40))
-    assert_same(page, COFFEE, "{ prefix: 0.2 }", prefix=0.2)
-    assert_same(page, golden(2)["v2-texture"], "{ scale: 0.4 }", scale=0.4)
-    assert_same(page, golden(2)["v2-texture"], "{ scale: 2, region: [5, 60, 50, 90] }", scale=2, region=(5, 60, 50, 90))
+    views: list[tuple[bytes, str, dict[str, Any]]] = [
+        *((data, "{}", {}) for data in (*golden(2).values(), COFFEE)),
+        (COFFEE, "{ scale: 0.3 }", {"scale": 0.3}),
+        (COFFEE, "{ scale: 3, region: [100, 50, 60, 40] }", {"scale": 3, "region": (100, 50, 60, 40)}),
+        (COFFEE, "{ prefix: 0.2 }", {"prefix": 0.2}),
+        (TEXTURED, "{ scale: 0.4 }", {"scale": 0.4}),
+        (TEXTURED, "{ scale: 2, region: [5, 60, 50, 90] }", {"scale": 2, "region": (5, 60, 50, 90)}),
+    ]
+    for data, options, view in views:
+        assert_as_python(decoded(page, data, options).astype(int), data, **view)
     for hostile in (OTHER, COFFEE[:100], b"", COFFEE[:-1] + b"\1"):
         with pytest.raises(AssertionError, match=r"not known here|is damaged|no \.sg file"):
             decoded(page, hostile)
@@ -247,7 +236,7 @@ def drawn_by_webgl(page: Chromium, data: bytes, scale: float, textured: bool) ->
         return (async () => {{
             const {{ openGpu }} = await import("/static/viewer/gpu.js");
             const {{ readFile }} = await import("/static/sgmethod/file.js");
-            const file = readFile(Uint8Array.from(atob("{text64(data)}"), (letter) => letter.charCodeAt(0)));
+            const file = readFile({bytes_of(data)});
             const [width, height] = [{width}, {height}];
             const context = new OffscreenCanvas(width, height).getContext("2d", {{ willReadFrequently: true }});
             const drawn = openGpu().draw(file, file.count, [0, 0], {scale}, width, height, {str(textured).lower()});

@@ -72,12 +72,10 @@ def test_in_node(files: list[bytes]) -> None:
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", ["browser", "firefox"])
-def test_in_a_browser(request: pytest.FixtureRequest, name: str, web: Service, files: list[bytes]) -> None:
-    browser: Browser = request.getfixturevalue(name)
-    open_blank(browser, web)
+def test_in_a_browser(each_browser: Browser, web: Service, files: list[bytes]) -> None:
+    open_blank(each_browser, web)
     texts = json.dumps([*map(to_text, files), *BAD])
-    found = browser.run(f"""
+    found = each_browser.run(f"""
         return import("/static/sgmethod/preview.js").then(({{ decodePreview }}) => {{
             if (!(decodePreview({texts}[0]) instanceof ImageData)) throw new Error("no ImageData");
             {DECODE % (texts, SIZE)}
@@ -106,21 +104,18 @@ STATE = """
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("name", ["browser", "firefox"])
-def test_the_preview_stands_until_the_picture_is_there(request: pytest.FixtureRequest, name: str, web: Service) -> None:
-    browser: Browser = request.getfixturevalue(name)
-    open_blank(browser, web)
-    browser.complaints()
+def test_the_preview_stands_until_the_picture_is_there(each_browser: Browser, web: Service) -> None:
+    open_blank(each_browser, web)
     below = "<br>" * 500  # so far that the picture is not loaded yet
-    show(browser, f'{below}<sg-img id="one" src="static/samples/cat.webp" alt="A cat" preview="{GOOD}"></sg-img>')
-    wait_until(lambda: browser.run(STATE)["drawn"] == 256)
-    browser.run("document.getElementById('one').scrollIntoView()")
-    wait_until(lambda: browser.run(STATE)["loaded"] and not browser.run(STATE)["drawn"])
-    state = browser.run(STATE)
+    show(each_browser, f'{below}<sg-img id="one" src="static/samples/cat.webp" alt="A cat" preview="{GOOD}"></sg-img>')
+    wait_until(lambda: each_browser.run(STATE)["drawn"] == 256)
+    each_browser.run("document.getElementById('one').scrollIntoView()")
+    wait_until(lambda: each_browser.run(STATE)["loaded"] and not each_browser.run(STATE)["drawn"])
+    state = each_browser.run(STATE)
     assert (state["alt"], state["loading"]) == ("A cat", "lazy")
     assert state["ratio"] == pytest.approx(1.5, rel=0.01)
     assert state["source"] == "cat.webp"
-    assert browser.complaints() == []
+    assert each_browser.complaints() == []
 
 
 @pytest.mark.thorough
@@ -262,17 +257,13 @@ OWNED = {
 }
 
 
-@pytest.mark.parametrize("name", ["browser", pytest.param("firefox", marks=pytest.mark.thorough)])
-def test_it_is_as_an_img_and_leaves_what_is_not_its_own(
-    request: pytest.FixtureRequest, name: str, web: Service
-) -> None:
-    browser: Browser = request.getfixturevalue(name)
-    open_blank(browser, web)
+def test_it_is_as_an_img_and_leaves_what_is_not_its_own(each_browser: Browser, web: Service) -> None:
+    open_blank(each_browser, web)
     early = f'Object.assign(document.createElement("sg-img"), {{ preview: "{GOOD}", src: "/static/samples/cat.webp" }})'
-    browser.run(f"window.EARLY = {early}; document.body.append(window.EARLY);")
-    show(browser, "")
+    each_browser.run(f"window.EARLY = {early}; document.body.append(window.EARLY);")
+    show(each_browser, "")
     tasks = ", ".join(f"async () => {{ {script} }}" for script, _ in OWNED.values())
-    found = browser.run(f"""return (async () => {{
+    found = each_browser.run(f"""return (async () => {{
         {HELP}
         const answers = [];
         for (const task of [{tasks}]) answers.push(await task().catch(String));

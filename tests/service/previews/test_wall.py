@@ -7,13 +7,12 @@ import json
 
 import pytest
 
-from service.api.app import STATIC
 from sgmethod.bitstream.text import from_text
 from tests.harness.browser import Chromium
+from tests.harness.data import STATIC
 from tests.harness.processes import wait_until
 from tests.harness.service import Service
-from tests.service.page.steps import complaints, open_page
-from tests.service.page.test_page import AXE
+from tests.service.page.steps import assert_open_to_all, complaints, open_page
 
 pytestmark = pytest.mark.thorough
 
@@ -36,9 +35,7 @@ def test_the_wall_on_a_phone(page: Chromium, web: Service) -> None:
     text = page.text("#wall")
     for name in ("sgmethod", "WebP", "BlurHash", "ThumbHash"):
         assert text.count(name) >= len(WALL["pictures"])
-    page.run(AXE)
-    found = "return axe.run('#wall-card').then(({ violations }) => violations.map(({ id }) => id))"
-    assert page.run(found) == []
+    assert_open_to_all(page, "'#wall-card'", 1)
     page.run("document.getElementById('load-wall').scrollIntoView(); document.getElementById('load-wall').click()")
     wait_until(lambda: page.run(DRAWN) < len(WALL["pictures"]))
     assert complaints(page) == []

@@ -50,8 +50,7 @@ def tidying(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thre
 
 
 @pytest.mark.parametrize(
-    ("made", "method"),
-    [(sweeper, "needed_keys"), (signs, "sign"), (notifier, "due_notice"), (tidying, "_top_up")],
+    ("made", "method"), [(sweeper, "needed_keys"), (signs, "sign"), (notifier, "due_notice"), (tidying, "_top_up")]
 )
 def test_threads_go_on(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Made, method: str

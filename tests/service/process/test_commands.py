@@ -10,12 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from service.__main__ import _for_whom, _where
+from service.__main__ import _where
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
 from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
 from service.jobs.table import SubmitLimits
-from service.keys import digest
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import source_key
@@ -90,15 +89,6 @@ def test_where_everything_is_kept(tmp_path: Path, settings: dict[str, str], word
     assert _where(Settings(data_dir=tmp_path, **settings)) == words.format(tmp_path)  # type: ignore[arg-type]
 
 
-def test_for_whom_it_is(tmp_path: Path) -> None:
-    assert _for_whom(Settings()) == "open to everyone who can reach it"
-    keys = [f"{name}:{digest(name)}" for name in ("ann", "bob")]
-    file = tmp_path / "keys"
-    for count, words in ((1, "for 1 API key"), (2, "for 2 API keys")):
-        file.write_text("\n".join(keys[:count]))
-        assert _for_whom(Settings(api_keys_file=file)) == words
-
-
 def test_sweep(run_command: RunCommand, tmp_path: Path) -> None:
     settings = Settings(data_dir=tmp_path / "data")
     table, storage = open_job_table(settings), open_storage(settings)
@@ -141,13 +131,6 @@ def test_a_database_out_of_reach_is_one_clear_line(
         (line,) = [text for text in result.stderr.splitlines() if "INFO" not in text]
         assert "PostgreSQL: " in line
         assert "does not exist" in line
-
-
-@pytest.mark.parametrize(("name", "value"), [("database_url", "mysql://x"), ("storage_url", "ftp://x")])
-def test_what_is_no_address_is_named(run_command: RunCommand, name: str, value: str) -> None:
-    result = run_command("check", **{name: value})
-    assert result.status == 2
-    assert result.stderr.startswith(f"SG_{name.upper()}: ")
 
 
 @pytest.mark.thorough

@@ -50,14 +50,6 @@ def test_the_operators_page_has_every_setting_with_its_default() -> None:
     assert rows == [expected_row(name, field) for name, field in Settings.model_fields.items()]
 
 
-def test_every_setting_says_what_it_is() -> None:
-    for name, field in Settings.model_fields.items():
-        assert field.description, name
-        unit = name.rpartition("_")[2]
-        if unit in ("s", "bytes", "pixels"):
-            assert {"s": "seconds"}.get(unit, unit) in field.description, name
-
-
 def test_limits_never_exceed_what_the_encoder_reads() -> None:
     bound = ImageLimits().max_pixels
     with pytest.raises(ValueError, match="max_pixels"):
@@ -95,31 +87,20 @@ def test_missing_kernels_are_one_clear_line(command: str) -> None:
     assert re.fullmatch(r"cannot start: the compiled part .* pip install --force-reinstall \.\n", ran.stderr)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("SG_PORT", "x"),
-        ("SG_PORT", "70000"),
-        ("SG_WORKERS", "0"),
-        ("SG_LEASE_S", "nan"),
-        ("SG_STOP_GRACE_S", "inf"),
-        ("SG_JOB_MEMORY_BYTES", "9" * 30),
-        ("SG_API_KEYS_FILE", "/dev/null/keys"),
-        ("SG_MAX_PIXELS", "9" * 30),
-        ("SG_TRUSTED_PROXIES", "proxy.example"),
-        ("SG_TRUSTED_PROXIES", "10.0.0.1/8"),
-        ("SG_CORS_ORIGINS", "a.example"),
-        ("SG_CORS_ORIGINS", "*,https://a.example"),
-        ("SG_DECODE_TIME_S", "0"),
-        ("SG_RETENTION_S", "1e300"),
-        ("SG_HOST_NAMES", "https://a.example"),
-        ("SG_ROOT_PATH", "sg/"),
-        ("SG_STORAGE_URL", "s3://b u"),
-        ("SG_WEBHOOK_URLS", "http://a.example:99999/"),
-        ("SG_WEBHOOK_URLS", f"http://{'a' * 70}.example/"),
-        ("SG_DATA_DIR", "\udcff"),
-    ],
-)
+BAD = {
+    "SG_PORT": ("x", "70000"),
+    **{"SG_WORKERS": ("0",), "SG_LEASE_S": ("nan",), "SG_STOP_GRACE_S": ("inf",), "SG_DECODE_TIME_S": ("0",)},
+    **{"SG_JOB_MEMORY_BYTES": ("9" * 30,), "SG_MAX_PIXELS": ("9" * 30,), "SG_RETENTION_S": ("1e300",)},
+    **{"SG_API_KEYS_FILE": ("/dev/null/keys",), "SG_DATA_DIR": ("\udcff",), "SG_STORAGE_URL": ("s3://b u", "ftp://x")},
+    "SG_DATABASE_URL": ("mysql://x",),
+    "SG_TRUSTED_PROXIES": ("proxy.example", "10.0.0.1/8"),
+    "SG_CORS_ORIGINS": ("a.example", "*,https://a.example"),
+    **{"SG_HOST_NAMES": ("https://a.example",), "SG_ROOT_PATH": ("sg/",)},
+    "SG_WEBHOOK_URLS": ("http://a.example:99999/", f"http://{'a' * 70}.example/"),
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in BAD.items() for value in values])
 def test_a_bad_setting_is_named_in_one_line(run_command: RunCommand, name: str, value: str) -> None:
     result = run_command("serve", **{name: value})
     assert result.status == 2

@@ -32,7 +32,6 @@ from service.sandbox.frames import (
     Refused,
     Result,
     Task,
-    TracePoint,
 )
 from service.sandbox.picture_files import Rival
 from sgmethod.errors import BitstreamError, ImageError, ViewError
@@ -272,11 +271,3 @@ def test_too_much(real: Sandbox) -> None:
         asked(real, large, BITSTREAM)
     with pytest.raises(TooMuchError, match="time limit"):
         asked(real, large.model_copy(update={"memory_bytes": 2**33, "cpu_s": 0.05}), BITSTREAM)
-
-
-def test_a_trace() -> None:
-    with sandbox("", STAND_IN) as (tasks, _):
-        *points, result = messages_of(tasks, task(), SMALL)
-    assert all(isinstance(point, TracePoint) for point in points)
-    assert isinstance(result, Result)
-    assert result.figures.bytes == len(result.file)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import ssl
 import stat
-import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ import pytest
 from service.storage.bucket import BucketStorage
 from service.storage.disk import DiskStorage
 from service.storage.files import Storage, bitstream_key, source_key
+from tests.harness.nginx import make_certificate
 from tests.harness.s3_server import S3Server
 
 JOB = "0123456789abcdef" * 2
@@ -159,12 +159,8 @@ def test_a_bucket_that_is_not_there(s3: S3Server, monkeypatch: pytest.MonkeyPatc
 
 def test_a_certificate_that_is_not_trusted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It said no more than that a request could not be sent."""
-    certificate, key = tmp_path / "certificate", tmp_path / "key"
-    kind = ["-x509", "-nodes", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-subj", "/CN=localhost"]
-    command = ["openssl", "req", *kind, "-out", str(certificate), "-keyout", str(key)]
-    subprocess.run(command, check=True, capture_output=True)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(certificate, key)
+    context.load_cert_chain(make_certificate(tmp_path), tmp_path / "key.pem")
     with ThreadingHTTPServer(("127.0.0.1", 0), BaseHTTPRequestHandler) as server:
         server.socket = context.wrap_socket(server.socket, server_side=True)
         threading.Thread(target=server.serve_forever).start()

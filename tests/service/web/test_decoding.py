@@ -9,17 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from pydantic import ValidationError
 
 import sgmethod
 from service.api.views import PictureCache, PictureQuery
 from service.sandbox.drawing import Drawing, PictureOptions
 from service.sandbox.picture_files import MEDIA_TYPES, PictureFormat, encode_picture
 from sgmethod.errors import ViewError
-from sgmethod.view import View
-from tests.harness.data import golden_path
+from tests.harness.data import PICTURE
 
-PICTURE = golden_path("v2-color.sg").read_bytes()
 INFO = sgmethod.info(PICTURE)
 SIZE = (INFO.width, INFO.height)
 NO_LIMIT = 10**9
@@ -58,27 +55,6 @@ def test_lossy_files_are_close(kind: str) -> None:
     assert 10 * np.log10(255**2 / error) > 30
 
 
-@pytest.mark.parametrize(
-    ("query", "view"),
-    [
-        ({}, View()),
-        ({"scale": 2}, View(2.0)),
-        ({"width": 17}, View(17 / SIZE[0])),
-        ({"region": "2,3,10,8"}, View(1.0, (2, 3, 10, 8))),
-        ({"region": "2,3,10,8", "scale": 0.5}, View(0.5, (2, 3, 10, 8))),
-        ({"region": "2,3,10,8", "width": 31}, View(3.1, (2, 3, 10, 8))),
-        ({"region": f"0,0,{SIZE[0]},{SIZE[1]}"}, View()),
-    ],
-)
-def test_views(query: dict[str, object], view: View) -> None:
-    drawing = Drawing.of(PictureQuery.model_validate(query), "png", SIZE, NO_LIMIT)
-    pixels = pixels_of(drawing.draw(PICTURE))
-    np.testing.assert_array_equal(pixels, sgmethod.decode(PICTURE, view=view))
-    assert (drawing.width, drawing.height) == (pixels.shape[1], pixels.shape[0])
-    if "width" in query:
-        assert drawing.width == query["width"]
-
-
 @pytest.mark.parametrize("region", [None, "2,3,20,9", "5,5,3,30"])
 @pytest.mark.parametrize("box", [(10, 10), (31, 7), (7, 31), (1, 1), (100, 90), SIZE])
 def test_boxes(region: str | None, box: tuple[int, int]) -> None:
@@ -101,25 +77,6 @@ def test_a_crop_is_the_middle() -> None:
     width, height = SIZE[0] - 10, SIZE[1]
     file = Drawing.of(PictureOptions(width=width, height=height, fit="crop"), "png", SIZE, NO_LIMIT).draw(PICTURE)
     np.testing.assert_array_equal(pixels_of(file), whole[:, 5:-5])
-
-
-@pytest.mark.parametrize(
-    ("query", "words"),
-    [
-        ({"scale": 1, "width": 10}, "not both"),
-        ({"scale": 1, "height": 10}, "not both"),
-        ({"width": 10, "fit": "crop"}, "needs both width and height"),
-        ({"quality": 50}, "quality does not apply"),
-        ({"region": "0,0,0,5"}, "not inside"),
-        ({"region": "0,0,0,5", "width": 5}, "not inside"),
-        ({"region": "0,0,99999,5"}, "not inside"),
-        ({"width": 65535}, "scale"),
-        ({"scale": 64}, "exceed the limit"),
-    ],
-)
-def test_views_that_are_refused(query: dict[str, object], words: str) -> None:
-    with pytest.raises((ValidationError, ViewError), match=words):
-        Drawing.of(PictureQuery.model_validate(query), "png", SIZE, 10_000)
 
 
 def test_what_a_kind_of_file_cannot_hold() -> None:

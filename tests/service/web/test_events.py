@@ -10,12 +10,11 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.harness.data import golden_path
+from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S
 from tests.harness.service import Service, StartService, assert_problem
 
-PICTURE = golden_path("v2-color.sg").read_bytes()
 Event = tuple[str, dict[str, Any]]
 
 
@@ -54,27 +53,21 @@ def test_a_job_from_the_queue_to_its_result(quick: Service) -> None:
     assert points == job["trace"]
 
 
-def test_a_job_that_is_done_already(web: Service) -> None:
+def test_a_job_that_is_done_already_fails_or_is_removed(web: Service) -> None:
     with stream(web, web.published(PICTURE)) as events:
         assert [name for name, _ in events] == ["state", "done"]
-
-
-def test_a_job_that_fails(web: Service) -> None:
-    job_id = web.accepted()
-    with stream(web, job_id) as events:
+    failing = web.accepted()
+    with stream(web, failing) as events:
         assert next(events)[1]["state"] == "queued"
-        web.refuse(job_id)
+        web.refuse(failing)
         *_, (name, job) = events
     assert (name, job["error"]["code"]) == ("failed", "refused")
-
-
-def test_a_job_that_is_removed(web: Service) -> None:
-    job_id = web.accepted()
-    with stream(web, job_id) as events:
+    removed = web.accepted()
+    with stream(web, removed) as events:
         assert next(events)[1]["state"] == "queued"
-        assert web.client.delete(f"/jobs/{job_id}").status_code == 204
+        assert web.client.delete(f"/jobs/{removed}").status_code == 204
         assert list(events) == [("removed", {})]
-    assert_problem(web.client.get(f"/jobs/{job_id}/events"), 404)
+    assert_problem(web.client.get(f"/jobs/{removed}/events"), 404)
 
 
 @pytest.mark.thorough

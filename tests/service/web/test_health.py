@@ -11,14 +11,13 @@ import signal
 import httpx
 import pytest
 
-from tests.harness.data import golden_path
+from tests.harness.data import PICTURE
 from tests.harness.processes import wait_until
 from tests.harness.service import STAND_IN, StartService, assert_problem
 from tests.service.jobs.test_jobs import grow_older
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v2-color.sg").read_bytes()
 STALL_S = 1000  # which no test waits for
 
 
@@ -51,15 +50,12 @@ def test_a_long_encode_is_no_stall(start_service: StartService) -> None:
     assert service.figures()["process_start_time_seconds"] == started
 
 
-def test_a_storage_out_of_reach(start_service: StartService) -> None:
+def test_a_storage_and_a_job_table_out_of_reach(start_service: StartService) -> None:
     web = start_service("web")
-    shutil.rmtree(web.data_dir / "sources")
+    shutil.move(web.data_dir / "sources", web.data_dir / "aside")
     assert_problem(web.client.get("/readyz"), 503, "storage")
     assert web.client.get("/livez").status_code == 200
-
-
-def test_a_job_table_out_of_reach(start_service: StartService) -> None:
-    web = start_service("web")
+    shutil.move(web.data_dir / "aside", web.data_dir / "sources")
     # In place, since a mapped file must not become shorter, and what is mapped last: while that is whole, or is made
     # again by a look of the service's own, SQLite answers from what it has read before.
     for end in ("", "-wal", "-shm"):

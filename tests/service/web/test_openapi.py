@@ -17,14 +17,13 @@ import sgmethod
 from service.api import models
 from service.api.routes import HOST
 from service.keys import digest
-from tests.harness.data import golden_path
+from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
 from tests.harness.processes import PATIENCE_S
 from tests.harness.service import STAND_IN, StartService
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v2-color.sg").read_bytes()
 # Valid against the document and refused all the same: a region beyond the picture, a form with two budgets.
 NOT_CHECKED = "positive_data_acceptance"
 

@@ -19,7 +19,7 @@ from functools import partial
 import httpx
 import pytest
 
-from tests.harness.data import golden_path
+from tests.harness.data import PICTURE
 from tests.harness.pictures import SLOW, SMALL
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, state_of, wait_until, worker_of
@@ -42,20 +42,15 @@ def new_table(request: pytest.FixtureRequest) -> Callable[[], str]:
 
 
 @pytest.fixture(scope="module")
-def one_worker(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def one_worker(new_table: Callable[[], str], start_for_module: StartService) -> Service:
     """A service for all tests that leave it as they found it."""
-    service = Service(tmp_path_factory.mktemp("one") / "data", database_url=new_table(), extra=STAND_IN)
-    yield service
-    assert service.stop() == 0
+    return start_for_module(database_url=new_table(), extra=STAND_IN)
 
 
 @pytest.fixture(scope="module")
-def two_workers(new_table: Callable[[], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+def two_workers(new_table: Callable[[], str], start_for_module: StartService) -> Service:
     """The same with two workers, and leases long enough that a worker on a busy machine is not taken for lost."""
-    settings = {"database_url": new_table(), "workers": 2, "lease_s": 2}
-    service = Service(tmp_path_factory.mktemp("two") / "data", extra=STAND_IN, **settings)
-    yield service
-    assert service.stop() == 0
+    return start_for_module(database_url=new_table(), workers=2, lease_s=2, extra=STAND_IN)
 
 
 @pytest.fixture
@@ -70,9 +65,6 @@ def duo(two_workers: Service) -> Iterator[Service]:
     """A service with two workers and no jobs."""
     yield two_workers
     two_workers.clear()
-
-
-PICTURE = golden_path("v2-color.sg").read_bytes()
 
 
 def running(job_id: str) -> int:
@@ -122,15 +114,14 @@ def assert_settled(service: Service, *done: str) -> None:
 
 def test_rule_1_accepted_jobs_survive_the_web_process(solo: Service) -> None:
     """The web process is killed right after its 202: the encode goes on, and requests find its successor."""
-    service = solo
-    job_id = service.accepted_long(1)
-    (web,) = service.ours("web")
+    job_id = solo.accepted_long(1)
+    (web,) = solo.ours("web")
     os.kill(web, signal.SIGKILL)
-    service.client.close()
-    service.client = httpx.Client(base_url=service.url, timeout=PATIENCE_S)
-    assert service.wait(job_id)["attempt"] == 1
-    assert service.ours("web") != [web]
-    assert_settled(service, job_id)
+    solo.client.close()
+    solo.client = httpx.Client(base_url=solo.url, timeout=PATIENCE_S)
+    assert solo.wait(job_id)["attempt"] == 1
+    assert solo.ours("web") != [web]
+    assert_settled(solo, job_id)
 
 
 @pytest.mark.thorough
@@ -162,74 +153,70 @@ def test_rule_1_one_key_one_job(start_service: StartService) -> None:
 
 def test_rule_2_a_sleeping_worker_has_lost_its_job(duo: Service) -> None:
     """A worker that sleeps beyond its lease ends its encoder when it wakes up, and changes nothing."""
-    service = duo
-    job_id = service.accepted_slow()
+    job_id = duo.accepted_slow()
     encoder = running(job_id)
-    sleeper = worker_of(service.log, job_id)
-    put_to_sleep(service, sleeper)
+    sleeper = worker_of(duo.log, job_id)
+    put_to_sleep(duo, sleeper)
     try:
-        wait_until(lambda: service.job(job_id)["attempt"] == 2)
+        wait_until(lambda: duo.job(job_id)["attempt"] == 2)
         assert encoder in processes()
     finally:
         os.kill(sleeper, signal.SIGCONT)
     wait_until(lambda: encoder not in processes())
-    job = service.job(job_id)
+    job = duo.job(job_id)
     assert (job["state"], job["attempt"]) == ("running", 2)
-    assert service.client.delete(f"/jobs/{job_id}").status_code == 204
-    wait_until(lambda: not service.ours("encoder"))
-    assert_settled(service)
+    assert duo.client.delete(f"/jobs/{job_id}").status_code == 204
+    wait_until(lambda: not duo.ours("encoder"))
+    assert_settled(duo)
 
 
 def test_rule_3_published_once(duo: Service) -> None:
     """A worker sleeps while its encoder finishes; another publishes; the first wakes up with a result in hand."""
-    service = duo
-    job_id = service.accepted_slow()
+    job_id = duo.accepted_slow()
     encoder = running(job_id)
-    sleeper = worker_of(service.log, job_id)
-    put_to_sleep(service, sleeper)
+    sleeper = worker_of(duo.log, job_id)
+    put_to_sleep(duo, sleeper)
     try:
         end_early(encoder)
         wait_until(lambda: encoder not in processes())
         end_early(running(job_id))
-        job = service.wait(job_id)
+        job = duo.wait(job_id)
     finally:
         os.kill(sleeper, signal.SIGCONT)
-    wait_until(lambda: f"job {job_id}: attempt 1 was taken over by another worker" in service.log.read_text())
+    wait_until(lambda: f"job {job_id}: attempt 1 was taken over by another worker" in duo.log.read_text())
     assert job["attempt"] == 2
-    assert service.job(job_id) == job
-    assert_settled(service, job_id)
+    assert duo.job(job_id) == job
+    assert_settled(duo, job_id)
 
 
 def test_rule_4_the_encoder_ends_with_its_worker(solo: Service) -> None:
     """The worker is killed: its encoder ends too, and the job goes to the next worker when the lease is over."""
-    service = solo
-    job_id = service.accepted_slow()
+    job_id = solo.accepted_slow()
     encoder = running(job_id)
-    (worker,) = service.ours("worker")
+    (worker,) = solo.ours("worker")
     os.kill(worker, signal.SIGKILL)
     wait_until(lambda: encoder not in processes())
     end_early(running(job_id))
-    assert service.wait(job_id)["attempt"] == 2
-    assert service.ours("worker") != [worker]
-    assert_settled(service, job_id)
+    assert solo.wait(job_id)["attempt"] == 2
+    assert solo.ours("worker") != [worker]
+    assert_settled(solo, job_id)
 
 
 def test_rule_4_cancelled_in_every_state(solo: Service) -> None:
     """DELETE of a running job ends its encoder; in any state nothing remains of the job."""
-    service = solo
-    done = service.accepted()
-    failed = service.accepted(SMALL[: len(SMALL) // 2])
-    assert [service.wait(job_id)["state"] for job_id in (done, failed)] == ["done", "failed"]
-    current, waiting, last = service.accepted_slow(), service.accepted(), service.accepted()
+    done = solo.accepted()
+    failed = solo.accepted(SMALL[: len(SMALL) // 2])
+    assert [solo.wait(job_id)["state"] for job_id in (done, failed)] == ["done", "failed"]
+    current, waiting, last = solo.accepted_slow(), solo.accepted(), solo.accepted()
     encoder = running(current)
     for job_id in (waiting, current, done, failed):
-        assert service.client.delete(f"/jobs/{job_id}").status_code == 204
+        assert solo.client.delete(f"/jobs/{job_id}").status_code == 204
         for address in (f"/jobs/{job_id}", f"/bitstreams/{job_id}.sg", f"/decode/{job_id}.png"):
-            assert service.client.get(address).status_code == 404
-        assert service.client.delete(f"/jobs/{job_id}").status_code == 404
+            assert solo.client.get(address).status_code == 404
+        assert solo.client.delete(f"/jobs/{job_id}").status_code == 404
     wait_until(lambda: encoder not in processes())
-    assert service.wait(last)["attempt"] == 1
-    assert_settled(service, last)
+    assert solo.wait(last)["attempt"] == 1
+    assert_settled(solo, last)
 
 
 @pytest.mark.thorough
@@ -245,49 +232,46 @@ def test_rule_4_timed_out(start_service: StartService) -> None:
 
 def test_rule_5_a_killed_encoder_starts_again(solo: Service) -> None:
     """The encode's process alone dies: its worker starts the job again at once."""
-    service = solo
-    job_id = service.accepted_slow()
+    job_id = solo.accepted_slow()
     encoder = running(job_id)
     os.kill(encoder, signal.SIGKILL)
     wait_until(lambda: encoder not in processes())
     end_early(running(job_id))
-    job = service.wait(job_id)
+    job = solo.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
-    assert_settled(service, job_id)
+    assert_settled(solo, job_id)
 
 
 def test_a_killed_sandbox_costs_no_attempt(solo: Service) -> None:
     """The encode ends with it; the job is claimed again, and requests wait for its successor."""
-    service = solo
-    job_id = service.accepted_slow()
+    job_id = solo.accepted_slow()
     encoder = running(job_id)
-    sandbox = sandbox_of(service)
+    sandbox = sandbox_of(solo)
     os.kill(sandbox, signal.SIGKILL)
-    assert service.client.post("/decode", content=PICTURE).status_code == 200
+    assert solo.client.post("/decode", content=PICTURE).status_code == 200
     wait_until(lambda: encoder not in processes())
     end_early(running(job_id))
-    job = service.wait(job_id)
+    job = solo.wait(job_id)
     assert (job["state"], job["attempt"], job["error"]) == ("done", 2, None)
-    assert sandbox_of(service) != sandbox
-    assert_settled(service, job_id)
+    assert sandbox_of(solo) != sandbox
+    assert_settled(solo, job_id)
 
 
 @pytest.mark.thorough
 def test_rule_5_poison(solo: Service) -> None:
     """A job whose encoder always dies fails after four attempts, with its last error."""
-    service = solo
-    job_id = service.accepted_slow()
+    job_id = solo.accepted_slow()
     killed: set[int] = set()
     while len(killed) < 4:
         encoder = wait_until(lambda: (number := encoder_of(job_id)) not in killed and number)
         os.kill(encoder or 0, signal.SIGKILL)
         killed.add(encoder or 0)
-    job = service.wait(job_id)
+    job = solo.wait(job_id)
     assert (job["state"], job["attempt"], job["result"]) == ("failed", 4, None)
     assert job["error"] == {"code": "crashed", "detail": "the encoder crashed (Killed)"}
-    healthy = service.accepted()
-    assert service.wait(healthy)["state"] == "done"
-    assert_settled(service, healthy)
+    healthy = solo.accepted()
+    assert solo.wait(healthy)["state"] == "done"
+    assert_settled(solo, healthy)
 
 
 @pytest.mark.thorough

@@ -34,19 +34,8 @@ def test_many_pictures(service: Service, tmp_path: Path, monkeypatch: pytest.Mon
         again = encode_many(client, sorted(Path("in").iterdir()), "a", resume=True, **options)
     assert (first.encoded, first.skipped, first.failed) == (2, 0, 1)
     assert (again.encoded, again.skipped, again.failed) == (0, 2, 1)
-    line = [
-        "encode",
-        "in/1.png",
-        "in/bad.png",
-        "--output-dir",
-        "b",
-        "--gaussians",
-        "9",
-        "--effort",
-        "1",
-        "--quiet",
-        "--resume",
-    ]
+    names = ["encode", "in/1.png", "in/bad.png", "--output-dir", "b"]
+    line = [*names, "--gaussians", "9", "--effort", "1", "--quiet", "--resume"]
     with closing(encoding._client(service.url, True, encoding.MANY_PATIENCE_S)):
         assert cli.main([*line, "--server", service.url]) == cli.main(line) == 1
     assert len(Path("b/manifest.jsonl").read_text().splitlines()) == 4  # another server is another choice

@@ -67,17 +67,24 @@ def store(tmp_path: Path) -> Iterator[KeptS3Server]:
     store.stop()
 
 
+def posted(root: str, query: str = "", image: bytes = SMALL) -> httpx.Response:
+    """The answer to an encode that does not take long."""
+    files, fields = {"image": image}, {"time_limit_s": "0.1"}
+    answer = httpx.post(f"{root}/encode{query}", files=files, data=fields, timeout=PATIENCE_S)
+    assert answer.is_success, answer.text
+    return answer
+
+
 def test_addresses_in_answers_lead_back(behind: str) -> None:
     """Location, the URLs of a job, of a page of jobs and of links: all were without the prefix."""
     prefix = urlsplit(behind).path
     host = behind.removesuffix(prefix)
-    fields = {"time_limit_s": "0.1"}
-    first = httpx.post(f"{behind}/encode?wait=50", files={"image": SMALL}, data=fields, timeout=PATIENCE_S)
-    assert first.status_code == 200, first.text
+    first = posted(behind, "?wait=50")
+    assert first.status_code == 200
     assert first.headers["location"].startswith(f"{prefix}/jobs/")
     again = httpx.post(f"{host}{first.headers['location']}/encode?wait=50&time_limit_s=0.1", timeout=PATIENCE_S)
     assert again.status_code == 200
-    accepted = httpx.post(f"{behind}/encode", files={"image": SMALL}, data=fields).json()
+    accepted = posted(behind).json()
     assert httpx.get(host + accepted["status_url"]).status_code == 200
     job = httpx.get(host + first.headers["location"]).json()
     for name, kind in (("decode_url", "image/png"), ("bitstream_url", "application/octet-stream")):
@@ -94,8 +101,7 @@ def test_addresses_in_answers_lead_back(behind: str) -> None:
 def test_a_client_sees_every_page_of_jobs(behind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The address of the next page had the prefix twice."""
     monkeypatch.setattr(client, "PAGE", 1)
-    fields = {"time_limit_s": "0.1"}
-    made = {httpx.post(f"{behind}/encode", files={"image": SMALL}, data=fields).json()["id"] for _ in range(3)}
+    made = {posted(behind).json()["id"] for _ in range(3)}
     with client.Client(behind) as ours:
         assert {job["id"] for job in ours.jobs()} == made
 
@@ -106,10 +112,7 @@ def test_large_bodies_pass(behind: str) -> None:
     file = io.BytesIO()
     Image.fromarray(noise).save(file, "PNG")
     assert len(file.getvalue()) > 2_000_000
-    files, fields = {"image": file.getvalue()}, {"time_limit_s": "0.1"}
-    answer = httpx.post(f"{behind}/encode?wait=50", files=files, data=fields, timeout=PATIENCE_S)
-    assert answer.status_code == 200, answer.text
-    assert sgmethod.info(answer.content).width == 1000
+    assert sgmethod.info(posted(behind, "?wait=50", file.getvalue()).content).width == 1000
 
 
 def test_events_are_not_held_back(behind: str) -> None:

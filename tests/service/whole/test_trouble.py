@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 
 from service.storage.bucket import SILENCE, SMALL_BYTES
-from tests.harness.data import ROOT, golden_path
+from tests.harness.data import PICTURE, ROOT
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, encoder_of, end_early, processes, wait_until, worker_of
 from tests.harness.s3_server import S3Server
@@ -27,7 +27,6 @@ from tests.harness.service import STAND_IN, StartService, assert_problem
 
 pytestmark = pytest.mark.thorough
 
-PICTURE = golden_path("v2-color.sg").read_bytes()
 DISK_BYTES, ROOM_BYTES = 2**24, 2**21  # of the file system; of one upload, four times which must be free
 SOON_S = 4 * SILENCE.total_seconds()  # on a busy machine
 
@@ -225,17 +224,6 @@ def test_workers_that_share_only_a_database_and_a_bucket(
     for worker in workers:
         worker.terminate()
         assert worker.wait(PATIENCE_S) == (-signal.SIGKILL if worker.pid == victim else 0)
-
-
-def test_a_worker_by_itself(start_service: StartService) -> None:
-    """A worker started by hand takes jobs from the same folder, and stops with exit status 0."""
-    web = start_service("web", extra=STAND_IN)
-    command = [sys.executable, "-m", "service", "worker"]
-    with web.log.open("a") as log:
-        worker = subprocess.Popen(command, cwd=ROOT, env=web.environment, stderr=log)
-    assert web.wait(web.accepted())["state"] == "done"
-    worker.send_signal(signal.SIGTERM)
-    assert worker.wait(PATIENCE_S) == 0
 
 
 def test_supervisor_killed_alone(start_service: StartService) -> None:

@@ -51,11 +51,7 @@ def test_files_that_no_job_needs_go(table: JobTable, storage: Storage) -> None:
     assert claimed(table).job_id == running
     storage.put(bitstream_key(running, 1), b"not published yet")
     needed = stored(storage)
-    assert needed == {
-        bitstream_key(done, 1),
-        *(source_key(running), source_key(waiting)),
-        bitstream_key(running, 1),
-    }
+    assert needed == {bitstream_key(done, 1), *(source_key(running), source_key(waiting)), bitstream_key(running, 1)}
     orphans = {source_key(new_job_id()), source_key(done), bitstream_key(done, 2), "unfinished/" + new_job_id()}
     for key in orphans:
         storage.put(key, b"left over")

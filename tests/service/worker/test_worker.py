@@ -11,9 +11,9 @@ from typing import BinaryIO
 
 import pytest
 
-from service.jobs.job import EncodeRequest, EncodeResult, JobError, JsonObject, NewJob, SourceImage, new_job_id
+from service.jobs.job import EncodeResult, JobError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTableError, SubmitLimits
+from service.jobs.table import Claim, JobRules, JobTableError
 from service.process.background import failures
 from service.process.stopping import StopSignal
 from service.sandbox.client import Sandbox
@@ -25,8 +25,7 @@ from service.worker import loop, publishing
 from service.worker.heartbeat import ClaimLostError, Heartbeat
 from service.worker.loop import Worker
 from service.worker.publishing import Encoded, Publisher, StoppedError
-
-LONG_S = 60.0
+from tests.harness.job_table import LONG_S, claimed, job_of, submitted
 
 
 class Unsteady(SqliteJobTable):
@@ -94,12 +93,8 @@ def publisher(table: Unsteady, storage: Full, stop: StopSignal, monkeypatch: pyt
 
 @pytest.fixture
 def claim(table: Unsteady, storage: DiskStorage) -> Claim:
-    request, image = EncodeRequest("bpp", 1.0, "paper", 60.0), SourceImage("PNG", 8, 8, 10)
-    job, _ = table.submit(NewJob(new_job_id(), request, image, "f"), SubmitLimits(10))
-    storage.put(source_key(job.id), b"image")
-    claim = table.claim("w")
-    assert claim is not None
-    return claim
+    storage.put(source_key(submitted(table)), b"image")
+    return claimed(table)
 
 
 def result_of(table: Unsteady, claim: Claim) -> str | None:
@@ -174,8 +169,7 @@ def test_a_storage_out_of_reach_does_not_count_against_the_job(
     monkeypatch.setattr(storage, "open", out_of_reach)
     with pytest.raises(OSError, match="the object store failed"):
         worker.run_one()
-    job = table.get(claim.job_id)
-    assert job is not None
+    job = job_of(table, claim.job_id)
     assert (job.state, job.crashes) == ("queued", 0)
 
 
@@ -223,15 +217,8 @@ def test_an_end_is_written_down_however_long_it_takes(
 
     monkeypatch.setattr(table, "_connection", out_of_reach)
     publisher.conclude(claim, outcome, Heartbeat(table, claim))
-    job = table.get(claim.job_id)
-    assert job is not None
+    job = job_of(table, claim.job_id)
     assert (job.state, job.crashes) == ("done" if isinstance(outcome, Encoded) else "failed", 0)
-
-
-def test_a_heartbeat_notices_a_removed_job(table: Unsteady, claim: Claim) -> None:
-    table.remove(claim.job_id)
-    with pytest.raises(ClaimLostError):
-        Heartbeat(table, claim).beat(now=True)
 
 
 def test_a_source_that_the_storage_has_later(
@@ -270,8 +257,7 @@ def test_a_source_that_is_gone(
     storage.delete(source_key(claim.job_id))
     for _ in range(4):
         assert worker.run_one()
-    job = table.get(claim.job_id)
-    assert job is not None
+    job = job_of(table, claim.job_id)
     assert job.error is not None
     assert (job.state, job.error.detail) == ("failed", "the source image is gone")
     assert not worker.run_one()

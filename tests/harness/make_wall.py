@@ -1,4 +1,4 @@
-"""Makes the page's wall of previews again from its photographs: python -m tests.service.previews.make_wall
+"""Makes the page's wall of previews again from its photographs: python -m tests.harness.make_wall
 
 Needs Node and npm. Each photograph gets previews of a few sizes, and rivals of at most as many characters: WebP,
 reduced first to the size that is best for its PSNR; ThumbHash; BlurHash with as many components as fit. The last two
@@ -18,9 +18,8 @@ import numpy as np
 from PIL import Image
 
 from sgmethod.previews.preview import preview
-from tests.harness.data import ROOT
+from tests.harness.data import STATIC
 
-STATIC = ROOT / "service" / "web" / "static"
 PHOTOGRAPHS = {
     "samples/astronaut.webp": "An astronaut",
     "wall/parrots.webp": "Two parrots",
