@@ -75,7 +75,7 @@ class Metrics:
         self._jobs = Gauge("sgmethod_jobs", "Jobs in the table.", ("state",), registry=registry)
         self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
-        seen = "Since the last sign of life of a worker, which gives one every 5 s."
+        seen = "Since the last sign of life of a worker, which gives one every 2 s."
         self._workers = Gauge("sgmethod_worker_seen_seconds", seen, ("worker",), registry=registry)
         failed = "Failures of background work that nobody foresaw, since the process started."
         self._failures = Gauge("sgmethod_background_failures", failed, ("process",), registry=registry)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Json, TypeAdapter
 
 from sgmethod.budget import BudgetKind
 from sgmethod.profiles import DEFAULT_EFFORT, Tune
@@ -86,6 +89,11 @@ class EncodeResult:
     sha256: str
     stats: JsonObject
 
+    @property
+    def size_bytes(self) -> int:
+        """The bitstream's size."""
+        return int(self.stats.get("bytes", 0))
+
 
 @dataclass(frozen=True)
 class Job:
@@ -93,22 +101,37 @@ class Job:
 
     number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
     turns, None unless queued; crashes: attempts that crashed or lost their worker, which is what the
-    limit of attempts counts; stored_bytes: of the image and the bitstream, as far as they are kept.
+    limit of attempts counts; stored_bytes: of the image and the bitstream, as far as they are kept;
+    stopped: whether the attempt that runs is to end early, with what it has.
     """
 
     number: int
     id: str
-    owner: str | None
+    owner: Annotated[str | None, BeforeValidator(lambda name: name or None)]  # '' in the table
     priority: Priority
     state: JobState
     position: int | None
-    request: EncodeRequest
-    image: SourceImage
+    request: Json[EncodeRequest]
+    image: Json[SourceImage]
     attempt: int
     crashes: int
     created_at: float
     started_at: float | None
     finished_at: float | None
-    result: EncodeResult | None
-    error: JobError | None
+    result: Json[EncodeResult] | None
+    error: Json[JobError] | None
     stored_bytes: int
+    stopped: bool = False
+
+
+_jobs = TypeAdapter(Job)
+
+
+def job_of(row: Any) -> Job:
+    """A row with its position. What a later version of this service has added to its JSON is left out."""
+    return _jobs.validate_python(dict(row))
+
+
+def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str:
+    """A part of a job as its row has it."""
+    return json.dumps(asdict(value))

@@ -10,25 +10,25 @@ from datetime import UTC, datetime
 from service.jobs.job import FINAL_STATES, Job
 from service.jobs.statements import Database
 
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0  # between tries; each is twice as long as the one before
+# The pause before the next try is as long as the notice has waited so far, and a bit: each is twice the one before.
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 10.0, 3600.0
 KEPT_S = 3 * 86_400.0  # for which a notice is tried
 
-NOTE = """
-INSERT INTO notices VALUES (?, ?, ?, 0, epoch(), epoch()) ON CONFLICT (job, address) DO NOTHING
-"""
+NOTE = "INSERT INTO notices VALUES (?, ?, ?, epoch(), epoch()) ON CONFLICT (job, address) DO NOTHING"
 DUE = """
-SELECT job, body, tries FROM notices WHERE address = ? AND due_at <= epoch() ORDER BY due_at LIMIT 1
+SELECT job, body, epoch() - ended_at AS age_s FROM notices
+WHERE address = ? AND due_at <= epoch() ORDER BY due_at LIMIT 1
 """
+PUT_OFF = "UPDATE notices SET due_at = epoch() + ? WHERE job = ? AND address = ? AND due_at <= epoch()"
 
 
 @dataclass(frozen=True)
 class Notice:
-    """One job, one address. body: JSON; tries: how often it was sent before."""
+    """One job, one address. body: JSON."""
 
     job_id: str
     address: str
     body: str
-    tries: int
 
 
 def note(db: Database, job: Job, addresses: Sequence[str]) -> None:
@@ -38,19 +38,17 @@ def note(db: Database, job: Job, addresses: Sequence[str]) -> None:
             db.execute(NOTE, (job.id, address, _body(job)))
 
 
-def due(db: Database, address: str) -> Notice | None:
-    """The notice of the address that has waited longest for a try."""
+def take(db: Database, address: str) -> Notice | None:
+    """The notice of the address that has waited longest for a try, if this caller is the first to take it.
+
+    It is due again after a pause, whatever becomes of the worker that tries now.
+    """
     row = db.execute(DUE, (address,)).fetchone()
-    return None if row is None else Notice(row["job"], address, row["body"], row["tries"])
-
-
-def put_off(db: Database, notice: Notice) -> None:
-    """Let the next try be later, before this one begins: whatever becomes of the worker, there is one."""
-    pause_s = min(FIRST_PAUSE_S * 2.0 ** min(notice.tries, 30), LONGEST_PAUSE_S)
-    db.execute(
-        "UPDATE notices SET tries = tries + 1, due_at = epoch() + ? WHERE job = ? AND address = ?",
-        (pause_s, notice.job_id, notice.address),
-    )
+    if row is None:
+        return None
+    pause_s = min(FIRST_PAUSE_S + max(0.0, row["age_s"]), LONGEST_PAUSE_S)
+    first = db.execute(PUT_OFF, (pause_s, row["job"], address)).rowcount == 1
+    return Notice(row["job"], address, row["body"]) if first else None
 
 
 def forget(db: Database, notice: Notice) -> None:
@@ -60,7 +58,7 @@ def forget(db: Database, notice: Notice) -> None:
 
 def give_up(db: Database) -> int:
     """Forget those that were tried for long enough; how many."""
-    return db.execute("DELETE FROM notices WHERE ended_at < epoch() - ?", (KEPT_S,)).rowcount
+    return int(db.execute("DELETE FROM notices WHERE ended_at < epoch() - ?", (KEPT_S,)).rowcount)
 
 
 def _body(job: Job) -> str:

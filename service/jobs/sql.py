@@ -14,6 +14,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from service.jobs import notices, totals
+from service.jobs import statements as sql
 from service.jobs.job import (
     FINAL_STATES,
     JOB_STATES,
@@ -24,23 +25,21 @@ from service.jobs.job import (
     JobState,
     JsonObject,
     NewJob,
+    as_json,
+    job_of,
 )
 from service.jobs.notices import Notice
-from service.jobs.rows import bytes_of, check_limits, job_of, known, queued, stored_bytes, to_json
-from service.jobs.statements import (
-    CLAIM,
-    CRASH,
-    LOST,
-    MINE,
-    OVERDUE,
-    SELECT_JOB,
-    SELECT_JOBS,
-    SERVED,
-    SIGN,
-    TRACE_POINT,
-    Database,
+from service.jobs.statements import Database
+from service.jobs.table import (
+    Census,
+    Claim,
+    JobRules,
+    KeyReusedError,
+    OwnQueueFullError,
+    QueueFullError,
+    QuotaError,
+    SubmitLimits,
 )
-from service.jobs.table import Census, Claim, JobRules, KeyReusedError, SubmitLimits
 from service.process.stopping import StopSignal
 from service.storage.files import bitstream_key, source_key
 
@@ -62,11 +61,11 @@ class JobTable(ABC):
 
     def __init__(self, rules: JobRules) -> None:
         self._rules = rules
-        self._overdue: dict[tuple[int, int, float], float] = {}  # claims, and since when (monotonic seconds)
+        self._overdue: dict[tuple[str, int, float], float] = {}  # claims, and since when (monotonic seconds)
 
     @abstractmethod
     def _connection(self) -> AbstractContextManager[Database]:
-        """A connection for reading. Within, the database's errors become JobTableError."""
+        """A connection on which each statement stands alone. Within, the database's errors become JobTableError."""
 
     @abstractmethod
     def _transaction(self) -> AbstractContextManager[Database]:
@@ -101,23 +100,23 @@ class JobTable(ABC):
         with self._transaction() as db:
             self._alone(db)
             if job.idempotency_key is not None:
-                query = SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
+                query = sql.SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
                 first = db.execute(query, (job.owner or "", job.idempotency_key)).fetchone()
                 if first is not None:
                     if first["fingerprint"] != job.fingerprint:
                         raise KeyReusedError(job.idempotency_key)
                     return job_of(first), False
-            check_limits(db, job, limits)
+            _check_limits(db, job, limits)
             db.execute(
                 "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, stored_bytes,"
                 " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",
                 (
                     *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
-                    *(to_json(job.request), to_json(job.image), job.image.size_bytes),
+                    *(as_json(job.request), as_json(job.image), job.image.size_bytes),
                 ),
             )
             self._wake(db)
-            return job_of(db.execute(SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
+            return job_of(db.execute(sql.SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
 
     def find_by_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
         """The owner's job that was accepted under the key; each owner has keys of their own."""
@@ -129,51 +128,28 @@ class JobTable(ABC):
 
     def _one(self, condition: str, *values: str | None) -> Job | None:
         with self._connection() as db:
-            row = db.execute(SELECT_JOB + condition, values).fetchone()
+            row = db.execute(sql.SELECT_JOB + condition, values).fetchone()
         return None if row is None else job_of(row)
 
     def queued(self, owner: str | None = None) -> int:
         """How many jobs wait; with an owner, how many of theirs."""
         with self._connection() as db:
-            return queued(db, owner)
-
-    def stored_bytes(self, owner: str | None = None) -> int:
-        """Bytes of images and bitstreams that are kept; with an owner, of theirs."""
-        with self._connection() as db:
-            return stored_bytes(db, owner)
+            return _queued(db, owner)
 
     def census(self) -> Census:
-        """How many jobs there are in each state, and how long the queue has waited."""
+        """How many jobs there are in each state, how long the queue has waited, who works."""
         with self._connection() as db:
             rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
-            ages = db.execute(
-                "SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting,"
-                " epoch() - (SELECT max(at) FROM served) AS claimed,"
-                " epoch() - (SELECT max(lease_until) FROM jobs) AS lease_over"
-            ).fetchone()
-            kept_bytes = stored_bytes(db)
+            figures = db.execute(sql.CENSUS).fetchone()
             seen = db.execute("SELECT name, epoch() - seen_at AS seconds, failures FROM workers").fetchall()
-            query = "SELECT count(*) AS notices, coalesce(epoch() - min(ended_at), 0) AS waits FROM notices"
-            untold = db.execute(query).fetchone()
             so_far = totals.read(db)
         counts = {row["state"]: row["jobs"] for row in rows}
-        jobs = {state: counts.get(state, 0) for state in JOB_STATES}
-        # A lease outlives its claim in the row, so the latest one also tells of a job that has just ended.
-        lease_over = ages["lease_over"]
-        alive = [ages["claimed"], None if lease_over is None else lease_over + self._rules.lease_s]
-        silent_s = min((age for age in alive if age is not None), default=None)
-        workers = {row["name"]: row["seconds"] for row in seen}
-        failures = {row["name"]: row["failures"] for row in seen}
         return Census(
-            jobs=jobs,
-            waiting_s=ages["waiting"],
-            silent_s=silent_s,
-            stored_bytes=kept_bytes,
-            workers=workers,
-            failures=failures,
-            notices=untold["notices"],
-            notice_waits_s=untold["waits"],
+            jobs={state: counts.get(state, 0) for state in JOB_STATES},
+            workers={row["name"]: row["seconds"] for row in seen},
+            failures={row["name"]: row["failures"] for row in seen},
             totals=so_far,
+            **dict(figures),
         )
 
     def page(
@@ -185,7 +161,7 @@ class JobTable(ABC):
         conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner, "state = ?": state}
         chosen = {condition: value for condition, value in conditions.items() if value is not None}
         where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
-        query = f"{SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
+        query = f"{sql.SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
         with self._connection() as db:
             return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
 
@@ -212,30 +188,22 @@ class JobTable(ABC):
         lost = self._lost_claims()
         if not lost:
             return []
-        values = self._crash_values(WORKER_LOST)
-        statement = f"UPDATE jobs SET {CRASH} {LOST} RETURNING *, NULL AS position"
         with self._transaction() as db:
-            rows = [db.execute(statement, (*values, *claim)).fetchone() for claim in lost]
-            jobs = [job_of(row) for row in rows if row is not None]
-            for job in jobs:
-                notices.note(db, job, self._rules.webhooks)
-                totals.count(db, "retried" if job.state == "queued" else "failed")
-                if job.state == "queued":
-                    self._wake(db)
-        return [job for job in jobs if job.state == "failed"]
+            jobs = [self._crash(db, WORKER_LOST, sql.LOST, claim) for claim in lost]
+        return [job for job in jobs if job is not None and job.state == "failed"]
 
-    def _lost_claims(self) -> list[tuple[int, int, float]]:
+    def _lost_claims(self) -> list[tuple[str, int, float]]:
         """Claims that are overdue, and have been watched for as long as a lease allows.
 
         One look is not enough: clocks jump, and at the end of an outage of the database every lease is over. A worker
         that lives renews its own meanwhile.
         """
         watched_s = WATCHED * self._rules.lease_s
-        query = f"SELECT number, attempt, lease_until FROM jobs {OVERDUE}"
+        query = f"SELECT id, attempt, lease_until FROM jobs {sql.OVERDUE}"
         with self._connection() as db:
             rows = db.execute(query, (watched_s, self._rules.lease_s)).fetchall()
         now = time.monotonic()
-        claims = [(row["number"], row["attempt"], row["lease_until"]) for row in rows]
+        claims = [(row["id"], row["attempt"], row["lease_until"]) for row in rows]
         self._overdue = {claim: self._overdue.get(claim, now) for claim in claims}
         return [claim for claim, since in self._overdue.items() if now - since >= watched_s]
 
@@ -249,65 +217,55 @@ class JobTable(ABC):
             return None
         with self._transaction() as db:
             self._alone(db)
-            row = db.execute(CLAIM, (worker, self._rules.lease_s)).fetchone()
+            row = db.execute(sql.CLAIM, (worker, self._rules.lease_s)).fetchone()
             if row is None:
                 return None
-            db.execute(SERVED, (row["number"],))
+            db.execute(sql.SERVED, (row["number"],))
             db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
             try:
                 return Claim(row["id"], row["attempt"], EncodeRequest(**json.loads(row["request"])))
             except TypeError:  # without a field that is not understood, this would encode something else
-                self._crash(db, row["id"], row["attempt"], NOT_UNDERSTOOD)
+                self._crash(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
                 return None
 
     def sign(self, worker: str, failures: int = 0) -> None:
         """The worker lives, whether or not it has a job. failures: of its background work so far."""
         with self._transaction() as db:
-            db.execute(SIGN, (worker, failures))
+            db.execute(sql.SIGN, (worker, failures))
             db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
+            if given_up := notices.give_up(db):
+                log.error("gave up on %d webhooks", given_up)
 
     def sign_off(self, worker: str) -> None:
         """The worker has stopped on request."""
         with self._transaction() as db:
             db.execute("DELETE FROM workers WHERE name = ?", (worker,))
 
-    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
+    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> Job | None:
         """Renew the lease and append trace points, `first` being the index of the first of them.
 
-        False: the job is no longer this worker's.
+        None: the job is no longer this worker's.
         """
         with self._transaction() as db:
-            if not self._change(db, claim, "lease_until = epoch() + ?", self._rules.lease_s):
-                return False
-            for place, point in enumerate(points, first):
-                db.execute(TRACE_POINT, (place, json.dumps(point), claim.job_id))
-            return True
+            job = self._change(db, claim, "lease_until = epoch() + ?", self._rules.lease_s)
+            for place, point in enumerate(points if job else (), first):
+                db.execute(sql.TRACE_POINT, (place, json.dumps(point), claim.job_id))
+            return job
 
     def stop(self, job_id: str) -> bool:
         """Ask the worker of a running job to end the fit early and publish what there is; a later attempt at the job
         knows nothing of it. False: the job is not running.
         """
         with self._transaction() as db:
-            return db.execute("UPDATE jobs SET stopped = 1 WHERE id = ? AND state = 'running'", (job_id,)).rowcount == 1
-
-    def stop_wanted(self, claim: Claim) -> bool:
-        """Whether this attempt is asked to end early."""
-        with self._connection() as db:
-            return (
-                db.execute(f"SELECT id FROM jobs {MINE} AND stopped = 1", (claim.job_id, claim.attempt)).fetchone()
-                is not None
-            )
+            return _update(db, "stopped = 1", "WHERE id = ? AND state = 'running'", job_id) is not None
 
     def finish(self, claim: Claim, result: EncodeResult) -> bool:
         """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
-        text = to_json(result)
+        text = as_json(result)
         with self._transaction() as db:
-            done = (
-                "state = 'done', result = ?, stored_bytes = ? + ? * stored_bytes, error = NULL, finished_at = epoch()"
-            )
-            if self._change(db, claim, done, text, bytes_of(result), self._keeps_sources):
-                self._note_end(db, claim.job_id)
-                totals.count_finished(db, claim.job_id)
+            job = self._change(db, claim, sql.DONE, text, result.size_bytes, self._keeps_sources)
+            if job is not None:
+                self._conclude(db, job)
                 return True
             # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
             row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
@@ -319,35 +277,33 @@ class JobTable(ABC):
         False: the job is no longer this worker's.
         """
         with self._transaction() as db:
-            if not retry:
-                failed = "state = 'failed', error = ?, stored_bytes = ? * stored_bytes, finished_at = epoch()"
-                mine = self._change(db, claim, failed, to_json(error), self._keeps_sources)
-                if mine:
-                    self._note_end(db, claim.job_id)
-                    totals.count(db, "failed")
-                return mine
-            return self._crash(db, claim.job_id, claim.attempt, error)
+            if retry:
+                return self._crash(db, error, sql.MINE, (claim.job_id, claim.attempt)) is not None
+            job = self._change(db, claim, sql.FAIL, as_json(error), self._keeps_sources)
+            if job is not None:
+                self._conclude(db, job)
+            return job is not None
 
-    def _crash(self, db: Database, job_id: str, attempt: int, error: JobError) -> bool:
-        values = self._crash_values(error)
-        row = db.execute(f"UPDATE jobs SET {CRASH} {MINE} RETURNING state", (*values, job_id, attempt)).fetchone()
-        if row is None:
-            return False
-        totals.count(db, "retried" if row["state"] == "queued" else "failed")
-        self._note_end(db, job_id)
-        self._wake(db)  # in vain if the job has failed, which does no harm
-        return True
+    def _crash(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
+        """The job after an attempt that crashed: it waits for another, or failed if there were too many. None if the
+        attempt is not its latest.
+        """
+        text = as_json(error)
+        job = _update(db, sql.CRASH, where, text, *values)
+        if job is not None and job.crashes >= self._rules.max_attempts:
+            job = _update(db, sql.FAIL, "WHERE id = ?", text, self._keeps_sources, job.id)
+        if job is not None:
+            self._conclude(db, job)
+        return job
 
-    def _note_end(self, db: Database, job_id: str) -> None:
-        """Let the operator's addresses hear of it, if the job has ended."""
-        if self._rules.webhooks:
-            row = db.execute(SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
-            notices.note(db, job_of(row), self._rules.webhooks)
-
-    def _crash_values(self, error: JobError) -> tuple[Any, ...]:
-        """For the places in CRASH."""
-        most = self._rules.max_attempts
-        return to_json(error), most, most, most, self._keeps_sources
+    def _conclude(self, db: Database, job: Job) -> None:
+        """An attempt has ended: count how, and let the operator's addresses hear of the end of the job, or a worker
+        that it waits again.
+        """
+        totals.count_attempt(db, job)
+        notices.note(db, job, self._rules.webhooks)
+        if job.state == "queued":
+            self._wake(db)
 
     @property
     def _keeps_sources(self) -> int:
@@ -357,32 +313,22 @@ class JobTable(ABC):
     def release(self, claim: Claim) -> bool:
         """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""
         with self._transaction() as db:
-            mine = self._change(db, claim, "state = 'queued', started_at = NULL")
+            mine = self._change(db, claim, "state = 'queued', started_at = NULL") is not None
             if mine:
                 self._wake(db)
             return mine
 
     @staticmethod
-    def _change(db: Database, claim: Claim, assignments: str, *values: Any) -> bool:
-        """Update the claimed job under its fencing token; False if the token is stale."""
-        statement = f"UPDATE jobs SET {assignments} {MINE}"
-        return db.execute(statement, (*values, claim.job_id, claim.attempt)).rowcount == 1
+    def _change(db: Database, claim: Claim, assignments: str, *values: Any) -> Job | None:
+        """Update the claimed job under its fencing token; None if the token is stale."""
+        return _update(db, assignments, sql.MINE, *values, claim.job_id, claim.attempt)
 
     def due_notice(self, address: str) -> Notice | None:
         """A notice that a job has ended, for the caller to send now; unless it is said to be delivered, it is due again
         after a pause, which doubles. Those of more than three days ago are given up.
         """
-        with self._connection() as db:  # asked every second: look before taking a lock
-            if notices.due(db, address) is None:
-                return None
-        with self._transaction() as db:
-            self._alone(db)
-            if given_up := notices.give_up(db):
-                log.error("gave up on %d webhooks", given_up)
-            notice = notices.due(db, address)
-            if notice is not None:
-                notices.put_off(db, notice)
-            return notice
+        with self._connection() as db:
+            return notices.take(db, address)
 
     def notice_delivered(self, notice: Notice) -> None:
         """The address has taken it."""
@@ -404,14 +350,44 @@ class JobTable(ABC):
 
     def source_removed(self, job_id: str) -> None:
         """The image of a finished job is gone, and counts no longer among the bytes that are stored."""
+        job = self.get(job_id)
+        left = job.result.size_bytes if job is not None and job.result is not None else 0
         with self._transaction() as db:
-            row = db.execute("SELECT result FROM jobs WHERE id = ?", (job_id,)).fetchone()
-            left = bytes_of(known(EncodeResult, row["result"])) if row is not None and row["result"] else 0
-            update = "UPDATE jobs SET stored_bytes = ? WHERE id = ? AND state IN ('done', 'failed')"
-            db.execute(update, (left, job_id))
+            _update(db, "stored_bytes = ?", "WHERE id = ? AND state IN ('done', 'failed')", left, job_id)
 
     def finished(self, older_than_s: float) -> list[Job]:
         """The jobs, oldest first, that were done or failed for longer than that (seconds)."""
-        query = f"{SELECT_JOB} WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
+        query = f"{sql.SELECT_JOB} WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
         with self._connection() as db:
             return [job_of(row) for row in db.execute(query, (older_than_s,)).fetchall()]
+
+
+def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | None:
+    """The job after an update, or None if there is none such."""
+    row = db.execute(f"UPDATE jobs SET {assignments} {where} RETURNING *, NULL AS position", values).fetchone()
+    return None if row is None else job_of(row)
+
+
+def _queued(db: Database, owner: str | None = None) -> int:
+    """How many jobs wait, of one owner or of all."""
+    query = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
+    return int(db.execute(query, (owner,)).fetchone()["jobs"])
+
+
+def _stored_bytes(db: Database, owner: str | None = None) -> int:
+    """Bytes kept for the jobs of one owner or of all."""
+    query = "SELECT coalesce(sum(stored_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
+    return int(db.execute(query, (owner,)).fetchone()["bytes"])
+
+
+def _check_limits(db: Database, job: NewJob, limits: SubmitLimits) -> None:
+    """Raises QueueFullError, OwnQueueFullError or QuotaError if the job would exceed the limits."""
+    owner, size = job.owner or "", job.image.size_bytes
+    if _queued(db) >= limits.queue_length:
+        raise QueueFullError
+    if limits.own_queue_length and _queued(db, owner) >= limits.own_queue_length:
+        raise OwnQueueFullError
+    if limits.own_quota and _stored_bytes(db, owner) + size > limits.own_quota:
+        raise QuotaError(of_owner=True)
+    if limits.quota and _stored_bytes(db) + size > limits.quota:
+        raise QuotaError(of_owner=False)

@@ -16,7 +16,7 @@ from service.process.stopping import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
 
 

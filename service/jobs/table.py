@@ -80,20 +80,23 @@ class Claim:
 
 @dataclass(frozen=True)
 class Census:
-    """The table at a glance.
+    """The table at a glance. Seconds are by the table's own clock.
 
-    jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
-    any worker was last heard from, None if none ever was. Seconds, by the table's own clock. stored_bytes: of images
-    and bitstreams; workers: seconds since the last sign of life of each, by name; failures: of the background work of
-    each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them; totals: of totals.py.
+    jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; stored_bytes: of
+    images and bitstreams; workers: seconds since the last sign of life of each, by name; failures: of the background
+    work of each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them; totals: of totals.py.
     """
 
     jobs: Mapping[JobState, int]
     waiting_s: float | None
-    silent_s: float | None
     stored_bytes: int
     workers: Mapping[str, float] = field(default_factory=dict)
     failures: Mapping[str, int] = field(default_factory=dict)
     notices: int = 0
     notice_waits_s: float = 0.0
     totals: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def silent_s(self) -> float | None:
+        """Seconds since any worker was last heard from, None if none is known."""
+        return min(self.workers.values(), default=None)

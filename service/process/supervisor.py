@@ -44,6 +44,7 @@ class Supervised:
 
     def _start(self) -> None:
         self._started = time.monotonic()
+        self._restart_at: float | None = None
         # A group of its own: Ctrl-C reaches the supervisor alone, which stops everything in order.
         self.process = subprocess.Popen(
             self._command,
@@ -52,24 +53,19 @@ class Supervised:
             pass_fds=self._descriptors,
             process_group=0,
         )
-        self._restart_at: float | None = None
 
     def keep_alive(self) -> None:
         """Start the process again if it is dead and its pause is over."""
-        now = time.monotonic()
-        if self._restart_at is not None:
-            if now >= self._restart_at:
-                self._try_to_start()
-            return
         status = self.process.poll()
-        if status is not None:
+        if status is None:
+            return
+        if self._restart_at is None:
             self._start_later(f"ended ({status})")
-
-    def _try_to_start(self) -> None:
-        try:
-            self._start()
-        except OSError as error:  # as when the system has no memory or no process to spare
-            self._start_later(f"cannot be started: {error}")
+        elif time.monotonic() >= self._restart_at:
+            try:
+                self._start()
+            except OSError as error:  # as when the system has no memory or no process to spare
+                self._start_later(f"cannot be started: {error}")
 
     def _start_later(self, why: str) -> None:
         now = time.monotonic()

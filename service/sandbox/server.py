@@ -21,7 +21,6 @@ from service.sandbox.confinement import confine, end_with, set_name
 from service.sandbox.frames import END_EARLY, TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed_words
 from service.sandbox.tasks import WORDS_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
-MODULE = "service.sandbox.server"
 WAITING_FORKS = 2
 MOST_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
@@ -213,10 +212,9 @@ def _whole(file: int) -> bytes:
 
 def main() -> None:
     """Serve at the socket of the command line."""
+    # It ends with its clients, and a request that a task end may be too early.
     for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
-        signal.signal(
-            number, signal.SIG_IGN
-        )  # it ends with its clients, and a request that a task end may be too early
+        signal.signal(number, signal.SIG_IGN)
     requests = socket.socket(fileno=int(sys.argv[1]))
     warm_up()
     gc.collect()
