@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from service.jobs.sql import JobTable
+from service.jobs.job import JobRules
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import JobRules
+from service.jobs.table import JobTable
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage
 

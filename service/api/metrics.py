@@ -13,9 +13,9 @@ from starlette.types import Scope
 
 from service.api.problems import REFUSAL
 from service.api.turns import Streams
-from service.jobs import totals
-from service.jobs.table import Census
-from service.process.background import failures
+from service.jobs import endings
+from service.jobs.job import Census
+from service.process.loops import failures
 from service.sandbox.confinement import LAYERS
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
@@ -29,16 +29,16 @@ class _Totals(Collector):
         self.so_far: Mapping[str, float] = {}
 
     def collect(self) -> Iterator[Metric]:
-        for ending in totals.ENDINGS:
+        for ending in endings.ENDINGS:
             words = f"Jobs {ending}, since the job table was made."
             yield CounterMetricFamily(f"sgmethod_jobs_{ending}", words, self.so_far.get(ending, 0.0))
-        names = [str(most).replace("inf", "+Inf") for most in totals.BUCKETS_S]
-        numbers = accumulate(self.so_far.get(totals.bucket(most), 0.0) for most in totals.BUCKETS_S)
+        names = [str(most).replace("inf", "+Inf") for most in endings.BUCKETS_S]
+        numbers = accumulate(self.so_far.get(endings.bucket(most), 0.0) for most in endings.BUCKETS_S)
         yield HistogramMetricFamily(
             "sgmethod_encode_seconds",
             "From the claim of a job to its file.",
             buckets=[*zip(names, numbers, strict=True)],
-            sum_value=self.so_far.get(totals.SECONDS, 0.0),
+            sum_value=self.so_far.get(endings.SECONDS, 0.0),
         )
 
 

@@ -18,9 +18,7 @@ from procrastinate import App, PsycopgConnector, SyncPsycopgConnector
 from procrastinate.exceptions import ProcrastinateException
 from procrastinate.schema import SchemaManager
 
-from service.jobs.table import JobTableError
-from service.process.background import survived
-from service.process.stopping import StopSignal
+from service.process.loops import StopSignal, survived
 
 log = logging.getLogger(__name__)
 
@@ -104,7 +102,7 @@ class Engine:
 
 async def _again_and_again(top_up: Callable[[], None]) -> None:
     while True:
-        with survived("refilling the queue engine", JobTableError):
+        with survived("refilling the queue engine"):
             await asyncio.to_thread(top_up)
         await asyncio.sleep(TOP_UP_S)
 

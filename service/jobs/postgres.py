@@ -17,10 +17,10 @@ from psycopg_pool import ConnectionPool
 
 from service.jobs.engine import ABANDONED, PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.sql import WATCHED, JobTable
+from service.jobs.job import JobRules, JobTableError
 from service.jobs.statements import OVERDUE, SCHEMA, Database
-from service.jobs.table import JobRules, JobTableError
-from service.process.stopping import StopSignal
+from service.jobs.table import WATCHED, JobTable
+from service.process.loops import StopSignal
 
 SCHEMA_VERSION = 8
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.jobs.sql import JobTable
+from service.jobs.job import JobRules, JobTableError
 from service.jobs.statements import SCHEMA, Database
-from service.jobs.table import JobRules, JobTableError
-from service.process.stopping import StopSignal
+from service.jobs.table import JobTable
+from service.process.loops import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1

@@ -28,8 +28,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.drawing import PictureOptions
-from service.sandbox.picture_files import PictureFormat, Rival
+from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
 
 END_EARLY = signal.SIGUSR1  # how the sandbox tells an encode
 FRAME_HEADER = struct.Struct(">cI")

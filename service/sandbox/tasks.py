@@ -18,8 +18,7 @@ from PIL import Image
 
 import sgmethod
 from service.sandbox import frames
-from service.sandbox.drawing import Drawing, PictureOptions
-from service.sandbox.picture_files import MEDIA_TYPES, encode_picture
+from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io.compositing import WHITE, composited

@@ -8,11 +8,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from service.jobs.job import FINAL_STATES, EncodeResult, JobError, JsonObject
-from service.jobs.sql import JobTable
-from service.jobs.table import Claim, JobTableError
+from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JobTableError, JsonObject
+from service.jobs.table import JobTable
 from service.logs import log_seldom
-from service.process.stopping import StopSignal
+from service.process.loops import StopSignal
 from service.storage.files import Storage, bitstream_key, source_key
 
 log = logging.getLogger(__name__)

@@ -13,17 +13,14 @@ import time
 from typing import BinaryIO
 
 from service.jobs.job import JobError
-from service.jobs.sql import JobTable
-from service.jobs.table import JobTableError
-from service.process.background import failures, survived
-from service.process.stopping import StopSignal
+from service.jobs.table import JobTable
+from service.process.loops import Rounds, StopSignal, failures, survived
 from service.sandbox import frames
 from service.sandbox.client import RunningTask, Sandbox, SandboxGoneError
 from service.settings import Settings
 from service.storage.files import Storage, source_key
 from service.worker.attempt import PAUSE_AFTER_TROUBLE_S, Attempt, ClaimLostError, Encoded, StoppedError
 from service.worker.notifying import POLL_S, send_next
-from service.worker.rounds import Rounds
 from service.worker.sweeping import Swept, pause_s, sweep
 
 log = logging.getLogger(__name__)
@@ -87,7 +84,7 @@ class Worker:
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""
-        with survived("running a job", JobTableError, OSError):  # PostgreSQL's engine would swallow the exception
+        with survived("running a job"):  # PostgreSQL's engine would swallow the exception
             return self.run_one()
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)
         return False

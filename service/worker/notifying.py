@@ -12,8 +12,8 @@ from http.client import HTTPException
 from typing import Any
 from urllib.parse import urlsplit
 
-from service.jobs.notices import Notice
-from service.jobs.sql import JobTable
+from service.jobs.endings import Notice
+from service.jobs.table import JobTable
 
 log = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from service.jobs.job import Job
-from service.jobs.sql import JobTable
+from service.jobs.table import JobTable
 from service.storage.files import Storage, job_of_source, source_key
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs import sql
-from service.jobs.job import EncodeResult, JobError
-from service.jobs.sql import JobTable
-from service.jobs.table import Claim
+from service.jobs import table as table_module
+from service.jobs.job import Claim, EncodeResult, JobError
+from service.jobs.table import JobTable
 from service.opening import open_job_table as open_backend_of
 from service.settings import Settings
 from tests.harness.job_table import (
@@ -201,8 +200,8 @@ def test_a_live_lease_is_left_alone(open_job_table: OpenTable, monkeypatch: pyte
 
 def pass_time(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
     """Let time pass for the watcher of leases, and none for the leases."""
-    now = sql.time.monotonic()
-    monkeypatch.setattr(sql.time, "monotonic", lambda: now + seconds)
+    now = table_module.time.monotonic()
+    monkeypatch.setattr(table_module.time, "monotonic", lambda: now + seconds)
 
 
 def move_clock(table: JobTable, seconds: float) -> None:

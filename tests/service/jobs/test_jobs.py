@@ -7,19 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs import sql
-from service.jobs.job import EncodeResult, JobError, new_job_id
-from service.jobs.sql import JobTable
-from service.jobs.table import (
+from service.jobs import table as table_module
+from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
+from service.jobs.job import (
     Census,
     Claim,
+    EncodeResult,
+    JobError,
     KeyReusedError,
     OwnQueueFullError,
     QueueFullError,
     QuotaError,
     SubmitLimits,
+    new_job_id,
 )
-from service.jobs.totals import BUCKETS_S, ENDINGS, SECONDS, bucket
+from service.jobs.table import JobTable
 from service.storage.files import bitstream_key, source_key
 from tests.harness.job_table import (
     CRASH,
@@ -84,7 +86,7 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
     assert all(-1 < seconds < 60 for seconds in workers.values())
     table.sign_off("two")
     assert list(table.census().workers) == ["one"]
-    monkeypatch.setattr(sql, "FORGOTTEN_S", -60)
+    monkeypatch.setattr(table_module, "FORGOTTEN_S", -60)
     table.sign("three")  # and workers that were silent for too long are forgotten
     assert table.census().workers == {}
 

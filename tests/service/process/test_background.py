@@ -16,13 +16,11 @@ import pytest
 from service import logs
 from service.api import app
 from service.jobs import engine
-from service.jobs.sql import JobTable
+from service.jobs.table import JobTable
 from service.keys import KeyRing, digest
-from service.process.background import failures
-from service.process.stopping import StopSignal
+from service.process.loops import Rounds, StopSignal, failures
 from service.storage.files import DiskStorage
 from service.worker.notifying import send_next
-from service.worker.rounds import Rounds
 from service.worker.sweeping import sweep
 from tests.harness.job_table import LONG_S, open_table
 from tests.harness.postgres_server import PostgresServer

@@ -9,7 +9,6 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.drawing import PictureOptions
 from service.sandbox.frames import (
     FILE_BYTES,
     FRAME_HEADER,
@@ -28,6 +27,7 @@ from service.sandbox.frames import (
     packed,
     packed_words,
 )
+from service.sandbox.pictures import PictureOptions
 
 LIMITS: dict[str, Any] = {"memory_bytes": 1, "cpu_s": 1.0, "max_pixels": 64}
 ENCODE = Encode(**LIMITS, job_id="0" * 32, request=EncodeRequest("psnr", 30.5, "baseline", 2.5), threads=2)

@@ -13,8 +13,7 @@ from pydantic import ValidationError
 
 import sgmethod
 from service.api.views import PictureCache, PictureQuery
-from service.sandbox.drawing import Drawing, PictureOptions
-from service.sandbox.picture_files import MEDIA_TYPES, PictureFormat, encode_picture
+from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureFormat, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 from sgmethod.view import View
 from tests.harness.data import golden_path

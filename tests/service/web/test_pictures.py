@@ -13,7 +13,7 @@ from PIL import Image
 
 import sgmethod
 from service.api.app import STATIC
-from service.sandbox.picture_files import Rival, as_large
+from service.sandbox.pictures import Rival, as_large
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, golden_path
 from tests.harness.pictures import SMALL, page_of_text

@@ -14,14 +14,13 @@ from typing import Any
 
 import pytest
 
-from service.jobs import notices
+from service.jobs import endings
+from service.jobs.endings import Notice
 from service.jobs.job import JobError
-from service.jobs.notices import Notice
-from service.jobs.sql import JobTable
-from service.process.stopping import StopSignal
+from service.jobs.table import JobTable
+from service.process.loops import Rounds, StopSignal
 from service.worker import notifying
 from service.worker.notifying import headers, send_next
-from service.worker.rounds import Rounds
 from tests.harness.job_table import CRASH, LONG_S, RESULT, OpenTable, claimed, submitted
 from tests.harness.processes import PATIENCE_S, wait_until
 from tests.harness.service import STAND_IN, StartService
@@ -94,8 +93,8 @@ def test_a_receiver_that_fails_hangs_and_comes_back(
     open_job_table: OpenTable, receiver: Receiver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing is lost, nothing delivered is sent again, and another address does not wait."""
-    monkeypatch.setattr(notices, "FIRST_PAUSE_S", 0.05)
-    monkeypatch.setattr(notices, "LONGEST_PAUSE_S", 0.2)
+    monkeypatch.setattr(endings, "FIRST_PAUSE_S", 0.05)
+    monkeypatch.setattr(endings, "LONGEST_PAUSE_S", 0.2)
     monkeypatch.setattr(notifying, "ANSWER_S", 0.3)
     other = Receiver()
     table, stop = open_job_table(LONG_S, webhooks=(receiver.url, other.url)), StopSignal()
@@ -160,7 +159,7 @@ def test_pauses_grow_until_it_is_given_up(open_job_table: OpenTable, monkeypatch
             db.execute("UPDATE notices SET due_at = 0, ended_at = ended_at - ?", (pauses[-1],))
     assert [round(pause, -1) for pause in pauses[:4]] == [10, 20, 40, 80]
     assert pauses[-1] == pytest.approx(3600, abs=60)
-    monkeypatch.setattr(notices, "KEPT_S", 0.0)
+    monkeypatch.setattr(endings, "KEPT_S", 0.0)
     table.sign("w")
     assert table.due_notice("http://a") is None
     assert table.census().notices == 0

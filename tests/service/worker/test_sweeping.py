@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from service.jobs.job import EncodeResult, JobError, new_job_id
-from service.jobs.sql import JobTable
-from service.process.stopping import StopSignal
+from service.jobs.table import JobTable
+from service.process.loops import StopSignal
 from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.storage.files import DiskStorage, Storage, bitstream_key, source_key

@@ -11,11 +11,22 @@ from typing import BinaryIO
 
 import pytest
 
-from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, JsonObject, NewJob, SourceImage, new_job_id
+from service.jobs.job import (
+    Claim,
+    EncodeRequest,
+    EncodeResult,
+    Job,
+    JobError,
+    JobRules,
+    JobTableError,
+    JsonObject,
+    NewJob,
+    SourceImage,
+    SubmitLimits,
+    new_job_id,
+)
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTableError, SubmitLimits
-from service.process.background import failures
-from service.process.stopping import StopSignal
+from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
 from service.settings import Settings
 from service.storage.files import DiskStorage, bitstream_key, source_key
