@@ -18,7 +18,7 @@ from procrastinate import App, PsycopgConnector, SyncPsycopgConnector
 from procrastinate.exceptions import ProcrastinateException
 from procrastinate.schema import SchemaManager
 
-from service.process.loops import StopSignal, survived
+from service.process.loops import Rounds, StopSignal
 
 log = logging.getLogger(__name__)
 
@@ -56,16 +56,19 @@ class Engine:
 
     def deliver(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
         """Call run_next for each token, and top_up every second, until stopping is requested."""
+        refilling = Rounds("refilling the queue engine", top_up, TOP_UP_S, stop)
+        refilling.start()
         while not stop.requested:
             try:
-                asyncio.run(self._serve(run_next, top_up, stop))
+                asyncio.run(self._serve(run_next, stop))
             except asyncio.CancelledError:  # how _serve ends when it is to stop
                 continue
             except (ProcrastinateException, psycopg.Error) as error:
                 log.warning("the queue engine is unreachable: %s", in_words(error))
             stop.wait(PAUSE_AFTER_TROUBLE_S)
+        refilling.join(INSIST_S)
 
-    async def _serve(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
+    async def _serve(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
         """Work until stopping is requested, which cancels this, or until the database is lost."""
         # Without these limits it would wait for minutes after an outage, and before it stops during one.
         connector = PsycopgConnector(
@@ -82,29 +85,18 @@ class Engine:
         asyncio.get_running_loop().set_exception_handler(_log)
         _cancel_on(stop)
         async with app.open_async():
-            refilling = asyncio.create_task(_again_and_again(top_up))
-            try:
-                await app.run_worker_async(
-                    queues=[QUEUE],
-                    install_signal_handlers=False,
-                    fetch_job_polling_interval=POLL_S,
-                    update_heartbeat_interval=self._lease_s / 3,
-                    stalled_worker_timeout=self._lease_s,
-                    delete_jobs="always",
-                )
-            finally:
-                refilling.cancel()
+            await app.run_worker_async(
+                queues=[QUEUE],
+                install_signal_handlers=False,
+                fetch_job_polling_interval=POLL_S,
+                update_heartbeat_interval=self._lease_s / 3,
+                stalled_worker_timeout=self._lease_s,
+                delete_jobs="always",
+            )
 
     async def _configure(self, connection: psycopg.AsyncConnection) -> None:
         await connection.execute(self._session)
         await connection.commit()
-
-
-async def _again_and_again(top_up: Callable[[], None]) -> None:
-    while True:
-        with survived("refilling the queue engine"):
-            await asyncio.to_thread(top_up)
-        await asyncio.sleep(TOP_UP_S)
 
 
 def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Json, TypeAdapter
+from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
 
 from service.process.loops import TryLaterError
 from sgmethod.budget import BudgetKind
@@ -46,13 +46,13 @@ def is_job_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's."""
+    """What the client asked for; the names are sgmethod's. A row may have words of a later version of this service."""
 
-    budget_kind: BudgetKind
+    budget_kind: SkipValidation[BudgetKind]
     budget_value: float
     profile: str
     time_limit_s: float
-    tune: Tune = "psnr"
+    tune: SkipValidation[Tune] = "psnr"
     effort: int = DEFAULT_EFFORT
 
 

@@ -347,9 +347,10 @@ class JobTable(ABC):
 
     def source_removed(self, job_id: str) -> None:
         """The image of a finished job is gone, and counts no longer among the bytes that are stored."""
-        job = self.get(job_id)
-        left = job.result.size_bytes if job is not None and job.result is not None else 0
         with self._transaction() as db:
+            row = db.execute(sql.SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
+            result = job_of(row).result if row is not None else None
+            left = result.size_bytes if result is not None else 0
             _update(db, "stored_bytes = ?", "WHERE id = ? AND state IN ('done', 'failed')", left, job_id)
 
     def finished(self, older_than_s: float) -> list[Job]:

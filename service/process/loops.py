@@ -78,7 +78,7 @@ class Rounds(threading.Thread):
     def __init__(
         self,
         name: str,
-        do: Callable[[], bool],
+        do: Callable[[], bool | None],
         pause_s: float,
         until: StopSignal,
         at_end: Callable[[], None] = lambda: None,

@@ -12,7 +12,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from types import TracebackType
 from typing import BinaryIO
 
 from service.process.supervisor import WATCH_S, Supervised
@@ -106,9 +105,7 @@ class RunningTask:
     def __enter__(self) -> RunningTask:
         return self
 
-    def __exit__(
-        self, _type: type[BaseException] | None, _error: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._connection.close()
 
     def read(self, timeout_s: float) -> list[Message]:

@@ -66,11 +66,10 @@ class Worker:
         for thread in threads[:2]:
             thread.join(ROUNDS_END_S)
 
-    def _sign(self) -> bool:
+    def _sign(self) -> None:
         self._table.sign(self._name, failures.total())
-        return False
 
-    def _sweep(self) -> bool:
+    def _sweep(self) -> None:
         settings = self._settings
         swept = sweep(
             self._table,
@@ -80,7 +79,6 @@ class Worker:
         )
         if swept != Swept(0, 0):
             log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
-        return False
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""

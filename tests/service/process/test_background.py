@@ -30,14 +30,14 @@ Made = Callable[[JobTable, Path, StopSignal], threading.Thread]
 
 
 def sweeper(table: JobTable, folder: Path, until: StopSignal) -> threading.Thread:
-    def do() -> bool:
-        return not sweep(table, DiskStorage(folder), retention_s=0.1)
+    def do() -> None:
+        sweep(table, DiskStorage(folder), retention_s=0.1)
 
     return Rounds("sweeping", do, 0.01, until)
 
 
 def signs(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
-    return Rounds("signing", lambda: bool(table.sign("worker")), 0.01, until)  # type: ignore[func-returns-value]
+    return Rounds("signing", lambda: table.sign("worker"), 0.01, until)
 
 
 def notifier(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:

@@ -25,7 +25,7 @@ from service.sandbox.frames import (
     TracePoint,
     finite,
     packed,
-    packed_words,
+    packed_json,
 )
 from service.sandbox.pictures import PictureOptions
 
@@ -57,7 +57,7 @@ def test_a_task_has_no_field_that_nobody_knows() -> None:
 
 def test_messages_arrive_whole_and_in_order() -> None:
     reader, file = FrameReader(ENCODE), bytes(range(256)) * 100
-    said = packed_words(Begun()) + packed_words(POINT) + figures(notes=["alpha"]) + packed(b"F", file)
+    said = packed_json(Begun()) + packed_json(POINT) + figures(notes=["alpha"]) + packed(b"F", file)
     messages = [message for at in range(0, len(said), 7) for message in reader.take(said[at : at + 7])]
     assert messages[:2] == [Begun(), POINT]
     (result,) = messages[2:]
@@ -94,11 +94,11 @@ def test_answers_of_words_alone() -> None:
         (ENCODE, packed(b"F", b"x"), "without its figures"),
         (ENCODE, packed(b"T", b'{"step": 1}'), "missing"),
         (ENCODE, packed(b"T", b"null"), "is wrong"),
-        (ENCODE, packed_words(POINT) * (MOST_POINTS + 1), "too many"),
+        (ENCODE, packed_json(POINT) * (MOST_POINTS + 1), "too many"),
         (ENCODE, packed(b"R", b'{"error": "SystemExit", "detail": ""}'), "error"),
         (ENCODE, packed(b"C", b'{"detail": 7}'), "detail"),
         (ENCODE, packed(b"E", b'{"status": "0"} x'), "json_invalid"),
-        (DRAW, packed_words(POINT), "trace"),
+        (DRAW, packed_json(POINT), "trace"),
         (DRAW, packed(b"P", b""), "unknown kind"),
         (DRAW, packed(b"S", b"{}"), "unknown kind"),
         (ReadHeader(**LIMITS), packed(b"F", b"x"), "where 0 are allowed"),
