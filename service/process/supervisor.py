@@ -20,6 +20,7 @@ from service.settings import Settings
 
 log = logging.getLogger(__name__)
 
+BACKLOG = 2048  # connections that the system holds until they are accepted; clients of more try again after a second
 WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 LONGEST_PAUSE_S = 10.0
@@ -110,9 +111,6 @@ def supervise(
     deadline = time.monotonic() + settings.stop_grace_s
     for process in (*clients, sandbox):
         process.stop(deadline)
-
-
-BACKLOG = 2048  # connections that the system holds until they are accepted; clients of more try again after a second
 
 
 def listen(settings: Settings) -> socket.socket:

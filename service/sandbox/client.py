@@ -9,11 +9,11 @@ import select
 import signal
 import socket
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from typing import BinaryIO
 
+from service.process.loops import Rounds, StopSignal
 from service.process.supervisor import WATCH_S, Supervised
 from service.sandbox.confinement import environment
 from service.sandbox.frames import Begun, Crashed, Ended, FrameError, FrameReader, Message, Refused, Result, Task
@@ -24,6 +24,11 @@ READ_BYTES = 1 << 18
 PATIENCE_S = 60.0
 TRIES = 2  # a process may have died of something else than its task
 EARLY_END = b"!"
+MODULE = "service.sandbox.server"
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
+ENDS_S = 2.0
+# A fork begins with no memory of its own: in pages of 2 MB, the picture of 768x512 takes 800 page faults, not 2,000.
+HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
 
 
 class SandboxGoneError(OSError):
@@ -149,13 +154,6 @@ class RunningTask:
         return [message for message in messages if not isinstance(message, Begun)]
 
 
-MODULE = "service.sandbox.server"
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
-ENDS_S = 2.0
-# A fork begins with no memory of its own: in pages of 2 MB, the picture of 768x512 takes 800 page faults, not 2,000.
-HUGE_PAGES = {"GLIBC_TUNABLES": "glibc.malloc.hugetlb=1"}
-
-
 class SandboxProcess(Supervised):
     """The process of the sandbox. requests: the socket into which its clients write.
 
@@ -180,17 +178,12 @@ class SandboxProcess(Supervised):
 @contextlib.contextmanager
 def own_sandbox(threads: int) -> Iterator[socket.socket]:
     """The requests of a sandbox that is this process's own, and ends with the context."""
-    process, ended = SandboxProcess(threads), threading.Event()
-
-    def keep() -> None:
-        while not ended.wait(WATCH_S):
-            process.keep_alive()
-
-    keeper = threading.Thread(target=keep, name="sandbox", daemon=True)
+    process, ended = SandboxProcess(threads), StopSignal()
+    keeper = Rounds("keeping the sandbox alive", process.keep_alive, WATCH_S, ended)
     keeper.start()
     try:
         yield process.requests
     finally:
-        ended.set()
+        ended.request()
         keeper.join()
         process.stop(time.monotonic() + ENDS_S)

@@ -43,6 +43,10 @@ NEAR = 0.03  # files whose sizes differ by no more than this share count as equa
 PNG_LEVEL = 1
 
 Pixels = NDArray[np.uint8]
+Fit = Literal["contain", "cover", "crop"]
+Region = tuple[int, int, int, int]
+REGION = r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$"
+Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in pixels, instead of scale")]
 
 
 def encode_picture(pixels: Pixels, kind: PictureFormat, quality: int | None = None) -> bytes:
@@ -93,12 +97,6 @@ class Rival:
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, name, quality=quality, **options)
         return file.getvalue()
-
-
-Fit = Literal["contain", "cover", "crop"]
-Region = tuple[int, int, int, int]
-REGION = r"^[0-9]{1,5},[0-9]{1,5},[0-9]{1,5},[0-9]{1,5}$"
-Side = Annotated[int | None, Field(ge=1, le=65_535, description="output size in pixels, instead of scale")]
 
 
 def matching(pattern: str, detail: str) -> AfterValidator:
