@@ -13,14 +13,13 @@ from contextlib import AbstractContextManager
 
 from pydantic import ValidationError
 
-from service.jobs.table import JobTableError
+from service.jobs.job import JobTableError
 from service.logs import set_up_logging
 from service.opening import MissingPackagesError, open_job_table, open_storage
-from service.process.listening import is_loopback, listen, url
-from service.process.stopping import StopSignal
-from service.sandbox.client import Sandbox
-from service.sandbox.confinement import absent_layers, end_with
-from service.sandbox.starting import SandboxError, SandboxProcess, check_layers, own_sandbox
+from service.process.loops import StopSignal
+from service.process.supervisor import is_loopback, listen, url
+from service.sandbox.client import Sandbox, SandboxProcess, own_sandbox
+from service.sandbox.confinement import SandboxError, absent_layers, check_layers, end_with
 from service.settings import Settings, unknown_settings
 from service.worker.sweeping import ORPHAN_AGE_S, sweep
 from sgmethod.errors import SgError

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from service.jobs.table import JobTableError
+from service.jobs.job import JobTableError
 from service.opening import MissingPackagesError, open_job_table, open_storage
 from service.sandbox.confinement import LAYERS, absent_layers
 from service.settings import UPLOADS_OF_ROOM, Settings

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from service.jobs.sql import JobTable
+from service.jobs.job import JobRules
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import JobRules
+from service.jobs.table import JobTable
 from service.settings import Settings
-from service.storage.disk import DiskStorage
-from service.storage.files import Storage
+from service.storage.files import DiskStorage, Storage
 
 MAX_ATTEMPTS = 4  # crashes until a job fails
 

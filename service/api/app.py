@@ -30,7 +30,7 @@ from service.api.turns import Streams, Turns
 from service.api.views import PictureCache
 from service.keys import KeyRing
 from service.opening import open_job_table, open_storage
-from service.process.background import survived
+from service.process.loops import survived
 from service.sandbox.client import Sandbox
 from service.settings import Settings
 

@@ -18,7 +18,7 @@ from service.api.tasks import ClientTasks
 from service.api.turns import Streams, Turns
 from service.api.views import PictureCache
 from service.jobs.job import Job, is_job_id
-from service.jobs.sql import JobTable
+from service.jobs.table import JobTable
 from service.keys import KeyRing
 from service.settings import Settings
 from service.storage.files import Storage

@@ -23,8 +23,17 @@ from service.api.problems import ProblemError
 from service.api.uploads import FORM_TYPE, image_and_options, image_type, options_alone, read_header
 from service.api.views import PictureQuery
 from service.api.waiting import WAIT_PARAMETERS, job_within, wanted_wait_s
-from service.jobs.job import Job, NewJob, SourceImage, new_job_id
-from service.jobs.table import KeyReusedError, OwnQueueFullError, QueueFullError, QuotaError, SubmitLimits
+from service.jobs.job import (
+    Job,
+    KeyReusedError,
+    NewJob,
+    OwnQueueFullError,
+    QueueFullError,
+    QuotaError,
+    SourceImage,
+    SubmitLimits,
+    new_job_id,
+)
 from service.logs import log_seldom
 from service.storage.files import source_key
 

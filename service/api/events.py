@@ -11,8 +11,7 @@ from fastapi.sse import ServerSentEvent
 
 from service.api import models
 from service.api.context import Context, KnownJob, UseContext
-from service.jobs.job import FINAL_STATES, Job
-from service.jobs.table import JobTableError
+from service.jobs.job import FINAL_STATES, Job, JobTableError
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from fastapi import Request, Response
 
 from service.api.callers import header_line
 from service.api.problems import ProblemError
-from service.sandbox.picture_files import MEDIA_TYPES, PictureFormat
+from service.sandbox.pictures import MEDIA_TYPES, PictureFormat
 
 # Private, because an id is a secret that shared caches should not keep.
 IMMUTABLE = "private, max-age=31536000, immutable"

@@ -13,9 +13,9 @@ from starlette.types import Scope
 
 from service.api.problems import REFUSAL
 from service.api.turns import Streams
-from service.jobs import totals
-from service.jobs.table import Census
-from service.process.background import failures
+from service.jobs import endings
+from service.jobs.job import Census
+from service.process.loops import failures
 from service.sandbox.confinement import LAYERS
 
 METHODS = frozenset({"GET", "HEAD", "POST", "DELETE", "PUT", "PATCH", "OPTIONS"})
@@ -29,16 +29,16 @@ class _Totals(Collector):
         self.so_far: Mapping[str, float] = {}
 
     def collect(self) -> Iterator[Metric]:
-        for ending in totals.ENDINGS:
+        for ending in endings.ENDINGS:
             words = f"Jobs {ending}, since the job table was made."
             yield CounterMetricFamily(f"sgmethod_jobs_{ending}", words, self.so_far.get(ending, 0.0))
-        names = [str(most).replace("inf", "+Inf") for most in totals.BUCKETS_S]
-        numbers = accumulate(self.so_far.get(totals.bucket(most), 0.0) for most in totals.BUCKETS_S)
+        names = [str(most).replace("inf", "+Inf") for most in endings.BUCKETS_S]
+        numbers = accumulate(self.so_far.get(endings.bucket(most), 0.0) for most in endings.BUCKETS_S)
         yield HistogramMetricFamily(
             "sgmethod_encode_seconds",
             "From the claim of a job to its file.",
             buckets=[*zip(names, numbers, strict=True)],
-            sum_value=self.so_far.get(totals.SECONDS, 0.0),
+            sum_value=self.so_far.get(endings.SECONDS, 0.0),
         )
 
 
@@ -75,7 +75,7 @@ class Metrics:
         self._jobs = Gauge("sgmethod_jobs", "Jobs in the table.", ("state",), registry=registry)
         self._waiting = Gauge("sgmethod_oldest_job_waits_seconds", "Age of the oldest queued job.", registry=registry)
         self._silence = Gauge("sgmethod_workers_silent_seconds", "Since any worker was heard from.", registry=registry)
-        seen = "Since the last sign of life of a worker, which gives one every 5 s."
+        seen = "Since the last sign of life of a worker, which gives one every 2 s."
         self._workers = Gauge("sgmethod_worker_seen_seconds", seen, ("worker",), registry=registry)
         failed = "Failures of background work that nobody foresaw, since the process started."
         self._failures = Gauge("sgmethod_background_failures", failed, ("process",), registry=registry)

@@ -23,8 +23,7 @@ from service.api.views import PictureQuery
 from service.api.waiting import while_client_waits
 from service.jobs.job import EncodeResult, Job
 from service.sandbox.client import RefusedError, TaskError
-from service.sandbox.drawing import Drawing
-from service.sandbox.picture_files import MAX_SIDES, MEDIA_TYPES, PictureFormat, Rival, RivalFormat
+from service.sandbox.pictures import MAX_SIDES, MEDIA_TYPES, Drawing, PictureFormat, Rival, RivalFormat
 from service.storage.files import bitstream_key, source_key
 from sgmethod.errors import BitstreamError, ViewError
 

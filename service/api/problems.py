@@ -14,7 +14,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 
-from service.jobs.table import JobTableError
+from service.jobs.job import JobTableError
 from service.logs import log_seldom
 
 log = logging.getLogger(__name__)

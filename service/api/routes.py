@@ -16,7 +16,7 @@ from service.api.files import BITSTREAM_TYPE
 from service.api.models import EXAMPLE_ID, AcceptedView
 from service.api.problems import ProblemError, problems
 from service.api.uploads import no_body
-from service.sandbox.picture_files import MEDIA_TYPES
+from service.sandbox.pictures import MEDIA_TYPES
 
 HOST = "http://127.0.0.1:8000"  # in commands
 BINARY = {"schema": {"type": "string", "format": "binary"}}

@@ -13,7 +13,7 @@ import uvicorn
 
 from service.api.app import create_app
 from service.api.metrics import Metrics
-from service.process.listening import BACKLOG
+from service.process.supervisor import BACKLOG
 from service.sandbox.client import Sandbox
 from service.settings import Settings
 

@@ -9,9 +9,8 @@ from service.api.problems import ProblemError
 from service.api.turns import RETRY_AFTER, Turns
 from service.jobs.job import SourceImage
 from service.sandbox.client import Sandbox, SandboxGoneError
-from service.sandbox.drawing import PictureOptions
 from service.sandbox.frames import Draw, HeaderFigures, MakePreview, MakeRival, PreviewFigures, ReadHeader, Result, Task
-from service.sandbox.picture_files import PictureFormat, Rival
+from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
 from service.settings import Settings
 
 # The header of a photograph takes milliseconds and little memory. What takes more was made to.

@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from pydantic import Field
 
-from service.sandbox.drawing import PictureOptions, matching
+from service.sandbox.pictures import PictureOptions, matching
 
 # No slashes, control characters or ends of lines, and no dot first: systems hide such files.
 FILE_NAME = r"^(?!\.)[^/\\\x00-\x1f\x7f-\x9f\u2028\u2029]{1,200}$"

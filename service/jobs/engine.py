@@ -3,13 +3,12 @@
 A job of the engine is a token without a name. It says that some row of the job table can be claimed; which
 one, the table decides when a worker holds the token, because only the table knows of priorities, turns and
 limits. So the engine may lose a token or have one too many and nothing breaks: a token without a row ends at
-once, and every worker tops up tokens that are missing.
+once, and every worker tops up tokens that are missing, such as those of workers that are gone.
 """
 
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import logging
 from collections.abc import Callable
 from typing import Any
@@ -19,8 +18,7 @@ from procrastinate import App, PsycopgConnector, SyncPsycopgConnector
 from procrastinate.exceptions import ProcrastinateException
 from procrastinate.schema import SchemaManager
 
-from service.process.background import survived
-from service.process.stopping import StopSignal
+from service.process.loops import Rounds, StopSignal
 
 log = logging.getLogger(__name__)
 
@@ -28,11 +26,12 @@ QUEUE = "encode"
 TASK = "encode_next"
 # The engine forgets a notification that comes while it fetches; it looks by itself as often as this.
 POLL_S = 1.0
-TIDY_S = 1.0
+TOP_UP_S = 1.0
 INSIST_S = 2.0
 PAUSE_AFTER_TROUBLE_S = 1.0
 PATIENCE_S = 5.0  # for a database that is being restarted
 
+ABANDONED = "DELETE FROM procrastinate_jobs WHERE status = 'doing' AND worker_id IS NULL"
 TOKENS_WAITING = "SELECT count(*) AS tokens FROM procrastinate_jobs WHERE status = 'todo'"
 SCHEMA: str = SchemaManager.get_schema()
 
@@ -57,16 +56,19 @@ class Engine:
 
     def deliver(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
         """Call run_next for each token, and top_up every second, until stopping is requested."""
+        refilling = Rounds("refilling the queue engine", top_up, TOP_UP_S, stop)
+        refilling.start()
         while not stop.requested:
             try:
-                asyncio.run(self._serve(run_next, top_up, stop))
+                asyncio.run(self._serve(run_next, stop))
             except asyncio.CancelledError:  # how _serve ends when it is to stop
                 continue
             except (ProcrastinateException, psycopg.Error) as error:
                 log.warning("the queue engine is unreachable: %s", in_words(error))
             stop.wait(PAUSE_AFTER_TROUBLE_S)
+        refilling.join(INSIST_S)
 
-    async def _serve(self, run_next: Callable[[], bool], top_up: Callable[[], None], stop: StopSignal) -> None:
+    async def _serve(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
         """Work until stopping is requested, which cancels this, or until the database is lost."""
         # Without these limits it would wait for minutes after an outage, and before it stops during one.
         connector = PsycopgConnector(
@@ -83,35 +85,18 @@ class Engine:
         asyncio.get_running_loop().set_exception_handler(_log)
         _cancel_on(stop)
         async with app.open_async():
-            tidying = asyncio.create_task(self._tidy(app, top_up))
-            try:
-                await app.run_worker_async(
-                    queues=[QUEUE],
-                    install_signal_handlers=False,
-                    fetch_job_polling_interval=POLL_S,
-                    update_heartbeat_interval=self._lease_s / 3,
-                    stalled_worker_timeout=self._lease_s,
-                    delete_jobs="always",
-                )
-            finally:
-                tidying.cancel()
+            await app.run_worker_async(
+                queues=[QUEUE],
+                install_signal_handlers=False,
+                fetch_job_polling_interval=POLL_S,
+                update_heartbeat_interval=self._lease_s / 3,
+                stalled_worker_timeout=self._lease_s,
+                delete_jobs="always",
+            )
 
     async def _configure(self, connection: psycopg.AsyncConnection) -> None:
         await connection.execute(self._session)
         await connection.commit()
-
-    async def _tidy(self, app: App, top_up: Callable[[], None]) -> None:
-        """Tokens of workers that are gone go back, and rows without a token get one."""
-        while True:
-            with survived("cleaning up the queue engine"):
-                try:
-                    for token in await app.job_manager.get_stalled_jobs(seconds_since_heartbeat=self._lease_s):
-                        with contextlib.suppress(ProcrastinateException):  # another worker was quicker
-                            await app.job_manager.retry_job(token)
-                    await asyncio.to_thread(top_up)
-                except ProcrastinateException as error:
-                    log.warning("cannot clean up the queue engine: %s", in_words(error))
-            await asyncio.sleep(TIDY_S)
 
 
 def _log(_loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:

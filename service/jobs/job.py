@@ -1,13 +1,26 @@
-"""What a job is: what was asked for, how far it is, how it ended."""
+"""What a job is: what was asked for, how far it is, how it ended; and what a job table is told about jobs, and tells.
+
+    queued --claim--> running --finish--> done
+      ^                  |-----fail-----> failed
+      '--crash, release, lease over--'
+
+A claim raises the job's `attempt`, the fencing token: heartbeat, finish, fail and release change the row
+only while it is still running at that attempt. A worker that was taken for dead and wakes up again finds
+its token stale, so a job may run twice but is never published twice.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any, Literal
 
+from pydantic import BeforeValidator, Json, SkipValidation, TypeAdapter
+
+from service.process.loops import TryLaterError
 from sgmethod.budget import BudgetKind
 from sgmethod.profiles import DEFAULT_EFFORT, Tune
 
@@ -33,13 +46,13 @@ def is_job_id(text: str) -> bool:
 
 @dataclass(frozen=True)
 class EncodeRequest:
-    """What the client asked for; the names are sgmethod's."""
+    """What the client asked for; the names are sgmethod's. A row may have words of a later version of this service."""
 
-    budget_kind: BudgetKind
+    budget_kind: SkipValidation[BudgetKind]
     budget_value: float
     profile: str
     time_limit_s: float
-    tune: Tune = "psnr"
+    tune: SkipValidation[Tune] = "psnr"
     effort: int = DEFAULT_EFFORT
 
 
@@ -86,6 +99,11 @@ class EncodeResult:
     sha256: str
     stats: JsonObject
 
+    @property
+    def size_bytes(self) -> int:
+        """The bitstream's size."""
+        return int(self.stats.get("bytes", 0))
+
 
 @dataclass(frozen=True)
 class Job:
@@ -93,22 +111,122 @@ class Job:
 
     number: place in the order of acceptance; position: place in the queue from 1 if owners did not take
     turns, None unless queued; crashes: attempts that crashed or lost their worker, which is what the
-    limit of attempts counts; stored_bytes: of the image and the bitstream, as far as they are kept.
+    limit of attempts counts; stored_bytes: of the image and the bitstream, as far as they are kept;
+    stopped: whether the attempt that runs is to end early, with what it has.
     """
 
     number: int
     id: str
-    owner: str | None
+    owner: Annotated[str | None, BeforeValidator(lambda name: name or None)]  # '' in the table
     priority: Priority
     state: JobState
     position: int | None
-    request: EncodeRequest
-    image: SourceImage
+    request: Json[EncodeRequest]
+    image: Json[SourceImage]
     attempt: int
     crashes: int
     created_at: float
     started_at: float | None
     finished_at: float | None
-    result: EncodeResult | None
-    error: JobError | None
+    result: Json[EncodeResult] | None
+    error: Json[JobError] | None
     stored_bytes: int
+    stopped: bool = False
+
+
+_jobs = TypeAdapter(Job)
+
+
+def job_of(row: Any) -> Job:
+    """A row with its position. What a later version of this service has added to its JSON is left out."""
+    return _jobs.validate_python(dict(row))
+
+
+def as_json(value: EncodeRequest | SourceImage | EncodeResult | JobError) -> str:
+    """A part of a job as its row has it."""
+    return json.dumps(asdict(value))
+
+
+class JobTableError(TryLaterError):
+    """The job table cannot be read or written just now."""
+
+
+class QueueFullError(Exception):
+    """As many jobs wait as the settings allow."""
+
+
+class OwnQueueFullError(QueueFullError):
+    """As many jobs of this owner wait as the settings allow one owner."""
+
+
+class QuotaError(Exception):
+    """What is stored leaves no room for the job. of_owner: whether it is the owner's quota, or everybody's."""
+
+    def __init__(self, of_owner: bool) -> None:
+        super().__init__()
+        self.of_owner = of_owner
+
+
+class KeyReusedError(Exception):
+    """An idempotency key came again with another request."""
+
+
+@dataclass(frozen=True)
+class SubmitLimits:
+    """How many jobs, and bytes, a new job must not exceed; 0 for any number.
+
+    queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: the same for bytes stored.
+    """
+
+    queue_length: int
+    own_queue_length: int = 0
+    quota: int = 0
+    own_quota: int = 0
+
+
+@dataclass(frozen=True)
+class JobRules:
+    """What holds for all jobs.
+
+    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
+    source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
+    ends.
+    """
+
+    lease_s: float
+    max_attempts: int
+    source_retention_s: float = 0.0
+    webhooks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Claim:
+    """The right of one worker to run a job, until its lease is over. attempt is the fencing token."""
+
+    job_id: str
+    attempt: int
+    request: EncodeRequest
+
+
+@dataclass(frozen=True)
+class Census:
+    """The table at a glance. Seconds are by the table's own clock.
+
+    jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; stored_bytes: of
+    images and bitstreams; workers: seconds since the last sign of life of each, by name; failures: of the background
+    work of each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them; totals: of endings.py.
+    """
+
+    jobs: Mapping[JobState, int]
+    waiting_s: float | None
+    stored_bytes: int
+    workers: Mapping[str, float] = field(default_factory=dict)
+    failures: Mapping[str, int] = field(default_factory=dict)
+    notices: int = 0
+    notice_waits_s: float = 0.0
+    totals: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def silent_s(self) -> float | None:
+        """Seconds since any worker was last heard from, None if none is known."""
+        return min(self.workers.values(), default=None)

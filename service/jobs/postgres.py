@@ -15,16 +15,14 @@ from psycopg.conninfo import make_conninfo
 from psycopg.rows import DictRow, dict_row
 from psycopg_pool import ConnectionPool
 
-from service.jobs.engine import PATIENCE_S, TOKENS_WAITING, Engine, in_words
+from service.jobs.engine import ABANDONED, PATIENCE_S, TOKENS_WAITING, Engine, in_words
 from service.jobs.engine import SCHEMA as ENGINE_SCHEMA
-from service.jobs.sql import WATCHED, JobTable
-from service.jobs.statements import OVERDUE, SCHEMA, Cursor, Database
-from service.jobs.table import JobRules, JobTableError
-from service.process.stopping import StopSignal
+from service.jobs.job import JobRules, JobTableError
+from service.jobs.statements import OVERDUE, SCHEMA, Database
+from service.jobs.table import WATCHED, JobTable
+from service.process.loops import StopSignal
 
-log = logging.getLogger(__name__)
-
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 POSTGRES_SCHEMA = SCHEMA.format(number="BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY")
 # The database's clock: those of several machines differ.
 EPOCH = """
@@ -58,7 +56,7 @@ class _Session:
     def __init__(self, connection: psycopg.Connection[DictRow]) -> None:
         self.connection = connection
 
-    def execute(self, statement: str, values: Sequence[Any] = (), /) -> Cursor:
+    def execute(self, statement: str, values: Sequence[Any] = (), /) -> Any:
         return self.connection.execute(statement.replace("?", "%s").encode(), values or None)
 
 
@@ -162,16 +160,14 @@ class PostgresJobTable(JobTable):
     def _top_up(self) -> None:
         """As many tokens as there are rows that a worker would find something to do about."""
         lease_s = self._rules.lease_s
-        try:
-            with self._transaction() as db:
-                if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
-                    return  # another worker is at it
-                rows = db.execute(CLAIMABLE, (WATCHED * lease_s, lease_s)).fetchone()["jobs"]
-                tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
-                for _ in range(rows - tokens):
-                    self._wake(db)
-        except JobTableError as error:
-            log.warning("cannot refill the queue engine: %s", error)
+        with self._transaction() as db:
+            if not db.execute("SELECT pg_try_advisory_xact_lock(?) AS ours", (TOP_UP_LOCK,)).fetchone()["ours"]:
+                return  # another worker is at it
+            db.execute(ABANDONED)
+            rows = db.execute(CLAIMABLE, (WATCHED * lease_s, lease_s)).fetchone()["jobs"]
+            tokens = db.execute(TOKENS_WAITING).fetchone()["tokens"]
+            for _ in range(rows - tokens):
+                self._wake(db)
 
     def close(self) -> None:
         self._pool.close()

@@ -9,14 +9,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.jobs.sql import JobTable
+from service.jobs.job import JobRules, JobTableError
 from service.jobs.statements import SCHEMA, Database
-from service.jobs.table import JobRules, JobTableError
-from service.process.stopping import StopSignal
+from service.jobs.table import JobTable
+from service.process.loops import StopSignal
 
 BUSY_TIMEOUT_S = 30.0
 POLL_S = 0.1
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
+SESSION = "PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON;"
 SQLITE_SCHEMA = SCHEMA.format(number="INTEGER PRIMARY KEY AUTOINCREMENT")
 
 
@@ -66,14 +67,7 @@ class SqliteJobTable(JobTable):
         # A connection serves one thread at a time, though not always the same one.
         db = sqlite3.connect(self._path, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False)
         db.row_factory = sqlite3.Row
-        try:
-            db.execute("PRAGMA journal_mode = WAL")
-            db.execute("PRAGMA synchronous = FULL")
-            db.execute("PRAGMA foreign_keys = ON")
-            db.create_function("epoch", 0, time.time)
-        except sqlite3.Error:
-            db.close()
-            raise
+        db.create_function("epoch", 0, time.time)
         return db
 
     @contextmanager
@@ -86,6 +80,7 @@ class SqliteJobTable(JobTable):
                 db = idle.get_nowait()
             except queue.Empty:
                 db = self._connect()
+                db.executescript(SESSION)
             yield db
         except sqlite3.Error as error:
             if db is not None:
@@ -102,13 +97,8 @@ class SqliteJobTable(JobTable):
         """It holds the write lock from the start, so no transaction fails half-way."""
         with self._connection() as db:
             db.execute("BEGIN IMMEDIATE")
-            try:
+            with db:  # which commits, or takes everything back
                 yield db
-                db.execute("COMMIT")
-            except BaseException:
-                if db.in_transaction:
-                    db.execute("ROLLBACK")
-                raise
 
     def _alone(self, db: Database) -> None:
         """Every transaction is."""

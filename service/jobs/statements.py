@@ -5,35 +5,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-WORKERS = """
+# In place of {number} stands how each database counts rows up.
+SCHEMA = """
 CREATE TABLE workers (
     name     TEXT PRIMARY KEY,
     seen_at  DOUBLE PRECISION NOT NULL,
     failures INTEGER NOT NULL
 );
-"""
-NOTICES = """
 CREATE TABLE notices (
     job      TEXT NOT NULL,
     address  TEXT NOT NULL,
     body     TEXT NOT NULL,
-    tries    INTEGER NOT NULL,
     ended_at DOUBLE PRECISION NOT NULL,
     due_at   DOUBLE PRECISION NOT NULL,
     PRIMARY KEY (job, address)
 );
 CREATE INDEX notices_by_time ON notices (address, due_at);
-"""
-TOTALS = """
 CREATE TABLE totals (
     name   TEXT PRIMARY KEY,
     amount DOUBLE PRECISION NOT NULL
 );
-"""
-# In place of {number} stands how each database counts rows up.
-SCHEMA = f"""{WORKERS}{NOTICES}{TOTALS}
 CREATE TABLE jobs (
-    number          {{number}},
+    number          {number},
     id              TEXT NOT NULL UNIQUE,
     owner           TEXT NOT NULL DEFAULT '',
     priority        TEXT NOT NULL DEFAULT 'interactive' CHECK (priority IN ('interactive', 'bulk')),
@@ -68,6 +61,12 @@ CREATE TABLE trace (
     point TEXT NOT NULL,
     PRIMARY KEY (job, place)
 );
+"""
+CENSUS = """
+SELECT epoch() - (SELECT min(created_at) FROM jobs WHERE state = 'queued') AS waiting_s,
+    (SELECT CAST(coalesce(sum(stored_bytes), 0) AS BIGINT) FROM jobs) AS stored_bytes,
+    (SELECT count(*) FROM notices) AS notices,
+    coalesce(epoch() - (SELECT min(ended_at) FROM notices), 0) AS notice_waits_s
 """
 SELECT_JOB = """
 SELECT jobs.*, CASE WHEN state = 'queued' THEN (
@@ -106,38 +105,18 @@ TRACE_POINT = """
 INSERT INTO trace SELECT number, ?, ? FROM jobs WHERE id = ?
 ON CONFLICT (job, place) DO UPDATE SET point = excluded.point
 """
-CRASH = """
-crashes = crashes + 1, error = ?,
-state = CASE WHEN crashes + 1 < ? THEN 'queued' ELSE 'failed' END,
-finished_at = CASE WHEN crashes + 1 < ? THEN NULL ELSE epoch() END,
-stored_bytes = CASE WHEN crashes + 1 < ? THEN stored_bytes ELSE ? * stored_bytes END
-"""
+DONE = "state = 'done', result = ?, stored_bytes = ? + ? * stored_bytes, error = NULL, finished_at = epoch()"
+FAIL = "state = 'failed', error = ?, stored_bytes = ? * stored_bytes, finished_at = epoch()"
+CRASH = "state = 'queued', error = ?, crashes = crashes + 1"
 MINE = "WHERE id = ? AND attempt = ? AND state = 'running'"
 # A lease that was not renewed in time, or is longer than any because the clock was put back.
 OVERDUE = "WHERE state = 'running' AND NOT (lease_until - epoch() BETWEEN ? AND ?)"
-LOST = "WHERE number = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
-
-
-class Cursor(Protocol):
-    """What a statement gives, as both databases' modules have it."""
-
-    @property
-    def rowcount(self) -> int:
-        """Rows changed."""
-        ...
-
-    def fetchone(self) -> Any:
-        """The next row, by names, or None."""
-        ...
-
-    def fetchall(self) -> list[Any]:
-        """All rows, by names."""
-        ...
+LOST = "WHERE id = ? AND attempt = ? AND lease_until = ? AND state = 'running'"
 
 
 class Database(Protocol):
     """A connection."""
 
-    def execute(self, statement: str, values: Sequence[Any] = (), /) -> Cursor:
-        """Run one statement."""
+    def execute(self, statement: str, values: Sequence[Any] = (), /) -> Any:
+        """Run one statement; gives a cursor, as both databases' modules have it, whose rows are read by names."""
         ...

@@ -1,99 +1,391 @@
-"""What a job table is told and what it says, whichever database it is in.
+"""The job table, whichever database it is in.
 
-    queued --claim--> running --finish--> done
-      ^                  |-----fail-----> failed
-      '--crash, release, lease over--'
-
-A claim raises the job's `attempt`, the fencing token: heartbeat, finish, fail and release change the row
-only while it is still running at that attempt. A worker that was taken for dead and wakes up again finds
-its token stale, so a job may run twice but is never published twice.
+What differs is in sqlite.py and postgres.py: connections, transactions, and how waiting workers hear of a job.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import json
+import logging
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
 
-from service.jobs.job import EncodeRequest, JobState
+from service.jobs import endings
+from service.jobs import statements as sql
+from service.jobs.endings import Notice
+from service.jobs.job import (
+    FINAL_STATES,
+    JOB_STATES,
+    Census,
+    Claim,
+    EncodeRequest,
+    EncodeResult,
+    Job,
+    JobError,
+    JobRules,
+    JobState,
+    JsonObject,
+    KeyReusedError,
+    NewJob,
+    OwnQueueFullError,
+    QueueFullError,
+    QuotaError,
+    SubmitLimits,
+    as_json,
+    job_of,
+)
+from service.jobs.statements import Database
+from service.process.loops import StopSignal
+from service.storage.files import bitstream_key, source_key
+
+log = logging.getLogger(__name__)
+
+WORKER_LOST = JobError("crashed", "the worker of this job was lost")
+NOT_UNDERSTOOD = JobError("crashed", "another version of this service accepted the job, and no worker understands it")
+# When a worker has been silent for half of its lease it is watched, for the other half, before it counts as lost.
+WATCHED = 1 / 2
+FORGOTTEN_S = 900.0  # after which a worker that fell silent is no longer told of
 
 
-class JobTableError(Exception):
-    """The job table cannot be read or written just now; trying again later may succeed."""
+class JobTable(ABC):
+    """All jobs, on whatever connections a subclass provides. Every method may raise JobTableError, and may be called
+    from any thread.
 
-
-class QueueFullError(Exception):
-    """As many jobs wait as the settings allow."""
-
-
-class OwnQueueFullError(QueueFullError):
-    """As many jobs of this owner wait as the settings allow one owner."""
-
-
-class QuotaError(Exception):
-    """What is stored leaves no room for the job. of_owner: whether it is the owner's quota, or everybody's."""
-
-    def __init__(self, of_owner: bool) -> None:
-        super().__init__()
-        self.of_owner = of_owner
-
-
-class KeyReusedError(Exception):
-    """An idempotency key came again with another request."""
-
-
-@dataclass(frozen=True)
-class SubmitLimits:
-    """How many jobs, and bytes, a new job must not exceed; 0 for any number.
-
-    queue_length, own_queue_length: jobs waiting, of all and of one owner; quota, own_quota: the same for bytes stored.
+    What a method has done is on the disk when it returns.
     """
 
-    queue_length: int
-    own_queue_length: int = 0
-    quota: int = 0
-    own_quota: int = 0
+    def __init__(self, rules: JobRules) -> None:
+        self._rules = rules
+        self._overdue: dict[tuple[str, int, float], float] = {}  # claims, and since when (monotonic seconds)
+
+    @abstractmethod
+    def _connection(self) -> AbstractContextManager[Database]:
+        """A connection on which each statement stands alone. Within, the database's errors become JobTableError."""
+
+    @abstractmethod
+    def _transaction(self) -> AbstractContextManager[Database]:
+        """A connection for changes, which all are on disk at the end, or none on an error."""
+
+    @abstractmethod
+    def _alone(self, db: Database) -> None:
+        """Until this transaction ends, no other may accept or claim jobs: what was counted stays true."""
+
+    @abstractmethod
+    def _wake(self, db: Database) -> None:
+        """This transaction puts a job into the queue: let a worker know once it is committed."""
+
+    @abstractmethod
+    def deliver(self, run_next: Callable[[], bool], stop: StopSignal) -> None:
+        """Call run_next, in one thread at a time, whenever there may be a job to claim; return when stopping is
+        requested.
+
+        run_next tells whether it ran a job, and never raises.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of connections."""
+
+    def submit(self, job: NewJob, limits: SubmitLimits) -> tuple[Job, bool]:
+        """Accept a job; returns it and True, or its owner's job that came first under the same key and False.
+
+        Raises QueueFullError, OwnQueueFullError or QuotaError if it would exceed the limits, KeyReusedError if the key
+        stands for another request.
+        """
+        with self._transaction() as db:
+            self._alone(db)
+            if job.idempotency_key is not None:
+                query = sql.SELECT_JOB + "WHERE owner = ? AND idempotency_key = ?"
+                first = db.execute(query, (job.owner or "", job.idempotency_key)).fetchone()
+                if first is not None:
+                    if first["fingerprint"] != job.fingerprint:
+                        raise KeyReusedError(job.idempotency_key)
+                    return job_of(first), False
+            _check_limits(db, job, limits)
+            db.execute(
+                "INSERT INTO jobs (id, owner, priority, idempotency_key, fingerprint, request, image, stored_bytes,"
+                " created_at) VALUES (?, ?, ?, ?, ?, ?, ?, ?, epoch())",
+                (
+                    *(job.id, job.owner or "", job.priority, job.idempotency_key, job.fingerprint),
+                    *(as_json(job.request), as_json(job.image), job.image.size_bytes),
+                ),
+            )
+            self._wake(db)
+            return job_of(db.execute(sql.SELECT_JOB + "WHERE id = ?", (job.id,)).fetchone()), True
+
+    def find_by_key(self, idempotency_key: str, owner: str | None = None) -> Job | None:
+        """The owner's job that was accepted under the key; each owner has keys of their own."""
+        return self._one("WHERE owner = ? AND idempotency_key = ?", owner or "", idempotency_key)
+
+    def get(self, job_id: str, owner: str | None = None) -> Job | None:
+        """The job, or None if there is none of that id; with an owner, only if it is theirs."""
+        return self._one("WHERE id = ? AND owner = coalesce(?, owner)", job_id, owner)
+
+    def _one(self, condition: str, *values: str | None) -> Job | None:
+        with self._connection() as db:
+            row = db.execute(sql.SELECT_JOB + condition, values).fetchone()
+        return None if row is None else job_of(row)
+
+    def queued(self, owner: str | None = None) -> int:
+        """How many jobs wait; with an owner, how many of theirs."""
+        with self._connection() as db:
+            return _queued(db, owner)
+
+    def census(self) -> Census:
+        """How many jobs there are in each state, how long the queue has waited, who works."""
+        with self._connection() as db:
+            rows = db.execute("SELECT state, count(*) AS jobs FROM jobs GROUP BY state").fetchall()
+            figures = db.execute(sql.CENSUS).fetchone()
+            seen = db.execute("SELECT name, epoch() - seen_at AS seconds, failures FROM workers").fetchall()
+            so_far = endings.totals(db)
+        counts = {row["state"]: row["jobs"] for row in rows}
+        return Census(
+            jobs={state: counts.get(state, 0) for state in JOB_STATES},
+            workers={row["name"]: row["seconds"] for row in seen},
+            failures={row["name"]: row["failures"] for row in seen},
+            totals=so_far,
+            **dict(figures),
+        )
+
+    def page(
+        self, limit: int, before: int | None = None, owner: str | None = None, state: JobState | None = None
+    ) -> list[Job]:
+        """The newest jobs, newest first, of those with a number below `before`; with an owner, only theirs; with a
+        state, only those in it.
+        """
+        conditions: dict[str, Any] = {"number < ?": before, "owner = ?": owner, "state = ?": state}
+        chosen = {condition: value for condition, value in conditions.items() if value is not None}
+        where = f"WHERE {' AND '.join(chosen)}" if chosen else ""
+        query = f"{sql.SELECT_JOBS} {where} ORDER BY number DESC LIMIT ?"
+        with self._connection() as db:
+            return [job_of(row) for row in db.execute(query, (*chosen.values(), limit)).fetchall()]
+
+    def trace(self, job_id: str, first: int = 0) -> list[JsonObject]:
+        """The trace points of the job's latest attempt, oldest first, without the first `first`."""
+        query = "SELECT point FROM trace JOIN jobs ON number = job WHERE id = ? AND place >= ? ORDER BY place"
+        with self._connection() as db:
+            return [json.loads(row["point"]) for row in db.execute(query, (job_id, first)).fetchall()]
+
+    def remove(self, job_id: str) -> Job | None:
+        """Forget a job in whatever state, and return it. A worker that runs it loses its claim."""
+        with self._transaction() as db:
+            row = db.execute("DELETE FROM jobs WHERE id = ? RETURNING *, NULL AS position", (job_id,)).fetchone()
+            if row is not None and row["state"] not in FINAL_STATES:
+                endings.count(db, "cancelled")
+        return None if row is None else job_of(row)
+
+    def reconcile(self) -> list[Job]:
+        """Put running jobs whose worker is lost back into the queue; those that crashed too often fail.
+
+        A worker is lost when it has not renewed its lease in time, and this object has watched it fail to for a while
+        longer. So call this again and again. Returns the jobs that failed.
+        """
+        lost = self._lost_claims()
+        if not lost:
+            return []
+        with self._transaction() as db:
+            jobs = [self._crash(db, WORKER_LOST, sql.LOST, claim) for claim in lost]
+        return [job for job in jobs if job is not None and job.state == "failed"]
+
+    def _lost_claims(self) -> list[tuple[str, int, float]]:
+        """Claims that are overdue, and have been watched for as long as a lease allows.
+
+        One look is not enough: clocks jump, and at the end of an outage of the database every lease is over. A worker
+        that lives renews its own meanwhile.
+        """
+        watched_s = WATCHED * self._rules.lease_s
+        query = f"SELECT id, attempt, lease_until FROM jobs {sql.OVERDUE}"
+        with self._connection() as db:
+            rows = db.execute(query, (watched_s, self._rules.lease_s)).fetchall()
+        now = time.monotonic()
+        claims = [(row["id"], row["attempt"], row["lease_until"]) for row in rows]
+        self._overdue = {claim: self._overdue.get(claim, now) for claim in claims}
+        return [claim for claim, since in self._overdue.items() if now - since >= watched_s]
+
+    def claim(self, worker: str) -> Claim | None:
+        """Take the next queued job for a worker (a name for operators), or None if none may run.
+
+        Interactive jobs come before bulk ones; among equals the owner with the fewest running jobs, then
+        the owner served longest ago, then the oldest job.
+        """
+        if self.queued() == 0:  # asked several times a second: look before taking a lock
+            return None
+        with self._transaction() as db:
+            self._alone(db)
+            row = db.execute(sql.CLAIM, (worker, self._rules.lease_s)).fetchone()
+            if row is None:
+                return None
+            db.execute(sql.SERVED, (row["number"],))
+            db.execute("DELETE FROM trace WHERE job = ?", (row["number"],))
+            try:
+                return Claim(row["id"], row["attempt"], EncodeRequest(**json.loads(row["request"])))
+            except TypeError:  # without a field that is not understood, this would encode something else
+                self._crash(db, NOT_UNDERSTOOD, sql.MINE, (row["id"], row["attempt"]))
+                return None
+
+    def sign(self, worker: str, failures: int = 0) -> None:
+        """The worker lives, whether or not it has a job. failures: of its background work so far."""
+        with self._transaction() as db:
+            db.execute(sql.SIGN, (worker, failures))
+            db.execute("DELETE FROM workers WHERE seen_at < epoch() - ?", (FORGOTTEN_S,))
+            if given_up := endings.give_up_notices(db):
+                log.error("gave up on %d webhooks", given_up)
+
+    def sign_off(self, worker: str) -> None:
+        """The worker has stopped on request."""
+        with self._transaction() as db:
+            db.execute("DELETE FROM workers WHERE name = ?", (worker,))
+
+    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> Job | None:
+        """Renew the lease and append trace points, `first` being the index of the first of them.
+
+        None: the job is no longer this worker's.
+        """
+        with self._transaction() as db:
+            job = self._change(db, claim, "lease_until = epoch() + ?", self._rules.lease_s)
+            for place, point in enumerate(points if job else (), first):
+                db.execute(sql.TRACE_POINT, (place, json.dumps(point), claim.job_id))
+            return job
+
+    def stop(self, job_id: str) -> bool:
+        """Ask the worker of a running job to end the fit early and publish what there is; a later attempt at the job
+        knows nothing of it. False: the job is not running.
+        """
+        with self._transaction() as db:
+            return _update(db, "stopped = 1", "WHERE id = ? AND state = 'running'", job_id) is not None
+
+    def finish(self, claim: Claim, result: EncodeResult) -> bool:
+        """Publish the result. Repeating the call is safe. False: the job is no longer this worker's."""
+        text = as_json(result)
+        with self._transaction() as db:
+            job = self._change(db, claim, sql.DONE, text, result.size_bytes, self._keeps_sources)
+            if job is not None:
+                self._conclude(db, job)
+                return True
+            # A commit can succeed and still be reported as failed; the repeated call must not lose the job.
+            row = db.execute("SELECT result FROM jobs WHERE id = ?", (claim.job_id,)).fetchone()
+            return row is not None and row["result"] == text
+
+    def fail(self, claim: Claim, error: JobError, *, retry: bool) -> bool:
+        """End an attempt in failure: with retry as a crash, of which a job may have a few, else for good.
+
+        False: the job is no longer this worker's.
+        """
+        with self._transaction() as db:
+            if retry:
+                return self._crash(db, error, sql.MINE, (claim.job_id, claim.attempt)) is not None
+            job = self._change(db, claim, sql.FAIL, as_json(error), self._keeps_sources)
+            if job is not None:
+                self._conclude(db, job)
+            return job is not None
+
+    def _crash(self, db: Database, error: JobError, where: str, values: Sequence[Any]) -> Job | None:
+        """The job after an attempt that crashed: it waits for another, or failed if there were too many. None if the
+        attempt is not its latest.
+        """
+        text = as_json(error)
+        job = _update(db, sql.CRASH, where, text, *values)
+        if job is not None and job.crashes >= self._rules.max_attempts:
+            job = _update(db, sql.FAIL, "WHERE id = ?", text, self._keeps_sources, job.id)
+        if job is not None:
+            self._conclude(db, job)
+        return job
+
+    def _conclude(self, db: Database, job: Job) -> None:
+        """An attempt has ended: count how, and let the operator's addresses hear of the end of the job, or a worker
+        that it waits again.
+        """
+        endings.conclude(db, job, self._rules.webhooks)
+        if job.state == "queued":
+            self._wake(db)
+
+    @property
+    def _keeps_sources(self) -> int:
+        """1 if the image of a finished job is kept, and so goes on counting; else 0."""
+        return int(self._rules.source_retention_s > 0)
+
+    def release(self, claim: Claim) -> bool:
+        """Hand the job back, at its old place in the queue; no crash is counted. False: it is no longer ours."""
+        with self._transaction() as db:
+            mine = self._change(db, claim, "state = 'queued', started_at = NULL") is not None
+            if mine:
+                self._wake(db)
+            return mine
+
+    @staticmethod
+    def _change(db: Database, claim: Claim, assignments: str, *values: Any) -> Job | None:
+        """Update the claimed job under its fencing token; None if the token is stale."""
+        return _update(db, assignments, sql.MINE, *values, claim.job_id, claim.attempt)
+
+    def due_notice(self, address: str) -> Notice | None:
+        """A notice that a job has ended, for the caller to send now; unless it is said to be delivered, it is due again
+        after a pause, which doubles. Those of more than three days ago are given up.
+        """
+        with self._connection() as db:
+            return endings.take_notice(db, address)
+
+    def notice_delivered(self, notice: Notice) -> None:
+        """The address has taken it."""
+        with self._transaction() as db:
+            endings.forget_notice(db, notice)
+
+    def needed_keys(self) -> set[str]:
+        """Storage keys of the files that some job still needs."""
+        with self._connection() as db:
+            query = "SELECT id, state, attempt, result, coalesce(epoch() - finished_at, 0) AS ended_s FROM jobs"
+            rows = db.execute(query).fetchall()
+        kept_s = self._rules.source_retention_s
+        sources = {
+            source_key(row["id"]) for row in rows if row["state"] in ("queued", "running") or row["ended_s"] < kept_s
+        }
+        unpublished = {bitstream_key(row["id"], row["attempt"]) for row in rows if row["state"] == "running"}
+        done = {json.loads(row["result"])["bitstream_key"] for row in rows if row["result"]}
+        return sources | unpublished | done
+
+    def source_removed(self, job_id: str) -> None:
+        """The image of a finished job is gone, and counts no longer among the bytes that are stored."""
+        with self._transaction() as db:
+            row = db.execute(sql.SELECT_JOB + "WHERE id = ?", (job_id,)).fetchone()
+            result = job_of(row).result if row is not None else None
+            left = result.size_bytes if result is not None else 0
+            _update(db, "stored_bytes = ?", "WHERE id = ? AND state IN ('done', 'failed')", left, job_id)
+
+    def finished(self, older_than_s: float) -> list[Job]:
+        """The jobs, oldest first, that were done or failed for longer than that (seconds)."""
+        query = f"{sql.SELECT_JOB} WHERE state IN ('done', 'failed') AND finished_at < epoch() - ? ORDER BY number"
+        with self._connection() as db:
+            return [job_of(row) for row in db.execute(query, (older_than_s,)).fetchall()]
 
 
-@dataclass(frozen=True)
-class JobRules:
-    """What holds for all jobs.
-
-    lease_s: seconds until a silent worker's job goes back; max_attempts: crashes that make a job fail;
-    source_retention_s: for how long the image of a finished job is kept; webhooks: addresses that are told when a job
-    ends.
-    """
-
-    lease_s: float
-    max_attempts: int
-    source_retention_s: float = 0.0
-    webhooks: tuple[str, ...] = ()
+def _update(db: Database, assignments: str, where: str, *values: Any) -> Job | None:
+    """The job after an update, or None if there is none such."""
+    row = db.execute(f"UPDATE jobs SET {assignments} {where} RETURNING *, NULL AS position", values).fetchone()
+    return None if row is None else job_of(row)
 
 
-@dataclass(frozen=True)
-class Claim:
-    """The right of one worker to run a job, until its lease is over. attempt is the fencing token."""
-
-    job_id: str
-    attempt: int
-    request: EncodeRequest
+def _queued(db: Database, owner: str | None = None) -> int:
+    """How many jobs wait, of one owner or of all."""
+    query = "SELECT count(*) AS jobs FROM jobs WHERE state = 'queued' AND owner = coalesce(?, owner)"
+    return int(db.execute(query, (owner,)).fetchone()["jobs"])
 
 
-@dataclass(frozen=True)
-class Census:
-    """The table at a glance.
+def _stored_bytes(db: Database, owner: str | None = None) -> int:
+    """Bytes kept for the jobs of one owner or of all."""
+    query = "SELECT coalesce(sum(stored_bytes), 0) AS bytes FROM jobs WHERE owner = coalesce(?, owner)"
+    return int(db.execute(query, (owner,)).fetchone()["bytes"])
 
-    jobs: how many are in each state; waiting_s: age of the oldest queued job, None if none waits; silent_s: since
-    any worker was last heard from, None if none ever was. Seconds, by the table's own clock. stored_bytes: of images
-    and bitstreams; workers: seconds since the last sign of life of each, by name; failures: of the background work of
-    each; notices: webhooks to be delivered; notice_waits_s: age of the oldest of them; totals: of totals.py.
-    """
 
-    jobs: Mapping[JobState, int]
-    waiting_s: float | None
-    silent_s: float | None
-    stored_bytes: int
-    workers: Mapping[str, float] = field(default_factory=dict)
-    failures: Mapping[str, int] = field(default_factory=dict)
-    notices: int = 0
-    notice_waits_s: float = 0.0
-    totals: Mapping[str, float] = field(default_factory=dict)
+def _check_limits(db: Database, job: NewJob, limits: SubmitLimits) -> None:
+    """Raises QueueFullError, OwnQueueFullError or QuotaError if the job would exceed the limits."""
+    owner, size = job.owner or "", job.image.size_bytes
+    if _queued(db) >= limits.queue_length:
+        raise QueueFullError
+    if limits.own_queue_length and _queued(db, owner) >= limits.own_queue_length:
+        raise OwnQueueFullError
+    if limits.own_quota and _stored_bytes(db, owner) + size > limits.own_quota:
+        raise QuotaError(of_owner=True)
+    if limits.quota and _stored_bytes(db) + size > limits.quota:
+        raise QuotaError(of_owner=False)

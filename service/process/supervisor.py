@@ -6,6 +6,7 @@ replaced, connections wait in the socket's queue and are not refused.
 
 from __future__ import annotations
 
+import ipaddress
 import logging
 import os
 import socket
@@ -14,11 +15,12 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 
-from service.process.stopping import StopSignal
+from service.process.loops import StopSignal
 from service.settings import Settings
 
 log = logging.getLogger(__name__)
 
+BACKLOG = 2048  # connections that the system holds until they are accepted; clients of more try again after a second
 WATCH_S = 0.1
 FIRST_PAUSE_S = 0.2
 LONGEST_PAUSE_S = 10.0
@@ -44,6 +46,7 @@ class Supervised:
 
     def _start(self) -> None:
         self._started = time.monotonic()
+        self._restart_at: float | None = None
         # A group of its own: Ctrl-C reaches the supervisor alone, which stops everything in order.
         self.process = subprocess.Popen(
             self._command,
@@ -52,24 +55,19 @@ class Supervised:
             pass_fds=self._descriptors,
             process_group=0,
         )
-        self._restart_at: float | None = None
 
     def keep_alive(self) -> None:
         """Start the process again if it is dead and its pause is over."""
-        now = time.monotonic()
-        if self._restart_at is not None:
-            if now >= self._restart_at:
-                self._try_to_start()
-            return
         status = self.process.poll()
-        if status is not None:
+        if status is None:
+            return
+        if self._restart_at is None:
             self._start_later(f"ended ({status})")
-
-    def _try_to_start(self) -> None:
-        try:
-            self._start()
-        except OSError as error:  # as when the system has no memory or no process to spare
-            self._start_later(f"cannot be started: {error}")
+        elif time.monotonic() >= self._restart_at:
+            try:
+                self._start()
+            except OSError as error:  # as when the system has no memory or no process to spare
+                self._start_later(f"cannot be started: {error}")
 
     def _start_later(self, why: str) -> None:
         now = time.monotonic()
@@ -113,3 +111,24 @@ def supervise(
     deadline = time.monotonic() + settings.stop_grace_s
     for process in (*clients, sandbox):
         process.stop(deadline)
+
+
+def listen(settings: Settings) -> socket.socket:
+    """A listening socket at the host and port of the settings. Raises OSError, as when the port is taken."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    try:
+        return socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+    except (OSError, UnicodeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise OSError(f"SG_HOST and SG_PORT, {settings.host}:{settings.port}: {why}") from error
+
+
+def url(listener: socket.socket) -> str:
+    """Where the socket can be reached."""
+    host, port = listener.getsockname()[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def is_loopback(listener: socket.socket) -> bool:
+    """Whether only this machine can reach the socket."""
+    return ipaddress.ip_address(listener.getsockname()[0]).is_loopback

@@ -112,6 +112,21 @@ def absent_layers() -> list[str]:
     return list(filter(None, absent.split(", ")))
 
 
+class SandboxError(Exception):
+    """The sandbox lacks a layer that must not be missing; one sentence."""
+
+
+def check_layers(*, required: bool) -> list[str]:
+    """Sentences on what the system does not offer, and on root. Raises SandboxError if a layer that is required is
+    missing.
+    """
+    absent = " and ".join(absent_layers())
+    if absent and required:
+        raise SandboxError(f"SG_REQUIRE_SANDBOX is set, and this system does not offer {absent}")
+    missing = [f"uploads are read without {absent}, which this system does not offer"] if absent else []
+    return missing + ["the service runs as root; what reads uploads runs as nobody"] * (os.geteuid() == 0)
+
+
 def _limit(limits: Mapping[int, int]) -> None:
     for what, limit in limits.items():
         _, hard = resource.getrlimit(what)

@@ -28,13 +28,11 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.drawing import PictureOptions
-from service.sandbox.picture_files import PictureFormat, Rival
+from service.sandbox.pictures import PictureFormat, PictureOptions, Rival
 
 END_EARLY = signal.SIGUSR1  # how the sandbox tells an encode
 FRAME_HEADER = struct.Struct(">cI")
 TASK_BYTES = 1 << 16  # the longest task
-SHORT_BYTES, FIGURES_BYTES = 1 << 12, 1 << 16  # the longest frames of words and of figures
 FILE_BYTES, FILE_BYTES_PER_PIXEL = 1 << 20, 8  # no bitstream or picture file is longer than both together
 SENTENCE_LENGTH = 1000
 MOST_POINTS = 100_000  # of one trace
@@ -50,6 +48,20 @@ class Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class Frame(Model):
+    """One frame of JSON. letter: by which it is known; longest: its payload in bytes."""
+
+    letter: ClassVar[bytes]
+    longest: ClassVar[int] = 1 << 12
+
+
+class Figures(Frame):
+    """The figures of a result."""
+
+    letter = b"S"
+    longest = 1 << 16
+
+
 class Task(Model):
     """What to do with a file, and what it may take.
 
@@ -60,7 +72,7 @@ class Task(Model):
     cpu_s: float
     max_pixels: int
 
-    answer: ClassVar[type[Model] | None] = None  # the figures of a result; None for a file without figures
+    answer: ClassVar[type[Figures] | None] = None  # None for a file without figures
     gives_file: ClassVar[bool] = True
 
     @property
@@ -69,7 +81,7 @@ class Task(Model):
         return FILE_BYTES + FILE_BYTES_PER_PIXEL * self.max_pixels if self.gives_file else 0
 
 
-class HeaderFigures(Model):
+class HeaderFigures(Figures):
     """The answer of ReadHeader: what an image's header says."""
 
     format: str = Field(max_length=20)
@@ -101,7 +113,7 @@ class MakeRival(Task):
     rival: Rival
 
 
-class PreviewFigures(Model):
+class PreviewFigures(Figures):
     """The answer of MakePreview, as Preview.to_dict() has it."""
 
     text: str = Field(max_length=8192, description="base64url of an .sg file, for the preview attribute of an <sg-img>")
@@ -124,7 +136,7 @@ Sentence = Annotated[str, Field(max_length=SENTENCE_LENGTH)]
 Figure = float | None
 
 
-class EncodeFigures(Model):
+class EncodeFigures(Figures):
     """The figures of an encode: Stats.to_dict() with advice, and what of the image was dropped."""
 
     bytes: int = Field(ge=0)
@@ -162,13 +174,16 @@ class Encode(Task):
 AnyTask = Annotated[ReadHeader | Draw | MakeRival | MakePreview | Encode, Field(discriminator="kind")]
 
 
-class Begun(Model):
+class Begun(Frame):
     """The task has a process."""
 
+    letter = b"B"
 
-class TracePoint(Model):
+
+class TracePoint(Frame):
     """How far the fit is, as sgmethod's TracePoint has it."""
 
+    letter = b"T"
     seconds: float
     step: int
     steps: int
@@ -187,22 +202,25 @@ class Preview(Model):
 Refusal = Literal["ImageError", "BitstreamError", "ViewError", "BudgetError", "SgError", "MemoryError"]
 
 
-class Refused(Model):
+class Refused(Frame):
     """The codec refused the file, or what is asked of it. error: the name of the class, of sgmethod.errors."""
 
+    letter = b"R"
     error: Refusal
     detail: Sentence
 
 
-class Crashed(Model):
+class Crashed(Frame):
     """The task failed in a way that nobody foresaw; one sentence."""
 
+    letter = b"C"
     detail: Sentence
 
 
-class Ended(Model):
+class Ended(Frame):
     """The task's process has ended; the status is Popen's."""
 
+    letter = b"E"
     status: int
 
 
@@ -215,26 +233,19 @@ class Result(Model):
 
 Message = Begun | TracePoint | Preview | Refused | Crashed | Ended | Result
 
-WORDS: dict[bytes, tuple[type[Model], int]] = {  # what a frame of JSON holds, and its longest payload
-    b"B": (Begun, SHORT_BYTES),
-    b"T": (TracePoint, SHORT_BYTES),
-    b"R": (Refused, SHORT_BYTES),
-    b"C": (Crashed, SHORT_BYTES),
-    b"E": (Ended, SHORT_BYTES),
-}
+BY_LETTER: dict[bytes, type[Frame]] = {frame.letter: frame for frame in (Begun, TracePoint, Refused, Crashed, Ended)}
 REFUSALS = get_args(Refusal)
-KINDS = {model: kind for kind, (model, _) in WORDS.items()}
-FIGURES, PREVIEW, FILE = b"S", b"P", b"F"
+PREVIEW, FILE = b"P", b"F"
 
 
-def packed(kind: bytes, payload: bytes) -> bytes:
+def packed(letter: bytes, payload: bytes) -> bytes:
     """One frame."""
-    return FRAME_HEADER.pack(kind, len(payload)) + payload
+    return FRAME_HEADER.pack(letter, len(payload)) + payload
 
 
-def packed_words(message: Model) -> bytes:
-    """One frame of words, or of figures."""
-    return packed(KINDS.get(type(message), FIGURES), message.model_dump_json(exclude_unset=True).encode())
+def packed_json(frame: Frame) -> bytes:
+    """One frame of JSON."""
+    return packed(frame.letter, frame.model_dump_json(exclude_unset=True).encode())
 
 
 def finite(figures: dict[str, Any]) -> dict[str, Any]:
@@ -256,9 +267,9 @@ class FrameReader:
         self._data += data
         messages: list[Message] = []
         while len(self._data) >= FRAME_HEADER.size:
-            kind, length = FRAME_HEADER.unpack_from(self._data)
-            if length > (most := self._longest(kind)):
-                raise FrameError(f"a frame {kind!r} of {length} bytes, where {most} are allowed")
+            letter, length = FRAME_HEADER.unpack_from(self._data)
+            if length > (most := self._longest(letter)):
+                raise FrameError(f"a frame {letter!r} of {length} bytes, where {most} are allowed")
             end = FRAME_HEADER.size + length
             if len(self._data) < end:
                 break
@@ -266,33 +277,33 @@ class FrameReader:
                 payload = bytes(view[FRAME_HEADER.size : end])
             del self._data[:end]
             try:
-                messages += self._said(kind, payload)
+                messages += self._said(letter, payload)
             except ValidationError as error:  # which may hold what the task said
                 fault = error.errors()[0]
-                raise FrameError(f"a frame {kind!r} in which {fault['loc']} is wrong ({fault['type']})") from None
+                raise FrameError(f"a frame {letter!r} in which {fault['loc']} is wrong ({fault['type']})") from None
         return messages
 
-    def _longest(self, kind: bytes) -> int:
-        if kind in WORDS:
-            return WORDS[kind][1]
-        if kind == FIGURES and self._task.answer:
-            return FIGURES_BYTES
-        if kind == FILE or (kind == PREVIEW and isinstance(self._task, Encode)):
+    def _longest(self, letter: bytes) -> int:
+        if letter in BY_LETTER:
+            return BY_LETTER[letter].longest
+        if letter == Figures.letter and self._task.answer:
+            return Figures.longest
+        if letter == FILE or (letter == PREVIEW and isinstance(self._task, Encode)):
             return self._task.file_bytes
-        raise FrameError(f"a frame of unknown kind {kind!r}")
+        raise FrameError(f"a frame of unknown kind {letter!r}")
 
-    def _said(self, kind: bytes, payload: bytes) -> list[Message]:
-        if kind == PREVIEW:
+    def _said(self, letter: bytes, payload: bytes) -> list[Message]:
+        if letter == PREVIEW:
             return [Preview(bitstream=payload)]
-        if kind == FILE:
+        if letter == FILE:
             if self._task.answer and self._figures is None:
                 raise FrameError("a file without its figures")
             return [Result(figures=self._figures, file=payload)]
-        if kind == FIGURES:
+        if letter == Figures.letter:
             assert self._task.answer
             self._figures = self._task.answer.model_validate_json(payload)
             return [] if self._task.gives_file else [Result(figures=self._figures)]
-        message = WORDS[kind][0].model_validate_json(payload)
+        message = BY_LETTER[letter].model_validate_json(payload)
         if isinstance(message, TracePoint):
             self._points += 1
             if self._points > MOST_POINTS or not isinstance(self._task, Encode):

@@ -18,10 +18,9 @@ from typing import NoReturn
 from pydantic import TypeAdapter
 
 from service.sandbox.confinement import confine, end_with, set_name
-from service.sandbox.frames import END_EARLY, TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed_words
-from service.sandbox.tasks import WORDS_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
+from service.sandbox.frames import END_EARLY, TASK_BYTES, AnyTask, Begun, Crashed, Encode, Ended, packed_json
+from service.sandbox.tasks import ERROR_LENGTH, Answer, perform, prepare, set_threads, warm_fork, warm_up
 
-MODULE = "service.sandbox.server"
 WAITING_FORKS = 2
 MOST_DESCRIPTORS = 1 << 20
 CONTROL_BYTES = 64
@@ -134,13 +133,13 @@ class Server:
     def _tell_end(self, fork: Fork, answer: socket.socket) -> None:
         assert fork.status is not None
         try:
-            answer.send(packed_words(Ended(status=fork.status)), socket.MSG_DONTWAIT)
+            answer.send(packed_json(Ended(status=fork.status)), socket.MSG_DONTWAIT)
         except BlockingIOError:
             self._selector.modify(answer, selectors.EVENT_WRITE, fork)
+            return
         except ConnectionError:
-            self._leave(fork, answer)
-        else:
-            self._leave(fork, answer)
+            pass
+        self._leave(fork, answer)
 
     def _leave(self, fork: Fork, answer: socket.socket) -> None:
         self._selector.unregister(answer)
@@ -188,7 +187,7 @@ def _run_task(line: bytes, answer: int, file: int, parent: int) -> int:
         perform(task, data, to_client)
     except Exception as error:
         last = traceback.format_exception_only(error)[-1].strip()
-        to_client.say(Crashed(detail=last[:WORDS_LENGTH]))
+        to_client.say(Crashed(detail=last[:ERROR_LENGTH]))
         return 1
     return 0
 
@@ -213,10 +212,9 @@ def _whole(file: int) -> bytes:
 
 def main() -> None:
     """Serve at the socket of the command line."""
+    # It ends with its clients, and a request that a task end may be too early.
     for number in (signal.SIGTERM, signal.SIGINT, END_EARLY):
-        signal.signal(
-            number, signal.SIG_IGN
-        )  # it ends with its clients, and a request that a task end may be too early
+        signal.signal(number, signal.SIG_IGN)
     requests = socket.socket(fileno=int(sys.argv[1]))
     warm_up()
     gc.collect()

@@ -18,8 +18,7 @@ from PIL import Image
 
 import sgmethod
 from service.sandbox import frames
-from service.sandbox.drawing import Drawing, PictureOptions
-from service.sandbox.picture_files import MEDIA_TYPES, encode_picture
+from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureOptions, encode_picture
 from sgmethod.budget import Budget
 from sgmethod.errors import ImageError, ImageWarning, SgError
 from sgmethod.io.compositing import WHITE, composited
@@ -29,7 +28,7 @@ from sgmethod.io.inputs import read_input
 from sgmethod.profiles import DEFAULT_EFFORT
 
 PREVIEW_EVERY_S = 1.0  # at most: each is written to the storage
-WORDS_LENGTH = 300  # characters of an error that a client gets to read
+ERROR_LENGTH = 300  # characters of an error that a client gets to read
 TINY_PICTURE = b"P6 8 8 255 " + bytes(range(192))
 TINY_SIZE = (8, 8)
 # glibc's malloc.h. Memory of a picture that was made goes back to the system only beyond these.
@@ -60,13 +59,13 @@ class Answer:
         self._shown = time.monotonic()
         self.end_early = False
 
-    def send(self, kind: bytes, payload: bytes) -> None:
+    def send(self, letter: bytes, payload: bytes) -> None:
         """Write one frame."""
-        self._write(frames.packed(kind, payload))
+        self._write(frames.packed(letter, payload))
 
-    def say(self, message: frames.Model) -> None:
-        """Write one frame of words, or of figures."""
-        self._write(frames.packed_words(message))
+    def say(self, frame: frames.Frame) -> None:
+        """Write one frame of JSON."""
+        self._write(frames.packed_json(frame))
 
     def show(self, file: bytes) -> None:
         """Write a preview, unless the last one is not long ago."""

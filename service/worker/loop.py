@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import math
 import os
@@ -12,26 +13,23 @@ import time
 from typing import BinaryIO
 
 from service.jobs.job import JobError
-from service.jobs.sql import JobTable
-from service.jobs.table import Claim, JobTableError
-from service.logs import log_seldom
-from service.process.background import survived
-from service.process.stopping import StopSignal
+from service.jobs.table import JobTable
+from service.process.loops import Rounds, StopSignal, failures, survived
 from service.sandbox import frames
 from service.sandbox.client import RunningTask, Sandbox, SandboxGoneError
 from service.settings import Settings
-from service.storage.files import Storage, bitstream_key, source_key
-from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S, ClaimLostError, Heartbeat, SignsOfLife
-from service.worker.notifying import Notifier
-from service.worker.publishing import Encoded, Publisher, StoppedError
-from service.worker.sweeping import Sweeper
+from service.storage.files import Storage, source_key
+from service.worker.attempt import PAUSE_AFTER_TROUBLE_S, Attempt, ClaimLostError, Encoded, StoppedError
+from service.worker.notifying import POLL_S, send_next
+from service.worker.sweeping import Swept, pause_s, sweep
 
 log = logging.getLogger(__name__)
 
 FOLLOW_S = 0.2  # how soon a request to stop is seen
 # A store that copies between places may lack for a while what was just put into it. Four attempts wait for a minute.
 MISSING_S = 15.0
-SWEEP_ENDS_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
+SIGN_S = 2.0
+ROUNDS_END_S = 1.0  # within the grace time; a sweep may be cut short anywhere, and a sign off be missing
 BEGINS_S = 30.0  # after which the sandbox counts as one that cannot be started
 PREVIEW_EVERY_S = 0.5  # at most, whatever an encode sends
 
@@ -48,29 +46,44 @@ class Worker:
         self._sandbox = sandbox
         self._stop = stop
         self._keeps_sources = settings.source_retention_s > 0
-        self._publisher = Publisher(table, storage, stop, keeps_sources=self._keeps_sources)
         self._name = f"{socket.gethostname()}:{os.getpid()}"
 
     def run(self) -> None:
         """Claim and work until stopping is requested; sweep meanwhile."""
         log.info("worker %s: ready, %d threads", self._name, self._settings.encode_threads)
-        sweeper = Sweeper(self._settings, self._table, self._storage, self._stop)
-        sweeper.start()
-        signs = SignsOfLife(self._table, self._name, self._stop)
-        signs.start()
-        for address in self._settings.webhook_addresses:
-            Notifier(self._table, address, self._settings.webhook_key, self._stop).start()
-        self._table.deliver(self._run_next, self._stop)
-        sweeper.join(SWEEP_ENDS_S)
-        signs.join(SWEEP_ENDS_S)
+        settings, stop = self._settings, self._stop
+        sign_off = functools.partial(self._table.sign_off, self._name)
+        threads = [
+            Rounds("sweeping", self._sweep, pause_s(settings.retention_s, settings.source_retention_s), stop),
+            Rounds("signing", self._sign, SIGN_S, stop, sign_off),
+        ]
+        for address in settings.webhook_addresses:
+            send = functools.partial(send_next, self._table, address, settings.webhook_key)
+            threads.append(Rounds("notifying", send, POLL_S, stop))
+        for thread in threads:
+            thread.start()
+        self._table.deliver(self._run_next, stop)
+        for thread in threads[:2]:
+            thread.join(ROUNDS_END_S)
+
+    def _sign(self) -> None:
+        self._table.sign(self._name, failures.total())
+
+    def _sweep(self) -> None:
+        settings = self._settings
+        swept = sweep(
+            self._table,
+            self._storage,
+            retention_s=settings.retention_s,
+            source_retention_s=settings.source_retention_s,
+        )
+        if swept != Swept(0, 0):
+            log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
 
     def _run_next(self) -> bool:
         """As run_one; trouble with the job table or the storage is logged and waited out."""
-        with survived("running a job"):  # the engine of PostgreSQL would swallow the exception
-            try:
-                return self.run_one()
-            except (JobTableError, OSError) as error:
-                log_seldom(log, "worker %s: %s", self._name, error)
+        with survived("running a job"):  # PostgreSQL's engine would swallow the exception
+            return self.run_one()
         self._stop.wait(PAUSE_AFTER_TROUBLE_S)
         return False
 
@@ -84,9 +97,9 @@ class Worker:
         if claim is None:
             return False
         log.info("job %s: attempt %d of worker %s", claim.job_id, claim.attempt, self._name)
-        heartbeat = Heartbeat(self._table, claim)
+        attempt = Attempt(self._table, self._storage, claim, self._stop, keeps_sources=self._keeps_sources)
         try:
-            self._publisher.conclude(claim, self._encode(claim, heartbeat), heartbeat)
+            attempt.conclude(self._encode(attempt))
         except ClaimLostError:
             log.warning("job %s: attempt %d was taken over by another worker", claim.job_id, claim.attempt)
         except StoppedError:
@@ -95,45 +108,43 @@ class Worker:
         except OSError:  # such as a storage out of reach: this must not count against the job
             self._table.release(claim)
             raise
-        self._publisher.tidy(claim)
+        attempt.tidy()
         return True
 
-    def _encode(self, claim: Claim, heartbeat: Heartbeat) -> Encoded | JobError:
+    def _encode(self, attempt: Attempt) -> Encoded | JobError:
         """Encode in the sandbox. Nothing goes on there when this returns.
 
         Raises ClaimLostError, StoppedError, OSError.
         """
         try:
-            source = self._source(claim, heartbeat)
+            source = self._source(attempt)
         except FileNotFoundError:
             return JobError("crashed", "the source image is gone")
-        with source, self._sandbox.start(self._task(claim), source) as running:
+        with source, self._sandbox.start(self._task(attempt), source) as running:
             try:
-                return self._follow(running, heartbeat, bitstream_key(claim.job_id, claim.attempt))
+                return self._follow(running, attempt)
             except frames.FrameError as error:
                 return JobError("crashed", f"the encoder spoke nonsense: {error}")
 
-    def _source(self, claim: Claim, heartbeat: Heartbeat) -> BinaryIO:
+    def _source(self, attempt: Attempt) -> BinaryIO:
         """The image, once the storage has it. Raises FileNotFoundError if it still lacks it after MISSING_S, and
         ClaimLostError, StoppedError, OSError.
         """
-        deadline = time.monotonic() + MISSING_S
+        job_id, deadline = attempt.claim.job_id, time.monotonic() + MISSING_S
         while True:
             try:
-                return self._storage.open(source_key(claim.job_id))
+                return self._storage.open(source_key(job_id))
             except FileNotFoundError:
                 if time.monotonic() >= deadline:
                     raise
-            log.warning("job %s: the storage does not have its image yet", claim.job_id)
-            if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
-                raise StoppedError
-            heartbeat.beat()
+            log.warning("job %s: the storage does not have its image yet", job_id)
+            attempt.wait()
 
-    def _task(self, claim: Claim) -> frames.Encode:
+    def _task(self, attempt: Attempt) -> frames.Encode:
+        claim, threads = attempt.claim, self._settings.encode_threads
         job = self._table.get(claim.job_id)
         if job is None:
             raise ClaimLostError
-        threads = self._settings.encode_threads
         return frames.Encode(
             job_id=claim.job_id,
             request=claim.request,
@@ -143,7 +154,7 @@ class Worker:
             max_pixels=job.image.width * job.image.height,
         )
 
-    def _follow(self, running: RunningTask, heartbeat: Heartbeat, key: str) -> Encoded | JobError:
+    def _follow(self, running: RunningTask, attempt: Attempt) -> Encoded | JobError:
         """Relay progress to the job table, and previews to where the bitstream will lie, until there is an outcome, or
         the encode must be ended.
         """
@@ -151,22 +162,22 @@ class Worker:
         while not self._stop.requested:
             for message in running.read(FOLLOW_S):
                 if isinstance(message, frames.TracePoint):
-                    heartbeat.add(message.model_dump())
+                    attempt.add(message.model_dump())
                 elif not isinstance(message, frames.Preview):
-                    heartbeat.beat(now=True)
+                    attempt.beat(now=True)
                     return _outcome(message)
                 elif time.monotonic() - shown >= PREVIEW_EVERY_S:
                     shown = time.monotonic()
                     with contextlib.suppress(OSError):  # nobody needs it
-                        self._storage.put(key, message.bitstream)
+                        self._storage.put(attempt.key, message.bitstream)
             seconds = time.monotonic() - started
             if not running.begun and seconds > BEGINS_S:
                 raise SandboxGoneError("the sandbox cannot be started")
             if seconds > self._settings.job_timeout_s:
                 limit_s = self._settings.job_timeout_s
                 return JobError("timed_out", f"the encode took longer than {limit_s:g} s")
-            heartbeat.beat()
-            if heartbeat.stop_wanted:
+            attempt.beat()
+            if attempt.early_end_wanted:
                 running.end_early()
         raise StoppedError
 

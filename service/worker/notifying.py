@@ -6,19 +6,14 @@ import base64
 import hashlib
 import hmac
 import logging
-import threading
 import time
 import urllib.request
 from http.client import HTTPException
 from typing import Any
 from urllib.parse import urlsplit
 
-from service.jobs.notices import Notice
-from service.jobs.sql import JobTable
-from service.jobs.table import JobTableError
-from service.process.background import survived
-from service.process.stopping import StopSignal
-from service.worker.heartbeat import PAUSE_AFTER_TROUBLE_S
+from service.jobs.endings import Notice
+from service.jobs.table import JobTable
 
 log = logging.getLogger(__name__)
 
@@ -26,47 +21,23 @@ POLL_S = 1.0
 ANSWER_S = 10.0  # for which an answer may be silent
 
 
-class Notifier(threading.Thread):
-    """Delivers the notices of one address, so that one that hangs holds up no other.
+def send_next(table: JobTable, address: str, secret: bytes) -> bool:
+    """Send the next notice of the address; False if none is due. secret: the key that signs, at least 24 bytes.
 
-    secret: the key that signs, at least 24 bytes.
+    Each address has rounds of its own, so that one that hangs holds up no other. Raises JobTableError.
     """
-
-    def __init__(self, table: JobTable, address: str, secret: bytes, until: StopSignal) -> None:
-        super().__init__(name="notifier", daemon=True)
-        self._table = table
-        self._address = address
-        self._secret = secret
-        self._until = until
-
-    def run(self) -> None:
-        pause_s = 0.0
-        while not self._until.wait(pause_s):
-            pause_s = PAUSE_AFTER_TROUBLE_S
-            with survived("notifying"):
-                try:
-                    pause_s = self._send_next()
-                except JobTableError as error:  # a notice that was taken is sent once more, under the same id
-                    log.warning("a webhook has to wait: %s", error)
-
-    def _send_next(self) -> float:
-        """Send the next notice; returns the seconds to wait before the one after it."""
-        notice = self._table.due_notice(self._address)
-        if notice is None:
-            return POLL_S
-        if self._is_taken(notice):
-            self._table.notice_delivered(notice)
-        return 0.0
-
-    def _is_taken(self, notice: Notice) -> bool:
-        where = urlsplit(self._address).hostname  # the rest of an address may be a secret
-        try:
-            _post(self._address, headers(self._secret, notice, int(time.time())), notice.body.encode())
-        except (OSError, HTTPException, ValueError) as error:  # the last for a proxy whose address is none
-            log.warning("job %s: webhook to %s, try %d: %s", notice.job_id, where, notice.tries + 1, error)
-            return False
-        log.info("job %s: webhook to %s delivered", notice.job_id, where)
+    notice = table.due_notice(address)
+    if notice is None:
+        return False
+    where = urlsplit(address).hostname  # the rest of an address may be a secret
+    try:
+        _post(address, headers(secret, notice, int(time.time())), notice.body.encode())
+    except (OSError, HTTPException, ValueError) as error:  # the last for a proxy whose address is none
+        log.warning("job %s: webhook to %s: %s", notice.job_id, where, error)
         return True
+    table.notice_delivered(notice)  # if that fails it is sent once more, under the same id
+    log.info("job %s: webhook to %s delivered", notice.job_id, where)
+    return True
 
 
 def headers(secret: bytes, notice: Notice, now: int) -> dict[str, str]:

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-import logging
-import threading
 from dataclasses import dataclass
 
 from service.jobs.job import Job
-from service.jobs.sql import JobTable
-from service.jobs.table import JobTableError
-from service.process.background import survived
-from service.process.stopping import StopSignal
-from service.settings import Settings
+from service.jobs.table import JobTable
 from service.storage.files import Storage, job_of_source, source_key
-
-log = logging.getLogger(__name__)
 
 # A file without a job was left over by a crash, or belongs to a job that is being accepted or finished just now. The
 # latter takes seconds.
@@ -63,32 +55,6 @@ def sweep(
     return Swept(len(expired), len(files))
 
 
-class Sweeper(threading.Thread):
-    """Sweeps at its start and from time to time, until stopping is requested.
-
-    Beside the worker's own thread, which may be busy with an encode for minutes, or wait for a job for days.
-    """
-
-    def __init__(self, settings: Settings, table: JobTable, storage: Storage, until: StopSignal) -> None:
-        super().__init__(name="sweeper", daemon=True)
-        self._kept_s = settings.retention_s, settings.source_retention_s
-        self._table = table
-        self._storage = storage
-        self._until = until
-
-    def run(self) -> None:
-        jobs_s, images_s = self._kept_s
-        while not self._until.requested:
-            with survived("sweeping"):
-                try:
-                    swept = sweep(self._table, self._storage, retention_s=jobs_s, source_retention_s=images_s)
-                    if swept != Swept(0, 0):
-                        log.info("removed %d finished jobs and %d orphaned files", swept.jobs, swept.files)
-                except (JobTableError, OSError) as error:
-                    log.error("cannot sweep: %s", error)
-            self._until.wait(pause_s(*self._kept_s))
-
-
 def pause_s(*kept_s: float) -> float:
     """Seconds from one sweep to the next. kept_s: how long things are kept, 0 for ever or not at all."""
     wanted_s = min((OVERDUE * seconds for seconds in kept_s if seconds), default=LONGEST_PAUSE_S)
@@ -97,7 +63,7 @@ def pause_s(*kept_s: float) -> float:
 
 def _has_image(job: Job) -> bool:
     """Whether more is counted for it than its bitstream."""
-    return job.stored_bytes > (job.result.stats.get("bytes", 0) if job.result is not None else 0)
+    return job.stored_bytes > (job.result.size_bytes if job.result is not None else 0)
 
 
 def _remove(table: JobTable, storage: Storage, job: Job) -> None:

@@ -7,11 +7,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from service.jobs.job import EncodeRequest, EncodeResult, Job, JobError, NewJob, SourceImage, new_job_id
+from service.jobs.job import (
+    Claim,
+    EncodeRequest,
+    EncodeResult,
+    Job,
+    JobError,
+    JobRules,
+    NewJob,
+    SourceImage,
+    SubmitLimits,
+    new_job_id,
+)
 from service.jobs.postgres import PostgresJobTable
-from service.jobs.sql import JobTable
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, SubmitLimits
+from service.jobs.table import JobTable
 
 REQUEST = EncodeRequest("bpp", 0.3, "paper", 60.0)
 IMAGE = SourceImage("PNG", 64, 48, 1000)

@@ -11,7 +11,7 @@ from functools import partial
 from PIL import Image
 
 import sgmethod
-from service.sandbox.picture_files import as_large
+from service.sandbox.pictures import as_large
 from tests.harness.data import STATIC
 
 FOLDER = STATIC / "samples"

@@ -13,10 +13,9 @@ from contextlib import contextmanager
 from typing import BinaryIO
 
 from service.jobs.job import EncodeRequest, new_job_id
-from service.sandbox.client import RunningTask, Sandbox
+from service.sandbox.client import MODULE, RunningTask, Sandbox
 from service.sandbox.confinement import environment
 from service.sandbox.frames import Encode, Message, Preview, TracePoint
-from service.sandbox.starting import MODULE
 from tests.harness.data import ROOT
 from tests.harness.processes import PATIENCE_S
 

@@ -17,9 +17,8 @@ from typing import Any
 import httpx
 
 import sgmethod
-from service.jobs.job import EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, new_job_id
-from service.jobs.sql import JobTable
-from service.jobs.table import Claim, SubmitLimits
+from service.jobs.job import Claim, EncodeRequest, EncodeResult, JobError, NewJob, SourceImage, SubmitLimits, new_job_id
+from service.jobs.table import JobTable
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import bitstream_key

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import pytest
 
 from service.__main__ import main
-from service.jobs.sql import JobTable
+from service.jobs.table import JobTable
 from tests.harness import browser as browser_module
 from tests.harness import nginx, postgres_server
 from tests.harness.browser import Browser, Chromium, Firefox, find_driver, find_firefox

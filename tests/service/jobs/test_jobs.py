@@ -7,19 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from service.jobs import sql
-from service.jobs.job import EncodeResult, JobError, new_job_id
-from service.jobs.sql import JobTable
-from service.jobs.table import (
+from service.jobs import table as table_module
+from service.jobs.endings import BUCKETS_S, ENDINGS, SECONDS, bucket
+from service.jobs.job import (
     Census,
     Claim,
+    EncodeResult,
+    JobError,
     KeyReusedError,
     OwnQueueFullError,
     QueueFullError,
     QuotaError,
     SubmitLimits,
+    new_job_id,
 )
-from service.jobs.totals import BUCKETS_S, ENDINGS, SECONDS, bucket
+from service.jobs.table import JobTable
 from service.storage.files import bitstream_key, source_key
 from tests.harness.job_table import (
     CRASH,
@@ -79,14 +81,14 @@ def test_signs_of_life(table: JobTable, monkeypatch: pytest.MonkeyPatch) -> None
     assert all(-1 < seconds < 60 for seconds in workers.values())
     table.sign_off("two")
     assert list(table.census().workers) == ["one"]
-    monkeypatch.setattr(sql, "FORGOTTEN_S", -60)
+    monkeypatch.setattr(table_module, "FORGOTTEN_S", -60)
     table.sign("three")  # and workers that were silent for too long are forgotten
     assert table.census().workers == {}
 
 
 def test_census(table: JobTable) -> None:
     nothing = {"queued": 0, "running": 0, "done": 0, "failed": 0}
-    assert table.census() == Census(nothing, None, None, 0)
+    assert table.census() == Census(nothing, None, 0)
     submitted(table)
     submitted(table)
     submitted(table)
@@ -97,21 +99,21 @@ def test_census(table: JobTable) -> None:
     census = table.census()
     assert census.jobs == {**nothing, "queued": 3, "running": 1}
     assert census.waiting_s == pytest.approx(hours, abs=minutes)
-    assert census.silent_s == pytest.approx(hours, abs=minutes)
-    table.heartbeat(claim, [], 0)
-    assert table.census().silent_s == pytest.approx(0, abs=minutes)
+    assert census.silent_s is None
+    for worker, silent_s in (("one", 2 * hours), ("two", hours)):
+        table.sign(worker)
+        with table._transaction() as db:
+            db.execute("UPDATE workers SET seen_at = seen_at - ? WHERE name = ?", (silent_s, worker))
+    assert table.census().silent_s == pytest.approx(hours, abs=minutes)
     table.finish(claim, RESULT)
-    grow_older(table, hours / 2)
-    assert table.census().silent_s == pytest.approx(hours / 2, abs=minutes)
     table.fail(claimed(table), JobError("refused", "no"), retry=False)
     assert table.census().jobs == {"queued": 2, "running": 0, "done": 1, "failed": 1}
 
 
 def grow_older(table: JobTable, seconds: float) -> None:
-    """Let so much time have passed since all that was written."""
+    """Let so much time have passed since all that was written of jobs."""
     with table._transaction() as db:
         db.execute("UPDATE jobs SET created_at = created_at - ?, lease_until = lease_until - ?", (seconds, seconds))
-        db.execute("UPDATE served SET at = at - ?", (seconds,))
 
 
 def test_idempotency_keys_are_their_owners_alone(table: JobTable) -> None:
@@ -183,17 +185,17 @@ def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, k
     done, failed, crashing = (table.submit(new(owner="ann"), SubmitLimits(10))[0] for _ in range(3))
     size = done.image.size_bytes
     kept = size if kept_s else 0
-    assert (table.stored_bytes(), table.stored_bytes("ann"), table.stored_bytes("bob")) == (3 * size, 3 * size, 0)
+    assert table.census().stored_bytes == 3 * size
     claims = {claim.job_id: claim for claim in (claimed(table) for _ in range(3))}
     for _ in range(2):  # as after a commit whose answer was lost
         assert table.finish(claims[done.id], EncodeResult("bitstreams/x", "0" * 64, {"bytes": 7}))
     table.fail(claims[failed.id], JobError("refused", "no"), retry=False)
-    assert table.stored_bytes() == size + 7 + 2 * kept
+    assert table.census().stored_bytes == size + 7 + 2 * kept
     table.fail(claims[crashing.id], CRASH, retry=True)
-    assert table.stored_bytes() == size + 7 + 2 * kept  # it is tried again
+    assert table.census().stored_bytes == size + 7 + 2 * kept  # it is tried again
     while (claim := table.claim("w")) is not None:
         table.fail(claim, CRASH, retry=True)
-    assert table.stored_bytes() == table.census().stored_bytes == 7 + 3 * kept
+    assert table.census().stored_bytes == 7 + 3 * kept
     assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [kept + 7, kept, kept]
     images = {source_key(job.id) for job in (done, failed, crashing)} if kept else set()
     assert table.needed_keys() == {*images, "bitstreams/x"}
@@ -202,9 +204,9 @@ def test_bytes_are_counted_as_long_as_they_are_kept(open_job_table: OpenTable, k
         table.source_removed(job.id)
     assert [job.stored_bytes for job in table.finished(NO_TIME_S)] == [7, 0, 0]
     table.source_removed(table.submit(new(), SubmitLimits(10))[0].id)  # which waits
-    assert table.stored_bytes() == 7 + size
+    assert table.census().stored_bytes == 7 + size
     table.remove(done.id)
-    assert table.stored_bytes() == size
+    assert table.census().stored_bytes == size
 
 
 def test_quotas(table: JobTable) -> None:

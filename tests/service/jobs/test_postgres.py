@@ -9,9 +9,9 @@ from collections.abc import Iterator
 import psycopg
 import pytest
 
+from service.jobs.job import JobTableError
 from service.jobs.postgres import PostgresJobTable
-from service.jobs.table import JobTableError
-from service.process.stopping import StopSignal
+from service.process.loops import StopSignal
 from tests.harness.job_table import RULES, claimed, submitted
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S
@@ -77,7 +77,7 @@ def test_rule_1_row_and_engine_job_are_one_transaction(
     def break_off(_row: object) -> None:
         raise psycopg.OperationalError("broken off")
 
-    monkeypatch.setattr("service.jobs.sql.job_of", break_off)  # the last step of the transaction
+    monkeypatch.setattr("service.jobs.table.job_of", break_off)  # the last step of the transaction
     with pytest.raises(JobTableError, match="broken off"):
         submitted(jobs)
     assert (jobs.queued(), tokens(url)) == (1, 1)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from service.jobs.job import JobTableError
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import JobTableError
 from tests.harness.job_table import RULES, submitted
 
 

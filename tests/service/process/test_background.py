@@ -16,16 +16,12 @@ import pytest
 from service import logs
 from service.api import app
 from service.jobs import engine
-from service.jobs.sql import JobTable
+from service.jobs.table import JobTable
 from service.keys import KeyRing, digest
-from service.process.background import failures
-from service.process.stopping import StopSignal
-from service.settings import Settings
-from service.storage.disk import DiskStorage
-from service.worker import heartbeat, notifying, sweeping
-from service.worker.heartbeat import SignsOfLife
-from service.worker.notifying import Notifier
-from service.worker.sweeping import Sweeper
+from service.process.loops import Rounds, StopSignal, failures
+from service.storage.files import DiskStorage
+from service.worker.notifying import send_next
+from service.worker.sweeping import sweep
 from tests.harness.job_table import LONG_S, open_table
 from tests.harness.postgres_server import PostgresServer
 from tests.harness.processes import PATIENCE_S, wait_until
@@ -34,32 +30,33 @@ Made = Callable[[JobTable, Path, StopSignal], threading.Thread]
 
 
 def sweeper(table: JobTable, folder: Path, until: StopSignal) -> threading.Thread:
-    return Sweeper(Settings(retention_s=0.1), table, DiskStorage(folder), until)
+    def do() -> None:
+        sweep(table, DiskStorage(folder), retention_s=0.1)
+
+    return Rounds("sweeping", do, 0.01, until)
 
 
 def signs(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
-    return SignsOfLife(table, "worker", until)
+    return Rounds("signing", lambda: table.sign("worker"), 0.01, until)
 
 
 def notifier(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
-    return Notifier(table, "http://127.0.0.1:1/", b"key", until)
+    return Rounds("notifying", lambda: send_next(table, "http://127.0.0.1:1/", b"key"), 0.01, until)
 
 
-def tidying(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
+def refilling(table: JobTable, _folder: Path, until: StopSignal) -> threading.Thread:
     return threading.Thread(target=table.deliver, args=(lambda: False, until))
 
 
 @pytest.mark.parametrize(
-    ("made", "method"), [(sweeper, "needed_keys"), (signs, "sign"), (notifier, "due_notice"), (tidying, "_top_up")]
+    ("made", "method"), [(sweeper, "needed_keys"), (signs, "sign"), (notifier, "due_notice"), (refilling, "_top_up")]
 )
 def test_threads_go_on(
     request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, made: Made, method: str
 ) -> None:
-    pauses = ((sweeping, "SHORTEST_PAUSE_S"), (heartbeat, "SIGN_S"), (notifying, "PAUSE_AFTER_TROUBLE_S"))
-    for module, name in (*pauses, (engine, "TIDY_S")):
-        monkeypatch.setattr(module, name, 0.01)
+    monkeypatch.setattr(engine, "TOP_UP_S", 0.01)
     database = "sqlite"
-    if made is tidying:
+    if made is refilling:
         server: PostgresServer = request.getfixturevalue("postgres")
         database = server.new_database()
     table, until, calls = open_table(database, tmp_path, LONG_S), StopSignal(), []

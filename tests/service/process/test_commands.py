@@ -13,8 +13,7 @@ import pytest
 from service.__main__ import _where
 from service.api.options import EncodeOptions
 from service.api.problems import ProblemError
-from service.jobs.job import EncodeRequest, NewJob, SourceImage, new_job_id
-from service.jobs.table import SubmitLimits
+from service.jobs.job import EncodeRequest, NewJob, SourceImage, SubmitLimits, new_job_id
 from service.opening import open_job_table, open_storage
 from service.settings import Settings
 from service.storage.files import source_key

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.sandbox import confinement, starting
+from service.sandbox import confinement
 from service.sandbox.frames import Ended, Preview
 from tests.harness.processes import encoder_of, processes, wait_until
 from tests.harness.sandbox import TAKEN_OVER, file_of, messages_of, sandbox, task
@@ -194,7 +194,7 @@ def test_the_encoder_of_a_service_is_confined(start_service: StartService) -> No
 def test_a_sandbox_that_is_required(
     run_command: RunCommand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    monkeypatch.setattr(starting, "absent_layers", lambda: ["Landlock"])
+    monkeypatch.setattr(confinement, "absent_layers", lambda: ["Landlock"])
     monkeypatch.setattr("service.__main__.absent_layers", lambda: ["Landlock"])
     result = run_command(command, data_dir=tmp_path, port=0, require_sandbox=1)
     assert result.status == 1
@@ -209,6 +209,6 @@ def test_a_sandbox_that_is_required(
 def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(confinement, "_refuse_files", lambda: False)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    absent, root = starting.check_layers(required=False)
+    absent, root = confinement.check_layers(required=False)
     assert absent == "uploads are read without Landlock, which this system does not offer"
     assert "runs as root" in root

@@ -9,7 +9,6 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 from service.jobs.job import EncodeRequest
-from service.sandbox.drawing import PictureOptions
 from service.sandbox.frames import (
     FILE_BYTES,
     FRAME_HEADER,
@@ -26,8 +25,9 @@ from service.sandbox.frames import (
     TracePoint,
     finite,
     packed,
-    packed_words,
+    packed_json,
 )
+from service.sandbox.pictures import PictureOptions
 
 LIMITS: dict[str, Any] = {"memory_bytes": 1, "cpu_s": 1.0, "max_pixels": 64}
 ENCODE = Encode(**LIMITS, job_id="0" * 32, request=EncodeRequest("psnr", 30.5, "baseline", 2.5), threads=2)
@@ -57,7 +57,7 @@ def test_a_task_has_no_field_that_nobody_knows() -> None:
 
 def test_messages_arrive_whole_and_in_order() -> None:
     reader, file = FrameReader(ENCODE), bytes(range(256)) * 100
-    said = packed_words(Begun()) + packed_words(POINT) + figures(notes=["alpha"]) + packed(b"F", file)
+    said = packed_json(Begun()) + packed_json(POINT) + figures(notes=["alpha"]) + packed(b"F", file)
     messages = [message for at in range(0, len(said), 7) for message in reader.take(said[at : at + 7])]
     assert messages[:2] == [Begun(), POINT]
     (result,) = messages[2:]
@@ -94,11 +94,11 @@ def test_answers_of_words_alone() -> None:
         (ENCODE, packed(b"F", b"x"), "without its figures"),
         (ENCODE, packed(b"T", b'{"step": 1}'), "missing"),
         (ENCODE, packed(b"T", b"null"), "is wrong"),
-        (ENCODE, packed_words(POINT) * (MOST_POINTS + 1), "too many"),
+        (ENCODE, packed_json(POINT) * (MOST_POINTS + 1), "too many"),
         (ENCODE, packed(b"R", b'{"error": "SystemExit", "detail": ""}'), "error"),
         (ENCODE, packed(b"C", b'{"detail": 7}'), "detail"),
         (ENCODE, packed(b"E", b'{"status": "0"} x'), "json_invalid"),
-        (DRAW, packed_words(POINT), "trace"),
+        (DRAW, packed_json(POINT), "trace"),
         (DRAW, packed(b"P", b""), "unknown kind"),
         (DRAW, packed(b"S", b"{}"), "unknown kind"),
         (ReadHeader(**LIMITS), packed(b"F", b"x"), "where 0 are allowed"),

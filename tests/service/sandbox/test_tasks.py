@@ -17,7 +17,6 @@ from PIL import Image
 import sgmethod
 from service.jobs.job import EncodeRequest, new_job_id
 from service.sandbox.client import RefusedError, Sandbox, SandboxGoneError, TaskError, TooMuchError
-from service.sandbox.drawing import Drawing, PictureOptions
 from service.sandbox.frames import (
     Crashed,
     Draw,
@@ -33,7 +32,7 @@ from service.sandbox.frames import (
     Result,
     Task,
 )
-from service.sandbox.picture_files import Rival
+from service.sandbox.pictures import Drawing, PictureOptions, Rival
 from sgmethod.errors import BitstreamError, ImageError, ViewError
 from tests.harness.data import golden_path
 from tests.harness.pictures import SMALL

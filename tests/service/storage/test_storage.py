@@ -15,8 +15,7 @@ import obstore
 import pytest
 
 from service.storage.bucket import BucketStorage
-from service.storage.disk import DiskStorage
-from service.storage.files import Storage, bitstream_key, source_key
+from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
 from tests.harness.nginx import make_certificate
 from tests.harness.s3_server import S3Server
 

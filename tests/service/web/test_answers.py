@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from service.keys import digest
-from service.sandbox.picture_files import MEDIA_TYPES
+from service.sandbox.pictures import MEDIA_TYPES
 from tests.harness.data import PICTURE
 from tests.harness.pictures import SMALL
 from tests.harness.processes import wait_until

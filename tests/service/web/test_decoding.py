@@ -12,8 +12,7 @@ from PIL import Image
 
 import sgmethod
 from service.api.views import PictureCache, PictureQuery
-from service.sandbox.drawing import Drawing, PictureOptions
-from service.sandbox.picture_files import MEDIA_TYPES, PictureFormat, encode_picture
+from service.sandbox.pictures import MEDIA_TYPES, Drawing, PictureFormat, PictureOptions, encode_picture
 from sgmethod.errors import ViewError
 from tests.harness.data import PICTURE
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import sgmethod
-from service.sandbox.picture_files import Rival, as_large
+from service.sandbox.pictures import Rival, as_large
 from sgmethod.view import View
 from tests.harness.data import PHOTOGRAPHS, PICTURE, STATIC, golden_path
 from tests.harness.pictures import SMALL, page_of_text

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 from pathlib import Path
 
 import pytest
 
 from service.jobs.job import EncodeResult, JobError, new_job_id
-from service.jobs.sql import JobTable
-from service.process.stopping import StopSignal
+from service.jobs.table import JobTable
+from service.process.loops import StopSignal
+from service.sandbox.client import Sandbox
 from service.settings import Settings
-from service.storage.disk import DiskStorage
-from service.storage.files import Storage, bitstream_key, source_key
-from service.worker.sweeping import Sweeper, Swept, pause_s, sweep
+from service.storage.files import DiskStorage, Storage, bitstream_key, source_key
+from service.worker.loop import Worker
+from service.worker.sweeping import Swept, pause_s, sweep
 from tests.harness import job_table
 from tests.harness.job_table import LONG_S, OpenTable, claimed
 from tests.harness.processes import wait_until
@@ -70,7 +73,7 @@ def test_images_go_before_their_jobs(table: JobTable, storage: Storage, open_job
     assert sweep(keeping, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 0)
     assert stored(storage) == {source_key(job_id)}
     assert sweep(table, storage, retention_s=1000, orphan_age_s=AT_ONCE_S) == Swept(0, 1)
-    assert (stored(storage), table.stored_bytes()) == (set(), 7)
+    assert (stored(storage), table.census().stored_bytes) == (set(), 7)
 
 
 def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage: Storage) -> None:
@@ -90,12 +93,14 @@ def test_an_image_goes_when_its_time_is_over(open_job_table: OpenTable, storage:
 def test_the_sweeper_needs_no_job_to_begin(table: JobTable, storage: Storage) -> None:
     """On PostgreSQL a worker without jobs never swept."""
     finished(table, storage)
-    until = StopSignal()
-    sweeper = Sweeper(Settings(retention_s=0.5, source_retention_s=0), table, storage, until)
-    sweeper.start()
-    wait_until(lambda: table.page(10) == [] and stored(storage) == set())
-    until.request()
-    sweeper.join()
+    until, (requests, silent) = StopSignal(), socket.socketpair()
+    with requests, silent:
+        settings = Settings(retention_s=0.5, source_retention_s=0)
+        worker = threading.Thread(target=Worker(settings, table, storage, Sandbox(requests), until).run)
+        worker.start()
+        wait_until(lambda: table.page(10) == [] and stored(storage) == set())
+        until.request()
+        worker.join()
 
 
 @pytest.mark.parametrize(

@@ -11,20 +11,16 @@ from typing import BinaryIO
 
 import pytest
 
-from service.jobs.job import EncodeResult, JobError, JsonObject
+from service.jobs.job import Claim, EncodeResult, Job, JobError, JobRules, JobTableError, JsonObject
 from service.jobs.sqlite import SqliteJobTable
-from service.jobs.table import Claim, JobRules, JobTableError
-from service.process.background import failures
-from service.process.stopping import StopSignal
+from service.process.loops import StopSignal, failures
 from service.sandbox.client import Sandbox
 from service.settings import Settings
-from service.storage.disk import DiskStorage
-from service.storage.files import bitstream_key, source_key
-from service.worker import heartbeat as heartbeat_module
-from service.worker import loop, publishing
-from service.worker.heartbeat import ClaimLostError, Heartbeat
+from service.storage.files import DiskStorage, bitstream_key, source_key
+from service.worker import attempt as attempt_module
+from service.worker import loop
+from service.worker.attempt import Attempt, ClaimLostError, Encoded, StoppedError
 from service.worker.loop import Worker
-from service.worker.publishing import Encoded, Publisher, StoppedError
 from tests.harness.job_table import LONG_S, claimed, job_of, submitted
 
 
@@ -43,10 +39,10 @@ class Unsteady(SqliteJobTable):
         self._lose()
         return finished
 
-    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> bool:
-        alive = super().heartbeat(claim, points, first)
+    def heartbeat(self, claim: Claim, points: Sequence[JsonObject], first: int) -> Job | None:
+        job = super().heartbeat(claim, points, first)
         self._lose()
-        return alive
+        return job
 
 
 class Full(DiskStorage):
@@ -86,15 +82,15 @@ def worker(table: Unsteady, storage: Full, stop: StopSignal) -> Iterator[Worker]
 
 
 @pytest.fixture
-def publisher(table: Unsteady, storage: Full, stop: StopSignal, monkeypatch: pytest.MonkeyPatch) -> Publisher:
-    monkeypatch.setattr(publishing, "PAUSE_AFTER_TROUBLE_S", 0.0)
-    return Publisher(table, storage, stop)
-
-
-@pytest.fixture
 def claim(table: Unsteady, storage: DiskStorage) -> Claim:
     storage.put(source_key(submitted(table)), b"image")
     return claimed(table)
+
+
+@pytest.fixture
+def attempt(table: Unsteady, storage: Full, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch) -> Attempt:
+    monkeypatch.setattr(attempt_module, "PAUSE_AFTER_TROUBLE_S", 0.0)
+    return Attempt(table, storage, claim, stop)
 
 
 def result_of(table: Unsteady, claim: Claim) -> str | None:
@@ -106,56 +102,55 @@ def bitstreams(tmp_path: Path) -> list[str]:
     return sorted(f"bitstreams/{path.name}" for path in (tmp_path / "bitstreams").iterdir())
 
 
-def test_two_attempts_and_one_result(table: Unsteady, publisher: Publisher, claim: Claim, tmp_path: Path) -> None:
+def test_two_attempts_and_one_result(
+    table: Unsteady, storage: Full, stop: StopSignal, attempt: Attempt, claim: Claim, tmp_path: Path
+) -> None:
     """Rule 3: the attempt that lost its claim publishes nothing and leaves nothing."""
     assert table.release(claim)
     second = table.claim("other")
     assert second is not None
-    heartbeat = Heartbeat(table, claim)
     with pytest.raises(ClaimLostError):
-        publisher.conclude(claim, Encoded({}, b"of the first"), heartbeat)
+        attempt.conclude(Encoded({}, b"of the first"))
     assert bitstreams(tmp_path) == []
-    publisher.conclude(second, Encoded({}, b"of the second"), Heartbeat(table, second))
+    Attempt(table, storage, second, stop).conclude(Encoded({}, b"of the second"))
     with pytest.raises(ClaimLostError):
-        publisher.conclude(claim, Encoded({}, b"of the first, later"), heartbeat)
+        attempt.conclude(Encoded({}, b"of the first, later"))
     key = bitstream_key(claim.job_id, 2)
     assert bitstreams(tmp_path) == [key]
     assert result_of(table, claim) == key
     assert (tmp_path / key).read_bytes() == b"of the second"
 
 
-def test_a_lost_answer_loses_no_result(table: Unsteady, publisher: Publisher, claim: Claim, tmp_path: Path) -> None:
+def test_a_lost_answer_loses_no_result(table: Unsteady, attempt: Attempt, claim: Claim, tmp_path: Path) -> None:
     """Rule 7: publishing is tried again, and an update that had happened all the same counts."""
     table.lost_answers = 2
-    publisher.conclude(claim, Encoded({"bytes": 4}, b"data"), Heartbeat(table, claim))
+    attempt.conclude(Encoded({"bytes": 4}, b"data"))
     assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
     assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
 
 
 def test_stopping_while_the_table_is_out_of_reach(
-    table: Unsteady, publisher: Publisher, stop: StopSignal, claim: Claim, tmp_path: Path
+    table: Unsteady, attempt: Attempt, stop: StopSignal, claim: Claim, tmp_path: Path
 ) -> None:
     """The bitstream stays for the sweep, since it may have been published."""
     table.lost_answers = 100
     stop.request()
     with pytest.raises(JobTableError):
-        publisher.conclude(claim, Encoded({}, b"data"), Heartbeat(table, claim))
+        attempt.conclude(Encoded({}, b"data"))
     assert bitstreams(tmp_path) == [bitstream_key(claim.job_id, 1)]
 
 
-def test_a_result_waits_for_space(table: Unsteady, publisher: Publisher, storage: Full, claim: Claim) -> None:
+def test_a_result_waits_for_space(table: Unsteady, attempt: Attempt, storage: Full, claim: Claim) -> None:
     storage.refusals = 3
-    publisher.conclude(claim, Encoded({}, b"data"), Heartbeat(table, claim))
+    attempt.conclude(Encoded({}, b"data"))
     assert result_of(table, claim) == bitstream_key(claim.job_id, 1)
 
 
-def test_stopping_while_the_disk_is_full(
-    table: Unsteady, publisher: Publisher, storage: Full, stop: StopSignal, claim: Claim
-) -> None:
+def test_stopping_while_the_disk_is_full(attempt: Attempt, storage: Full, stop: StopSignal) -> None:
     storage.refusals = 100
     stop.request()
     with pytest.raises(StoppedError):
-        publisher.conclude(claim, Encoded({}, b"data"), Heartbeat(table, claim))
+        attempt.conclude(Encoded({}, b"data"))
 
 
 def test_a_storage_out_of_reach_does_not_count_against_the_job(
@@ -173,38 +168,39 @@ def test_a_storage_out_of_reach_does_not_count_against_the_job(
     assert (job.state, job.crashes) == ("queued", 0)
 
 
-def test_a_heartbeat_sends_each_point_once(table: Unsteady, claim: Claim) -> None:
-    heartbeat = Heartbeat(table, claim)
-    heartbeat.add({"step": 0})
-    heartbeat.beat()  # too early
+def test_a_heartbeat_sends_each_point_once(table: Unsteady, attempt: Attempt, claim: Claim) -> None:
+    attempt.add({"step": 0})
+    attempt.beat()  # too early
     assert table.trace(claim.job_id) == []
-    heartbeat.beat(now=True)
+    attempt.beat(now=True)
     table.lost_answers = 1
-    heartbeat.add({"step": 1})
-    heartbeat.beat(now=True)  # written, but reported as failed, so it is sent again
-    heartbeat.add({"step": 2})
-    heartbeat.beat(now=True)
+    attempt.add({"step": 1})
+    attempt.beat(now=True)  # written, but reported as failed, so it is sent again
+    attempt.add({"step": 2})
+    attempt.beat(now=True)
     assert table.trace(claim.job_id) == [{"step": 0}, {"step": 1}, {"step": 2}]
 
 
-def test_a_heartbeat_that_nobody_hears_goes_on(table: Unsteady, claim: Claim, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_heartbeat_that_nobody_hears_goes_on(
+    table: Unsteady, storage: Full, stop: StopSignal, claim: Claim, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Rule 2: that a job is lost is the table's word, which silence is not."""
     clock = [1000.0]
-    monkeypatch.setattr(heartbeat_module.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(attempt_module.time, "monotonic", lambda: clock[0])
     table.lost_answers = 100
-    heartbeat = Heartbeat(table, claim)
-    heartbeat.add({"step": 0})
+    attempt = Attempt(table, storage, claim, stop)
+    attempt.add({"step": 0})
     for _ in range(50):
         clock[0] += 10 * LONG_S
-        heartbeat.beat()
+        attempt.beat()
     table.lost_answers = 0
-    heartbeat.beat(now=True)
+    attempt.beat(now=True)
     assert table.trace(claim.job_id) == [{"step": 0}]
 
 
 @pytest.mark.parametrize("outcome", [JobError("refused", "no"), Encoded({}, b"data")])
 def test_an_end_is_written_down_however_long_it_takes(
-    table: Unsteady, publisher: Publisher, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | JobError
+    table: Unsteady, attempt: Attempt, claim: Claim, monkeypatch: pytest.MonkeyPatch, outcome: Encoded | JobError
 ) -> None:
     """Rule 7: else the lease would run out, and that counts as a crash."""
     refusals = iter([JobTableError("out of reach")] * 5)
@@ -216,16 +212,15 @@ def test_an_end_is_written_down_however_long_it_takes(
         return connection()
 
     monkeypatch.setattr(table, "_connection", out_of_reach)
-    publisher.conclude(claim, outcome, Heartbeat(table, claim))
+    attempt.conclude(outcome)
     job = job_of(table, claim.job_id)
     assert (job.state, job.crashes) == ("done" if isinstance(outcome, Encoded) else "failed", 0)
 
 
 def test_a_source_that_the_storage_has_later(
-    table: Unsteady, storage: Full, worker: Worker, claim: Claim, monkeypatch: pytest.MonkeyPatch
+    storage: Full, worker: Worker, attempt: Attempt, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As a store that copies between places. It made the job fail, after four attempts within two seconds."""
-    monkeypatch.setattr(loop, "PAUSE_AFTER_TROUBLE_S", 0.0)
     misses, has = iter([FileNotFoundError()] * 2), storage.open
 
     def open_late(key: str) -> BinaryIO:
@@ -234,7 +229,7 @@ def test_a_source_that_the_storage_has_later(
         return has(key)
 
     monkeypatch.setattr(storage, "open", open_late)
-    with worker._source(claim, Heartbeat(table, claim)) as file:
+    with worker._source(attempt) as file:
         assert file.read() == b"image"
 
 

@@ -1,0 +1,145 @@
+"""One attempt at a job: its heartbeat while it runs, and how it ends."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from service.jobs.job import FINAL_STATES, Claim, EncodeResult, JobError, JobTableError, JsonObject
+from service.jobs.table import JobTable
+from service.logs import log_seldom
+from service.process.loops import StopSignal
+from service.storage.files import Storage, bitstream_key, source_key
+
+log = logging.getLogger(__name__)
+
+HEARTBEAT_S = 0.5  # how fresh the progress is that a client sees
+PAUSE_AFTER_TROUBLE_S = 1.0  # with the job table or the storage
+
+
+class ClaimLostError(Exception):
+    """The job was cancelled, or is another worker's by now."""
+
+
+class StoppedError(Exception):
+    """This worker is to stop."""
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """The encode is done."""
+
+    stats: JsonObject
+    bitstream: bytes
+
+
+class Attempt:
+    """What a worker tells of one claim. Its end waits for a job table or a storage out of reach, until stopping is
+    requested.
+
+    keeps_sources: images of finished jobs stay for the sweep, and may be encoded again until then.
+    """
+
+    def __init__(
+        self, table: JobTable, storage: Storage, claim: Claim, stop: StopSignal, *, keeps_sources: bool = False
+    ) -> None:
+        self._table = table
+        self._storage = storage
+        self._stop = stop
+        self._keeps_sources = keeps_sources
+        self.claim = claim
+        self.key = bitstream_key(claim.job_id, claim.attempt)
+        self.early_end_wanted = False  # with what there is
+        self._points: list[JsonObject] = []  # since the last beat
+        self._sent = 0
+        self._heard = time.monotonic()
+        self._next = self._heard + HEARTBEAT_S
+
+    def add(self, point: JsonObject) -> None:
+        """Note a trace point for the next beat."""
+        self._points.append(point)
+
+    def beat(self, *, now: bool = False) -> None:
+        """Renew the lease and send the trace, if it is time to or at once. Raises ClaimLostError.
+
+        While the job table is out of reach the encode goes on. Perhaps no other worker has claimed the job
+        meanwhile; if one has, the job table says so later.
+        """
+        if time.monotonic() < self._next and not now:
+            return
+        try:
+            job = self._table.heartbeat(self.claim, self._points, self._sent)
+        except JobTableError as error:
+            silence = time.monotonic() - self._heard
+            log.warning("job %s: no heartbeat for %.1f s: %s", self.claim.job_id, silence, error)
+            self._next = time.monotonic() + PAUSE_AFTER_TROUBLE_S
+            return
+        if job is None:
+            raise ClaimLostError
+        self.early_end_wanted = job.stopped
+        self._heard = time.monotonic()
+        self._next = self._heard + HEARTBEAT_S
+        self._sent += len(self._points)
+        self._points.clear()
+
+    def conclude(self, outcome: Encoded | JobError) -> None:
+        """Publish the bitstream, or tell the job table why there is none. A job that crashed is tried again.
+
+        Raises ClaimLostError, StoppedError, JobTableError.
+        """
+        if isinstance(outcome, Encoded):
+            self._publish(outcome)
+            return
+        claim, retry = self.claim, outcome.code == "crashed"
+        log.warning("job %s: attempt %d %s: %s", claim.job_id, claim.attempt, outcome.code, outcome.detail)
+        if not self._insist(lambda: self._table.fail(claim, outcome, retry=retry)):
+            raise ClaimLostError
+
+    def _publish(self, encoded: Encoded) -> None:
+        """Store the bitstream, then make it the job's in one update."""
+        self._store(encoded.bitstream)
+        result = EncodeResult(self.key, hashlib.sha256(encoded.bitstream).hexdigest(), encoded.stats)
+        if not self._insist(lambda: self._table.finish(self.claim, result)):
+            self._storage.delete(self.key)
+            raise ClaimLostError
+        log.info("job %s: done, %d bytes", self.claim.job_id, len(encoded.bitstream))
+
+    def _store(self, data: bytes) -> None:
+        """Store the bitstream, which took long to compute, however long the disk stays full.
+
+        Raises ClaimLostError, StoppedError.
+        """
+        while True:
+            try:
+                self._storage.put(self.key, data)
+                return
+            except OSError as error:
+                log_seldom(log, "%s cannot be stored yet: %s", self.key, error)
+            self.wait()
+
+    def wait(self) -> None:
+        """Wait for a storage in trouble, and keep the claim. Raises ClaimLostError, StoppedError."""
+        if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+            raise StoppedError
+        self.beat()
+
+    def _insist(self, last_word: Callable[[], bool]) -> bool:
+        """Try again until the table has the end of the attempt. Raises JobTableError if this worker is to stop."""
+        while True:
+            try:
+                return last_word()
+            except JobTableError as error:
+                log.warning("job %s: its result cannot be recorded yet: %s", self.claim.job_id, error)
+                if self._stop.wait(PAUSE_AFTER_TROUBLE_S):
+                    raise
+
+    def tidy(self) -> None:
+        """Remove the source image of a job that will not run again, and what an attempt without a result has left."""
+        job = self._table.get(self.claim.job_id)
+        if job is None or job.result is None or job.result.bitstream_key != self.key:
+            self._storage.delete(self.key)
+        if job is None or (job.state in FINAL_STATES and not self._keeps_sources):
+            self._storage.delete(source_key(self.claim.job_id))
