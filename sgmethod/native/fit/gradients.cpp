@@ -61,8 +61,10 @@ void load(const Rasterization& raster, int level, int tile, Planes& planes, floa
   const int rows = raster.rows_of(tile);
   const int64_t stride = planes.stride(level);
   const float* from = planes.at(level, raster.tile_x(tile), raster.tile_y(tile));
-  for (int row = 0; row < 3 * rows; ++row, from += stride)
+  for (int row = 0; row < 3 * rows; ++row, from += stride) {
+    __builtin_prefetch(from + 2 * kTileWidth - 1);  // of the next tile
     std::memcpy(values + row * kTileWidth, from, kTileWidth * sizeof(float));
+  }
   std::fill(values + rows * 3 * kTileWidth, values + kTileFloats, 0.0f);
 }
 
