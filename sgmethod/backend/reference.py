@@ -21,6 +21,7 @@ from sgmethod.backend.protocol import (
     RefineLimits,
     Target,
     Visibility,
+    step_by_step,
 )
 from sgmethod.native import native
 from sgmethod.native.reference import render, render_pyramid
@@ -149,6 +150,8 @@ class Reference:
         gaussians.means[:] = np.clip(means, -margin, np.array([width, height]) + margin)
         gaussians.factors[:] = np.stack([l1, slanted, l3], 1)
         gaussians.colors[:] = np.clip(colors, -MAX_AMPLITUDE, MAX_AMPLITUDE)
+
+    steps = step_by_step
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         """Encode and decode each Gaussian alone."""

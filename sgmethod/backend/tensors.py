@@ -13,7 +13,7 @@ from torch.nn.functional import conv2d
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.pairs import Pairs
-from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility
+from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility, step_by_step
 from sgmethod.scene import FloatArray, Gaussians
 
 
@@ -61,6 +61,8 @@ class Tensors(Kernels):
         pairs, drawn = self._drawn(gaussians, frame)
         alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
         return self._gradient(pairs, gaussians, frame, self._seen(drawn, alike)).colors
+
+    steps = step_by_step
 
     def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs, Tensor]:
         means, factors = (self._tensor(values) / frame.spacing for values in (gaussians.means, gaussians.factors))

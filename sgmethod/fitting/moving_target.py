@@ -41,6 +41,8 @@ class MovingTarget:
     def __init__(self, target: Target) -> None:
         self.now = self._original = target
 
+    every = 16  # steps: the target may move before a step whose number is a multiple of this
+
     def is_due(self, _step: int, _has_grown: bool) -> bool:
         """Whether the target moves before this step. has_grown: the growth of this run is over."""
         return False
@@ -70,7 +72,7 @@ class ExaggeratedTarget(MovingTarget):
     def __init__(self, target: Target, shrink: int, settings: MovingTargetSettings) -> None:
         """Start at the original target. shrink: coarse errors are means over squares of so many samples, at least 2."""
         super().__init__(target)
-        self._settings, self._shrink = settings, shrink
+        self._settings, self._shrink, self.every = settings, shrink, settings.every
         self._grain: Target | None = None
         self._by: FloatArray | None = None  # offset for coarse errors, at 1 / shrink of the size
         self._detail: list[FloatArray] = []  # the source's luma by octave, from half the size on
@@ -78,7 +80,7 @@ class ExaggeratedTarget(MovingTarget):
         self._kept: FloatArray | None = None  # share of detail left where grain is hidden, at half the size
 
     def is_due(self, step: int, has_grown: bool) -> bool:
-        return has_grown and step % self._settings.every == 0
+        return has_grown and step % self.every == 0
 
     def without(self, grain: Target) -> ExaggeratedTarget:
         new = copy(self)
@@ -156,6 +158,7 @@ class OvershootingTarget(MovingTarget):
         """Start at the original target. background: the grey level that was subtracted from it."""
         super().__init__(target)
         s = self._settings = settings
+        self.every = s.overshoot_every
         level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255).astype(
             np.uint8
         )
@@ -166,7 +169,7 @@ class OvershootingTarget(MovingTarget):
         self._high = ends[1] * s.overshoot - ends[0] * margin
 
     def is_due(self, step: int, _has_grown: bool) -> bool:
-        return step % self._settings.overshoot_every == 0
+        return step % self.every == 0
 
     def moved(self, error: Rows) -> OvershootingTarget:
         new, (_, height, width) = copy(self), self._original.shape

@@ -3,12 +3,10 @@
 #include <cmath>
 
 #include "core/constants.h"
-#include "core/thread_pool.h"
 
 namespace sg {
 namespace {
 
-constexpr int kBlock = 512;  // Gaussians of a task
 constexpr float kInverseLn2 = 1.4426950409f;
 constexpr float kTinySquare = 1e-12f;
 constexpr float kUnitR = static_cast<float>(kRStep);
@@ -25,9 +23,9 @@ float inverse_color_step(const float* l, float quantum) {
 
 }  // namespace
 
-void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,
-                      float* grad_colors) {
-  parallel_each(n, kBlock, [&](int i) {
+void add_rate_gradient(float quantum, float weight, int first, int last, const float* factors, const float* colors,
+                       float* grad_factors, float* grad_colors) {
+  for (int i = first; i < last; ++i) {
     const float *l = factors + 3 * i, *color = colors + 3 * i;
     float *gl = grad_factors + 3 * i, *gc = grad_colors + 3 * i;
     const float inverse_step = inverse_color_step(l, quantum), scale = weight * kInverseLn2;
@@ -53,7 +51,7 @@ void rd_rate_gradient(float quantum, float weight, int n, const float* factors, 
     gl[0] += 0.5f * (d_log_size + by_v) / l[0];
     gl[1] += by_r * inverse_l3;
     gl[2] += (0.5f * (d_log_size - by_v) - by_r * r) * inverse_l3;
-  });
+  }
 }
 
 }  // namespace sg
