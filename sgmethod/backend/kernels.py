@@ -25,10 +25,14 @@ from sgmethod.settings.shared import OptimiserSettings
 class Kernels:
     """A Backend on all threads of the CPU, with the same results for every number of threads."""
 
-    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        missing = np.empty(target.shape, np.float32)
-        raster = _raster(gaussians, frame, target.shape[1], first_row)
-        raster.missing(gaussians.colors, np.ascontiguousarray(target), missing)
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
+        _, height, width = target.shape
+        missing = np.empty((3, -(-height // 2), -(-width // 2)) if half else target.shape, np.float32)
+        raster = _raster(gaussians, frame, height, first_row)
+        fill = raster.missing_halved if half else raster.missing
+        fill(gaussians.colors, np.ascontiguousarray(target), missing)
         return missing
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:

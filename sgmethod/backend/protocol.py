@@ -159,8 +159,13 @@ class Descent:
 class Backend(Protocol):
     """The eleven functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
 
-    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        """Target minus drawn Gaussians, [3, rows, W], for the rows of a target that begin at first_row."""
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
+        """Target minus drawn Gaussians, [3, rows, W], for the rows of a target that begin at first_row.
+
+        half: reduced to half the size, by all_halved(); first_row is a multiple of TILE_HEIGHT.
+        """
         ...
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:

@@ -13,6 +13,7 @@ from torch.nn.functional import conv2d
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.pairs import Pairs
+from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility, step_by_step
 from sgmethod.scene import FloatArray, Gaussians
 
@@ -23,9 +24,12 @@ class Tensors(Kernels):
     def __init__(self, device: torch.device) -> None:
         self._device = device
 
-    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
         drawn = self._drawn(gaussians, frame)[1][:, first_row : first_row + target.shape[1]]
-        return _numpy(self._image(target) - drawn)
+        missing = _numpy(self._image(target) - drawn)
+        return all_halved(missing) if half else missing
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
         left = self._drawn(gaussians, frame)[1] - self._image(target)

@@ -105,6 +105,9 @@ class Rasterization:
     def missing(self, colors: FloatArray, target: NDArray[np.int16], image: FloatArray) -> None:
         """Fill image [3, height, width], 1 being white: target, in which white is TARGET_WHITE, minus the picture."""
 
+    def missing_halved(self, colors: FloatArray, target: NDArray[np.int16], image: FloatArray) -> None:
+        """Fill image at half the size with means of four of missing(). A part must begin with a whole tile."""
+
     def render_bytes(
         self, colors: FloatArray, image: NDArray[np.uint8], background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> None:

@@ -24,7 +24,7 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     for progress in stage.pace.together(stage.until, while_target_rests):
         level = plan.level_for(state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
-            state = replace(state, target=state.target.moved(plan.finest.missing(gaussians)))
+            state = replace(state, target=state.target.moved(plan.finest.missing(gaussians, half=state.target.half)))
             level = replace(level, target=state.target.now)
         rates = [cosine(s.optimiser.final_rate, at) for at in progress]
         request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
@@ -38,5 +38,5 @@ def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
     is_whole = plan.finest.frame.spacing == 1
     if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
         return state
-    missing = plan.finest.missing(state.gaussians)
-    return replace(state, target=state.target.without(plan.request.objective.grain(missing)).moved(missing))
+    target = state.target.without(plan.request.objective.grain(plan.finest.missing(state.gaussians)))
+    return replace(state, target=target.moved(plan.finest.missing(state.gaussians, half=target.half)))

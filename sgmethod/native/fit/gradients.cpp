@@ -10,12 +10,17 @@
 #include <vector>
 
 #include "core/errors.h"
+#include "core/platform.h"
 #include "core/scratch.h"
 #include "core/thread_pool.h"
 #include "raster/levels.h"
 
 namespace sg {
 namespace {
+
+// Rows of a large picture lie too far apart for the processor to prefetch them, so each kernel prefetches those of the
+// next tile.
+constexpr int kAhead = 2 * kTileWidth - 1;
 
 // Converts gradients, in place, from those by a Gaussian's mean [2], factor [3] and gain in samples of its coarse level
 // to those by its mean and factor in pixels.
@@ -149,6 +154,17 @@ TileTarget part(const Rasterization& raster, int tile, const int16_t* target, fl
   return {target + first, samples(raster) / 3, raster.width(), 0, a.columns, a.rows, scale};
 }
 
+// Rows [3][kTileWidth] of a tile to half the size, [3][kTileWidth / 2].
+SG_CLONES void halve(const float* in, int rows, float* out) {
+  constexpr int kHalf = kTileWidth / 2, kRow = 3 * kTileWidth;
+  for (int row = 0; row < rows; row += 2, in += 2 * kRow)
+    for (int k = 0; k < 3; ++k, out += kHalf)
+      for (int i = 0; i < kHalf; ++i) {
+        const float* four = in + k * kTileWidth + 2 * i;
+        out[i] = (four[0] + four[1] + (four[kRow] + four[kRow + 1])) * 0.25f;
+      }
+}
+
 // Multiplies values of a tile of the picture by the visibility of their pixels.
 void weigh(const Rasterization& raster, int tile, const int16_t* visibility, float* values) {
   const Rasterization::Area a = raster.area(tile);
@@ -162,8 +178,29 @@ void missing(const Rasterization& raster, const float* colors, const int16_t* ta
   constexpr float kStep = 1.0f / kTargetWhite;
   raster.draw_tiles(colors, [&](int tile, const float* values) {
     raster.for_rows(tile, values, [&](const float* from, int64_t at, int columns) {
+      __builtin_prefetch(target + at + kAhead);
       for (int i = 0; i < columns; ++i) image[at + i] = static_cast<float>(target[at + i]) * kStep - from[i];
     });
+  });
+}
+
+void missing_halved(const Rasterization& raster, const float* colors, const int16_t* target, float* image) {
+  constexpr int kRow = 3 * kTileWidth;
+  const int64_t width = (raster.width() + 1) / 2, height = (raster.height() + 1) / 2;
+  raster.draw_tiles(colors, [&](int tile, float* values) {
+    TileTarget here = part(raster, tile, target, -1.0f);
+    here.ahead = kAhead;
+    fit_kernels(raster.isa()).difference(values, here);
+    const Rasterization::Area a = raster.area(tile);
+    if (a.columns % 2 != 0)
+      for (int row = 0; row < 3 * a.rows; ++row) values[row * kTileWidth + a.columns] = values[row * kTileWidth + a.columns - 1];
+    if (a.rows % 2 != 0) std::copy_n(values + (a.rows - 1) * kRow, kRow, values + a.rows * kRow);
+    alignas(64) float half[kTileFloats / 4];
+    halve(values, a.rows, half);
+    const float* from = half;
+    for (int row = 0; row < a.rows; row += 2)
+      for (int k = 0; k < 3; ++k, from += kTileWidth / 2)
+        std::copy_n(from, (a.columns + 1) / 2, image + (k * height + (a.y + row) / 2) * width + a.x / 2);
   });
 }
 
@@ -218,9 +255,7 @@ double squared_error(const Rasterization& raster, const float* colors, const int
     const std::unique_ptr<float[]> first(new float[first_value_count(raster, tile)]);  // all written by the kernel
     raster.begin_tile(tile, coarse, gradient);
     TileTarget here = part(raster, tile, target, scale);
-    // Rows of a large picture lie too far apart for the processor to prefetch them, so each kernel prefetches those of
-    // the next tile.
-    here.ahead = 2 * kTileWidth - 1;
+    here.ahead = kAhead;
     if (visibility != nullptr) here.visibility = visibility + (here.first - target);
     here.seen = seen;
     errors[static_cast<size_t>(tile)] =
