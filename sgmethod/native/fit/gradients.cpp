@@ -154,6 +154,19 @@ TileTarget part(const Rasterization& raster, int tile, const int16_t* target, fl
   return {target + first, samples(raster) / 3, raster.width(), 0, a.columns, a.rows, scale};
 }
 
+// to = target - values, along a row of a tile.
+SG_CLONES void subtract(const int16_t* target, const float* values, int columns, float* to) {
+  constexpr float kStep = 1.0f / kTargetWhite;
+  __builtin_prefetch(target + kAhead);
+  float left[kTileWidth];
+  if (columns == kTileWidth) {
+    for (int i = 0; i < kTileWidth; ++i) left[i] = static_cast<float>(target[i]) * kStep - values[i];
+    std::memcpy(to, left, sizeof left);
+  } else {
+    for (int i = 0; i < columns; ++i) to[i] = static_cast<float>(target[i]) * kStep - values[i];
+  }
+}
+
 // Rows [3][kTileWidth] of a tile to half the size, [3][kTileWidth / 2].
 SG_CLONES void halve(const float* in, int rows, float* out) {
   constexpr int kHalf = kTileWidth / 2, kRow = 3 * kTileWidth;
@@ -175,11 +188,9 @@ void weigh(const Rasterization& raster, int tile, const int16_t* visibility, flo
 }  // namespace
 
 void missing(const Rasterization& raster, const float* colors, const int16_t* target, float* image) {
-  constexpr float kStep = 1.0f / kTargetWhite;
   raster.draw_tiles(colors, [&](int tile, const float* values) {
     raster.for_rows(tile, values, [&](const float* from, int64_t at, int columns) {
-      __builtin_prefetch(target + at + kAhead);
-      for (int i = 0; i < columns; ++i) image[at + i] = static_cast<float>(target[at + i]) * kStep - from[i];
+      subtract(target + at, from, columns, image + at);
     });
   });
 }
@@ -188,9 +199,7 @@ void missing_halved(const Rasterization& raster, const float* colors, const int1
   constexpr int kRow = 3 * kTileWidth;
   const int64_t width = (raster.width() + 1) / 2, height = (raster.height() + 1) / 2;
   raster.draw_tiles(colors, [&](int tile, float* values) {
-    TileTarget here = part(raster, tile, target, -1.0f);
-    here.ahead = kAhead;
-    fit_kernels(raster.isa()).difference(values, here);
+    raster.for_rows(tile, values, [&](float* row, int64_t at, int columns) { subtract(target + at, row, columns, row); });
     const Rasterization::Area a = raster.area(tile);
     if (a.columns % 2 != 0)
       for (int row = 0; row < 3 * a.rows; ++row) values[row * kTileWidth + a.columns] = values[row * kTileWidth + a.columns - 1];
