@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from sgmethod.backend.protocol import GRID_REACH, Coding, Frame, Loss, Moments, RefineLimits, Target, Visibility
+from sgmethod.backend.protocol import (
+    GRID_REACH,
+    Coding,
+    Descent,
+    Frame,
+    Loss,
+    Moments,
+    RefineLimits,
+    Target,
+    Visibility,
+)
 from sgmethod.native import native
 from sgmethod.scene import FloatArray, Gaussians
 from sgmethod.settings.shared import OptimiserSettings
@@ -13,10 +25,14 @@ from sgmethod.settings.shared import OptimiserSettings
 class Kernels:
     """A Backend on all threads of the CPU, with the same results for every number of threads."""
 
-    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        missing = np.empty(target.shape, np.float32)
-        raster = _raster(gaussians, frame, target.shape[1], first_row)
-        raster.missing(gaussians.colors, np.ascontiguousarray(target), missing)
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
+        _, height, width = target.shape
+        missing = np.empty((3, -(-height // 2), -(-width // 2)) if half else target.shape, np.float32)
+        raster = _raster(gaussians, frame, height, first_row)
+        fill = raster.missing_halved if half else raster.missing
+        fill(gaussians.colors, np.ascontiguousarray(target), missing)
         return missing
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
@@ -58,11 +74,8 @@ class Kernels:
         rate: float,
         values: int,
     ) -> None:
-        s = settings
-        rates = s.mean_rate, s.factor_rate, s.color_rate
-        adam = native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px, s.newton_steps, values)
         averages = moments.first, moments.second, moments.bias
-        native.frame_adam(adam, rate, *gaussians.arrays, *gradient.arrays, *averages)
+        native.frame_adam(_adam(settings, values), rate, *gaussians.arrays, *gradient.arrays, *averages)
 
     def add_rate_gradient(self, gaussians: Gaussians, gradient: Gaussians, quantum: float, weight: float) -> None:
         values = gaussians.factors, gaussians.colors, gradient.factors, gradient.colors
@@ -70,6 +83,27 @@ class Kernels:
 
     def keep_in_range(self, gaussians: Gaussians, width: int, height: int) -> None:
         native.keep_in_range(GRID_REACH, width, height, *gaussians.arrays)
+
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        d, f = descent, descent.frame
+        native.rd_steps(
+            d.target,
+            f.cutoff,
+            f.pyramid,
+            f.spacing,
+            d.quantum,
+            d.price,
+            _adam(d.settings, d.values),
+            rates,
+            GRID_REACH,
+            d.width,
+            d.height,
+            *gaussians.arrays,
+            moments.first,
+            moments.second,
+            moments.bias,
+            *_seen(d.visibility),
+        )
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         out = Gaussians.empty(len(gaussians))
@@ -93,6 +127,12 @@ class Kernels:
             by_eye,
             halvings=limits.spacing.bit_length() - 1,
         )
+
+
+def _adam(settings: OptimiserSettings, values: int) -> native.AdamSettings:
+    s = settings
+    rates = s.mean_rate, s.factor_rate, s.color_rate
+    return native.AdamSettings(*rates, s.beta1, s.beta2, s.min_scale_px, s.newton_steps, values)
 
 
 def _raster(gaussians: Gaussians, frame: Frame, rows: int | None = None, first_row: int = 0) -> native.Rasterization:

@@ -22,3 +22,8 @@ def halved(plane: NDArray[Any], beyond: Beyond = "edge") -> NDArray[Any]:
     whole = even(plane, beyond)
     height, width = whole.shape
     return np.asarray(cv2.resize(whole, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+
+
+def all_halved(planes: NDArray[Any]) -> NDArray[Any]:
+    """Reduce planes [N, H, W] to half the size."""
+    return np.stack([halved(plane) for plane in planes])

@@ -5,7 +5,7 @@ Means and factors are always in pixels of the whole picture, whatever the frame'
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -133,11 +133,39 @@ class RefineLimits:
     spacing: int = 1
 
 
-class Backend(Protocol):
-    """The ten functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
+@dataclass(frozen=True)
+class Descent:
+    """What the steps of a fit minimise, and how.
 
-    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
-        """Target minus drawn Gaussians, [3, rows, W], for the rows of a target that begin at first_row."""
+    That is the error on a frame, and `price` for each bit at a quantum: squared error, as a mean over the `values` of
+    the picture. width, height: of the picture.
+    """
+
+    frame: Frame
+    target: Target
+    visibility: Visibility | None
+    quantum: float
+    price: float
+    width: int
+    height: int
+    settings: OptimiserSettings
+
+    @property
+    def values(self) -> int:
+        """Samples of the picture."""
+        return 3 * self.width * self.height
+
+
+class Backend(Protocol):
+    """The eleven functions of a backend. Errors are squared, 1 being white, and weighted by a visibility if given."""
+
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
+        """Target minus drawn Gaussians, [3, rows, W], for the rows of a target that begin at first_row.
+
+        half: reduced to half the size, by all_halved(); first_row is a multiple of TILE_HEIGHT.
+        """
         ...
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
@@ -191,6 +219,10 @@ class Backend(Protocol):
         """Clamp Gaussians, in place, to values that every file of a picture of this size can represent."""
         ...
 
+    def steps(self, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]) -> None:
+        """Move Gaussians in place by a step for each rate: step_by_step() below, but nothing may come in between."""
+        ...
+
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         """Gaussians as a decoder will see them, with colour 0 if they round to nothing."""
         ...
@@ -204,3 +236,16 @@ class Backend(Protocol):
         for their bits are dropped until the payload fits.
         """
         ...
+
+
+def step_by_step(
+    backend: Backend, gaussians: Gaussians, moments: Moments, descent: Descent, rates: Sequence[float]
+) -> None:
+    """Take steps by the other functions of a backend, which may be its method `steps`."""
+    d = descent
+    for rate in rates:
+        _, gradient = backend.gradients(gaussians, d.frame, d.target, d.visibility)
+        if d.price > 0:
+            backend.add_rate_gradient(gaussians, gradient, d.quantum, d.price)
+        backend.step(gaussians, gradient, moments, d.settings, rate, d.values)
+        backend.keep_in_range(gaussians, d.width, d.height)

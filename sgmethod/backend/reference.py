@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv2d
 
+from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import (
     GRID_REACH,
     TARGET_WHITE,
@@ -21,6 +22,7 @@ from sgmethod.backend.protocol import (
     RefineLimits,
     Target,
     Visibility,
+    step_by_step,
 )
 from sgmethod.native import native
 from sgmethod.native.reference import render, render_pyramid
@@ -72,9 +74,12 @@ def bits(factors: Tensor, colors: Tensor, quantum: float) -> Tensor:
 class Reference:
     """A Backend by these definitions, with derivatives by torch."""
 
-    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
         rows = _drawn(_tensors(gaussians), frame)[:, first_row : first_row + target.shape[1]]
-        return _single(_image(target) - rows)
+        missing = _single(_image(target) - rows)
+        return all_halved(missing) if half else missing
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
         errors = _drawn(_tensors(gaussians), frame) - _image(target)
@@ -149,6 +154,8 @@ class Reference:
         gaussians.means[:] = np.clip(means, -margin, np.array([width, height]) + margin)
         gaussians.factors[:] = np.stack([l1, slanted, l3], 1)
         gaussians.colors[:] = np.clip(colors, -MAX_AMPLITUDE, MAX_AMPLITUDE)
+
+    steps = step_by_step
 
     def rounded(self, gaussians: Gaussians, coding: Coding) -> Gaussians:
         """Encode and decode each Gaussian alone."""

@@ -15,7 +15,8 @@ from torch.nn.functional import conv2d
 
 from sgmethod.backend.kernels import Kernels
 from sgmethod.backend.pairs import Pairs
-from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility
+from sgmethod.backend.planes import all_halved
+from sgmethod.backend.protocol import TARGET_WHITE, VISIBLE, Frame, Loss, Target, Visibility, step_by_step
 from sgmethod.scene import FloatArray, Gaussians
 
 if TYPE_CHECKING:
@@ -31,9 +32,12 @@ class Tensors(Kernels):
     def __init__(self, device: torch.device, tiled: bool = False) -> None:
         self._device, self._tiled = device, tiled
 
-    def residual(self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0) -> FloatArray:
+    def residual(
+        self, gaussians: Gaussians, frame: Frame, target: Target, first_row: int = 0, *, half: bool = False
+    ) -> FloatArray:
         drawn = self._drawn(gaussians, frame)[1][:, first_row : first_row + target.shape[1]]
-        return _numpy(self._image(target) - drawn)
+        missing = _numpy(self._image(target) - drawn)
+        return all_halved(missing) if half else missing
 
     def error(self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None) -> float:
         left = self._drawn(gaussians, frame)[1] - self._image(target)
@@ -69,6 +73,8 @@ class Tensors(Kernels):
         pairs, drawn = self._drawn(gaussians, frame)
         alike = None if visibility is None else Visibility(visibility.values, by_eye=False)
         return self._gradient(pairs, gaussians, frame, self._seen(drawn, alike)).colors
+
+    steps = step_by_step
 
     def _drawn(self, gaussians: Gaussians, frame: Frame) -> tuple[Pairs | Tiles, Tensor]:
         means, factors, colors = map(self._tensor, gaussians.arrays)

@@ -8,6 +8,7 @@ everything in words.
 from __future__ import annotations
 
 import math
+from bisect import bisect
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -49,16 +50,20 @@ def quantum_of(code: int) -> float:
 
 
 @cache
-def _short_codes() -> dict[float, int]:
+def _short_codes() -> tuple[dict[float, int], list[float]]:
+    """Codes of the quanta that a short file can hold, and these in ascending order."""
     codes = (QUANTUM.value(upper) for upper in range(2**QUANTUM.short_bits))
-    return {quantum_of(code): code for code in codes if quantum_of(code) >= MIN_QUANTUM}
+    found = {quantum_of(code): code for code in codes if quantum_of(code) >= MIN_QUANTUM}
+    return found, sorted(found)
 
 
 def quantum_code(quantum: float, is_short: bool = False) -> int:
     """Return the code of the nearest quantum."""
     if is_short:
-        codes = _short_codes()
-        return codes[min(codes, key=lambda q: abs(q - quantum))]
+        codes, quanta = _short_codes()
+        at = bisect(quanta, quantum)
+        near = sorted(codes[one] for one in quanta[max(at - 1, 0) : at + 1])
+        return min(near, key=lambda code: abs(quantum_of(code) - quantum))
     quantum = min(max(quantum, MIN_QUANTUM), quantum_of(255))
     exponent = math.floor(math.log2(quantum))
     fraction = round((quantum / 2.0**exponent - 1) * 256)

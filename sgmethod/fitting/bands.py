@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from sgmethod.backend.protocol import TILE_HEIGHT
 from sgmethod.scene import FloatArray
 
 Rows = Callable[[int, int], FloatArray]  # (first, end) -> rows of a residual, [3, end - first, W]
 BAND = 1 << 20  # pixels, about
-LEAST_ROWS, MULTIPLE = 128, 4  # bands must also divide pictures of a half and a quarter of the size
+LEAST_ROWS, MULTIPLE = 128, TILE_HEIGHT  # bands must also divide pictures of a half and a quarter of the size
 
 
 def bands(height: int, width: int) -> list[tuple[int, int]]:

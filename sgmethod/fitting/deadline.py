@@ -6,10 +6,13 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import takewhile
 
 from sgmethod.backend.protocol import thread_count
 from sgmethod.settings.rd import DeadlineSettings
 from sgmethod.trace import Stop
+
+STEPS_S = 0.05  # duration of steps that are taken together
 
 
 class Clock:
@@ -132,11 +135,24 @@ class Pace:
 
     def until(self, end: float) -> Iterator[float]:
         """Yield the progress before each step, until it reaches `end`."""
-        while self.progress < min(end, 1.0):
-            yield self.progress
-            self.done += 1
+        for (progress,) in self.together(end, lambda: 1):
+            yield progress
+
+    def together(self, end: float, most: Callable[[], int]) -> Iterator[list[float]]:
+        """Yield the progress before each of some steps, at most most() at a time, until it reaches `end`.
+
+        A stop is seen after about STEPS_S. Once time is limited, each step comes alone.
+        """
+        end, step_s, seen_s, end_s = min(end, 1.0), math.inf, self._clock.seconds(), self._until_s()
+        while self.progress < end:
+            many = 1 if math.isfinite(end_s) else min(most(), 1 + int(STEPS_S / step_s))
+            further = (done / self.length for done in range(self.done + 1, self.done + many))
+            steps = [self.progress, *takewhile(lambda progress: progress < end, further)]
+            yield steps
+            self.done += len(steps)
             self.progress = self.done / self.length
-            end_s = self._until_s()
+            began_s, seen_s, end_s = seen_s, self._clock.seconds(), self._until_s()
+            step_s = max((seen_s - began_s) / len(steps), 1e-6)
             if math.isfinite(end_s):
-                gone = (self._clock.seconds() - self._began_s) / max(end_s - self._began_s, 1e-9)
+                gone = (seen_s - self._began_s) / max(end_s - self._began_s, 1e-9)
                 self.progress = max(self.progress, gone)

@@ -109,11 +109,11 @@ class Level:
         """Weighted mean squared error, and its gradient by each parameter."""
         return self.backend.gradients(gaussians, self.frame, self.target, self.visibility)
 
-    def missing(self, gaussians: Gaussians) -> Rows:
-        """Target minus drawn Gaussians, computed when rows are requested."""
+    def missing(self, gaussians: Gaussians, *, half: bool = False) -> Rows:
+        """Target minus drawn Gaussians, computed when rows are requested. half: reduced to half the size."""
 
         def rows(first: int, end: int) -> FloatArray:
-            return self.backend.residual(gaussians, self.frame, self.target[:, first:end], first)
+            return self.backend.residual(gaussians, self.frame, self.target[:, first:end], first, half=half)
 
         return rows
 

@@ -21,11 +21,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.planes import halved
+from sgmethod.backend.planes import all_halved, halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.bands import Rows, bands
 from sgmethod.scene import FloatArray
 from sgmethod.settings.rd import MovingTargetSettings
+from sgmethod.threads import in_parallel
 
 LUMA = (0.299, 0.587, 0.114)
 
@@ -41,12 +42,15 @@ class MovingTarget:
     def __init__(self, target: Target) -> None:
         self.now = self._original = target
 
+    half = False  # whether moved() is given the error at half the size
+    every = 16  # steps: the target may move before a step whose number is a multiple of this
+
     def is_due(self, _step: int, _has_grown: bool) -> bool:
         """Whether the target moves before this step. has_grown: the growth of this run is over."""
         return False
 
     def moved(self, _error: Rows) -> MovingTarget:
-        """Return the target moved for this error: original target minus picture, by rows."""
+        """Return the target moved for this error: original target minus picture, by the target's rows."""
         return self
 
     def without(self, _grain: Target) -> MovingTarget:
@@ -65,12 +69,12 @@ class ExaggeratedTarget(MovingTarget):
     correcting fine errors.
     """
 
-    hides = False
+    hides, half = False, True
 
     def __init__(self, target: Target, shrink: int, settings: MovingTargetSettings) -> None:
         """Start at the original target. shrink: coarse errors are means over squares of so many samples, at least 2."""
         super().__init__(target)
-        self._settings, self._shrink = settings, shrink
+        self._settings, self._shrink, self.every = settings, shrink, settings.every
         self._grain: Target | None = None
         self._by: FloatArray | None = None  # offset for coarse errors, at 1 / shrink of the size
         self._detail: list[FloatArray] = []  # the source's luma by octave, from half the size on
@@ -78,7 +82,7 @@ class ExaggeratedTarget(MovingTarget):
         self._kept: FloatArray | None = None  # share of detail left where grain is hidden, at half the size
 
     def is_due(self, step: int, has_grown: bool) -> bool:
-        return has_grown and step % self._settings.every == 0
+        return has_grown and step % self.every == 0
 
     def without(self, grain: Target) -> ExaggeratedTarget:
         new = copy(self)
@@ -105,27 +109,29 @@ class ExaggeratedTarget(MovingTarget):
         by_coarse = np.rint(new._by * TARGET_WHITE).astype(np.int16)
         by_detail = _enlarged(np.rint(new._exaggerated(luma.shape) * TARGET_WHITE).astype(np.int16), (height, width))
         new.now = np.empty_like(self._original)
-        for plane, by, to in zip(self._original, by_coarse, new.now, strict=True):
-            np.add(plane, _enlarged(by, (height, width)), out=to)
-            to += by_detail
-        if self._grain is not None:
-            new.now -= self._grain
+
+        def move(k: int) -> None:
+            np.add(self._original[k], _enlarged(by_coarse[k], (height, width)), out=new.now[k])
+            new.now[k] += by_detail
+            if self._grain is not None:
+                new.now[k] -= self._grain[k]
+
+        in_parallel(move, range(3))
         return new
 
     def _source(self, first: int, end: int) -> FloatArray:
-        return self._original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE)
+        return all_halved(self._original[:, first:end].astype(np.float32) / np.float32(TARGET_WHITE))
 
-    def _reduced(self, planes: Rows) -> tuple[FloatArray, FloatArray]:
-        """Reduce planes to means over squares of `shrink`, [3, h, w], and to luma at half the size."""
+    def _reduced(self, halves: Rows) -> tuple[FloatArray, FloatArray]:
+        """Reduce planes of half the size to means over squares of `shrink`, [3, h, w], and to luma."""
         shrink, (_, height, width) = self._shrink, self._original.shape
         coarse = np.empty((3, -(-height // shrink), -(-width // shrink)), np.float32)
         luma = np.zeros((-(-height // 2), -(-width // 2)), np.float32)
         for first, end in bands(height, width):
             here = coarse[:, first // shrink : -(-end // shrink)]
-            for plane, weight, to in zip(planes(first, end), LUMA, here, strict=True):
-                half = halved(plane)
-                luma[first // 2 : -(-end // 2)] += np.float32(weight) * half
-                to[...] = cv2.resize(half, to.shape[::-1], interpolation=cv2.INTER_AREA)
+            for plane, weight, to in zip(halves(first, end), LUMA, here, strict=True):
+                luma[first // 2 : -(-end // 2)] += np.float32(weight) * plane
+                to[...] = cv2.resize(plane, to.shape[::-1], interpolation=cv2.INTER_AREA)
         return coarse, luma
 
     def _more_detail(self, missing: FloatArray) -> list[FloatArray]:
@@ -156,6 +162,7 @@ class OvershootingTarget(MovingTarget):
         """Start at the original target. background: the grey level that was subtracted from it."""
         super().__init__(target)
         s = self._settings = settings
+        self.every = s.overshoot_every
         level = np.clip((target[0] + TARGET_WHITE // 510) // (TARGET_WHITE // 255) + background, 0, 255).astype(
             np.uint8
         )
@@ -166,7 +173,7 @@ class OvershootingTarget(MovingTarget):
         self._high = ends[1] * s.overshoot - ends[0] * margin
 
     def is_due(self, step: int, _has_grown: bool) -> bool:
-        return step % self._settings.overshoot_every == 0
+        return step % self.every == 0
 
     def moved(self, error: Rows) -> OvershootingTarget:
         new, (_, height, width) = copy(self), self._original.shape

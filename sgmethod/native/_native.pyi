@@ -4,6 +4,8 @@ Only NumPy arrays are typed, although tensors would be accepted: torch exports i
 interrupt that arrives there is lost, because the binding takes any error for "not an array of this kind".
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -106,6 +108,9 @@ class Rasterization:
     def missing(self, colors: FloatArray, target: NDArray[np.int16], image: FloatArray) -> None:
         """Fill image [3, height, width], 1 being white: target, in which white is TARGET_WHITE, minus the picture."""
 
+    def missing_halved(self, colors: FloatArray, target: NDArray[np.int16], image: FloatArray) -> None:
+        """Fill image at half the size with means of four of missing(). A part must begin with a whole tile."""
+
     def render_bytes(
         self, colors: FloatArray, image: NDArray[np.uint8], background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> None:
@@ -188,6 +193,29 @@ def rd_rate_gradient(
     by_colors: FloatArray,
 ) -> None:
     """Add a gradient to by_factors and by_colors: Backend.add_rate_gradient (sgmethod/backend/protocol.py)."""
+
+def rd_steps(
+    target: NDArray[np.int16],
+    cutoff: float,
+    pyramid: bool,
+    spacing: float,
+    quantum: float,
+    price: float,
+    settings: AdamSettings,
+    rates: Sequence[float],
+    reach: float,
+    width: float,
+    height: float,
+    means: FloatArray,
+    factors: FloatArray,
+    colors: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    bias: FloatArray,
+    visibility: NDArray[np.int16] | None = None,
+    by_eye: bool = True,
+) -> None:
+    """Take a step for each of the rates: Backend.steps (sgmethod/backend/protocol.py)."""
 
 class RdParameters:
     """Parameters of profile rd's stream that are known before its first Gaussian."""

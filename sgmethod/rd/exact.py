@@ -19,7 +19,6 @@ from sgmethod.fitting.level import target_of
 from sgmethod.fitting.objective import Objective
 from sgmethod.fitting.recorder import Recorder
 from sgmethod.rd.densify import densify, prune, settle
-from sgmethod.rd.fit import take_step
 from sgmethod.rd.place import place
 from sgmethod.rd.plan import Plan, Stage, State, stages, within_pixels
 from sgmethod.rd.rate_control import GaussianCount, quality_quantum, surplus
@@ -28,6 +27,7 @@ from sgmethod.scene import Gaussians
 from sgmethod.settings.exact import EXACT, exact_schedule
 from sgmethod.settings.rd import RD, Times
 
+MOST_STEPS = 16  # between two reports
 OnStep = Callable[[float], None]  # called with the progress, 0 to 1
 
 
@@ -93,9 +93,10 @@ def _fitted(plan: Plan, state: State, stage: Stage, on_step: OnStep) -> State:
     """Take the steps of a stage."""
     s, size = plan.settings.fit, len(state.gaussians)
     gaussians, moments, price = state.gaussians.copy(), state.moments.copy(), s.rate_weight * state.bit_price
-    for progress in stage.pace.until(stage.until):
+    for progress in stage.pace.together(stage.until, lambda: MOST_STEPS):
         level = plan.level_for(state, stage, size)
-        take_step(plan, level, gaussians, moments, cosine(s.optimiser.final_rate, progress), state.quantum, price)
+        rates = [cosine(s.optimiser.final_rate, at) for at in progress]
+        plan.request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
         on_step(stage.pace.progress)
     return replace(state, gaussians=gaussians, moments=moments)
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from sgmethod.backend.protocol import Moments
 from sgmethod.fitting.deadline import cosine
-from sgmethod.fitting.level import Level
 from sgmethod.rd.plan import Plan, Stage, State
-from sgmethod.scene import Gaussians
 
 
 def fit(plan: Plan, state: State, stage: Stage) -> State:
@@ -21,14 +18,17 @@ def fit(plan: Plan, state: State, stage: Stage) -> State:
     def decoded_error() -> float:
         return plan.error(plan.rounded(gaussians, state.quantum))
 
-    for progress in stage.pace.until(stage.until):
+    def while_target_rests() -> int:
+        return state.target.every - steps % state.target.every
+
+    for progress in stage.pace.together(stage.until, while_target_rests):
         level = plan.level_for(state, stage, size)
         if level.frame == plan.finest.frame and state.target.is_due(steps, stage.has_grown):
-            state = replace(state, target=state.target.moved(plan.finest.missing(gaussians)))
+            state = replace(state, target=state.target.moved(plan.finest.missing(gaussians, half=state.target.half)))
             level = replace(level, target=state.target.now)
-        rate = cosine(s.optimiser.final_rate, progress)
-        take_step(plan, level, gaussians, moments, rate, state.quantum, price)
-        steps += 1
+        rates = [cosine(s.optimiser.final_rate, at) for at in progress]
+        request.backend.steps(gaussians, moments, plan.descent(level, state.quantum, price), rates)
+        steps += len(rates)
         request.recorder.report("joint", steps, plan.all_steps(steps), decoded_error, size, state.size)
     return replace(state, gaussians=gaussians, moments=moments, steps=steps)
 
@@ -38,17 +38,5 @@ def _without_grain(plan: Plan, state: State, stage: Stage) -> State:
     is_whole = plan.finest.frame.spacing == 1
     if not is_whole or stage.at < stage.times.excess_until or state.target.hides:
         return state
-    missing = plan.finest.missing(state.gaussians)
-    return replace(state, target=state.target.without(plan.request.objective.grain(missing)).moved(missing))
-
-
-def take_step(
-    plan: Plan, level: Level, gaussians: Gaussians, moments: Moments, rate: float, quantum: float, price: float
-) -> None:
-    """Move Gaussians in place by one step on a level. price: squared error of the whole picture that a bit costs."""
-    request, backend = plan.request, plan.request.backend
-    _, gradient = level.gradients(gaussians)
-    if price > 0:
-        backend.add_rate_gradient(gaussians, gradient, quantum, price / request.samples)
-    backend.step(gaussians, gradient, moments, plan.settings.fit.optimiser, rate, request.samples)
-    backend.keep_in_range(gaussians, *request.size)
+    target = state.target.without(plan.request.objective.grain(plan.finest.missing(state.gaussians)))
+    return replace(state, target=target.moved(plan.finest.missing(state.gaussians, half=target.half)))

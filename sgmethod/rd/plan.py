@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sgmethod.backend.protocol import Moments, Visibility
+from sgmethod.backend.protocol import Descent, Moments, Visibility
 from sgmethod.fitting.deadline import Pace
 from sgmethod.fitting.level import Level, Pyramid
 from sgmethod.fitting.moving_target import MovingTarget
@@ -85,6 +85,11 @@ class Plan:
         else:
             level = self.pyramid.coarsest(s.pixels_while_few * gaussians)
         return replace(level, target=state.target.now) if level.frame == self.finest.frame else level
+
+    def descent(self, level: Level, quantum: float, price: float) -> Descent:
+        """What steps on a level minimise. price: squared error of the whole picture that a bit costs."""
+        price, optimiser = price / self.request.samples, self.settings.fit.optimiser
+        return Descent(level.frame, level.target, level.visibility, quantum, price, *self.request.size, optimiser)
 
     def rounded(self, gaussians: Gaussians, quantum: float) -> Gaussians:
         """Return Gaussians as they would decode."""
@@ -186,7 +191,7 @@ class Stage:
 def stages(pace: Pace, times: Times) -> Iterator[Stage]:
     """Yield the stages of a run, except those that are over before they begin."""
     due = {*times.growth_at, *times.trim_at}
-    for at, until in pairwise(sorted({0.0, *due, 1.0})):
+    for at, until in pairwise(sorted({0.0, *due, times.few_until, times.many_from, 1.0})):
         if pace.progress < until:
             yield Stage(pace, times, at, until, at in due)
 

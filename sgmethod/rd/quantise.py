@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from sgmethod.backend.protocol import Moments, RefineLimits, Target
 from sgmethod.bitstream.texture import Codes
 from sgmethod.bitstream.v2 import StreamV2, is_upright
-from sgmethod.rd.fit import take_step
 from sgmethod.rd.plan import Plan
 from sgmethod.rd.rate_control import Coded, error_per_bit
 from sgmethod.scene import Gaussians
@@ -49,8 +48,9 @@ def relaxed(plan: Plan, stream: StreamV2, target: Target, held: NDArray[np.bool_
     before = stream.gaussians()
     moving, moments = before.copy(), Moments.none(len(before))
     price = s.relaxed_weight * error_per_bit(stream.quantum)
+    descent = plan.descent(level, stream.quantum, price)
     for _ in range(s.relaxed_steps):
-        take_step(plan, level, moving, moments, s.relaxed_rate, stream.quantum, price)
+        plan.request.backend.steps(moving, moments, descent, [s.relaxed_rate])
         for values, held_at in zip(moving.arrays, before.arrays, strict=True):
             values[held] = held_at[held]
     return moving

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
+from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.rd.plan import Plan, State
 from sgmethod.rd.quantise import PayloadLimit, quantised, relaxed
 from sgmethod.rd.rate_control import Coded
@@ -19,14 +21,19 @@ def search(plan: Plan, state: State, rounds: int) -> Coded:
     others leaves, and all are refined again: refining alone finds no single change that helps.
     """
     request, rate = plan.request, plan.request.rate
-    texture = request.objective.texture(request.stream(state.gaussians, state.quantum))
+
+    @cache  # several quanta have one code
+    def coded(quantum: float) -> StreamV2:
+        return request.stream(state.gaussians, quantum)
+
+    def payload(quantum: float) -> int:
+        return len(coded(StreamV2.coded_quantum(quantum, rate.is_short)).payload)
+
+    texture = request.objective.texture(coded(state.quantum))
     if texture is not None and not rate.affords(texture):
         texture = None
     empty = replace(request.stream(Gaussians.empty(0), state.quantum), texture=texture)
     limit, target = PayloadLimit(rate.payload_limit(empty), texture), state.target.now
-
-    def payload(quantum: float) -> int:
-        return len(request.stream(state.gaussians, quantum).payload)
 
     tried: list[Coded] = []
     quantum: float | None = rate.first_quantum(state.quantum, payload, limit.max_bytes)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Backend, Coding, Moments
+from sgmethod.backend.protocol import Backend, Coding, Descent, Frame, Moments, step_by_step
 from sgmethod.backend.reference import MAX_AMPLITUDE, MAX_SCALE, MAX_SLANT, Reference
 from sgmethod.bitstream.v2 import StreamV2
 from sgmethod.scene import Gaussians
 from sgmethod.settings.paper import PAPER
 from sgmethod.settings.rd import RD
 from sgmethod.settings.shared import OptimiserSettings
-from tests.backend.cases import scattered, single
+from tests.backend.cases import FRAMES, VISIBILITIES, scattered, single, target, visibility
 
 KERNELS: Backend = Kernels()
 REFERENCE: Backend = Reference()
@@ -53,6 +54,23 @@ def test_step(settings: OptimiserSettings) -> None:
     free = moved(REFERENCE, replace(settings, newton_steps=np.inf))
     held = np.concatenate([a != b for a, b in zip(free.arrays, wanted.arrays, strict=True)], 1).mean()
     assert held == 0 if settings.newton_steps == np.inf else 0.1 < held < 0.9  # of Adam's moves: both are met
+
+
+@pytest.mark.parametrize("kind", VISIBILITIES)
+@pytest.mark.parametrize("frame", FRAMES.values(), ids=FRAMES)
+def test_steps_together_are_those_one_by_one(frame: Frame, kind: str) -> None:
+    """Bit by bit."""
+    size = frame.width * frame.spacing, frame.height * frame.spacing
+    before = scattered(700, 5, size)
+    descent = Descent(frame, target(3), visibility(kind, 3), 0.1, 1e-6, *size, RD.fit.optimiser)
+    found: list[np.ndarray] = []
+    wanted: list[np.ndarray] = []
+    for steps, out in ((KERNELS.steps, found), (partial(step_by_step, KERNELS), wanted)):
+        gaussians, moments = before.copy(), Moments.none(700)
+        steps(gaussians, moments, descent, [1.0, 0.7, 0.5])
+        out += [*gaussians.arrays, moments.first, moments.second, moments.bias]
+    assert all(np.array_equal(a, b) for a, b in zip(found, wanted, strict=True))
+    assert not np.array_equal(found[0], before.means)
 
 
 @pytest.mark.parametrize("quantum", [0.01, 0.15, 2.0])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sgmethod.backend.planes import all_halved
 from sgmethod.backend.protocol import TARGET_WHITE, Target
 from sgmethod.fitting.level import target_of
 from sgmethod.fitting.moving_target import ExaggeratedTarget
@@ -22,7 +23,9 @@ def grainy(height: int = 64, width: int = 96) -> Target:
 def followed(original: Target, drawn: Target, times: int = 40) -> Target:
     moving = ExaggeratedTarget(original, 4, RD.objective.moving)
     for _ in range(times):
-        moving = moving.moved(lambda first, end: (original - drawn)[:, first:end] / np.float32(TARGET_WHITE))
+        moving = moving.moved(
+            lambda first, end: all_halved((original - drawn)[:, first:end] / np.float32(TARGET_WHITE))
+        )
     return moving.now
 
 
@@ -62,5 +65,7 @@ def test_grain_that_is_hidden_is_not_exaggerated() -> None:
     missing = (original - np.full_like(original, round(original.mean(dtype=np.float64)))) / np.float32(TARGET_WHITE)
     grain = np.rint(missing * TARGET_WHITE).astype(np.int16)
     still = ExaggeratedTarget(original, 4, RD.objective.moving)
-    plain, hiding = (moving.moved(lambda first, end: missing[:, first:end]) for moving in (still, still.without(grain)))
+    plain, hiding = (
+        moving.moved(lambda first, end: all_halved(missing[:, first:end])) for moving in (still, still.without(grain))
+    )
     assert (hiding.now + grain - original).std() < 0.8 * (plain.now - original).std()

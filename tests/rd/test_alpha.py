@@ -13,7 +13,7 @@ from PIL import Image
 import sgmethod
 from sgmethod import Budget, BudgetError, Encoded, codec, decode, info
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import TARGET_WHITE
+from sgmethod.backend.protocol import TARGET_WHITE, step_by_step
 from sgmethod.bitstream import container
 from sgmethod.bitstream.v2 import SMALLEST_ALPHA, SMALLEST_FILE, StreamV2
 from sgmethod.fitting.level import target_of
@@ -148,6 +148,8 @@ def test_a_time_limit_spoils_no_alpha(soft: bool, monkeypatch: pytest.MonkeyPatc
 
 class Upright(Kernels):
     """No Gaussian keeps any shear, as a fit that is cut short can leave them."""
+
+    steps = step_by_step
 
     def step(self, gaussians: Gaussians, *others: Any) -> None:
         """As Kernels.step."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sgmethod import Budget
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Frame, RefineLimits
+from sgmethod.backend.protocol import Frame, RefineLimits, step_by_step
 from sgmethod.decoder import draw_whole
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
@@ -30,6 +30,8 @@ class Counting(Kernels):
 
     def __init__(self) -> None:
         self.fitted = self.refined = 0
+
+    steps = step_by_step
 
     def gradients(self, gaussians: Gaussians, frame: Frame, *rest: Any) -> tuple[float, Gaussians]:
         """As Kernels.gradients."""

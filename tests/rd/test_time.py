@@ -11,7 +11,7 @@ import pytest
 
 from sgmethod import Budget, codec, decode, encode
 from sgmethod.backend.kernels import Kernels
-from sgmethod.backend.protocol import Frame, Target, Visibility
+from sgmethod.backend.protocol import Frame, Target, Visibility, step_by_step
 from sgmethod.fitting.deadline import Clock, Deadline
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.rd.densify import densify
@@ -67,6 +67,8 @@ class Timed(Kernels):
 
     def __init__(self, clock: WorkClock, any_s: float) -> None:
         self._clock, self._any_s = clock, any_s
+
+    steps = step_by_step
 
     def gradients(
         self, gaussians: Gaussians, frame: Frame, target: Target, visibility: Visibility | None = None

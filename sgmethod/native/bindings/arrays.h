@@ -31,6 +31,8 @@ inline void require(bool condition, const char* message) {
   if (!condition) throw nb::value_error(message);
 }
 
+constexpr int kBlock = 512;  // Gaussians of a task
+
 // The number of Gaussians, which is the number of rows of every array.
 template <typename First, typename... Others>
 int gaussians(const First& first, const Others&... others) {

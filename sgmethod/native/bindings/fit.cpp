@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "bindings/arrays.h"
+#include "core/thread_pool.h"
 #include "fit/loss.h"
 #include "fit/optimiser.h"
 
@@ -32,14 +33,18 @@ void frame_adam(const sg::AdamSettings& settings, float rate, RowsOut<2> means, 
                 RowsOut<2> bias) {
   const int n = gaussians(means, factors, colors, by_means, by_factors, by_colors, first, second, bias);
   nb::gil_scoped_release release;
-  sg::frame_adam(settings, rate, n, {means.data(), factors.data(), colors.data()},
-                 {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), bias.data());
+  sg::parallel_chunks(n, kBlock, [&](int begin, int end, int) {
+    sg::frame_adam(settings, rate, begin, end, {means.data(), factors.data(), colors.data()},
+                   {by_means.data(), by_factors.data(), by_colors.data()}, first.data(), second.data(), bias.data());
+  });
 }
 
 void keep_in_range(float reach, float width, float height, RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors) {
   const int n = gaussians(means, factors, colors);
   nb::gil_scoped_release release;
-  sg::keep_in_range(reach, width, height, n, {means.data(), factors.data(), colors.data()});
+  sg::parallel_chunks(n, kBlock, [&](int begin, int end, int) {
+    sg::keep_in_range(reach, width, height, begin, end, {means.data(), factors.data(), colors.data()});
+  });
 }
 
 }  // namespace

@@ -64,6 +64,15 @@ void missing(const sg::Rasterization& r, Rows<3> colors, Target target, ImageOut
   sg::missing(r, colors.data(), target.data(), image.data());
 }
 
+void missing_halved(const sg::Rasterization& r, Rows<3> colors, Target target, ImageOut image) {
+  require_colors(r, colors);
+  require_size(target, r.width(), r.height());
+  require_size(image, (r.width() + 1) / 2, (r.height() + 1) / 2);
+  require(r.canvas().x % sg::kTileWidth == 0 && r.canvas().y % sg::kTileHeight == 0, "a part begins with a whole tile");
+  nb::gil_scoped_release release;
+  sg::missing_halved(r, colors.data(), target.data(), image.data());
+}
+
 void render_bytes(const sg::Rasterization& r, Rows<3> colors, BytesOut image, Color background) {
   require_colors(r, colors);
   require(side(image, 0) == r.height() && side(image, 1) == r.width(), "image has another size");
@@ -118,6 +127,7 @@ void bind_raster(nb::module_& m) {
       .def_prop_ro("height", &sg::Rasterization::height)
       .def("render", &render, "colors"_a, "image"_a.noconvert())
       .def("missing", &missing, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert())
+      .def("missing_halved", &missing_halved, "colors"_a, "target"_a.noconvert(), "image"_a.noconvert())
       .def("render_bytes", &render_bytes, "colors"_a, "image"_a.noconvert(), "background"_a = Color(0.0f, 0.0f, 0.0f))
       .def("squared_error", &squared_error, "colors"_a, "target"_a.noconvert(), "means"_a.noconvert(), "factors"_a.noconvert(),
            "out_colors"_a.noconvert(), "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true)

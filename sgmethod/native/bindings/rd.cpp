@@ -1,14 +1,17 @@
 #include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
 
 #include <tuple>
 #include <utility>
 #include <vector>
 
 #include "bindings/arrays.h"
+#include "core/thread_pool.h"
 #include "rd/codec.h"
 #include "rd/lay_out.h"
 #include "rd/rate.h"
 #include "refine/refine.h"
+#include "rd/steps.h"
 #include "rd/symbols.h"
 
 using namespace nb::literals;
@@ -30,7 +33,21 @@ void rate_gradient(float quantum, float weight, Rows<3> factors, Rows<3> colors,
                    RowsOut<3> by_colors) {
   const int n = gaussians(factors, colors, by_factors, by_colors);
   nb::gil_scoped_release release;
-  sg::rd_rate_gradient(quantum, weight, n, factors.data(), colors.data(), by_factors.data(), by_colors.data());
+  sg::parallel_chunks(n, kBlock, [&](int first, int last, int) {
+    sg::add_rate_gradient(quantum, weight, first, last, factors.data(), colors.data(), by_factors.data(), by_colors.data());
+  });
+}
+
+void steps(Target target, float cutoff, bool pyramid, float spacing, float quantum, float price,
+           const sg::AdamSettings& settings, const std::vector<float>& rates, float reach, float width, float height,
+           RowsOut<2> means, RowsOut<3> factors, RowsOut<3> colors, RowsOut<8> first, RowsOut<8> second, RowsOut<2> bias,
+           std::optional<Visibility> visibility, bool by_eye) {
+  const int n = gaussians(means, factors, colors, first, second, bias), across = side(target, 2), down = side(target, 1);
+  const sg::Descent descent{{0, 0, across, down, cutoff, pyramid}, spacing, target.data(),
+                            values_of(visibility, across, down), by_eye ? sg::kSeenByEye : sg::kSeenAlike,
+                            quantum, price, settings, reach, width, height};
+  nb::gil_scoped_release release;
+  sg::rd_steps(descent, rates, n, {means.data(), factors.data(), colors.data()}, {first.data(), second.data(), bias.data()});
 }
 
 void quantise(const sg::RdParameters& p, Rows<2> means, Rows<3> factors, Rows<3> colors, RowsOut<2> out_means,
@@ -93,6 +110,10 @@ void bind_rd(nb::module_& m) {
   m.def("rd_clipped_values", &sg::clipped_values);
   m.def("rd_rate_gradient", &rate_gradient, "quantum"_a, "weight"_a, "factors"_a, "colors"_a, "by_factors"_a.noconvert(),
         "by_colors"_a.noconvert());
+  m.def("rd_steps", &steps, "target"_a.noconvert(), "cutoff"_a, "pyramid"_a, "spacing"_a, "quantum"_a, "price"_a,
+        "settings"_a, "rates"_a, "reach"_a, "width"_a, "height"_a, "means"_a.noconvert(), "factors"_a.noconvert(),
+        "colors"_a.noconvert(), "first"_a.noconvert(), "second"_a.noconvert(), "bias"_a.noconvert(),
+        "visibility"_a.noconvert() = nb::none(), "by_eye"_a = true);
   m.def("rd_quantise", &quantise, "parameters"_a, "means"_a, "factors"_a, "colors"_a, "out_means"_a.noconvert(),
         "out_factors"_a.noconvert(), "out_colors"_a.noconvert());
   m.def("rd_encode", &encode, "parameters"_a, "means"_a, "factors"_a, "colors"_a);

@@ -203,6 +203,7 @@ SG_INLINE void reduce_body(const float* gradient, int rows, float* to, float* as
   constexpr V::I kTurned = {7, 0, 1, 2, 3, 4, 5, 6}, kFirst = {-1};
   const auto reduced_row = [&](int w, float* out) SG_INLINE_LAMBDA {
     for (int k = 0; k < 3; ++k, out += stride) {
+      __builtin_prefetch(out + 2 * W + 2, 1);
       F half[2];
       for (int i = 0; i < 2; ++i) {
         const auto row_of = [&](int t) SG_INLINE_LAMBDA { return V::load(gradient + (3 * t + k) * kTileWidth + i * W); };

@@ -10,12 +10,17 @@
 #include <vector>
 
 #include "core/errors.h"
+#include "core/platform.h"
 #include "core/scratch.h"
 #include "core/thread_pool.h"
 #include "raster/levels.h"
 
 namespace sg {
 namespace {
+
+// Rows of a large picture lie too far apart for the processor to prefetch them, so each kernel prefetches those of the
+// next tile.
+constexpr int kAhead = 2 * kTileWidth - 1;
 
 // Converts gradients, in place, from those by a Gaussian's mean [2], factor [3] and gain in samples of its coarse level
 // to those by its mean and factor in pixels.
@@ -61,8 +66,10 @@ void load(const Rasterization& raster, int level, int tile, Planes& planes, floa
   const int rows = raster.rows_of(tile);
   const int64_t stride = planes.stride(level);
   const float* from = planes.at(level, raster.tile_x(tile), raster.tile_y(tile));
-  for (int row = 0; row < 3 * rows; ++row, from += stride)
+  for (int row = 0; row < 3 * rows; ++row, from += stride) {
+    __builtin_prefetch(from + 2 * kTileWidth - 1);  // of the next tile
     std::memcpy(values + row * kTileWidth, from, kTileWidth * sizeof(float));
+  }
   std::fill(values + rows * 3 * kTileWidth, values + kTileFloats, 0.0f);
 }
 
@@ -147,6 +154,30 @@ TileTarget part(const Rasterization& raster, int tile, const int16_t* target, fl
   return {target + first, samples(raster) / 3, raster.width(), 0, a.columns, a.rows, scale};
 }
 
+// to = target - values, along a row of a tile.
+SG_CLONES void subtract(const int16_t* target, const float* values, int columns, float* to) {
+  constexpr float kStep = 1.0f / kTargetWhite;
+  __builtin_prefetch(target + kAhead);
+  float left[kTileWidth];
+  if (columns == kTileWidth) {
+    for (int i = 0; i < kTileWidth; ++i) left[i] = static_cast<float>(target[i]) * kStep - values[i];
+    std::memcpy(to, left, sizeof left);
+  } else {
+    for (int i = 0; i < columns; ++i) to[i] = static_cast<float>(target[i]) * kStep - values[i];
+  }
+}
+
+// Rows [3][kTileWidth] of a tile to half the size, [3][kTileWidth / 2].
+SG_CLONES void halve(const float* in, int rows, float* out) {
+  constexpr int kHalf = kTileWidth / 2, kRow = 3 * kTileWidth;
+  for (int row = 0; row < rows; row += 2, in += 2 * kRow)
+    for (int k = 0; k < 3; ++k, out += kHalf)
+      for (int i = 0; i < kHalf; ++i) {
+        const float* four = in + k * kTileWidth + 2 * i;
+        out[i] = (four[0] + four[1] + (four[kRow] + four[kRow + 1])) * 0.25f;
+      }
+}
+
 // Multiplies values of a tile of the picture by the visibility of their pixels.
 void weigh(const Rasterization& raster, int tile, const int16_t* visibility, float* values) {
   const Rasterization::Area a = raster.area(tile);
@@ -157,11 +188,28 @@ void weigh(const Rasterization& raster, int tile, const int16_t* visibility, flo
 }  // namespace
 
 void missing(const Rasterization& raster, const float* colors, const int16_t* target, float* image) {
-  constexpr float kStep = 1.0f / kTargetWhite;
   raster.draw_tiles(colors, [&](int tile, const float* values) {
     raster.for_rows(tile, values, [&](const float* from, int64_t at, int columns) {
-      for (int i = 0; i < columns; ++i) image[at + i] = static_cast<float>(target[at + i]) * kStep - from[i];
+      subtract(target + at, from, columns, image + at);
     });
+  });
+}
+
+void missing_halved(const Rasterization& raster, const float* colors, const int16_t* target, float* image) {
+  constexpr int kRow = 3 * kTileWidth;
+  const int64_t width = (raster.width() + 1) / 2, height = (raster.height() + 1) / 2;
+  raster.draw_tiles(colors, [&](int tile, float* values) {
+    raster.for_rows(tile, values, [&](float* row, int64_t at, int columns) { subtract(target + at, row, columns, row); });
+    const Rasterization::Area a = raster.area(tile);
+    if (a.columns % 2 != 0)
+      for (int row = 0; row < 3 * a.rows; ++row) values[row * kTileWidth + a.columns] = values[row * kTileWidth + a.columns - 1];
+    if (a.rows % 2 != 0) std::copy_n(values + (a.rows - 1) * kRow, kRow, values + a.rows * kRow);
+    alignas(64) float half[kTileFloats / 4];
+    halve(values, a.rows, half);
+    const float* from = half;
+    for (int row = 0; row < a.rows; row += 2)
+      for (int k = 0; k < 3; ++k, from += kTileWidth / 2)
+        std::copy_n(from, (a.columns + 1) / 2, image + (k * height + (a.y + row) / 2) * width + a.x / 2);
   });
 }
 
@@ -216,9 +264,7 @@ double squared_error(const Rasterization& raster, const float* colors, const int
     const std::unique_ptr<float[]> first(new float[first_value_count(raster, tile)]);  // all written by the kernel
     raster.begin_tile(tile, coarse, gradient);
     TileTarget here = part(raster, tile, target, scale);
-    // Rows of a large picture lie too far apart for the processor to prefetch them, so each kernel prefetches those of
-    // the next tile.
-    here.ahead = 2 * kTileWidth - 1;
+    here.ahead = kAhead;
     if (visibility != nullptr) here.visibility = visibility + (here.first - target);
     here.seen = seen;
     errors[static_cast<size_t>(tile)] =

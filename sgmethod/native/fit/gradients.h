@@ -21,6 +21,9 @@ struct Gradients {
 
 // image [3, height, width] = residual: target minus picture, 1 being white.
 void missing(const Rasterization& raster, const float* colors, const int16_t* target, float* image);
+// The same at half the size, by means of four, of an odd side's last sample with itself. A part of the picture must
+// begin with a whole tile.
+void missing_halved(const Rasterization& raster, const float* colors, const int16_t* target, float* image);
 // left = residual; reduced = the residual, times the visibility if given, reduced to the coarse levels of
 // raster.grids().
 void leave(const Rasterization& raster, const float* colors, const int16_t* target, const Strips& left, Planes& reduced,

@@ -5,12 +5,10 @@
 
 #include "core/constants.h"
 #include "core/platform.h"
-#include "core/thread_pool.h"
 
 namespace sg {
 namespace {
 
-constexpr int kBlock = 512;    // Gaussians per task
 constexpr int kTogether = 32;  // Gaussians whose values fit the level 1 cache
 
 // Inverse of half the second derivative of the squared error by d, S and the colour, for an isolated Gaussian:
@@ -75,20 +73,18 @@ AdamSettings::AdamSettings(float mean_rate, float factor_rate, float color_rate,
       beta1(beta1), beta2(beta2), min_scale(min_scale),
       newton(static_cast<float>(newton_steps * values / (2 * kPi))) {}
 
-void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGaussians& p, const ConstGaussians& grad,
-                float* first, float* second, float* bias) {
+void frame_adam(const AdamSettings& settings, float rate, int begin, int end, const MutableGaussians& p,
+                const ConstGaussians& grad, float* first, float* second, float* bias) {
   AdamSettings s = settings;
   for (float& r : s.rates) r *= rate;
-  parallel_chunks(n, kBlock, [&](int begin, int end, int) {
-    for (int i = begin; i < end; i += kTogether)
-      step_together(s, i, std::min(kTogether, end - i), p, grad, first, second, bias);
-  });
+  for (int i = begin; i < end; i += kTogether)
+    step_together(s, i, std::min(kTogether, end - i), p, grad, first, second, bias);
 }
 
-void keep_in_range(float reach, float width, float height, int n, const MutableGaussians& p) {
+void keep_in_range(float reach, float width, float height, int begin, int end, const MutableGaussians& p) {
   constexpr auto kLargest = static_cast<float>(kMaxScale), kSlant = static_cast<float>(kMaxSlant);
   constexpr auto kAmplitude = static_cast<float>(kMaxAmplitude);
-  parallel_each(n, kBlock, [&](int i) {
+  for (int i = begin; i < end; ++i) {
     float *mean = p.means + 2 * i, *l = p.factors + 3 * i, *color = p.colors + 3 * i;
     l[0] = std::min(l[0], kLargest);
     l[2] = std::min(l[2], kLargest);
@@ -97,7 +93,7 @@ void keep_in_range(float reach, float width, float height, int n, const MutableG
     const float margin = reach * std::sqrt(l[0] * l[2]);
     mean[0] = std::clamp(mean[0], -margin, width + margin);
     mean[1] = std::clamp(mean[1], -margin, height + margin);
-  });
+  }
 }
 
 }  // namespace sg

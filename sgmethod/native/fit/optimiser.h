@@ -24,13 +24,14 @@ struct ConstGaussians {
   const float *means, *factors, *colors;
 };
 
-// One step down the gradients, with all rates times `rate`. first, second [n, 8] are Adam's averages. bias [n, 2] is
-// beta1 and beta2 to the power of the Gaussian's steps so far: the weight of the initial zeros in the averages.
-void frame_adam(const AdamSettings& settings, float rate, int n, const MutableGaussians& p, const ConstGaussians& grad,
-                float* first, float* second, float* bias);
+// One step down the gradients of the Gaussians from begin to before end, with all rates times `rate`. first, second [n,
+// 8] are Adam's averages. bias [n, 2] is beta1 and beta2 to the power of the Gaussian's steps so far: the weight of the
+// initial zeros in the averages.
+void frame_adam(const AdamSettings& settings, float rate, int begin, int end, const MutableGaussians& p,
+                const ConstGaussians& grad, float* first, float* second, float* bias);
 
-// Clamps Gaussians to values that every file can represent: scale, slant and amplitude to the limits in constants.h,
-// and means to within reach sqrt(l1 l3) of the picture.
-void keep_in_range(float reach, float width, float height, int n, const MutableGaussians& p);
+// Clamps the Gaussians from begin to before end to values that every file can represent: scale, slant and amplitude to
+// the limits in constants.h, and means to within reach sqrt(l1 l3) of the picture.
+void keep_in_range(float reach, float width, float height, int begin, int end, const MutableGaussians& p);
 
 }  // namespace sg

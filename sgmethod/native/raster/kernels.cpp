@@ -99,7 +99,9 @@ SG_INLINE void enlarge_body(const float* coarse, int64_t stride, int rows, const
   for (int k = 0; k < 3; ++k, coarse += stride, accumulators += kTileWidth) {
     const auto along_x = [&](int row, F* out) SG_INLINE_LAMBDA {
       for (int i = 0; i < kVectors; ++i) {
-        const F in = samples(coarse + 3 * row * stride + i * W / 2);
+        const float* const from = coarse + 3 * row * stride + i * W / 2;
+        if (i == 0) __builtin_prefetch(from + kTileWidth);  // of the next tile
+        const F in = samples(from);
         out[i] = shuffle(in, in, near_places) * 3.0f + shuffle(in, in, far_places);
       }
     };
@@ -128,6 +130,7 @@ SG_INLINE void sixteenth_body(const float* accumulators, int columns, int rows, 
   for (const float* end = accumulators + rows * 3 * kTileWidth; accumulators != end;
        accumulators += kTileWidth, samples += stride)
     if (columns == kTileWidth) {
+      __builtin_prefetch(samples + 2 * kTileWidth, 1);
       for (int i = 0; i < kTileWidth; i += W) V::store(samples + i, V::load(accumulators + i) * kShare);
     } else {
       for (int i = 0; i < columns; ++i) samples[i] = accumulators[i] * kShare;

@@ -4,8 +4,8 @@
 namespace sg {
 
 // Adds the gradient that Backend.add_rate_gradient (sgmethod/backend/protocol.py) describes to grad_factors [n, 3] and
-// grad_colors [n, 3].
-void rd_rate_gradient(float quantum, float weight, int n, const float* factors, const float* colors, float* grad_factors,
-                      float* grad_colors);
+// grad_colors [n, 3], for the Gaussians from first to before last.
+void add_rate_gradient(float quantum, float weight, int first, int last, const float* factors, const float* colors,
+                       float* grad_factors, float* grad_colors);
 
 }  // namespace sg

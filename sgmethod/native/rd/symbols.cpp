@@ -124,17 +124,17 @@ bool quantise(const RdParameters& p, const float* mean, const float* factor, con
   s.r = 0;
   const Geometry flat(s, steps);
   s.r = p.upright ? 0 : round_to(factor[1] / l1 * (flat.l1 / flat.l3) / steps.r(), std::floor(kMostR / steps.r()));
-  const Geometry g(s, steps);
+  const Parts parts = parts_of(s, steps);
   const int cell = cell_bits(s.size_class);
   const auto place = [&](double position, int side, int refine, uint32_t& part) {
     const double cells = position / (1 << cell) + kBorderCells;
     const auto c = static_cast<uint32_t>(within(std::floor(cells), 0.0, cells_along(side, cell) - 1.0));
-    const double parts = static_cast<double>(1u << refine);
-    const double inside = (cells - c) * parts;
-    part = static_cast<uint32_t>(std::clamp(std::floor(inside), 0.0, parts - 1));
+    const double most = static_cast<double>(1u << refine);
+    const double inside = (cells - c) * most;
+    part = static_cast<uint32_t>(std::clamp(std::floor(inside), 0.0, most - 1));
     return c;
   };
-  const uint32_t cx = place(mean[0], p.width, g.parts.x_bits, s.px), cy = place(mean[1], p.height, g.parts.y_bits, s.py);
+  const uint32_t cx = place(mean[0], p.width, parts.x_bits, s.px), cy = place(mean[1], p.height, parts.y_bits, s.py);
   s.cell = spread_bits(cx) | spread_bits(cy) << 1;
   return true;
 }

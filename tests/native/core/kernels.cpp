@@ -119,11 +119,11 @@ TEST(kernels_of_the_fit_stay_within_their_arrays) {
         sg::squared_error(raster, g.colors.data(), levels.data(), out);
         sg::gram(raster, g.colors.data(), by.colors.data());
       }
-    sg::rd_rate_gradient(0.1f, 1.0f, 300, g.factors.data(), g.colors.data(), by.factors.data(), by.colors.data());
+    sg::add_rate_gradient(0.1f, 1.0f, 0, 300, g.factors.data(), g.colors.data(), by.factors.data(), by.colors.data());
     const sg::AdamSettings settings(0.1f, 0.1f, 0.1f, 0.9f, 0.999f, 0.3f, 2.0f, 1000.0f);
-    sg::frame_adam(settings, 1.0f, 300, {g.means.data(), g.factors.data(), g.colors.data()},
+    sg::frame_adam(settings, 1.0f, 0, 300, {g.means.data(), g.factors.data(), g.colors.data()},
                    {by.means.data(), by.factors.data(), by.colors.data()}, first.data(), second.data(), bias.data());
-    sg::keep_in_range(2.0f, kWidth, kHeight, 300, {g.means.data(), g.factors.data(), g.colors.data()});
+    sg::keep_in_range(2.0f, kWidth, kHeight, 0, 300, {g.means.data(), g.factors.data(), g.colors.data()});
   }
 }
 
