@@ -241,7 +241,7 @@ class TextureSettings:
     """Grain hidden from the fit, and the texture that replaces it."""
 
     # Grain is hidden gradually between the two values of each pair: not at all below, entirely above.
-    grain_left: tuple[float, float] = (0.3, 0.55)  # part of a cell's detail that the fit misses
+    grain_left: tuple[float, float] = (0.45, 0.7)  # part of a cell's detail that the fit misses
     grain_levels: tuple[float, float] = (4.0, 7.0)  # strength in levels of 8 bits: faint grain makes no needles
     quantile: float = 0.4  # of a cell's blocks, ordered by energy: the strength of its grain
     floor: float = 0.3  # levels of 8 bits: the spread between two rounded pictures
