@@ -18,7 +18,7 @@ from sgmethod import Budget, View, decode
 from sgmethod.bitstream import container
 from sgmethod.bitstream.texture import Codes, cells
 from sgmethod.bitstream.v2 import StreamV2
-from sgmethod.fitting.texture import SHOWN, estimate, grain
+from sgmethod.fitting.texture import estimate, grain
 from sgmethod.io.image import read_image_8_bit
 from sgmethod.metrics import psnr
 from sgmethod.native import native
@@ -173,11 +173,9 @@ def drawn_spread(spread: float) -> float:
 
 
 def test_noise_is_given_back_by_its_strength() -> None:
-    """Most of fine grain, less of what would look like noise."""
-    fine, middle, strong, strongest = (drawn_spread(spread) / spread for spread in (2.0, 3.0, 6.0, 20.0))
-    assert 1 > fine > middle > strong > strongest
-    assert middle == pytest.approx(TEXTURE.gain[0], rel=0.25)
-    assert strongest < 0.5 * middle
+    """Whether it is faint or strong."""
+    for spread in (2.0, 3.0, 6.0, 20.0):
+        assert drawn_spread(spread) == pytest.approx(spread, rel=0.2)
     faint = estimated(STRAIGHT + noise(0.8))  # sky without it has bands
     assert faint is not None
     assert 0.3 < STRENGTHS[int(np.median(faint[0]))] < 0.8
@@ -342,14 +340,13 @@ def test_files_are_compared_without_their_texture() -> None:
 
 @pytest.mark.parametrize("octave", [0, 1])
 def test_noise_keeps_to_its_octave(octave: int) -> None:
-    """Of its energy, what is left after averaging over squares; and what the law of strength counts on."""
+    """Of its energy, what is left after averaging over squares; and the encoder finds the strength again."""
     codes = codes_of(9 * (octave == 0), 9 * (octave == 1), (512, 512))
     grey = (128, 128, 128)
     stream = replace(StreamV2.of(NOTHING, (512, 512), 0.02, grey, grey=True), texture=codes)
-    noise = (decode(container.serialise(stream))[..., 0] - 128.0).astype(np.float32)
-    level = cv2.resize(noise, None, fx=0.5**octave, fy=0.5**octave, interpolation=cv2.INTER_AREA)
-    coarse = cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    detail = level - cv2.resize(coarse, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-    assert detail.std() / STRENGTHS[9] == pytest.approx(SHOWN[octave], abs=0.02)
+    pixels = decode(container.serialise(stream))
+    noise = (pixels[..., 0] - 128.0).astype(np.float32)
+    found = estimate(pixels, np.full_like(pixels, 128), TEXTURE)
+    assert found is not None and (found[octave] == 9).all()
     blurred = cv2.GaussianBlur(noise, (0, 0), 3.0 * 2**octave)  # seen: 0.016 and 0.006; white 0.09
     assert blurred.std() < 0.02 * STRENGTHS[9]

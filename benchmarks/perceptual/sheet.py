@@ -1,16 +1,18 @@
-"""What figures do not tell: parts of textured pictures at twice their size, side by side, as one picture.
+"""What figures do not tell: parts of textured pictures, side by side.
 
     python -m benchmarks.perceptual.sheet --images KODAK [--bpp 0.25] [--out FILE]
     python -m benchmarks.perceptual.sheet --images KODAK --of source,visual,avif,jpeg \\
         --parts kodim08:230:150,kodim15:390:150,kodim13:120:300 --out docs/crop.webp
-    python -m benchmarks.perceptual.sheet --images KODAK PHOTOGRAPHS/measured --blind 7 --bpp 0.2 --out blind.png
+    python -m benchmarks.perceptual.sheet --images KODAK PHOTOGRAPHS/measured --blind 7 --bpp 0.2 --out BLIND
 
-For each part: the picture, ours tuned for the eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which is libavif's own)
-and JPEG XL; or what --of names. AVIF's is the largest file within --bpp, and ours has no more bytes than that; others
-have no fewer than ours. --earlier: a folder with NAME.sg of an earlier version, for the column "earlier".
+For each part, at twice its size: the picture, ours tuned for the eye, AVIF (imagecodecs, speed 4, 4:2:0, tune=iq, which
+is libavif's own) and JPEG XL; or what --of names. AVIF's is the largest file within --bpp, and ours has no more bytes
+than that; others have no fewer than ours. --earlier: a folder with NAME.sg of an earlier version, for the column
+"earlier".
 
---blind: for someone who has not seen them, twelve grainy parts: the source, then ours and AVIF's, or what --of names,
-in an order that is drawn anew for each part. Which is which goes into a text beside the picture.
+--blind: for readers who are told neither what is whose nor what to look for. Of each part, twelve grainy ones if not
+told, a sheet BLIND/NUMBER.png: the source, then ours and AVIF's, or what --of names, in an order that is drawn anew for
+each; above as they are shown, below their middle at twice the size. Which is which goes into BLIND.txt.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from __future__ import annotations
 import argparse
 import random
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -49,9 +51,11 @@ RIVALS = {rival.name: rival for rival in (Avif, JpegXl, Jpeg)}
 COLUMNS = ("source", "visual", "earlier", *RIVALS)
 WIDTH, HEIGHT, ZOOM = 150, 110, 2  # pixels of the picture
 MARGIN = 22  # pixels of the sheet, for words
-
+SHOWN = 512, 384  # most pixels of the picture on a blind sheet, from a part's corner on
+GAP = 6  # pixels between them
 
 Column = tuple[str, str, Pixels]  # its name, what stands over it, and the whole picture
+Part = tuple[str, int, int]  # a picture's name, and where the part begins
 
 
 def made_by(wanted: list[str], path: Path, bpp: float, earlier: Path | None = None) -> Iterator[Column]:
@@ -105,28 +109,66 @@ def main() -> None:
     wanted = options.of or (f"source,{BLIND}" if is_blind else OF).split(",")
     if "earlier" in wanted and not options.earlier:
         parser.error("the column earlier needs --earlier")
-    order, key = random.Random(options.blind), []
-    parts = [part.split(":") for part in (options.parts or (GRAINY if is_blind else PARTS)).split(",")]
+    parts = [part_of(text) for text in (options.parts or (GRAINY if is_blind else PARTS)).split(",")]
     paths = {path.stem: path for folder in options.images for path in folder.glob("*.png")}
-    made = {name: [*made_by(wanted, paths[name], options.bpp, options.earlier)] for name in {part[0] for part in parts}}
-    sheet = Image.new("RGB", (len(wanted) * ZOOM * WIDTH, len(parts) * (ZOOM * HEIGHT + MARGIN)), "white")
-    for row, (name, *corner) in enumerate(parts):
-        columns = hidden(made[name], order) if is_blind else made[name]
-        x, y = map(int, corner)
-        key.append(f"{row + 1} {name}: {', '.join(f'{label} {of}' for of, label, _ in columns if of != 'source')}")
-        for at, (_, label, pixels) in enumerate(columns):
-            place(sheet, at, row, label, pixels[y : y + HEIGHT, x : x + WIDTH])
-    sheet.save(options.out, quality=80, method=6)
+    names = {name for name, _, _ in parts}
+    made = {name: [*made_by(wanted, paths[name], options.bpp, options.earlier)] for name in names}
     if is_blind:
-        options.out.with_suffix(".txt").write_text("\n".join(key) + "\n")
+        write_blind(parts, made, options.blind, options.out)
+    else:
+        named_sheet(parts, made).save(options.out, quality=80, method=6)
 
 
-def place(sheet: Image.Image, column: int, row: int, label: str, part: Pixels) -> None:
-    """One part at twice its size, under its label."""
-    x, y = column * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)
+def part_of(text: str) -> Part:
+    """NAME:X:Y."""
+    name, x, y = text.split(":")
+    return name, int(x), int(y)
+
+
+def named_sheet(parts: Sequence[Part], made: Mapping[str, list[Column]]) -> Image.Image:
+    """A row for each part, at twice its size."""
+    width = max(len(columns) for columns in made.values()) * ZOOM * WIDTH
+    sheet = Image.new("RGB", (width, len(parts) * (ZOOM * HEIGHT + MARGIN)), "white")
+    for row, (name, x, y) in enumerate(parts):
+        for at, (_, label, pixels) in enumerate(made[name]):
+            place(sheet, (at * ZOOM * WIDTH, row * (ZOOM * HEIGHT + MARGIN)), label, pixels[y:, x:], (WIDTH, HEIGHT))
+    return sheet
+
+
+def write_blind(parts: Sequence[Part], made: Mapping[str, list[Column]], seed: int, folder: Path) -> None:
+    """A sheet for each part, and the key."""
+    order, key = random.Random(seed), []
+    folder.mkdir(parents=True, exist_ok=True)
+    for number, (name, x, y) in enumerate(parts, 1):
+        columns = hidden(made[name], order)
+        key.append(f"{number:02} {name}: {', '.join(f'{label} {of}' for of, label, _ in columns if of != 'source')}")
+        blind_sheet(columns, x, y).save(folder / f"{number:02}.png")
+    folder.with_suffix(".txt").write_text("\n".join(key) + "\n")
+
+
+def blind_sheet(columns: Sequence[Column], x: int, y: int) -> Image.Image:
+    """What lies from a corner on in each column as it is shown, and the middle of that at twice the size."""
+    height, width = columns[0][2].shape[:2]
+    wide, high = min(SHOWN[0], width), min(SHOWN[1], height)
+    left, top = max(min(x, width - wide), 0), max(min(y, height - high), 0)
+    sheet = Image.new("RGB", (len(columns) * (wide + GAP), 2 * (high + MARGIN)), "white")
+    for at, (name, label, pixels) in enumerate(columns):
+        shown, size = pixels[top : top + high, left : left + wide], (wide // ZOOM, high // ZOOM)
+        middle = shown[(high - size[1]) // 2 :, (wide - size[0]) // 2 :]
+        label = name if name == "source" else label
+        place(sheet, (at * (wide + GAP), 0), label, shown, (wide, high), zoom=1)
+        place(sheet, (at * (wide + GAP), high + MARGIN), "", middle, size)
+    return sheet
+
+
+def place(
+    sheet: Image.Image, corner: tuple[int, int], label: str, pixels: Pixels, size: tuple[int, int], zoom: int = ZOOM
+) -> None:
+    """The upper left part of a picture, (width, height), enlarged under its label."""
+    (x, y), (width, height) = corner, size
     ImageDraw.Draw(sheet).text((x + 4, y + 3), label, "black", ImageFont.load_default(13))
-    large = Image.fromarray(np.ascontiguousarray(part)).resize((ZOOM * WIDTH, ZOOM * HEIGHT), Image.Resampling.LANCZOS)
-    sheet.paste(large, (x, y + MARGIN))
+    part = Image.fromarray(np.ascontiguousarray(pixels[:height, :width]))
+    sheet.paste(part.resize((zoom * width, zoom * height), Image.Resampling.LANCZOS), (x, y + MARGIN))
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 """Grain that Gaussians should not try to draw, and the strength of the texture that replaces it.
 
 Only the brightest grains of grass or water are worth a Gaussian, and a few needles and dots on a smooth area look
-broken. So grain is removed from the fit's target where the fit misses most of it anyway, and replaced by texture.
+broken. So what the fit does not reach of a cell's grain is removed from its target, and the decoder's noise has the
+spread that is then missing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import cv2
@@ -25,8 +27,9 @@ REACH = 9  # side of the square around a pixel in which its darkest (ink) and br
 CONTRAST = 64  # least difference between ink and paper, in levels of 8 bits
 LIKE = 1 / 6  # part of the contrast by which JPEG may move a pixel away from ink or paper
 MOST_DRAWN = 1 / 2  # most pixels of ink or paper in a block of noise
-# Spread measured in the residual for noise of strength 1, by octave: tests/test_texture.py
-SHOWN = (0.92, 0.46)
+SIDE = TEXTURE_CELL // BLOCK  # blocks along a side of a cell
+SHOWN = (0.85, 0.38)  # spread found in noise of strength 1, by octave: tests/test_texture.py
+STEPS = 30  # towards the strengths of cells, which then move by less than a tenth of a code
 TINY = 1e-3  # squared levels
 MARGIN = 4  # rows, more than reduction and enlargement reach; even, so that rows keep their pairs
 
@@ -34,23 +37,20 @@ MARGIN = 4  # rows, more than reduction and enlargement reach; even, so that row
 def estimate(source: Pixels, decoded: Pixels, settings: TextureSettings) -> Codes | None:
     """Texture codes [octaves, rows, columns] for a picture [H, W, 3] and its decoded Gaussians; None if all are 0.
 
-    In each cell the residual of each octave is measured in blocks. Noise is the same in all blocks, while edges leave
-    much in some and nothing in others. So a low quantile over the blocks is the strength of the noise. Blocks of
-    drawings or lettering count as free of noise.
+    In each block, the energy that the decoded picture lacks in an octave is the noise's to give. Blocks of drawings or
+    lettering count as free of noise.
     """
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
-    found = np.zeros((TEXTURE_OCTAVES, rows, columns), np.float32)
+    missing = np.empty((TEXTURE_OCTAVES, rows * SIDE, columns * SIDE), np.float32)
     for row in range(rows):  # one row of cells at a time, which takes little memory
-        band = slice(row * TEXTURE_CELL, (row + 1) * TEXTURE_CELL)
-        left = _padded(_plane(_luma(source[band]) - _luma(decoded[band])), columns)
-        noisy = _noisy(_padded(_luma(source[band]), columns))
-        for octave in range(TEXTURE_OCTAVES):
-            coarse = _halved(left)
-            spread = _spread(_detail(left, coarse), noisy, settings)
-            found[octave, row] = _shown(spread, octave, settings) / SHOWN[octave]
-            left = coarse
-    codes = _codes(found)
+        band, here = (slice(row * side, (row + 1) * side) for side in (TEXTURE_CELL, SIDE))
+        wanted, drawn = (_padded(_luma(pixels[band]), columns) for pixels in (source, decoded))
+        for octave, (whole, part) in enumerate(zip(_energies(wanted), _energies(drawn), strict=True)):
+            missing[octave, here] = np.maximum(whole - part - settings.floor**2, 0)
+        missing[:, here] *= _noisy(wanted)
+    strengths = [_strengths(np.sqrt(one), settings) / shown for one, shown in zip(missing, SHOWN, strict=True)]
+    codes = _codes(np.stack(strengths))
     return codes if codes.any() else None
 
 
@@ -80,11 +80,10 @@ def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
     """Share of each block's detail to remove, 0 to 1."""
     height, width = source.shape[:2]
     rows, columns = cells(width, height)
-    side = TEXTURE_CELL // BLOCK
-    energy, noisy = np.empty((2, rows * side, columns * side), np.float32)
+    energy, noisy = np.empty((2, rows * SIDE, columns * SIDE), np.float32)
     strength = np.empty((rows, columns), np.float32)
     for row in range(rows):
-        first, here = row * TEXTURE_CELL, slice(row * side, (row + 1) * side)
+        first, here = row * TEXTURE_CELL, slice(row * SIDE, (row + 1) * SIDE)
         end = min(first + TEXTURE_CELL, height)
         luma = _padded(_luma(source[first:end]), columns)
         energy[here], noisy[here] = _energy(_detail(luma)), _noisy(luma)
@@ -95,7 +94,7 @@ def _hidden(source: Pixels, left: Rows, settings: TextureSettings) -> Plane:
         found *= _rise(np.median(_by_cell(part), axis=1), settings.grain_left)
         strength[row] = found
     strength = _plane(cv2.resize(strength, energy.shape[::-1], interpolation=cv2.INTER_LINEAR))
-    share = noisy * np.minimum(settings.grain_hidden**2 * strength / (energy + TINY), 1)
+    share = noisy * np.minimum(strength / (energy + TINY), 1)
     return _plane(cv2.GaussianBlur(share, (0, 0), 0.7))
 
 
@@ -164,22 +163,38 @@ def _by_cell(blocks: Plane) -> Plane:
     return _plane(blocks.reshape(rows, -1, rows).transpose(1, 0, 2).reshape(-1, rows * rows))
 
 
-def _spread(detail: Plane, noisy: Plane, settings: TextureSettings) -> Plane:
-    """Low quantile over each cell's blocks of the spread, minus that of rounding, in levels of 8 bits."""
-    side = detail.shape[0] // noisy.shape[0]  # side of a block at this octave
-    energy = noisy * _energy(detail, side)
-    energies = np.quantile(_by_cell(energy), settings.quantile, axis=1) - settings.floor**2
-    return _plane(np.sqrt(np.maximum(energies, 0)))
+def _energies(plane: Plane) -> Iterator[Plane]:
+    """Energy of each octave of detail in each block."""
+    for octave in range(TEXTURE_OCTAVES):
+        coarse = _halved(plane)
+        yield _energy(_detail(plane, coarse), BLOCK >> octave)
+        plane = coarse
 
 
-def _shown(spread: Plane, octave: int, settings: TextureSettings) -> Plane:
-    """Spread of the texture for a spread that the Gaussians leave."""
-    middle = settings.middle
-    shown = settings.gain[octave] * middle * (spread / middle) ** settings.power
-    return _plane(np.minimum(shown, settings.most[octave] * spread))
+def _strengths(spread: Plane, settings: TextureSettings) -> NDArray[np.float64]:
+    """Strengths of cells, between which the decoder interpolates, for the spread that is missing in each block.
+
+    A least-squares fit in which too much noise weighs more than too little, or foliage's noise would spill over the
+    sky beside it. It begins at a low quantile of a cell's blocks, and its steps multiply: a cell of which some blocks
+    only have noise gets none, and none falls below 0.
+    """
+    down, across = (_between(count // SIDE) for count in spread.shape)
+    by_row = [_by_cell(spread[first : first + SIDE]) for first in range(0, len(spread), SIDE)]
+    strengths = np.array([np.quantile(row, settings.quantile, axis=1) for row in by_row], np.float64)
+    for _ in range(STEPS):
+        shown = down @ strengths @ across.T
+        weights = np.where(shown > spread, settings.excess, 1.0)
+        strengths *= (down.T @ (weights * spread) @ across) / (down.T @ (weights * shown) @ across + TINY)
+    return strengths
 
 
-def _codes(strengths: Plane) -> Codes:
+def _between(count: int) -> NDArray[np.float64]:
+    """Linear interpolation from cells to blocks, along one axis, as a matrix [blocks, cells]."""
+    matrix = cv2.resize(np.eye(count), (count, count * SIDE), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(matrix.reshape(-1, count), np.float64)
+
+
+def _codes(strengths: NDArray[Any]) -> Codes:
     """Code each strength: half a level is code 1, and each further code is a factor of sqrt(2)."""
     nearest = np.rint(2 * np.log2(np.maximum(strengths, 1e-3) / 0.5)) + 1
     codes: Codes = np.clip(nearest, 0, TEXTURE_STRENGTHS - 1).astype(np.uint8)

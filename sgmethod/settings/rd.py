@@ -240,16 +240,12 @@ class MovingTargetSettings:
 class TextureSettings:
     """Grain hidden from the fit, and the texture that replaces it."""
 
-    grain_hidden: float = 1.0  # in multiples of the strength of a cell's grain: weaker detail is hidden entirely
     # Grain is hidden gradually between the two values of each pair: not at all below, entirely above.
-    grain_left: tuple[float, float] = (0.6, 0.85)  # part of a cell's detail that the fit misses
+    grain_left: tuple[float, float] = (0.45, 0.7)  # part of a cell's detail that the fit misses
     grain_levels: tuple[float, float] = (4.0, 7.0)  # strength in levels of 8 bits: faint grain makes no needles
-    gain: tuple[float, float] = (0.62, 0.42)  # strength of texture for a missing spread of `middle`, by octave
-    middle: float = 3.0  # levels of 8 bits
-    power: float = 0.6  # strength is proportional to this power of the missing spread: strong grain looks broken
-    most: tuple[float, float] = (0.7, 0.97)  # greatest strength as a part of the missing spread, by octave
+    quantile: float = 0.4  # of a cell's blocks, ordered by energy: the strength of its grain
     floor: float = 0.3  # levels of 8 bits: the spread between two rounded pictures
-    quantile: float = 0.4  # of a cell's blocks, ordered by missing energy
+    excess: float = 8.0  # weight of texture that is too strong in a block, in multiples of that of too weak
     share: float = 0.05  # most of a budget of bytes
 
 
