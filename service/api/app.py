@@ -34,7 +34,7 @@ from service.process.background import survived
 from service.sandbox.client import Sandbox
 from service.settings import Settings
 
-STATIC = Path(__file__).parents[1] / "web" / "static"
+STATIC = Path(__file__).parents[1] / "page"
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self';"
     " base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

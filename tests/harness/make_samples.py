@@ -14,7 +14,7 @@ import sgmethod
 from service.sandbox.picture_files import as_large
 from tests.harness.data import ROOT
 
-FOLDER = ROOT / "service" / "web" / "static" / "samples"
+FOLDER = ROOT / "service" / "page" / "samples"
 BPP = {"astronaut": 0.3, "cat": 0.35, "coffee": 0.3}
 AVIF_SPEED = 4
 

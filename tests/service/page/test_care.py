@@ -212,7 +212,7 @@ def test_how_long_a_job_waits(page: Chromium, empty: Service) -> None:
     state = {"state": "queued", "position": 3}
     words = page.run(f"""
         const known = [[{took}, [1, 2]], [[], [1]], [{took}, []]];
-        return import("/static/page/watching.js").then(({{ paceOf, stateOf }}) =>
+        return import("/static/watching.js").then(({{ paceOf, stateOf }}) =>
             known.map(([done, running]) => stateOf({state}, false, paceOf(done, running)).words));
     """)
     waiting = "Waiting: in the queue, 2 before it"

@@ -149,7 +149,7 @@ def test_files_are_known_by_their_first_bytes(page: Chromium, web: Service) -> N
     }
     found = page.run(f"""
         return (async () => {{
-            const {{ kindOf }} = await import("/static/page/kinds.js");
+            const {{ kindOf }} = await import("/static/kinds.js");
             const bytes = (text) => Uint8Array.from(text, (letter) => letter.charCodeAt(0));
             const kinds = {json.dumps(list(beginnings.values()))}.map((text) => kindOf(new File([bytes(text)], "a.b")));
             return (await Promise.all(kinds)).map(({{ kind, format }}) => [kind, format ?? ""]);
@@ -310,7 +310,7 @@ def test_html_that_shows_a_picture(page: Chromium, web: Service, tmp_path: Path)
     open_page(page, web)
     html = page.run("""
         return (async () => {
-            const { snippetOf } = await import("/static/page/snippet.js");
+            const { snippetOf } = await import("/static/snippet.js");
             const sg = new Uint8Array(await (await fetch("/static/samples/coffee.sg")).arrayBuffer());
             return snippetOf({ sg, size: [432, 288], name: 'my "cup" & <b>.webp' });
         })();

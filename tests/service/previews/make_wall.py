@@ -20,7 +20,7 @@ from PIL import Image
 from sgmethod.previews.preview import preview
 from tests.harness.data import ROOT
 
-STATIC = ROOT / "service" / "web" / "static"
+STATIC = ROOT / "service" / "page"
 PHOTOGRAPHS = {
     "samples/astronaut.webp": "An astronaut",
     "wall/parrots.webp": "Two parrots",

@@ -39,7 +39,7 @@ def test_health(web: Service) -> None:
 
 
 def test_every_answer_has_the_security_headers(web: Service) -> None:
-    for path in ("/", "/docs", "/livez", "/nowhere", f"/jobs/{GOOD_ID}", "/static/page/main.js"):
+    for path in ("/", "/docs", "/livez", "/nowhere", f"/jobs/{GOOD_ID}", "/static/main.js"):
         headers = web.client.get(path).headers
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["referrer-policy"] == "no-referrer"
