@@ -108,7 +108,7 @@ def _before_start(settings: Settings) -> list[str]:
 
 
 def _web(settings: Settings, arguments: argparse.Namespace) -> None:
-    from service.api.server import run_web
+    from service.api.app import run_web
 
     absent = absent_layers()  # before there is a second thread
     if arguments.supervisor is not None:

@@ -16,6 +16,8 @@ from starlette.routing import Match
 
 from service.jobs.table import JobTableError
 from service.logs import log_seldom
+from service.sandbox.client import SandboxGoneError, TaskError
+from sgmethod.errors import BudgetError, ViewError
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +36,7 @@ PROBLEM: dict[str, Any] = {
     },
     "example": {"type": "about:blank", "title": "Not Found", "status": 404, "detail": "there is no such job"},
 }
-RETRY_SOON_S = "5"
+RETRY_AFTER = {"Retry-After": "5"}  # seconds
 # What figures and logs call a refusal, unless it has a word of its own.
 REASONS = {
     **{400: "malformed", 401: "key", 403: "forbidden", 404: "unknown", 405: "method", 406: "format", 408: "slow"},
@@ -42,6 +44,13 @@ REASONS = {
     **{422: "invalid", 500: "fault"},
 }
 REFUSAL = "refusal"  # of the state of a request: the reason why it was refused
+# What may be out of reach for a while: its name and the word for it.
+UNREACHABLE: dict[type[Exception], tuple[str, str]] = {
+    JobTableError: ("the job table", "table"),
+    SandboxGoneError: ("the sandbox", "sandbox"),
+    OSError: ("the storage", "storage"),
+}
+SENTENCES = (BudgetError, ViewError, TaskError)  # say what is wrong with what was asked for
 
 
 class ProblemError(Exception):
@@ -73,32 +82,22 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"content": {MEDIA_TYPE: PROBLEM}, "description": HTTPStatus(status).phrase} for status in statuses}
 
 
-def problem_document(problem: ProblemError) -> dict[str, Any]:
-    """The problem as JSON; extra members stand beside the standard ones."""
-    return {
-        "type": "about:blank",
-        "title": HTTPStatus(problem.status).phrase,
-        "status": problem.status,
-        "detail": problem.detail,
-        **problem.members,
-    }
-
-
-def problem_response(problem: ProblemError) -> JSONResponse:
-    """The problem as an answer."""
-    headers = {"Cache-Control": "no-store", **problem.headers}
-    return JSONResponse(problem_document(problem), problem.status, headers, media_type=MEDIA_TYPE)
-
-
 def refused(request: Request, problem: ProblemError) -> Response:
     """The problem as the answer to a request, whose state then holds the reason."""
     setattr(request.state, REFUSAL, problem.reason)
-    return problem_response(problem)
+    title = HTTPStatus(problem.status).phrase
+    document = {"type": "about:blank", "title": title, "status": problem.status, "detail": problem.detail}
+    headers = {"Cache-Control": "no-store", **problem.headers}
+    return JSONResponse({**document, **problem.members}, problem.status, headers, media_type=MEDIA_TYPE)
 
 
 async def _on_problem(request: Request, error: Exception) -> Response:
     assert isinstance(error, ProblemError)
     return refused(request, error)
+
+
+async def _on_sentence(request: Request, error: Exception) -> Response:
+    return refused(request, ProblemError(422, str(error)))
 
 
 async def _on_http_exception(request: Request, error: Exception) -> Response:
@@ -136,16 +135,10 @@ def _in_words(error: Mapping[str, Any]) -> str:
     return str(error["msg"]).removeprefix("Value error, ")
 
 
-async def _on_table_unavailable(request: Request, error: Exception) -> Response:
-    log_seldom(log, "the job table is unreachable: %s", error)
-    detail = "the job table is unreachable right now"
-    return refused(request, ProblemError(503, detail, reason="table", headers={"Retry-After": RETRY_SOON_S}))
-
-
-async def _on_storage_unavailable(request: Request, error: Exception) -> Response:
-    log_seldom(log, "the storage is unreachable: %s", error)
-    detail = "the storage is unreachable right now"
-    return refused(request, ProblemError(503, detail, reason="storage", headers={"Retry-After": RETRY_SOON_S}))
+async def _on_unreachable(request: Request, error: Exception) -> Response:
+    what, reason = next(words for kind, words in UNREACHABLE.items() if isinstance(error, kind))
+    log_seldom(log, f"{what} is unreachable: %s", error)
+    return refused(request, ProblemError(503, f"{what} is unreachable right now", reason=reason, headers=RETRY_AFTER))
 
 
 async def _on_disconnect(request: Request, _error: Exception) -> Response:
@@ -162,7 +155,9 @@ def install_problem_handlers(app: FastAPI) -> None:
     app.add_exception_handler(ProblemError, _on_problem)
     app.add_exception_handler(HTTPException, _on_http_exception)
     app.add_exception_handler(RequestValidationError, _on_invalid_parameters)
-    app.add_exception_handler(JobTableError, _on_table_unavailable)
-    app.add_exception_handler(OSError, _on_storage_unavailable)
     app.add_exception_handler(ClientDisconnect, _on_disconnect)
     app.add_exception_handler(Exception, _on_anything)
+    for kind in UNREACHABLE:
+        app.add_exception_handler(kind, _on_unreachable)
+    for kind in SENTENCES:
+        app.add_exception_handler(kind, _on_sentence)

@@ -12,7 +12,8 @@ from PIL import Image
 from pydantic import ValidationError
 
 import sgmethod
-from service.api.views import PictureCache, PictureQuery
+from service.api.cache import PictureCache
+from service.api.pictures import PictureQuery
 from service.sandbox.drawing import Drawing, PictureOptions
 from service.sandbox.picture_files import MEDIA_TYPES, PictureFormat, encode_picture
 from sgmethod.errors import ViewError

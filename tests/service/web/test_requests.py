@@ -169,7 +169,7 @@ def test_jobs_are_listed_newest_first_in_pages(empty: Service) -> None:
         ({"bpp": "1", "quality": "9"}, "give one"),
         ({"quality": "101"}, "at most 100"),
         ({"bpp": "1", "fineness": "9"}, "unknown field"),
-        ({"bpp": "1", "priority": "first"}, "unknown priority"),
+        ({"bpp": "1", "priority": "first"}, "priority"),
     ],
 )
 def test_fields_that_are_refused(web: Service, fields: dict[str, str], words: str) -> None:
