@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Annotated, Any
 
@@ -16,22 +15,19 @@ from fastapi.responses import JSONResponse
 from service.api import models
 from service.api.context import Context, KnownJob, UseCaller, UseContext
 from service.api.jobs import job_within
-from service.api.options import (
-    IMAGE_FIELD,
-    OPTION_SCHEMAS,
-    EncodeOptions,
-    check_image_type,
-    image_and_options,
-    options_alone,
-)
-from service.api.pictures import PictureQuery, bitstream_answer, open_image, picture_answer
+from service.api.options import OPTION_SCHEMAS, EncodeOptions, read_options
+from service.api.pictures import PictureQuery, bitstream, open_image, picture
 from service.api.problems import RETRY_AFTER, ProblemError
 from service.api.requests import (
     FORM_TYPE,
+    IMAGE_FIELD,
     NEVER_STORED,
     VARIES,
     accepted_format,
+    check_image_type,
+    fields_alone,
     idempotency_key,
+    image_and_fields,
     wanted_wait_s,
     wants_picture,
 )
@@ -83,7 +79,8 @@ async def encode(
     """
     check_image_type(request)
     await to_thread.run_sync(_check_queue, context, key, caller.owner)  # before the body is read
-    async with image_and_options(request) as (file, options):
+    async with image_and_fields(request) as (file, fields):
+        options = read_options(fields)
         header = await context.tasks.read_header(caller.client, file)
         async with context.accepting.turn(caller.client):
             await file.seek(0)
@@ -98,18 +95,13 @@ async def encode_again(
     """Start a new job with the image of an existing one, without uploading it again; 410 once that image has been
     deleted. Takes the options of `POST /encode`, in the query or in a form.
     """
-    options = await options_alone(request)
+    options = read_options(await fields_alone(request))
     await to_thread.run_sync(_check_queue, context, key, caller.owner)
     async with context.accepting.turn(caller.client):
-        image = await to_thread.run_sync(_kept_image, context, job)
+        with await to_thread.run_sync(open_image, context, job) as file:
+            image = await to_thread.run_sync(file.read)
         again = await to_thread.run_sync(_accept, context, caller.owner, key, options, job.image, image)
     return await _answer(request, context, again, wait_s)
-
-
-def _kept_image(context: Context, job: Job) -> bytes:
-    """Raises ProblemError 410."""
-    with open_image(context, job) as file:
-        return file.read()
 
 
 def _queue_full(own_limit: int = 0) -> ProblemError:
@@ -175,25 +167,20 @@ def _submit(context: Context, new: NewJob) -> tuple[Job, bool]:
 
 
 async def _answer(request: Request, context: Context, job: Job, wait_s: int) -> Response:
-    """The accepted job, or its result if the client waits for it and it ends in time."""
+    """The accepted job; or its file or its picture, if the client waits and it ends in time. Raises ProblemError."""
     view = models.accepted(job, context.settings)
     headers = {"Location": view.status_url, **NEVER_STORED}
     if wait_s:
         headers["Preference-Applied"] = f"wait={wait_s}"
-        ended = await job_within(request, job, wait_s, context)
-        if ended is not None:
-            return await _outcome(request, ended, context, headers)
-    return JSONResponse(view.model_dump(), 202, headers)
-
-
-async def _outcome(request: Request, job: Job, context: Context, headers: Mapping[str, str]) -> Response:
-    """The result of a finished job: its file, or its decoded picture. Raises ProblemError."""
-    if job.error is not None and job.state == "failed":
-        status = 422 if job.error.code == "refused" else 500
-        raise ProblemError(status, job.error.detail, headers=headers, code=job.error.code, id=job.id)
+    ended = await job_within(request, job, wait_s, context) if wait_s else None
+    if ended is None:
+        return JSONResponse(view.model_dump(), 202, headers)
+    if ended.error is not None and ended.state == "failed":
+        status = 422 if ended.error.code == "refused" else 500
+        raise ProblemError(status, ended.error.detail, headers=headers, code=ended.error.code, id=ended.id)
     if wants_picture(request):
-        answer = await picture_answer(request, job, PictureQuery(), accepted_format(request), context)
+        answer = await picture(ended, accepted_format(request), PictureQuery(), context, request)
     else:
-        answer = await bitstream_answer(request, job, context)
+        answer = await bitstream(ended, context, request)
     answer.headers.update({**headers, **VARIES})
     return answer

@@ -19,6 +19,7 @@ from service.jobs.table import Census, JobTableError
 log = logging.getLogger(__name__)
 
 VERSION = version("sgmethod")
+STALLED_LEASES = 4  # for which jobs may wait without a sign of life from any worker
 PATIENCE_S = 2.0  # a table that takes longer is no better than none
 
 
@@ -37,7 +38,7 @@ async def ready(context: UseContext) -> models.HealthView:
         raise ProblemError(503, f"the disk is almost full: {free_bytes:,.0f} bytes free", reason="disk")
     if census.waiting_s is not None:
         stalled_s = census.waiting_s if census.silent_s is None else min(census.waiting_s, census.silent_s)
-        if stalled_s > context.settings.stall_s:
+        if stalled_s > STALLED_LEASES * context.settings.lease_s:
             detail = f"jobs are waiting, and no worker has reported for {stalled_s:.0f} s"
             raise ProblemError(503, detail, reason="stall")
     return models.HealthView(status="ok", version=VERSION)

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import Annotated, Any
 
-from fastapi import Request
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -25,10 +23,8 @@ from pydantic import (
     model_validator,
 )
 from pydantic.json_schema import SkipJsonSchema
-from starlette.datastructures import UploadFile
 
 from service.api.problems import ProblemError
-from service.api.requests import FORM_TYPE, IMAGE_TYPES, body_as_file, media_type, refuse_body
 from service.jobs.job import PRIORITIES, EncodeRequest, Priority, SourceImage
 from sgmethod.bitstream.smallest import smallest_file
 from sgmethod.budget import BUDGET_KINDS, DEFAULT_BUDGET, LOOKS, Budget, default_budget
@@ -47,9 +43,6 @@ from sgmethod.profiles import (
 from sgmethod.settings.paper import PaperSettings
 from sgmethod.settings.rd import RdSettings
 
-IMAGE_FIELD = "image"  # of the form, and none of the model
-WAIT_FIELD = "wait"  # of the query, and none of the model
-MAX_FIELD_BYTES = 256
 # Stricter than float(), which also takes "1_0", "nan" and spaces around.
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?")
 
@@ -163,56 +156,12 @@ OPTION_SCHEMAS: dict[str, dict[str, Any]] = {
 }
 
 
-@asynccontextmanager
-async def image_and_options(request: Request) -> AsyncIterator[tuple[UploadFile, EncodeOptions]]:
-    """The image and the options of POST /encode. What is large goes to temporary files, gone with the context.
-
-    Entering raises ProblemError 413 or 422, BudgetError, or HTTPException 400 on what is no form.
-    """
-    if media_type(request) != FORM_TYPE:
-        options = _read_options(request)
-        async with body_as_file(request) as image:
-            yield image, options
-        return
-    async with request.form(max_files=1, max_fields=len(OPTIONS), max_part_size=MAX_FIELD_BYTES) as form:
-        options = _read_options(request, [field for field in form.multi_items() if field[0] != IMAGE_FIELD])
-        images = form.getlist(IMAGE_FIELD)
-        if len(images) != 1 or not isinstance(images[0], UploadFile):
-            raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, is not a file, or is given twice")
-        yield images[0], options
-
-
-async def options_alone(request: Request) -> EncodeOptions:
-    """The options of a request that brings no image: in the query, in a form, or in both.
-
-    Raises ProblemError 415 or 422, BudgetError, or HTTPException 400 on what is no form.
-    """
-    has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
-    if has_body and media_type(request) == FORM_TYPE:
-        async with request.form(max_files=0, max_fields=len(OPTIONS), max_part_size=MAX_FIELD_BYTES) as form:
-            return _read_options(request, form.multi_items())
-    refusal = f"the fields belong in the query, or in a body of type {FORM_TYPE}"
-    await refuse_body(request, ProblemError(415, refusal, headers={"Accept": FORM_TYPE}))
-    return _read_options(request)
-
-
-def check_image_type(request: Request) -> None:
-    """Raises ProblemError 415 unless the body is a form or an image."""
-    found = media_type(request)
-    if found != FORM_TYPE and not found.startswith(IMAGE_TYPES):
-        accepted = f"{FORM_TYPE}, {IMAGE_TYPES}*"
-        raise ProblemError(415, f"the body must be {FORM_TYPE} or an image", headers={"Accept": accepted})
-
-
-def _read_options(request: Request, form: Sequence[tuple[str, UploadFile | str]] = ()) -> EncodeOptions:
-    """The options in the query and in the form. Raises ProblemError 422, BudgetError."""
+def read_options(fields: Iterable[tuple[str, str]]) -> EncodeOptions:
+    """The options among the fields of the query and of a form. Raises ProblemError 422, BudgetError."""
     texts: dict[str, str] = {}
-    query = [field for field in request.query_params.multi_items() if field[0] != WAIT_FIELD]
-    for name, value in (*query, *form):
+    for name, value in fields:
         if name in texts:
             raise ProblemError(422, f"the field {name} is given twice")
-        if not isinstance(value, str):
-            raise ProblemError(422, f"the field {name} must be text, not a file")
         texts[name] = value
     try:
         return EncodeOptions.model_validate(texts)

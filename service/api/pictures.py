@@ -85,37 +85,30 @@ async def picture(
     job: KnownJob, kind: PictureFormat, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
 ) -> Response:
     """The decoded picture, whole or in part, as PNG, JPEG, WebP or AVIF."""
-    return await picture_answer(request, job, query, kind, context)
-
-
-async def picture_as_accepted(
-    job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
-) -> Response:
-    """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
-    answer = await picture_answer(request, job, query, accepted_format(request), context)
-    answer.headers.update(VARIES)
-    return answer
-
-
-async def picture_answer(
-    request: Request, job: Job, query: PictureQuery, kind: PictureFormat, context: Context
-) -> Response:
-    """The picture of a job, from memory if it was asked for lately."""
     result = _result_of(job)
     size = (int(result.stats["width"]), int(result.stats["height"]))
     drawing = Drawing.of(query, kind, size, context.settings.max_pixels)
     headers = {"ETag": drawing.etag(result.sha256), **_kept(job, context), **query.disposition()}
 
     async def made() -> bytes:
-        with await to_thread.run_sync(_open_bitstream, context, job, result) as bitstream:
+        with await to_thread.run_sync(_open_bitstream, context, job, result) as file:
             try:
-                return await context.tasks.draw(request.state.caller.client, bitstream, query, kind)
+                return await context.tasks.draw(request.state.caller.client, file, query, kind)
             except RefusedError as error:
                 if error.kind is BitstreamError:
                     raise _damaged(job, error) from error
                 raise
 
-    return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
+    return await _remembered(request, context, headers, kind, made)
+
+
+async def picture_as_accepted(
+    job: KnownJob, query: Annotated[PictureQuery, Query()], context: UseContext, request: Request
+) -> Response:
+    """The decoded picture in the format that the Accept header prefers; PNG if it has no preference."""
+    answer = await picture(job, accepted_format(request), query, context, request)
+    answer.headers.update(VARIES)
+    return answer
 
 
 async def _remembered(
@@ -125,7 +118,11 @@ async def _remembered(
     kind: PictureFormat,
     make: Callable[[], Coroutine[Any, Any, bytes]],
 ) -> Response:
-    """The picture file of an entity tag, from memory if it was asked for lately; simultaneous requests share one."""
+    """The picture file of an entity tag: not again for who has it, and from memory if it was asked for lately;
+    simultaneous requests share one.
+    """
+    if (answer := not_modified(request, headers)) is not None:
+        return answer
     context.metrics.cache.labels("yes" if headers["ETag"] in context.pictures else "no").inc()
     file = await while_client_waits(request, context.pictures.get_or_make(headers["ETag"], make))
     return Response(file, headers=headers, media_type=MEDIA_TYPES[kind])
@@ -150,11 +147,6 @@ async def picture_of_body_as(
 
 async def bitstream(job: KnownJob, context: UseContext, request: Request) -> Response:
     """The .sg file."""
-    return await bitstream_answer(request, job, context)
-
-
-async def bitstream_answer(request: Request, job: Job, context: Context) -> Response:
-    """The bitstream of a job."""
     result = _result_of(job)
     headers = {
         "ETag": f'"{result.sha256[:32]}"',
@@ -212,7 +204,7 @@ async def rival(job: KnownJob, kind: RivalFormat, context: UseContext, request: 
         with await to_thread.run_sync(open_image, context, job) as image:
             return await context.tasks.make_rival(request.state.caller.client, image, Rival(kind, size))
 
-    return not_modified(request, headers) or await _remembered(request, context, headers, kind, made)
+    return await _remembered(request, context, headers, kind, made)
 
 
 def open_image(context: Context, job: Job) -> BinaryIO:

@@ -10,10 +10,9 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any, BinaryIO, TypeVar, cast
 
 from fastapi import Query, Request, Response
-from starlette.datastructures import UploadFile
+from starlette.datastructures import Headers, UploadFile
 from starlette.requests import ClientDisconnect
 
-from service.api.callers import header_line
 from service.api.problems import ProblemError
 from service.sandbox.picture_files import MEDIA_TYPES, PictureFormat
 
@@ -24,12 +23,23 @@ IMMUTABLE = "private, max-age=31536000, immutable"
 VARIES = {"Vary": "Accept"}
 NEVER_STORED = {"Cache-Control": "no-store"}
 
+IMAGE_FIELD, WAIT_FIELD = "image", "wait"  # of a form, and of the query; the others are options
+MAX_FIELDS, MAX_FIELD_BYTES = 20, 256
 MEMORY_BYTES = 1 << 20  # of a body that is still coming in; what is larger goes to a temporary file
 MAX_WAIT_S = 50  # proxies give up on an answer that has not begun after 60 s, unless told otherwise
 
 _PREFER = re.compile(r"(?:^|[,;])\s*wait\s*=\s*([0-9]{1,6})\s*(?=[,;]|$)", re.IGNORECASE)
 _IDEMPOTENCY_KEY = re.compile(r"[!-~]{1,255}")
 T = TypeVar("T")
+Field = tuple[str, str]
+
+
+def header_line(headers: Headers, name: str) -> str | None:
+    """All lines of a header as one (RFC 9110, 5.3); None without any. Where one value alone is allowed, several are
+    none.
+    """
+    lines = headers.getlist(name)
+    return ", ".join(lines) if lines else None
 
 
 def media_type(request: Request) -> str:
@@ -38,6 +48,14 @@ def media_type(request: Request) -> str:
     if len(given) > 1:
         raise ProblemError(415, "the request has more than one Content-Type")
     return "".join(given).partition(";")[0].strip().lower()
+
+
+def check_image_type(request: Request) -> None:
+    """Raises ProblemError 415 unless the body is a form or an image."""
+    found = media_type(request)
+    if found != FORM_TYPE and not found.startswith(IMAGE_TYPES):
+        accepted = f"{FORM_TYPE}, {IMAGE_TYPES}*"
+        raise ProblemError(415, f"the body must be {FORM_TYPE} or an image", headers={"Accept": accepted})
 
 
 def accepted_format(request: Request) -> PictureFormat:
@@ -115,7 +133,43 @@ async def body_as_file(request: Request) -> AsyncIterator[UploadFile]:
         await upload.close()
 
 
-async def refuse_body(request: Request, refusal: ProblemError) -> None:
+@asynccontextmanager
+async def image_and_fields(request: Request) -> AsyncIterator[tuple[UploadFile, list[Field]]]:
+    """The image of POST /encode, and the other fields in its query and form. What is large goes to temporary files,
+    gone with the context. Entering raises ProblemError 413 or 422, or HTTPException 400 on what is no form.
+    """
+    if media_type(request) != FORM_TYPE:
+        async with body_as_file(request) as image:
+            yield image, _in_query(request)
+        return
+    async with request.form(max_files=1, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
+        images = form.getlist(IMAGE_FIELD)
+        if len(images) != 1 or not isinstance(images[0], UploadFile):
+            raise ProblemError(422, f"the field {IMAGE_FIELD} is missing, is not a file, or is given twice")
+        # As one file is allowed, and the image is one, the others are texts.
+        texts = [(name, str(value)) for name, value in form.multi_items() if name != IMAGE_FIELD]
+        yield images[0], _in_query(request) + texts
+
+
+async def fields_alone(request: Request) -> list[Field]:
+    """The fields of a request that brings no image: in the query, in a form, or in both.
+
+    Raises ProblemError 415, or HTTPException 400 on what is no form.
+    """
+    has_body = request.headers.get("content-length", "0") != "0" or "transfer-encoding" in request.headers
+    if has_body and media_type(request) == FORM_TYPE:
+        async with request.form(max_files=0, max_fields=MAX_FIELDS, max_part_size=MAX_FIELD_BYTES) as form:
+            return _in_query(request) + [(name, str(text)) for name, text in form.multi_items()]
+    detail = f"the fields belong in the query, or in a body of type {FORM_TYPE}"
+    await _refuse_body(request, ProblemError(415, detail, headers={"Accept": FORM_TYPE}))
+    return _in_query(request)
+
+
+def _in_query(request: Request) -> list[Field]:
+    return [(name, value) for name, value in request.query_params.multi_items() if name != WAIT_FIELD]
+
+
+async def _refuse_body(request: Request, refusal: ProblemError) -> None:
     """Raises the refusal if the request brings a byte: what would be ignored must not look as if it were used."""
     async for chunk in request.stream():
         if chunk:
@@ -124,7 +178,7 @@ async def refuse_body(request: Request, refusal: ProblemError) -> None:
 
 async def no_body(request: Request) -> None:
     """Raises ProblemError 422 if there is a body."""
-    await refuse_body(request, ProblemError(422, "this request takes no body; its parameters are in the query"))
+    await _refuse_body(request, ProblemError(422, "this request takes no body; its parameters are in the query"))
 
 
 async def while_client_waits(request: Request, work: Coroutine[Any, Any, T]) -> T:

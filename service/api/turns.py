@@ -142,7 +142,7 @@ class ClientTasks:
         self._headers = Turns(HEADERS_AT_ONCE, settings.max_streams)
         self._drawings = Turns(settings.max_decodes, settings.max_waiting_decodes)
         self._limits: dict[str, Any] = {  # of what decodes an image or a bitstream
-            "memory_bytes": settings.decode_memory_bytes,
+            "memory_bytes": settings.job_memory_bytes // 4,
             "cpu_s": settings.decode_time_s,
             "max_pixels": settings.max_pixels,
         }
