@@ -45,7 +45,6 @@ def _body(media_type: str) -> dict[str, Any]:
 
 
 ENCODE_REFUSALS = (400, 406, 409, 413, 415, 429, 500)
-ACCEPTED: dict[str, Any] = {"status_code": 202, "response_model": AcceptedView}
 DONE_IN_TIME = {200: {"description": "done in time", "content": dict.fromkeys((BITSTREAM_TYPE, *PICTURES), BINARY)}}
 
 
@@ -54,7 +53,7 @@ class Route:
     """curl: a command to copy, in the OpenAPI document and so at /docs, which a test runs; HOST and ID stand for the
     service and for a job. refusals: statuses of problem documents beside 404 (of what a path names), 422 and 503;
     files: media types, where the answer is a file; answers: others; document: more for the OpenAPI document; own_query:
-    whether the handler takes query parameters; options: of FastAPI's.
+    whether the handler takes query parameters; status: of a success; options: of FastAPI's.
     """
 
     name: str  # method and path
@@ -66,6 +65,7 @@ class Route:
     answers: dict[Any, Any] = field(default_factory=dict)
     document: dict[str, Any] = field(default_factory=dict)
     own_query: bool = False
+    status: int = 200
     options: dict[str, Any] = field(default_factory=dict)
 
 
@@ -79,7 +79,8 @@ ROUTES = [
         answers=DONE_IN_TIME,
         document={"requestBody": encode.ENCODE_BODY, "parameters": encode.PARAMETERS},
         own_query=True,
-        options=ACCEPTED,
+        status=202,
+        options={"response_model": AcceptedView},
     ),
     Route(
         "POST /jobs/{job_id}/encode",
@@ -90,7 +91,8 @@ ROUTES = [
         answers=DONE_IN_TIME,
         document={"requestBody": encode.AGAIN_BODY, "parameters": encode.PARAMETERS},
         own_query=True,
-        options=ACCEPTED,
+        status=202,
+        options={"response_model": AcceptedView},
     ),
     Route("GET /jobs/{job_id}", jobs.status, "Get a job", "HOST/jobs/ID"),
     Route("GET /jobs", jobs.jobs, "List jobs", "'HOST/jobs?state=done&limit=20'", own_query=True),
@@ -109,20 +111,9 @@ ROUTES = [
         own_query=True,
     ),
     Route(
-        "POST /jobs/{job_id}/stop",
-        jobs.stop,
-        "Finish an encode early",
-        "-X POST HOST/jobs/ID/stop",
-        (409,),
-        options={"status_code": 202},
+        "POST /jobs/{job_id}/stop", jobs.stop, "Finish an encode early", "-X POST HOST/jobs/ID/stop", (409,), status=202
     ),
-    Route(
-        "DELETE /jobs/{job_id}",
-        jobs.remove,
-        "Cancel and remove a job",
-        "-X DELETE HOST/jobs/ID",
-        options={"status_code": 204},
-    ),
+    Route("DELETE /jobs/{job_id}", jobs.remove, "Cancel and remove a job", "-X DELETE HOST/jobs/ID", status=204),
     Route(
         "GET /decode/{job_id}.{kind}",
         pictures.picture,
@@ -230,6 +221,7 @@ def add_routes(app: FastAPI, key_check: Sequence[Any]) -> None:
             route.handler,
             methods=[method],
             summary=route.summary,
+            status_code=route.status,
             dependencies=checks,
             responses=answers,
             openapi_extra={**route.document, "x-codeSamples": [sample]},
